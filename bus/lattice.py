@@ -1,0 +1,54 @@
+"""Which cells exist, in which order, and who neighbours whom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+SIDES = ("north", "east", "south", "west")
+"""Sides in the order of every ``(n, 4)`` array; north is +row (+y), east is +column (+x)."""
+
+OPPOSITE = (2, 3, 0, 1)
+"""``OPPOSITE[side]``: the side on which a neighbour sees us."""
+
+_STEP = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+@final
+class Lattice:
+    """The cells of an array in row-major order, and their four-neighbour links.
+
+    Args:
+        cells: ``(row, column)`` of every cell, in any order, each once.
+
+    Attributes:
+        rows: ``(n,)`` int64, row of each cell.
+        columns: ``(n,)`` int64, column of each cell.
+        neighbours: ``(n, 4)`` int64, index of the neighbour on each side of ``SIDES``, or -1.
+    """
+
+    def __init__(self, cells: Iterable[tuple[int, int]]) -> None:
+        ordered = sorted(cells)
+        if len(set(ordered)) != len(ordered):
+            raise ValueError("a cell is named twice")
+        self.cells: tuple[tuple[int, int], ...] = tuple(ordered)
+        self._index = {cell: i for i, cell in enumerate(ordered)}
+        self.rows: NDArray[np.int64] = np.array([r for r, _ in ordered], dtype=np.int64)
+        self.columns: NDArray[np.int64] = np.array([c for _, c in ordered], dtype=np.int64)
+        self.neighbours: NDArray[np.int64] = np.array(
+            [[self._index.get((r + dr, c + dc), -1) for dr, dc in _STEP] for r, c in ordered],
+            dtype=np.int64,
+        ).reshape(len(ordered), 4)
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def index(self, cell: tuple[int, int]) -> int:
+        """Index of the cell at ``(row, column)``; KeyError where there is none."""
+        return self._index[cell]
+
+    def __contains__(self, cell: object) -> bool:
+        return cell in self._index

@@ -1,0 +1,154 @@
+"""What the plant is told: frozen, validated parts of a scene that concern physics."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from bus.lattice import Lattice
+from plant.geometry import PolygonError, check_convex, rectangle
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Point = tuple[Finite, Finite]
+Cell = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
+
+
+class Spec(BaseModel):
+    """Base of every spec: frozen, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+
+class ArraySpec(Spec):
+    """The lattice of cells, centred on the origin; row 0 at the bottom, column 0 at the left."""
+
+    rows: Annotated[int, Field(ge=1, le=10_000)]
+    columns: Annotated[int, Field(ge=1, le=10_000)]
+    pitch_m: Positive = 0.1
+    missing: tuple[Cell, ...] = ()
+    """Holes: cells that do not exist."""
+    cells: tuple[Cell, ...] | None = None
+    """An arbitrary layout: the cells that exist (excludes ``missing``)."""
+    sensors_m: Annotated[tuple[Point, ...], Field(min_length=1, max_length=5)] = ((0.0, 0.0),)
+    """Presence sensors relative to the cell centre, one to five."""
+
+    @model_validator(mode="after")
+    def _layout(self) -> ArraySpec:
+        if self.cells is not None and self.missing:
+            raise ValueError("give cells or missing, not both")
+        for name, listed in (("missing", self.missing), ("cells", self.cells or ())):
+            for row, column in listed:
+                if row >= self.rows:
+                    raise ValueError(f"{name} has [{row}, {column}]: the array has rows 0..{self.rows - 1}")
+                if column >= self.columns:
+                    raise ValueError(
+                        f"{name} has [{row}, {column}]: the array has columns 0..{self.columns - 1}"
+                    )
+            if len(set(listed)) != len(listed):
+                raise ValueError(f"{name} names a cell twice")
+        if self.cells == () or len(self.missing) == self.rows * self.columns:
+            raise ValueError("the array has no cells")
+        return self
+
+    def lattice(self) -> Lattice:
+        """The cells that exist."""
+        if self.cells is not None:
+            return Lattice(self.cells)
+        holes = set(self.missing)
+        return Lattice(
+            (r, c) for r in range(self.rows) for c in range(self.columns) if (r, c) not in holes
+        )
+
+
+class ParcelSpec(Spec):
+    """A rigid parcel with a flat convex bottom. Poses refer to its centre of mass."""
+
+    size_m: tuple[Positive, Positive] | None = None
+    """Length along the parcel's x and along its y: a rectangle."""
+    vertices_m: tuple[Point, ...] | None = None
+    """Or a convex polygon in the parcel's frame, in either direction round."""
+    mass_kg: Positive
+    inertia_kg_m2: Positive | None = None
+    """About the centre of mass; default: a uniform plate's about its centroid."""
+    centre_of_mass_m: Point | None = None
+    """In the parcel's frame; default: the centroid."""
+    position_m: Point
+    angle_rad: Finite = 0.0
+    velocity_m_s: Point = (0.0, 0.0)
+    angular_velocity_rad_s: Finite = 0.0
+
+    @model_validator(mode="after")
+    def _footprint(self) -> ParcelSpec:
+        if (self.size_m is None) == (self.vertices_m is None):
+            raise ValueError("give size_m or vertices_m, one of the two")
+        return self
+
+    @field_validator("vertices_m")
+    @classmethod
+    def _convex(cls, value: tuple[Point, ...] | None) -> tuple[Point, ...] | None:
+        if value is not None:
+            try:
+                check_convex(value)
+            except PolygonError as error:
+                raise ValueError(str(error)) from None
+        return value
+
+    def polygon(self) -> tuple[Point, ...]:
+        """Corners in the parcel's frame."""
+        if self.vertices_m is not None:
+            return self.vertices_m
+        assert self.size_m is not None
+        return rectangle(*self.size_m)
+
+
+class FrictionSpec(Spec):
+    """The traction law."""
+
+    law: Literal["viscous"] = "viscous"
+    coefficient_s_per_m: Positive
+    """Viscous (eq. 14): traction per newton of load and per m/s of slip."""
+
+
+class MotorsSpec(Spec):
+    """First-order motors: ``dV/dt = (gain u - V) / time constant``, one per wheel."""
+
+    time_constant_s: Positive = 0.06
+    speed_per_volt_m_s: Positive = 0.1
+    """No-load surface speed per volt."""
+    supply_v: Positive = 12.0
+    """Commands saturate at plus and minus this voltage."""
+
+
+class EffectsSpec(Spec):
+    """Effects the scene asks for; an absent one is not simulated and costs nothing."""
+
+    motors: MotorsSpec | None = None
+
+
+class SolverSpec(Spec):
+    """How the motion is integrated."""
+
+    name: Literal["exact"] = "exact"
+    tolerance: Annotated[float, Field(ge=1e-14, le=1e-2, allow_inf_nan=False)] = 1e-9
+    """Metres at the footprint, over the run."""
+    capture_m: Annotated[float, Field(gt=0, le=1e-2, allow_inf_nan=False)] = 1e-6
+    """Chatter below this amplitude is captured."""
+
+
+class PlantSpec(Spec):
+    """All the plant needs to know of a scene."""
+
+    array: ArraySpec
+    parcels: tuple[ParcelSpec, ...] = ()
+    friction: FrictionSpec
+    effects: EffectsSpec = EffectsSpec()
+    solver: SolverSpec = SolverSpec()
+    gravity_m_s2: Positive = 9.81
+
+
+def corner_radius(polygon: tuple[Point, ...], centre: Point) -> float:
+    """Largest distance of a corner from ``centre``, m."""
+    return max(math.hypot(x - centre[0], y - centre[1]) for x, y in polygon)
