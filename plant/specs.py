@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -147,8 +146,3 @@ class PlantSpec(Spec):
     effects: EffectsSpec = EffectsSpec()
     solver: SolverSpec = SolverSpec()
     gravity_m_s2: Positive = 9.81
-
-
-def corner_radius(polygon: tuple[Point, ...], centre: Point) -> float:
-    """Largest distance of a corner from ``centre``, m."""
-    return max(math.hypot(x - centre[0], y - centre[1]) for x, y in polygon)

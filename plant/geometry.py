@@ -1,0 +1,110 @@
+"""Convex polygons: orientation, area, centroid, moment of inertia, edges, overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vertices = Sequence[tuple[float, float]]
+
+
+class PolygonError(ValueError):
+    """The corners are not those of a convex polygon; the text says which rule fails where."""
+
+
+def rectangle(length_m: float, width_m: float) -> tuple[tuple[float, float], ...]:
+    """Corners of a rectangle about its centre, counter-clockwise, m."""
+    a, b = length_m / 2.0, width_m / 2.0
+    return ((-a, -b), (a, -b), (a, b), (-a, b))
+
+
+def signed_area(vertices: Vertices) -> float:
+    """Area in m², positive for counter-clockwise corners."""
+    v = np.asarray(vertices, dtype=np.float64)
+    w = np.roll(v, -1, axis=0)
+    return float(np.sum(v[:, 0] * w[:, 1] - w[:, 0] * v[:, 1])) / 2.0
+
+
+def check_convex(vertices: Vertices) -> None:
+    """Refuse corners that are not those of a strictly convex polygon.
+
+    Raises:
+        PolygonError: fewer than three corners, no area, or a corner that is not convex.
+    """
+    if len(vertices) < 3:
+        raise PolygonError(f"a polygon has at least 3 corners, not {len(vertices)}")
+    v = np.asarray(vertices, dtype=np.float64)
+    edge = np.roll(v, -1, axis=0) - v
+    length = np.hypot(edge[:, 0], edge[:, 1])
+    if not np.all(length > 0.0):
+        raise PolygonError(f"corner {int(np.argmin(length))} is given twice")
+    incoming = np.roll(edge, 1, axis=0)
+    sine = (incoming[:, 0] * edge[:, 1] - incoming[:, 1] * edge[:, 0]) / (np.roll(length, 1) * length)
+    if signed_area(vertices) < 0.0:
+        sine = -sine
+    worst = int(np.argmin(sine))
+    if sine[worst] <= 1e-9:
+        raise PolygonError(f"corner {worst} is not convex")
+    turn = np.arctan2(sine, np.sum(incoming * edge, axis=1) / (np.roll(length, 1) * length))
+    if abs(float(np.sum(turn)) - 2.0 * np.pi) > 1e-6:
+        raise PolygonError("the corners go round more than once")
+
+
+def counter_clockwise(vertices: Vertices) -> NDArray[np.float64]:
+    """The corners as an ``(m, 2)`` array, counter-clockwise."""
+    v = np.array(vertices, dtype=np.float64)
+    return v if signed_area(vertices) > 0.0 else v[::-1].copy()
+
+
+def centroid(vertices: Vertices) -> tuple[float, float]:
+    """Centroid of the enclosed area, m."""
+    v = counter_clockwise(vertices)
+    origin = v[0]
+    p = v - origin
+    q = np.roll(p, -1, axis=0)
+    cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
+    mean = (cross @ (p + q)) / (3.0 * float(np.sum(cross)))
+    return float(mean[0] + origin[0]), float(mean[1] + origin[1])
+
+
+def polar_moment_per_mass(vertices: Vertices) -> float:
+    """Moment of inertia of a uniform plate about its centroid, per kilogram, m²."""
+    p = counter_clockwise(vertices) - np.array(centroid(vertices))
+    q = np.roll(p, -1, axis=0)
+    cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
+    second = np.sum(p * p + p * q + q * q, axis=1)
+    return float(cross @ second) / (6.0 * float(np.sum(cross)))
+
+
+def edges(vertices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Outward unit normals ``(m, 2)`` and offsets ``(m,)`` of a counter-clockwise polygon.
+
+    A point ``q`` lies inside where ``offset - normal . q >= 0`` for every edge.
+    """
+    edge = np.roll(vertices, -1, axis=0) - vertices
+    length = np.hypot(edge[:, 0], edge[:, 1])
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / length[:, None]
+    return normal, np.sum(normal * vertices, axis=1)
+
+
+def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]] | None:
+    """Depth in m and place ``(2,)`` in m of the overlap of two convex polygons, or None.
+
+    Both are ``(m, 2)``, counter-clockwise. Separating axes: the depth is the least penetration over all edge
+    normals, the place the middle of the corners of either that lie deepest in the other.
+    """
+    least, place = np.inf, np.zeros(2)
+    for first, second in ((a, b), (b, a)):
+        normal, offset = edges(first)
+        gap = second @ normal.T - offset
+        inside = gap.min(axis=0)
+        edge = int(np.argmax(inside))
+        if inside[edge] >= 0.0:
+            return None
+        if -inside[edge] < least:
+            least = -float(inside[edge])
+            deepest = gap[:, edge] <= inside[edge] + 1e-12
+            place = second[deepest].mean(axis=0)
+    return least, place
