@@ -1,0 +1,175 @@
+"""The clean parent of worker processes.
+
+A process that has opened a Zenoh session or run a compiled kernel must not be forked. Workers are therefore forked
+from a small process of their own, that imports what they need and never does anything else. It is told what to do
+over a socket and tells what happened over a pipe, one line of JSON an event:
+
+    {"worker": 3, "event": "started", "pid": 4711}
+    {"worker": 3, "event": "failed", "error": "...", "detail": "the traceback"}
+    {"worker": 3, "event": "ended", "status": -9}
+
+When the socket's other end closes, however that came about, it kills its workers and ends; the workers watch the same
+socket themselves, so that they outlive neither.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import json
+import os
+import select
+import selectors
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, final
+
+Order = Callable[[int], None]
+"""What a worker does: called with the worker's number; raises when it fails."""
+
+_LINE_LIMIT = select.PIPE_BUF
+"""Writes to a pipe up to this length are never torn or mixed with another process's."""
+
+
+def main(channel_fd: int, report_fd: int, preload: Iterable[str]) -> None:
+    """Tend workers until the socket ``channel_fd`` closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in preload:
+        importlib.import_module(name)
+    gc.collect()
+    gc.freeze()
+    _Nursery(Connection(channel_fd), report_fd).tend()
+
+
+@final
+class _Nursery:
+    def __init__(self, channel: Connection, report_fd: int) -> None:
+        self._channel = channel
+        self._report_fd = report_fd
+        self._order: Order | None = None
+        self._workers: dict[int, int] = {}
+        """Worker's number by process id."""
+        self._wakeup = os.pipe()
+        for fd in self._wakeup:
+            os.set_blocking(fd, False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.set_wakeup_fd(self._wakeup[1], warn_on_full_buffer=False)
+
+    def tend(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._channel, selectors.EVENT_READ)
+            selector.register(self._wakeup[0], selectors.EVENT_READ)
+            while True:
+                for key, _ in selector.select():
+                    if key.fd == self._wakeup[0]:
+                        os.read(self._wakeup[0], 4096)
+                        self._reap()
+                    elif not self._obey():
+                        self._end()
+                        return
+
+    def _obey(self) -> bool:
+        """Handle one message; False once there will be no more."""
+        try:
+            message: tuple[str, Any] = self._channel.recv()
+        except (EOFError, ConnectionError):
+            return False
+        match message:
+            case "order", order:
+                self._order = order
+            case "start", workers:
+                for worker, name in workers:
+                    self._start(worker, name)
+            case "signal", (number, workers):
+                self._signal(number, set(workers))
+            case _:
+                raise AssertionError(f"this is a bug: the nursery does not know {message!r}")
+        return True
+
+    def _start(self, worker: int, name: str) -> None:
+        assert self._order is not None, "this is a bug: a worker without an order"
+        try:
+            pid = os.fork()
+        except OSError as error:
+            self._report(worker, "failed", error=f"cannot start a process: {error.strerror}", detail="")
+            return
+        if pid == 0:
+            self._work(worker, name, self._order)
+        self._workers[pid] = worker
+        self._report(worker, "started", pid=pid)
+
+    def _work(self, worker: int, name: str, order: Order) -> None:
+        """The worker's whole life; never returns."""
+        status = 1
+        try:
+            signal.set_wakeup_fd(-1)
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+            _rename(name)
+            threading.Thread(target=_die_with, args=(self._channel.fileno(),), daemon=True).start()
+            order(worker)
+            status = 0
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is told to the main process
+            self._report(
+                worker, "failed", error=_one_line(error), kind=type(error).__name__, detail=traceback.format_exc()
+            )
+        finally:
+            # Nothing of the nursery's own stack may run in a worker.
+            try:
+                sys.stdout.flush()
+                sys.stderr.flush()
+            finally:
+                os._exit(status)
+
+    def _report(self, worker: int, event: str, **more: object) -> None:
+        content = {"worker": worker, "event": event, **more}
+        line = json.dumps(content) + "\n"
+        if len(line) > _LINE_LIMIT:
+            content["error"] = str(more.get("error", ""))[: _LINE_LIMIT // 8]
+            content["detail"] = "... " + str(more.get("detail", ""))[-_LINE_LIMIT // 8 :]
+            line = json.dumps(content) + "\n"
+        os.write(self._report_fd, line.encode())
+
+    def _reap(self) -> None:
+        while self._workers:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+            if pid == 0:
+                return
+            worker = self._workers.pop(pid)
+            self._report(worker, "ended", status=os.waitstatus_to_exitcode(status))
+
+    def _signal(self, number: int, workers: set[int]) -> None:
+        for pid, worker in self._workers.items():
+            if worker in workers:
+                os.kill(pid, number)
+
+    def _end(self) -> None:
+        for pid in self._workers:
+            os.kill(pid, signal.SIGKILL)
+        for pid in self._workers:
+            os.waitpid(pid, 0)
+
+
+def _die_with(fd: int) -> None:
+    """End this process as soon as the main process has gone, whatever else it is doing."""
+    watch = select.poll()
+    watch.register(fd, 0)  # hang-up alone is reported; what is said on the socket is for the nursery
+    while not watch.poll():
+        pass
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _rename(name: str) -> None:
+    """Show ``name`` in process lists, where the system lets a process name itself."""
+    own = Path("/proc/self/comm")
+    if own.exists():
+        own.write_text(name[:15], encoding="utf-8")
+
+
+def _one_line(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return text or type(error).__name__
