@@ -1,0 +1,222 @@
+"""Firmware in plain Python, for one cell at a time, and its adapter to arrays."""
+
+from __future__ import annotations
+
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from bus.lattice import SIDES, Lattice
+from cell_firmware.firmware import (
+    Cells,
+    Firmware,
+    Inbox,
+    Inputs,
+    Messages,
+    NoParameters,
+    Outbox,
+    Outputs,
+    State,
+)
+from cell_firmware.specs import Spec
+
+Message = Mapping[str, Any]
+"""One message: values by field name, as the firmware's message type declares them."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What a cell knows of itself.
+
+    Attributes:
+        row: Row, from the bottom.
+        column: Column, from the left.
+        position_m: Centre of the cell, m.
+        neighbours: The sides with a cell on them, of ``north east south west``.
+        period_s: The control period, s.
+        sensors: Its presence sensors.
+    """
+
+    row: int
+    column: int
+    position_m: tuple[float, float]
+    neighbours: tuple[str, ...]
+    period_s: float
+    sensors: int
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class CellInputs:
+    """What a cell sees at the start of a tick.
+
+    Attributes:
+        presence: One bit a sensor.
+        encoder_m: Surface travel of the two wheels since the start, m; None without encoders.
+        inbox: By side, the message that the neighbour sent in the tick before, or None.
+    """
+
+    presence: tuple[bool, ...]
+    encoder_m: tuple[float, float] | None
+    inbox: Mapping[str, Message | None]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class CellOutputs:
+    """What a cell does in a tick.
+
+    Attributes:
+        speed_m_s: Surface speed along x and y, m/s.
+        outbox: By side, the message to that neighbour; a side that is absent or None sends nothing.
+    """
+
+    speed_m_s: tuple[float, float]
+    outbox: Mapping[str, Message | None] = field(default_factory=dict[str, Message | None])
+
+
+class CellFirmware(ABC):
+    """A cell's program in plain Python: one cell at a time, any state.
+
+    ``step`` is a function of its arguments: no clock, no chance, nothing shared between cells.
+
+    Args:
+        parameters: An instance of ``Parameters``.
+    """
+
+    Parameters: ClassVar[type[Spec]] = NoParameters
+    """What a scene may set in ``[cells.parameters]``."""
+    message: ClassVar[np.dtype[Any] | None] = None
+    """Little-endian structured type of a message between neighbours; None if they don't talk."""
+
+    def __init__(self, parameters: Any) -> None:
+        self.parameters = parameters
+
+    def check(self, lattice: Lattice) -> None:
+        """Refuses parameters that do not fit the array, before anything starts.
+
+        Raises:
+            ParametersError: They do not.
+        """
+        del lattice
+
+    @abstractmethod
+    def init(self, cell: Cell) -> Any:
+        """The state before tick 0."""
+
+    @abstractmethod
+    def step(self, state: Any, inputs: CellInputs) -> tuple[Any, CellOutputs]:
+        """One control period."""
+
+
+@final
+class PerCell(Firmware):
+    """Runs a ``CellFirmware`` for every cell of an array, in cell order.
+
+    A cell that raises is named in ``Outputs.failed`` with its traceback, and the others are stepped.
+
+    Args:
+        firmware: The program of one cell.
+    """
+
+    def __init__(self, firmware: CellFirmware) -> None:
+        super().__init__(firmware.parameters)
+        self.firmware = firmware
+        self.message = firmware.message  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
+
+    def check(self, lattice: Lattice) -> None:
+        """Asks the firmware."""
+        self.firmware.check(lattice)
+
+    def init(self, cells: Cells) -> State:
+        """One state of any kind per cell, in an ``(n,)`` array of objects."""
+        states = np.empty(len(cells), dtype=object)
+        for i in range(len(cells)):
+            states[i] = self.firmware.init(_cell(cells, i))
+        return {"cell": states}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """Steps each cell on plain values."""
+        n = len(inputs.presence)
+        states = state["cell"].copy()
+        speed = np.zeros((n, 2))
+        outbox = None
+        if self.message is not None:
+            outbox = Outbox(np.zeros((n, 4), dtype=np.bool_), np.zeros((n, 4), dtype=self.message))
+        failed: dict[int, str] = {}
+        for i in range(n):
+            try:
+                states[i], outputs = self.firmware.step(states[i], _inputs(inputs, i))
+                speed[i] = _speed(outputs)
+                _send(outputs.outbox, outbox, i)
+            except Exception:  # noqa: BLE001 - whatever a user's program raises is that cell's failure
+                failed[i] = traceback.format_exc()
+        return {"cell": states}, Outputs(speed, outbox, failed or None)
+
+
+def _cell(cells: Cells, i: int) -> Cell:
+    return Cell(
+        int(cells.row[i]),
+        int(cells.column[i]),
+        (float(cells.position_m[i, 0]), float(cells.position_m[i, 1])),
+        tuple(side for s, side in enumerate(SIDES) if cells.has_neighbour[i, s]),
+        cells.period_s,
+        cells.sensors,
+    )
+
+
+def _inputs(inputs: Inputs, i: int) -> CellInputs:
+    encoder = None if inputs.encoder_m is None else inputs.encoder_m[i].tolist()
+    return CellInputs(
+        tuple(inputs.presence[i].tolist()),
+        None if encoder is None else (encoder[0], encoder[1]),
+        dict.fromkeys(SIDES) if inputs.inbox is None else _inbox(inputs.inbox, i),
+    )
+
+
+def _inbox(inbox: Inbox, i: int) -> dict[str, Message | None]:
+    return {
+        side: _plain(inbox.message, i, s) if inbox.received[i, s] else None for s, side in enumerate(SIDES)
+    }
+
+
+def _plain(messages: Messages, i: int, s: int) -> Message:
+    names: tuple[str, ...] = messages.dtype.names or ()
+    return {name: messages[name][i, s].tolist() for name in names}
+
+
+def _speed(outputs: object) -> tuple[float, float]:
+    if not isinstance(outputs, CellOutputs):
+        raise TypeError(f"step must return (state, CellOutputs), not {type(outputs).__name__} as the second")
+    x, y = (_number(value) for value in outputs.speed_m_s)
+    return x, y
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
+        raise TypeError(f"speed_m_s must be two numbers, not {type(value).__name__} {value!r}")  # pyright: ignore[reportUnknownArgumentType]
+    return float(value)  # pyright: ignore[reportUnknownArgumentType]
+
+
+def _send(messages: Mapping[str, Message | None], outbox: Outbox | None, i: int) -> None:
+    for side, message in messages.items():
+        if side not in SIDES:
+            raise ValueError(f"outbox has a side {side!r}; sides are {', '.join(SIDES)}")
+        if message is None:
+            continue
+        if outbox is None:
+            raise ValueError("outbox holds a message, but the firmware declares no message type")
+        names: tuple[str, ...] = outbox.message.dtype.names or ()
+        if set(message) != set(names):
+            raise ValueError(
+                f"message to the {side} has fields {sorted(message)}; its type has {sorted(names)}"
+            )
+        s = SIDES.index(side)
+        for name in names:
+            outbox.message[name][i, s] = message[name]
+        outbox.sent[i, s] = True

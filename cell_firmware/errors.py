@@ -1,0 +1,72 @@
+"""What can go wrong in firmware: one root, and the two cases that callers tell apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+class FirmwareError(Exception):
+    """Root of all errors of this package."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One invalid value: where, which rule, and what was given."""
+
+    path: tuple[str | int, ...]
+    message: str
+    value: Any = None
+
+    def __str__(self) -> str:
+        return f"{dotted(self.path)}: {self.message}" if self.path else self.message
+
+
+class ParametersError(FirmwareError):
+    """Parameters that their firmware refuses, all problems at once.
+
+    Attributes:
+        firmware: Name of the firmware as it was asked for.
+        problems: Every problem; paths start inside the parameters.
+    """
+
+    def __init__(self, firmware: str, problems: tuple[Problem, ...]) -> None:
+        super().__init__(firmware, problems)
+        self.firmware = firmware
+        self.problems = problems
+
+    def __str__(self) -> str:
+        return "\n".join(f"parameters of {self.firmware}: {problem}" for problem in self.problems)
+
+
+class FirmwareFailed(FirmwareError):
+    """A cell's firmware raised, or returned something that no drive or link can take.
+
+    Attributes:
+        cell: ``(row, column)``.
+        tick: The tick whose step failed.
+        problem: One line: what happened.
+        trace: The traceback, or an empty string where nothing was raised.
+    """
+
+    def __init__(self, cell: tuple[int, int], tick: int, problem: str, trace: str = "") -> None:
+        super().__init__(cell, tick, problem, trace)
+        self.cell = cell
+        self.tick = tick
+        self.problem = problem
+        self.trace = trace
+
+    def __str__(self) -> str:
+        line = f"firmware of cell {self.cell[0]},{self.cell[1]} failed in tick {self.tick}: {self.problem}"
+        return f"{line}\n{self.trace}" if self.trace else line
+
+
+def dotted(path: tuple[str | int, ...]) -> str:
+    """``("held", 0, "cell")`` as ``held[0].cell``."""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            text += f".{part}" if text else part
+    return text

@@ -1,0 +1,27 @@
+"""Several fields at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal, final
+
+import pydantic
+
+from cell_firmware.fields.base import Array, Field
+
+if TYPE_CHECKING:
+    from cell_firmware.fields.registry import FieldSpec
+
+
+@final
+class Sum(Field):
+    """The sum of its fields, added in the order in which they are listed. Sums nest."""
+
+    kind: Literal["sum"] = "sum"
+    fields: Annotated[tuple[FieldSpec, ...], pydantic.Field(min_length=1)]
+
+    def velocity(self, x: Array, y: Array) -> Array:
+        """Surface velocity, ``(n, 2)`` m/s."""
+        total = self.fields[0].velocity(x, y)
+        for field in self.fields[1:]:
+            total = total + field.velocity(x, y)
+        return total

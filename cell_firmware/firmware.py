@@ -1,0 +1,181 @@
+"""What firmware is: a pure step of one control period, on the arrays of all cells of a process at once."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.lattice import Lattice
+from cell_firmware.specs import Spec
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Messages = NDArray[Any]
+State = Mapping[str, NDArray[Any]]
+"""Arrays by name, each with one row per cell."""
+
+
+class NoParameters(Spec):
+    """Firmware that takes none."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """What cells know of themselves, n of them.
+
+    Attributes:
+        row: ``(n,)`` int64.
+        column: ``(n,)`` int64.
+        position_m: ``(n, 2)``, centre of each cell, m.
+        has_neighbour: ``(n, 4)``, in the order of ``bus.lattice.SIDES``: is there a cell on that side?
+        period_s: The control period, s.
+        sensors: Presence sensors of a cell.
+    """
+
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+    position_m: Floats
+    has_neighbour: Bools
+    period_s: float
+    sensors: int = 1
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def name(self, index: int) -> tuple[int, int]:
+        """``(row, column)`` of a cell."""
+        return int(self.row[index]), int(self.column[index])
+
+    def take(self, indices: NDArray[np.int64]) -> Cells:
+        """These cells alone, in this order."""
+        return Cells(
+            self.row[indices],
+            self.column[indices],
+            self.position_m[indices],
+            self.has_neighbour[indices],
+            self.period_s,
+            self.sensors,
+        )
+
+    @staticmethod
+    def of(lattice: Lattice, position_m: Floats, period_s: float, sensors: int = 1) -> Cells:
+        """All cells of an array, in its order.
+
+        Args:
+            lattice: The cells and their neighbours.
+            position_m: ``(n, 2)``, centre of each cell, m.
+            period_s: The control period, s.
+            sensors: Presence sensors of a cell.
+        """
+        positions = np.asarray(position_m, dtype=np.float64)
+        return Cells(lattice.rows, lattice.columns, positions, lattice.neighbours >= 0, period_s, sensors)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Inbox:
+    """What the neighbours sent in the tick before.
+
+    Attributes:
+        received: ``(n, 4)``: did a message come in on that side?
+        message: ``(n, 4)`` of the firmware's message type; zeros where nothing came.
+    """
+
+    received: Bools
+    message: Messages
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What cells see at the start of a tick.
+
+    Attributes:
+        presence: ``(n, sensors)``: is there a parcel over the sensor?
+        encoder_m: ``(n, 2)``, surface travel of the two wheels since the start, m; None without encoders.
+        inbox: Messages of the tick before; None for firmware that has none.
+    """
+
+    presence: Bools
+    encoder_m: Floats | None = None
+    inbox: Inbox | None = None
+
+    def take(self, indices: NDArray[np.int64]) -> Inputs:
+        """The inputs of these cells alone, in this order."""
+        encoder_m = None if self.encoder_m is None else self.encoder_m[indices]
+        inbox = self.inbox and Inbox(self.inbox.received[indices], self.inbox.message[indices])
+        return Inputs(self.presence[indices], encoder_m, inbox)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Outbox:
+    """What cells send to their neighbours; to be read in the next tick.
+
+    Attributes:
+        sent: ``(n, 4)``: does a message go out on that side? Where there is no neighbour, nobody reads it.
+        message: ``(n, 4)`` of the firmware's message type.
+    """
+
+    sent: Bools
+    message: Messages
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """What cells do in a tick.
+
+    Attributes:
+        speed_m_s: ``(n, 2)``, surface speed along x and y, m/s.
+        outbox: Messages to the neighbours; None for nothing at all.
+        failed: Cells that could not be stepped: index to traceback. Their rows mean nothing. Array firmware
+            has no use for it: it raises, and the cell is looked for.
+    """
+
+    speed_m_s: Floats
+    outbox: Outbox | None = None
+    failed: Mapping[int, str] | None = None
+
+
+class Firmware(ABC):
+    """A cell's program, written on arrays: n cells at once, a single cell being an array of one.
+
+    Both methods are pure: everything that changes is in the state, and the same arguments give the same
+    answer. One cell must get the same bits alone and among thousands: so elementwise ``+ - * /``,
+    comparisons, ``np.where``, ``np.sqrt``; no ``math``, no ``**``, no reduction across cells, no access to a
+    neighbour but through messages. State arrays are handed in read-only.
+
+    Args:
+        parameters: An instance of ``Parameters``.
+    """
+
+    Parameters: ClassVar[type[Spec]] = NoParameters
+    """What a scene may set in ``[cells.parameters]``."""
+    message: ClassVar[np.dtype[Any] | None] = None
+    """Little-endian structured type of a message between neighbours; None if they don't talk."""
+
+    def __init__(self, parameters: Any) -> None:
+        self.parameters = parameters
+
+    def check(self, lattice: Lattice) -> None:
+        """Refuses parameters that do not fit the array, before anything starts.
+
+        Raises:
+            ParametersError: They do not.
+        """
+        del lattice
+
+    @abstractmethod
+    def init(self, cells: Cells) -> State:
+        """The state before tick 0: arrays by name, each with one row per cell."""
+
+    @abstractmethod
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """One control period of every cell."""

@@ -1,0 +1,165 @@
+"""From a scene's words to firmware: bundled names, importable classes, files."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.util
+import inspect
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from pydantic import ValidationError
+
+from cell_firmware.cell import CellFirmware, PerCell
+from cell_firmware.errors import FirmwareError, ParametersError
+from cell_firmware.firmware import Firmware
+from cell_firmware.parameter_errors import problems
+from cell_firmware.specs import CellsSpec
+
+BUNDLED = {
+    "heat_diffusion": "cell_firmware.protocols.heat_diffusion:HeatDiffusion",
+    "velocity_field": "cell_firmware.protocols.velocity_field:VelocityField",
+}
+"""Bundled firmware by name."""
+
+FirmwareClass = type[Firmware] | type[CellFirmware]
+
+
+def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
+    """The firmware that a scene asks for, with its parameters.
+
+    Args:
+        spec: What the scene says of its cells.
+        folder: Where relative paths to ``.py`` files start; default: the working directory.
+
+    Raises:
+        ParametersError: The firmware refuses its parameters; all problems at once.
+        FirmwareError: There is no such firmware, or its file can't be loaded.
+    """
+    found = find(spec.firmware, folder)
+    try:
+        parameters = found.Parameters.model_validate(spec.parameters)
+    except ValidationError as error:
+        raise ParametersError(spec.firmware, problems(error, found.Parameters, spec.parameters)) from None
+    try:
+        firmware = found(parameters)
+    except FirmwareError:
+        raise
+    except Exception as error:
+        raise FirmwareError(
+            f"firmware {spec.firmware!r} failed on creation:\n{traceback.format_exc()}"
+        ) from error
+    return PerCell(firmware) if isinstance(firmware, CellFirmware) else firmware
+
+
+def find(name: str, folder: Path | None = None) -> FirmwareClass:
+    """The class that a name stands for.
+
+    Args:
+        name: A bundled name, ``package.module:Class``, or a path to a ``.py`` file, ``:Class`` optional.
+        folder: Where relative paths start; default: the working directory.
+
+    Raises:
+        FirmwareError: There is none.
+    """
+    place, _, class_name = BUNDLED.get(name, name).partition(":")
+    if place.endswith(".py"):
+        module = _from_file(name, (folder or Path.cwd()) / place)
+        found = getattr(module, class_name, None) if class_name else _only_firmware(name, module)
+    elif class_name:
+        module = _imported(name, place)
+        found = getattr(module, class_name, None)
+    else:
+        nearest = difflib.get_close_matches(name, BUNDLED, n=1)
+        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+        raise FirmwareError(
+            f"unknown firmware {name!r}{hint} Known: {', '.join(sorted(BUNDLED))}; "
+            "or package.module:Class, or a path to a .py file"
+        )
+    if found is None:
+        raise FirmwareError(f"firmware {name!r}: {place} has no {class_name}{_offer(module)}")
+    return _checked(name, found)
+
+
+def _checked(name: str, found: object) -> FirmwareClass:
+    if not (isinstance(found, type) and issubclass(found, Firmware | CellFirmware)):
+        raise FirmwareError(f"firmware {name!r} is not a subclass of Firmware or CellFirmware")
+    missing = sorted(getattr(found, "__abstractmethods__", ()))
+    if missing:
+        raise FirmwareError(f"firmware {name!r} does not define {' and '.join(missing)}")
+    message = found.message
+    if message is not None and (
+        not isinstance(message, np.dtype)  # pyright: ignore[reportUnnecessaryIsInstance] - users' code
+        or not message.names
+        or message.hasobject
+        or message != message.newbyteorder("<")
+    ):
+        raise FirmwareError(
+            f"firmware {name!r}: message must be a little-endian structured np.dtype without objects, "
+            f"not {message!r}"
+        )
+    return found
+
+
+def _imported(name: str, module: str) -> ModuleType:
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (module == error.name or module.startswith(f"{error.name}.")):
+            raise FirmwareError(
+                f"firmware {name!r}: there is no module {error.name!r} to import "
+                "(a file can be given by its path)"
+            ) from None
+        raise _import_failed(name) from error
+    except Exception as error:
+        raise _import_failed(name) from error
+
+
+def _from_file(name: str, path: Path) -> ModuleType:
+    if not path.is_file():
+        raise FirmwareError(f"firmware {name!r}: there is no file {path}")
+    module_name = f"mdms_firmware_{path.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    if spec is None or spec.loader is None:
+        raise FirmwareError(f"firmware {name!r}: {path} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module  # dataclasses and pydantic look their module up while it loads
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[module_name]
+        raise _import_failed(name) from error
+    return module
+
+
+def _import_failed(name: str) -> FirmwareError:
+    return FirmwareError(f"firmware {name!r} can't be loaded:\n{traceback.format_exc()}")
+
+
+def _defined(module: ModuleType) -> list[str]:
+    """Names of the firmware classes that a module defines itself."""
+    return sorted(
+        name
+        for name, value in vars(module).items()
+        if isinstance(value, type)
+        and issubclass(value, Firmware | CellFirmware)
+        and value.__module__ == module.__name__
+        and not inspect.isabstract(value)
+    )
+
+
+def _offer(module: ModuleType) -> str:
+    names = _defined(module)
+    return f"; it has {', '.join(names)}" if names else ""
+
+
+def _only_firmware(name: str, module: ModuleType) -> object:
+    names = _defined(module)
+    if len(names) != 1:
+        found = f"{len(names)} ({', '.join(names)}): name one, as in {name}:{names[0]}" if names else "none"
+        raise FirmwareError(f"firmware {name!r}: expected one Firmware or CellFirmware class, found {found}")
+    return getattr(module, names[0])

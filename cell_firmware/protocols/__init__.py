@@ -1,0 +1,1 @@
+"""Bundled firmware, one a file; ``cell_firmware.loader`` knows them by name."""

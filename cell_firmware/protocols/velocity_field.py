@@ -1,0 +1,32 @@
+"""Open loop: every cell drives the field's velocity at its place, for ever."""
+
+from __future__ import annotations
+
+from typing import final
+
+from cell_firmware.fields import FieldSpec
+from cell_firmware.firmware import Cells, Firmware, Inputs, Outputs, State
+from cell_firmware.specs import Spec
+
+
+class VelocityFieldParameters(Spec):
+    """The field."""
+
+    field: FieldSpec
+
+
+@final
+class VelocityField(Firmware):
+    """Looks its speed up once and keeps it."""
+
+    Parameters = VelocityFieldParameters
+
+    def init(self, cells: Cells) -> State:
+        """Each cell's speed, ``(n, 2)`` m/s."""
+        x, y = cells.position_m[:, 0], cells.position_m[:, 1]
+        return {"speed_m_s": self.parameters.field.velocity(x, y)}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """The same speed, whatever happens."""
+        del inputs
+        return state, Outputs(state["speed_m_s"])

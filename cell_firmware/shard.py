@@ -1,0 +1,205 @@
+"""The cells of one process: their state, the links among them, and the links to other processes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.lattice import OPPOSITE, Lattice
+from cell_firmware.controller import Controller
+from cell_firmware.errors import FirmwareError, FirmwareFailed
+from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox
+
+Indices = NDArray[np.int64]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Links:
+    """Messages on a shard's border, one row a link.
+
+    Attributes:
+        sent: ``(L,)``: is there a message?
+        message: ``(L,)`` of the firmware's message type.
+    """
+
+    sent: Bools
+    message: Messages
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ShardOutputs:
+    """What a shard does in a tick.
+
+    Attributes:
+        drive: ``(n, 2)`` float64, volts or m/s; zero for cells that are gone.
+        links: What goes out over the border; None for firmware without messages.
+        failures: Cells whose firmware failed in this tick. They are retired already.
+    """
+
+    drive: Floats
+    links: Links | None
+    failures: tuple[FirmwareFailed, ...]
+
+
+@final
+class Shard:
+    """Steps the cells of one process, be it one cell or all of them, to the same bytes.
+
+    A message sent in tick k is read in tick k + 1, over the border or not. Links of the border are sorted by
+    the cell that sends and then by the side on which it sends, outgoing and incoming alike.
+
+    Args:
+        controller: Firmware and speed loop.
+        cells: All cells of the array, in the lattice's order.
+        lattice: All cells and their neighbours.
+        indices: The cells of this shard: indices into the lattice, ascending.
+
+    Attributes:
+        indices: ``(n,)``, the cells of this shard.
+        out_cell, out_side: ``(L,)``, index and side of the sender of each outgoing link.
+        in_cell, in_side: ``(M,)``, index and side of the (foreign) sender of each incoming link.
+
+    Raises:
+        FirmwareFailed: The firmware's ``init`` failed.
+    """
+
+    def __init__(
+        self, controller: Controller, cells: Cells, lattice: Lattice, indices: Iterable[int]
+    ) -> None:
+        self.indices: Indices = np.fromiter(indices, dtype=np.int64)
+        if len(self.indices) == 0 or (np.diff(self.indices) <= 0).any():
+            raise FirmwareError("this is a bug: a shard takes its cells in ascending order, at least one")
+        self._controller = controller
+        self._lattice = lattice
+        self._n = len(self.indices)
+        self._message = controller.firmware.message
+        self._state = controller.init(cells.take(self.indices))
+        self._active: Indices | None = None  # rows still alive, once some are not
+        self._tick = -1
+        self._sent = np.zeros(self._n * 4, dtype=np.bool_)
+        self._outgoing = np.zeros(self._n * 4, dtype=self._message or np.bool_)
+        self._route()
+
+    def _route(self) -> None:
+        """Fixes which slot ``4 row + side`` of the inbox hears which slot of the outbox or border."""
+        neighbours = self._lattice.neighbours[self.indices].ravel()
+        row = np.full(len(self._lattice), -1, dtype=np.int64)
+        row[self.indices] = np.arange(self._n)
+        opposite = np.tile(np.array(OPPOSITE, dtype=np.int64), self._n)
+        inside = (neighbours >= 0) & (row[neighbours] >= 0)
+        border = (neighbours >= 0) & ~inside
+
+        self._inner_to: Indices = np.flatnonzero(inside)
+        self._inner_from: Indices = row[neighbours[inside]] * 4 + opposite[inside]
+        self._out_from: Indices = np.flatnonzero(border)
+        self.out_cell: Indices = self.indices[self._out_from // 4]
+        self.out_side: Indices = self._out_from % 4
+        order = np.argsort(neighbours[border] * 4 + opposite[border])
+        self._in_to: Indices = self._out_from[order]
+        self.in_cell: Indices = neighbours[border][order]
+        self.in_side: Indices = opposite[border][order]
+
+    @property
+    def message(self) -> np.dtype[np.void] | None:
+        """Type of the messages; None if there are none."""
+        return self._message
+
+    def __len__(self) -> int:
+        return self._n
+
+    def step(
+        self, tick: int, presence: Bools, encoder_m: Floats | None = None, links: Links | None = None
+    ) -> ShardOutputs:
+        """One control period of all cells.
+
+        Args:
+            tick: The tick: one more than the last.
+            presence: ``(n, sensors)``, the cells' presence bits.
+            encoder_m: ``(n, 2)``, surface travel of the wheels, m; None without encoders.
+            links: What came in over the border from tick ``tick - 1``; None in tick 0, without messages, or
+                where there is no border.
+
+        Returns:
+            Drives, outgoing messages, and the cells that failed in this tick.
+        """
+        if tick != self._tick + 1:
+            raise FirmwareError(f"this is a bug: a shard was given tick {tick} after tick {self._tick}")
+        self._tick = tick
+        inputs = Inputs(presence, encoder_m, self._inbox(links))
+        drive = np.zeros((self._n, 2))
+        self._sent = np.zeros(self._n * 4, dtype=np.bool_)
+        failures: tuple[FirmwareFailed, ...] = ()
+        if len(self._state.cells):
+            active = self._active
+            if active is not None:
+                inputs = inputs.take(active)
+            self._state, outputs = self._controller.step(tick, self._state, inputs)
+            if active is None:
+                drive = outputs.drive
+            else:
+                drive[active] = outputs.drive
+            self._post(outputs.outbox)
+            if outputs.failures:
+                failures = tuple(outputs.failures[i] for i in sorted(outputs.failures))
+                self.retire(failure.cell for failure in failures)
+        out = None
+        if self._message is not None:
+            out = Links(self._sent[self._out_from], self._outgoing[self._out_from])
+        return ShardOutputs(drive, out, failures)
+
+    def _inbox(self, links: Links | None) -> Inbox | None:
+        """Messages of the last tick, from inside and over the border."""
+        if self._message is None:
+            return None
+        received = np.zeros(self._n * 4, dtype=np.bool_)
+        message = np.zeros(self._n * 4, dtype=self._message)
+        received[self._inner_to] = self._sent[self._inner_from]
+        message[self._inner_to] = self._outgoing[self._inner_from]
+        if links is not None:
+            if links.sent.shape != self._in_to.shape or links.message.shape != self._in_to.shape:
+                raise FirmwareError(
+                    f"this is a bug: {links.message.shape} messages for {self._in_to.shape} incoming links"
+                )
+            received[self._in_to] = links.sent
+            message[self._in_to] = links.message
+        # a slot in which nothing was received reads zero, whatever its sender left there
+        message[~received] = np.zeros((), dtype=self._message)
+        return Inbox(received.reshape(self._n, 4), message.reshape(self._n, 4))
+
+    def _post(self, outbox: Outbox | None) -> None:
+        """Keeps what the cells sent, until the next tick."""
+        if outbox is None or self._message is None:
+            return
+        if self._active is None:
+            self._sent, self._outgoing = outbox.sent.ravel(), outbox.message.ravel()
+            return
+        sent = np.zeros((self._n, 4), dtype=np.bool_)
+        outgoing = np.zeros((self._n, 4), dtype=self._message)
+        sent[self._active], outgoing[self._active] = outbox.sent, outbox.message
+        self._sent, self._outgoing = sent.ravel(), outgoing.ravel()
+
+    def retire(self, cells: Iterable[tuple[int, int]]) -> None:
+        """These cells do nothing from now on: no drive, no messages. What they sent before still arrives.
+
+        Args:
+            cells: ``(row, column)`` of each; those of other shards, or retired before, change nothing.
+        """
+        gone = set(cells)
+        alive = self._state.cells
+        keep = np.array([alive.name(i) not in gone for i in range(len(alive))], dtype=np.bool_)
+        if keep.all():
+            return
+        rows = np.flatnonzero(keep)
+        self._active = rows if self._active is None else self._active[rows]
+        self._state = self._state.take(rows)
+
+    @property
+    def alive(self) -> tuple[tuple[int, int], ...]:
+        """``(row, column)`` of the cells that still run."""
+        return tuple(self._state.cells.name(i) for i in range(len(self._state.cells)))

@@ -1,0 +1,73 @@
+"""What the cells are told: frozen, validated parts of a scene that concern firmware."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Finite, Finite]
+CellName = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
+
+
+class Spec(BaseModel):
+    """Base of every spec and of every firmware's parameters: frozen, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+
+class SpeedLoopSpec(Spec):
+    """Gains of the PI loop that closes on a motor.
+
+    The defaults suit the default motor (0.1 m/s per volt, time constant 0.06 s): the integral gain is the
+    proportional gain over the time constant, so that the loop's zero cancels the motor's pole. What
+    remains is first order with a time constant of 0.05 s, and settles to 2 % in 0.2 s.
+    """
+
+    kp_v_per_m_s: NotNegative = 12.0
+    """Volts per m/s of error."""
+    ki_v_per_m: NotNegative = 200.0
+    """Volts per metre: per m/s of error and second."""
+    feed_forward_v_per_m_s: NotNegative = 0.0
+    """Volts per m/s of reference, added to what the loop asks for; 0 leaves it out."""
+
+
+class CellsSpec(Spec):
+    """The firmware that every cell runs, and how often."""
+
+    firmware: Annotated[str, Field(min_length=1)] = "velocity_field"
+    """A bundled name, ``package.module:Class``, or a path to a ``.py`` file, with or without ``:Class``."""
+    period_s: Positive = 0.004096
+    """The control period; the default is one real-time interrupt of an MC68HC11 at 8 MHz."""
+    parameters: dict[str, Any] = {}
+    """The firmware's own, validated by it."""
+    speed_loop: SpeedLoopSpec | None = None
+    """Gains of the speed loop; only a scene with motors has one, and gets the defaults if it says nothing."""
+
+    @field_validator("period_s")
+    @classmethod
+    def _whole_nanoseconds(cls, value: float) -> float:
+        nanoseconds(value)
+        return value
+
+    @property
+    def period_ns(self) -> int:
+        """The control period, integer nanoseconds."""
+        return nanoseconds(self.period_s)
+
+
+def nanoseconds(seconds: float) -> int:
+    """A positive time as integer nanoseconds, read as the decimal number that was written.
+
+    Raises:
+        ValueError: It is not a whole number of nanoseconds, or none at all.
+    """
+    exact = Decimal(repr(seconds)) * 1_000_000_000
+    whole = int(exact)
+    if whole < 1 or exact != whole:
+        raise ValueError(f"must be a whole number of nanoseconds, at least 1, not {exact.normalize():f} ns")
+    return whole
