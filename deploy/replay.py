@@ -1,0 +1,252 @@
+"""Loads a recording, whole or cut."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.errors import InputError
+from deploy.recording_format import (
+    CONTROL,
+    END,
+    EVENTS,
+    FAULTS,
+    FILE_NAME,
+    FORMAT,
+    HEADER_RECORD,
+    PROFILE,
+    TICK,
+    Header,
+)
+from deploy.track import Track
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A field that is written when it changes: its values and which of them each instant has.
+
+    Attributes:
+        values: ``(changes, ...)``, what was written.
+        index: ``(T,)`` int64 into ``values``.
+    """
+
+    values: NDArray[Any]
+    index: NDArray[np.int64]
+
+    def at(self, instant: int) -> NDArray[Any]:
+        """The value at one instant."""
+        return self.values[self.index[instant]]
+
+    def all(self) -> NDArray[Any]:
+        """``(T, ...)``, the value at every instant: as large as that says."""
+        return self.values[self.index]
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """A recording in memory. Rows are instants: the start of each tick and, of a complete run, the end.
+
+    Attributes:
+        path: The file.
+        header: What it says of its run.
+        tick: ``(T,)`` int64.
+        time_ns: ``(T,)`` int64, simulated.
+        parcels: ``(T, m, 6)`` states: x, y, angle, and their rates.
+        held_presence: ``(n, sensors)`` bool per change: what the cells sensed at the instant.
+        held_drives: ``(n, 2)`` per change: the drives acting from the instant on; the end repeats the last.
+        held_wheel_speeds: ``(n, 2)`` per change: the wheels' surface speeds at the instant, m/s.
+        events: Events of the plant.
+        faults: Faults.
+        control: Live commands.
+        status: How the run ended; None where the recording was cut before it could say.
+        digest: Of the run, in hexadecimal; None where the recording does not say.
+    """
+
+    path: Path
+    header: Header
+    tick: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    parcels: NDArray[np.float64]
+    held_presence: Held
+    held_drives: Held
+    held_wheel_speeds: Held
+    events: Sequence[dict[str, Any]]
+    faults: Sequence[dict[str, Any]]
+    control: Sequence[dict[str, Any]]
+    status: str | None
+    digest: str | None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the recording holds the whole of its run, however that ended."""
+        return self.status is not None
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """``(T,)`` simulated time."""
+        return self.time_ns.astype(np.float64) * 1e-9
+
+    @cached_property
+    def presence(self) -> NDArray[np.bool_]:
+        """``(T, n, sensors)`` what the cells sensed at every instant."""
+        return self.held_presence.all()
+
+    @cached_property
+    def drives(self) -> NDArray[np.float64]:
+        """``(T, n, 2)`` the drives acting from every instant on."""
+        return self.held_drives.all()
+
+    @cached_property
+    def wheel_speeds(self) -> NDArray[np.float64]:
+        """``(T, n, 2)`` the wheels' surface speeds at every instant, m/s."""
+        return self.held_wheel_speeds.all()
+
+    def track(self) -> Track:
+        """What a picture needs; the wheel speeds are those at the end."""
+        header = self.header
+        return Track(
+            title=header["title"],
+            scene=header["scene_name"],
+            pitch_m=header["pitch_m"],
+            cells=[(row, column) for row, column in header["cells"]],
+            positions_m=np.array(header["positions_m"], dtype=np.float64).reshape(-1, 2),
+            footprints_m=[np.array(corners, dtype=np.float64) for corners in header["footprints_m"]],
+            time_s=self.time_s,
+            parcels=self.parcels,
+            wheel_speeds=self.held_wheel_speeds.at(-1) if len(self.tick) else None,
+            events=self.events,
+            faults=self.faults,
+            status=self.status,
+            digest=self.digest,
+        )
+
+
+def load(path: str | Path) -> Recording:
+    """Load a recording, whole or cut.
+
+    Args:
+        path: The file, or the output folder it is in.
+
+    Raises:
+        InputError: There is no such file, it is no recording, it is corrupt before its end, or it was cut
+            before it said what it is a recording of.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / FILE_NAME
+    try:
+        return _load(path)
+    except OSError as error:
+        raise InputError(f"can't read the recording {path}: {error.strerror or error}") from error
+    except (ValueError, LookupError, TypeError) as error:
+        raise InputError(f"{path} is corrupt: {error}") from error
+
+
+def _load(path: Path) -> Recording:
+    import msgpack  # pyright: ignore[reportMissingTypeStubs]
+
+    from deploy.mcap_scan import Message, scan
+
+    unpack = cast(Callable[[bytes], dict[str, Any]], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
+    header: Header | None = None
+    rows = _Rows()
+    logs: dict[str, list[dict[str, Any]]] = {EVENTS: [], FAULTS: [], CONTROL: [], END: []}
+    for record in scan(path, PROFILE):
+        if isinstance(record, Message):
+            if record.topic == TICK:
+                rows.add(record.time_ns, unpack(record.data))
+            elif record.topic in logs:
+                logs[record.topic].append(json.loads(record.data))
+        elif record.name == HEADER_RECORD:
+            header = _header(path, record.values)
+    if header is None:
+        raise InputError(f"{path} holds no complete header: nothing can be read of it")
+    end = logs[END][-1] if logs[END] else {}
+    return Recording(
+        path=path,
+        header=header,
+        events=logs[EVENTS],
+        faults=logs[FAULTS],
+        control=logs[CONTROL],
+        status=end.get("status"),
+        digest=end.get("digest"),
+        **rows.arrays(header),
+    )
+
+
+def _header(path: Path, values: dict[str, str]) -> Header:
+    """The header, if this program can read it."""
+    if values.get("format") != str(FORMAT):
+        raise InputError(
+            f"{path} is a recording of format {values.get('format')}: this version reads format {FORMAT}"
+        )
+    header = cast(Header, json.loads(values["json"]))
+    absent = sorted(Header.__required_keys__ - set(header))
+    if absent:
+        raise InputError(f"{path} is not a recording of mdms: its header has no {', '.join(absent)}")
+    return header
+
+
+_FIELDS = ("presence", "drives", "wheel_speeds", "parcels")
+
+
+@final
+class _Rows:
+    """Gathers the messages of ``/tick``; a field that is absent is as it was."""
+
+    def __init__(self) -> None:
+        self._ticks: list[int] = []
+        self._times: list[int] = []
+        self._written: dict[str, list[bytes]] = {name: [] for name in _FIELDS}
+        self._index: dict[str, list[int]] = {name: [] for name in _FIELDS}
+
+    def add(self, time_ns: int, message: dict[str, Any]) -> None:
+        self._ticks.append(message["tick"])
+        self._times.append(time_ns)
+        for name in _FIELDS:
+            written = self._written[name]
+            if name in message:
+                written.append(message[name])
+            self._index[name].append(max(len(written) - 1, 0))
+
+    def arrays(self, header: Header) -> dict[str, Any]:
+        """The arguments of ``Recording`` that come from the ticks."""
+        cells, sensors = len(header["cells"]), len(header["sensors_m"])
+        return {
+            "tick": np.array(self._ticks, dtype=np.int64),
+            "time_ns": np.array(self._times, dtype=np.int64),
+            "parcels": self._numbers("parcels", (len(header["footprints_m"]), 6)).all(),
+            "held_presence": self._bits("presence", (cells, sensors)),
+            "held_drives": self._numbers("drives", (cells, 2)),
+            "held_wheel_speeds": self._numbers("wheel_speeds", (cells, 2)),
+        }
+
+    def _numbers(self, name: str, shape: tuple[int, int]) -> Held:
+        width = shape[0] * shape[1]
+        values = np.frombuffer(b"".join(self._joined(name, width * 8)), dtype="<f8")
+        return self._held(name, values.astype(np.float64, copy=False).reshape(-1 if width else 1, *shape))
+
+    def _bits(self, name: str, shape: tuple[int, int]) -> Held:
+        width = shape[0] * shape[1]
+        size = (width + 7) // 8
+        rows = np.frombuffer(b"".join(self._joined(name, size)), dtype=np.uint8).reshape(-1, size)
+        bits = np.unpackbits(rows, axis=1, count=width, bitorder="little")
+        return self._held(name, bits.astype(np.bool_).reshape(-1, *shape))
+
+    def _joined(self, name: str, size: int) -> list[bytes]:
+        """What was written; one zero value where a run of no ticks never wrote its drives."""
+        if self._ticks and not self._written[name]:
+            return [bytes(size)]
+        return self._written[name]
+
+    def _held(self, name: str, values: NDArray[Any]) -> Held:
+        return Held(values, np.array(self._index[name], dtype=np.int64))
