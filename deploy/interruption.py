@@ -1,0 +1,68 @@
+"""Ctrl-C and SIGTERM, taken when it is safe to."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, final
+
+
+@final
+class Interrupted(BaseException):
+    """The run was asked to stop by SIGINT or SIGTERM.
+
+    Not an Exception: nothing but the run itself may catch it.
+    """
+
+    exit_code: int = 130
+
+
+@final
+class Interruption:
+    """Notes SIGINT and SIGTERM, and raises Interrupted only where that leaves nothing half done.
+
+    A signal raises at once inside `allowed`, and at the next `check` elsewhere. Whatever was set before is
+    restored by `watching`. In a thread other than the main one signals are left alone.
+    """
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._allowed = False
+
+    @contextmanager
+    def watching(self) -> Generator[None]:
+        """Handle the two signals in here."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    @contextmanager
+    def allowed(self) -> Generator[None]:
+        """Let a signal end what happens in here, in the middle of it."""
+        self._allowed = True
+        try:
+            self.check()
+            yield
+        finally:
+            self._allowed = False
+
+    def check(self) -> None:
+        """Raise Interrupted if a signal has come."""
+        if self.requested:
+            raise Interrupted
+
+    def _note(self, number: int, frame: FrameType | None) -> Any:
+        del number, frame
+        self.requested = True
+        if self._allowed:
+            self._allowed = False  # one exception is enough: what it unwinds is not to be interrupted again
+            raise Interrupted
