@@ -1,0 +1,75 @@
+"""Options that several commands share, each defined once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.overrides import Override
+from deploy.scene import Scene
+from deploy.scene_files import load_scene as load
+
+SceneArgument = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a bundled scene.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Set any value of the scene: dotted path, list items by number, value in TOML. Repeatable.",
+    ),
+]
+SeedOption = Annotated[int | None, typer.Option("--seed", help="Instead of the scene's seed.")]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", metavar="SECONDS", help="Instead of the scene's duration_s.")
+]
+SolverOption = Annotated[
+    str | None, typer.Option("--solver", metavar="NAME", help="Instead of the scene's solver.name.")
+]
+ToleranceOption = Annotated[
+    float | None,
+    typer.Option("--tolerance", metavar="METRES", help="Instead of the scene's solver.tolerance."),
+]
+OutputOption = Annotated[
+    Path | None, typer.Option("--output", metavar="DIR", help="Folder for everything a run leaves behind.")
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="One JSON object on stdout and nothing else there; the rest on stderr.")
+]
+
+
+def load_scene(
+    scene: str,
+    sets: list[str] | None = None,
+    seed: int | None = None,
+    duration: float | None = None,
+    solver: str | None = None,
+    tolerance: float | None = None,
+) -> Scene:
+    """The scene with what the options change in it, validated as if the file had said so.
+
+    Args:
+        scene: A scene file, or the name of a bundled scene.
+        sets: ``KEY=VALUE`` of every ``--set``, in the order given.
+        seed: Value of ``--seed``.
+        duration: Value of ``--duration``, s.
+        solver: Value of ``--solver``.
+        tolerance: Value of ``--tolerance``, m.
+
+    Raises:
+        InputError: What is wrong, all of it at once, one line each.
+    """
+    overrides = [Override.parse(text) for text in sets or ()]
+    shorthands = (
+        ("--seed", ("seed",), seed),
+        ("--duration", ("duration_s",), duration),
+        ("--solver", ("solver", "name"), solver),
+        ("--tolerance", ("solver", "tolerance"), tolerance),
+    )
+    for option, path, value in shorthands:
+        if value is not None:
+            overrides.append(Override(path, value, f"{option} {value}"))
+    return load(scene, overrides)

@@ -1,0 +1,146 @@
+"""The scene: everything a run is told, composed of the specs that the packages own."""
+
+from __future__ import annotations
+
+import json
+import math
+from fractions import Fraction
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from bus.specs import StallSpec
+from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
+from deploy.faults import Fault
+from deploy.scene_checks import cross_problems, normal_parameters
+from deploy.scene_errors import CROSS
+from plant.specs import (
+    ArraySpec,
+    EffectsSpec,
+    FrictionSpec,
+    ParcelSpec,
+    PlantSpec,
+    Positive,
+    SolverSpec,
+    Spec,
+)
+
+if TYPE_CHECKING:
+    from bus.lattice import Lattice
+
+_ASIDE = {"title": True, "stall": {"deadline_s", "start_s"}}
+"""What a run cannot show in what it does: words, and limits on the wall clock."""
+
+
+class Scene(Spec):
+    """A scene file, validated.
+
+    Every section belongs to the package that acts on it. What concerns several sections (a fault's cell, the
+    firmware's parameters, the speed loop and the motors it closes on) is checked here.
+    """
+
+    title: str = ""
+    """One line for people; changes nothing."""
+    duration_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+    """Simulated time, s. The run ends there exactly; its last tick may be shorter than a period."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Of everything that is left to chance."""
+    gravity_m_s2: Positive = 9.81
+    array: ArraySpec
+    cells: CellsSpec = CellsSpec()
+    parcels: tuple[ParcelSpec, ...] = ()
+    friction: FrictionSpec
+    effects: EffectsSpec = EffectsSpec()
+    faults: tuple[Fault, ...] = ()
+    solver: SolverSpec = SolverSpec()
+    stall: StallSpec = StallSpec()
+
+    _name: str = PrivateAttr("scene")
+
+    @field_validator("duration_s")
+    @classmethod
+    def _whole_nanoseconds(cls, value: float) -> float:
+        nanoseconds(value)
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scene:
+        faults = dict(enumerate(self.faults))
+        problems = cross_problems(self.array, self.cells, self.effects, faults)
+        if problems:
+            raise ValidationError.from_exception_data(
+                "Scene",
+                [
+                    InitErrorDetails(
+                        type=PydanticCustomError(CROSS, "{rule}", {"rule": problem.rule}),
+                        loc=problem.path,
+                        input=problem.value,
+                    )
+                    for problem in problems
+                ],
+            )
+        return self
+
+    @property
+    def name(self) -> str:
+        """Bundled name, or the file as it was given."""
+        return self._name
+
+    def named(self, name: str) -> Scene:
+        """The same scene under another name."""
+        copy = self.model_copy()
+        copy._name = name  # noqa: SLF001 - our own
+        return copy
+
+    @property
+    def duration_ns(self) -> int:
+        """Simulated time, integer nanoseconds."""
+        return nanoseconds(self.duration_s)
+
+    @property
+    def ticks(self) -> int:
+        """Ticks of the run; the last one may be shorter than a period."""
+        return -(-self.duration_ns // self.cells.period_ns)
+
+    @property
+    def speed_loop(self) -> SpeedLoopSpec | None:
+        """Gains of the speed loop, the defaults where the scene says nothing; None without motors."""
+        if self.effects.motors is None:
+            return None
+        return self.cells.speed_loop or SpeedLoopSpec()
+
+    def tick_at(self, at_s: float) -> int:
+        """The first tick that does not begin before a scheduled time ``at_s`` (s, >= 0)."""
+        at_ns = Fraction(repr(at_s)) * 1_000_000_000
+        return math.ceil(at_ns / self.cells.period_ns)
+
+    def lattice(self) -> Lattice:
+        """The cells that exist."""
+        return self.array.lattice()
+
+    def plant_spec(self) -> PlantSpec:
+        """The plant's part of the scene."""
+        return PlantSpec(
+            array=self.array,
+            parcels=self.parcels,
+            friction=self.friction,
+            effects=self.effects,
+            solver=self.solver,
+            gravity_m_s2=self.gravity_m_s2,
+        )
+
+    def canonical(self) -> bytes:
+        """What is simulated, as bytes: the same for every way of writing the same scene.
+
+        Sorted JSON of all values, defaults and the firmware's own included. Left out is what cannot change
+        what is simulated: the title, the limits on the wall clock, the folder of a firmware's file. The code
+        of user firmware is not covered.
+        """
+        data = self.model_dump(mode="json", exclude=_ASIDE)
+        data["cells"]["firmware"] = self.cells.firmware.rpartition("/")[2]
+        data["cells"]["parameters"] = normal_parameters(self.cells)
+        data["cells"]["speed_loop"] = self.speed_loop and self.speed_loop.model_dump(mode="json")
+        for key in ("missing", "cells"):
+            data["array"][key] = sorted(data["array"][key] or ())
+        return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()

@@ -1,0 +1,88 @@
+"""What has to agree between sections of a scene, checked with whatever sections are valid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from cell_firmware.errors import FirmwareError, ParametersError
+from cell_firmware.specs import CellsSpec
+from deploy.faults import Fault
+from deploy.scene_errors import Path, Problem, problems_of, strictly
+from plant.specs import ArraySpec, EffectsSpec
+
+_PARAMETERS: Path = ("cells", "parameters")
+
+
+def cross_problems(
+    array: ArraySpec | None,
+    cells: CellsSpec | None,
+    effects: EffectsSpec | None,
+    faults: Mapping[int, Fault],
+) -> list[Problem]:
+    """What does not agree. A section that is None is not valid by itself: what depends on it is not checked.
+
+    Args:
+        array: The cells that exist.
+        cells: The firmware and its parameters.
+        effects: The effects.
+        faults: Valid faults by their number in the scene.
+    """
+    problems: list[Problem] = []
+    if array is not None:
+        problems += _fault_problems(array, faults)
+    if cells is not None:
+        if effects is not None and effects.motors is None and cells.speed_loop is not None:
+            problems.append(
+                Problem(("cells", "speed_loop"), "closes on motors: the scene needs effects.motors")
+            )
+        problems += _firmware_problems(array, cells)
+    return problems
+
+
+def _fault_problems(array: ArraySpec, faults: Mapping[int, Fault]) -> list[Problem]:
+    lattice = array.lattice()
+    problems: list[Problem] = []
+    for number, fault in faults.items():
+        row, column = fault.cell
+        if row >= array.rows:
+            rule = f"the array has rows 0..{array.rows - 1}"
+        elif column >= array.columns:
+            rule = f"the array has columns 0..{array.columns - 1}"
+        elif fault.cell not in lattice:
+            rule = "the array has no cell there"
+        else:
+            continue
+        problems.append(Problem(("faults", number, "cell"), rule, list(fault.cell)))
+    return problems
+
+
+def _firmware_problems(array: ArraySpec | None, cells: CellsSpec) -> list[Problem]:
+    from cell_firmware import loader
+
+    try:
+        model = loader.find(cells.firmware).Parameters
+    except FirmwareError as error:
+        return [Problem(("cells", "firmware"), str(error), cells.firmware)]
+    try:
+        strictly(model, cells.parameters)
+    except ValidationError as error:
+        return problems_of(error, cells.parameters, model, _PARAMETERS)
+    try:
+        firmware = loader.load(cells)
+        if array is not None:
+            firmware.check(array.lattice())
+    except ParametersError as error:
+        return [Problem((*_PARAMETERS, *p.path), p.message, p.value) for p in error.problems]
+    except FirmwareError as error:
+        return [Problem(("cells", "firmware"), str(error), cells.firmware)]
+    return []
+
+
+def normal_parameters(cells: CellsSpec) -> dict[str, Any]:
+    """The firmware's parameters as it understands them, defaults included, in JSON's types."""
+    from cell_firmware import loader
+
+    return loader.find(cells.firmware).Parameters.model_validate(cells.parameters).model_dump(mode="json")
