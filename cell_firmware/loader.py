@@ -14,6 +14,8 @@ from types import ModuleType
 import numpy as np
 from pydantic import ValidationError
 
+from bus.errors import WireError
+from bus.wire import check_message
 from cell_firmware.cell import CellFirmware, PerCell
 from cell_firmware.errors import FirmwareError, ParametersError
 from cell_firmware.firmware import Firmware
@@ -91,18 +93,22 @@ def _checked(name: str, found: object) -> FirmwareClass:
     missing = sorted(getattr(found, "__abstractmethods__", ()))
     if missing:
         raise FirmwareError(f"firmware {name!r} does not define {' and '.join(missing)}")
-    message = found.message
-    if message is not None and (
-        not isinstance(message, np.dtype)  # pyright: ignore[reportUnnecessaryIsInstance] - users' code
-        or not message.names
-        or message.hasobject
-        or message != message.newbyteorder("<")
-    ):
-        raise FirmwareError(
-            f"firmware {name!r}: message must be a little-endian structured np.dtype without objects, "
-            f"not {message!r}"
-        )
+    if found.message is not None:
+        _check_message(name, found.message)
     return found
+
+
+def _check_message(name: str, message: object) -> None:
+    if not isinstance(message, np.dtype):
+        raise FirmwareError(f"firmware {name!r}: message must be an np.dtype, not {type(message).__name__}")
+    try:
+        packed = check_message(message)  # pyright: ignore[reportUnknownArgumentType]
+    except WireError as error:
+        raise FirmwareError(f"firmware {name!r}: {error}") from None
+    if message != packed:
+        raise FirmwareError(
+            f"firmware {name!r}: message must be little-endian and packed: {packed.descr}, not {message}"
+        )
 
 
 def _imported(name: str, module: str) -> ModuleType:

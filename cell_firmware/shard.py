@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.lattice import OPPOSITE, Lattice
+from bus.partition import Partition
 from cell_firmware.controller import Controller
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox
@@ -24,7 +24,7 @@ class Links:
 
     Attributes:
         sent: ``(L,)``: is there a message?
-        message: ``(L,)`` of the firmware's message type.
+        message: ``(L,)`` of the firmware's message type; zero where there is none.
     """
 
     sent: Bools
@@ -51,59 +51,44 @@ class ShardOutputs:
 class Shard:
     """Steps the cells of one process, be it one cell or all of them, to the same bytes.
 
-    A message sent in tick k is read in tick k + 1, over the border or not. Links of the border are sorted by
-    the cell that sends and then by the side on which it sends, outgoing and incoming alike.
+    A message sent in tick k is read in tick k + 1, over the border or not. Links of the border are in the
+    order of ``partition.outgoing(shard)`` and ``partition.incoming(shard)``.
 
     Args:
         controller: Firmware and speed loop.
         cells: All cells of the array, in the lattice's order.
-        lattice: All cells and their neighbours.
-        indices: The cells of this shard: indices into the lattice, ascending.
+        partition: How the array is cut.
+        shard: Which part of it this is.
 
     Attributes:
-        indices: ``(n,)``, the cells of this shard.
-        out_cell, out_side: ``(L,)``, index and side of the sender of each outgoing link.
-        in_cell, in_side: ``(M,)``, index and side of the (foreign) sender of each incoming link.
+        indices: ``(n,)``, the cells of this shard, by index into the lattice.
 
     Raises:
         FirmwareFailed: The firmware's ``init`` failed.
     """
 
-    def __init__(
-        self, controller: Controller, cells: Cells, lattice: Lattice, indices: Iterable[int]
-    ) -> None:
-        self.indices: Indices = np.fromiter(indices, dtype=np.int64)
-        if len(self.indices) == 0 or (np.diff(self.indices) <= 0).any():
-            raise FirmwareError("this is a bug: a shard takes its cells in ascending order, at least one")
-        self._controller = controller
-        self._lattice = lattice
+    def __init__(self, controller: Controller, cells: Cells, partition: Partition, shard: int) -> None:
+        self.indices: Indices = partition.cells(shard)
         self._n = len(self.indices)
+        self._controller = controller
         self._message = controller.firmware.message
         self._state = controller.init(cells.take(self.indices))
         self._active: Indices | None = None  # rows still alive, once some are not
         self._tick = -1
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         self._outgoing = np.zeros(self._n * 4, dtype=self._message or np.bool_)
-        self._route()
 
-    def _route(self) -> None:
-        """Fixes which slot ``4 row + side`` of the inbox hears which slot of the outbox or border."""
-        neighbours = self._lattice.neighbours[self.indices].ravel()
-        row = np.full(len(self._lattice), -1, dtype=np.int64)
-        row[self.indices] = np.arange(self._n)
-        opposite = np.tile(np.array(OPPOSITE, dtype=np.int64), self._n)
-        inside = (neighbours >= 0) & (row[neighbours] >= 0)
-        border = (neighbours >= 0) & ~inside
-
-        self._inner_to: Indices = np.flatnonzero(inside)
-        self._inner_from: Indices = row[neighbours[inside]] * 4 + opposite[inside]
-        self._out_from: Indices = np.flatnonzero(border)
-        self.out_cell: Indices = self.indices[self._out_from // 4]
-        self.out_side: Indices = self._out_from % 4
-        order = np.argsort(neighbours[border] * 4 + opposite[border])
-        self._in_to: Indices = self._out_from[order]
-        self.in_cell: Indices = neighbours[border][order]
-        self.in_side: Indices = opposite[border][order]
+        # slot 4 row + side of the inbox hears which slot of the outbox, or which link of the border
+        position = partition.position
+        inside, outgoing, incoming = (
+            partition.inside(shard),
+            partition.outgoing(shard),
+            partition.incoming(shard),
+        )
+        self._inner_from: Indices = 4 * position[inside.source] + inside.source_side
+        self._inner_to: Indices = 4 * position[inside.target] + inside.target_side
+        self._out_from: Indices = 4 * position[outgoing.source] + outgoing.source_side
+        self._in_to: Indices = 4 * position[incoming.target] + incoming.target_side
 
     @property
     def message(self) -> np.dtype[np.void] | None:
@@ -150,7 +135,7 @@ class Shard:
                 self.retire(failure.cell for failure in failures)
         out = None
         if self._message is not None:
-            out = Links(self._sent[self._out_from], self._outgoing[self._out_from])
+            out = _links(self._sent[self._out_from], self._outgoing[self._out_from])
         return ShardOutputs(drive, out, failures)
 
     def _inbox(self, links: Links | None) -> Inbox | None:
@@ -203,3 +188,8 @@ class Shard:
     def alive(self) -> tuple[tuple[int, int], ...]:
         """``(row, column)`` of the cells that still run."""
         return tuple(self._state.cells.name(i) for i in range(len(self._state.cells)))
+
+
+def _links(sent: Bools, message: Messages) -> Links:
+    message[~sent] = np.zeros((), dtype=message.dtype)
+    return Links(sent, message)

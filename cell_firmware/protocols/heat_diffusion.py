@@ -99,15 +99,15 @@ class HeatDiffusion(Firmware):
         return {"speed_m_s": speed, "held": held}
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """One explicit step, sides always in the order north, east, south, west."""
+        """One explicit step; sides are added in the order north, east, south, west."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, held = state["speed_m_s"], state["held"]
         theirs = np.stack((inbox.message["vx_m_s"], inbox.message["vy_m_s"]), axis=2)
-        flow = np.zeros_like(own)
-        for side in range(4):
-            flow = flow + np.where(inbox.received[:, side, None], theirs[:, side] - own, 0.0)
-        speed = np.where(held, own, own + self.parameters.diffusion_number * flow)
+        heard = inbox.received[:, :, None]
+        flow = np.where(heard, theirs - own[:, None, :], 0.0)
+        gain = flow[:, 0] + flow[:, 1] + flow[:, 2] + flow[:, 3]
+        speed = np.where(held, own, own + self.parameters.diffusion_number * gain)
 
         message = np.empty((len(own), 4), dtype=self.message)
         message["vx_m_s"], message["vy_m_s"] = speed[:, 0, None], speed[:, 1, None]
