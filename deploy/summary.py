@@ -1,0 +1,165 @@
+"""The outcome of a run: for programs as JSON, for people as a table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.errors import DeployError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+FILE_NAME = "summary.json"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParcelOutcome:
+    """Where a parcel ended.
+
+    Attributes:
+        state: ``moving``, ``at_rest``, ``tipped`` or ``off_array``.
+        time_s: Since when it is in that state.
+        detail: About which edge it tipped, or whatever else there is to say.
+    """
+
+    position_m: tuple[float, float]
+    angle_rad: float
+    velocity_m_s: tuple[float, float]
+    angular_velocity_rad_s: float
+    state: str
+    time_s: float
+    detail: str = ""
+
+    @classmethod
+    def of(cls, numbers: NDArray[np.float64], state: str, time_s: float, detail: str = "") -> ParcelOutcome:
+        """From the six numbers of a parcel's state: x, y, angle, and their rates."""
+        x, y, angle, vx, vy, omega = (float(number) for number in numbers)
+        return cls(
+            position_m=(x, y),
+            angle_rad=angle,
+            velocity_m_s=(vx, vy),
+            angular_velocity_rad_s=omega,
+            state=state,
+            time_s=time_s,
+            detail=detail,
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Messages:
+    """Messages on the bus."""
+
+    sent: int = 0
+    delivered: int = 0
+    lost: int = 0
+    late: int = 0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """The outcome of ``mdms run`` or ``mdms simulate``.
+
+    Attributes:
+        status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
+        reason: Why not ``ok``: what failed and where, one line.
+        scene: Name of the bundled scene, or the file.
+        duration_s: Simulated time asked for.
+        simulated_s: Simulated time reached.
+        cells: How many.
+        processes: Worker processes; 0 where everything ran in one process.
+        transport: ``zenoh``, ``memory``, or None without a bus.
+        solver: ``name``, and ``tolerance`` or ``step_s``.
+        wall_s: The run itself, without start-up.
+        support_changes: How often a cell came under or out from under a parcel's load.
+        faults: Scheduled, live and found: each at least ``time_s`` and ``kind``.
+        cells_lost: ``(row, column)`` of each.
+        digest: See ``deploy/digest.py``; None where there is none.
+        output: The folder with everything the run left behind; None where it left nothing.
+    """
+
+    status: str
+    scene: str
+    seed: int
+    duration_s: float
+    simulated_s: float
+    cells: int
+    processes: int
+    transport: str | None
+    solver: Mapping[str, str | float]
+    ticks: int
+    wall_s: float
+    startup_s: float
+    parcels: Sequence[ParcelOutcome]
+    support_changes: int
+    messages: Messages = field(default_factory=Messages)
+    faults: Sequence[Mapping[str, Any]] = ()
+    cells_lost: Sequence[tuple[int, int]] = ()
+    digest: str | None = None
+    output: str | None = None
+    reason: str | None = None
+
+    @property
+    def ticks_per_s(self) -> float | None:
+        """Ticks a second of wall time; None if it took no time."""
+        return self.ticks / self.wall_s if self.wall_s > 0 else None
+
+    @property
+    def realtime_factor(self) -> float | None:
+        """Simulated over wall time; None if it took no time."""
+        return self.simulated_s / self.wall_s if self.wall_s > 0 else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON object: numbers that are not finite (an unstable run's) as None."""
+        numbers = asdict(self)
+        numbers["ticks_per_s"] = self.ticks_per_s
+        numbers["realtime_factor"] = self.realtime_factor
+        return _finite(numbers)
+
+    def to_json(self, indent: int | None = None) -> str:
+        """The JSON object as text."""
+        return json.dumps(self.to_dict(), indent=indent, allow_nan=False, ensure_ascii=False)
+
+    def write(self, folder: str | Path) -> Path:
+        """Write ``summary.json`` into the folder, whole or not at all.
+
+        Raises:
+            DeployError: It can't be written.
+        """
+        path = Path(folder) / FILE_NAME
+        draft = path.with_name(f".{FILE_NAME}.draft")
+        try:
+            draft.write_text(self.to_json(indent=2) + "\n", encoding="utf-8")
+            draft.replace(path)
+        except OSError as error:
+            raise DeployError(f"can't write the summary {path}: {error.strerror or error}") from error
+        return path
+
+    def print_table(self, console: Console) -> None:
+        """Print the outcome for people."""
+        from deploy.summary_table import print_summary
+
+        print_summary(self, console)
+
+
+def _finite(value: Any) -> Any:
+    """The same in JSON's types, without NaN and infinity."""
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, np.ndarray | np.generic):
+        return _finite(value.tolist())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]  # pyright: ignore[reportUnknownVariableType]
+    return value
