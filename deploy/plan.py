@@ -1,0 +1,201 @@
+"""What a run will start, as data that can be printed before anything is started."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, final
+
+from bus.errors import PartitionError
+from bus.lattice import Lattice
+from bus.partition import Partition
+from deploy.errors import InputError
+
+if TYPE_CHECKING:
+    from deploy.scene import Scene
+
+Transport = Literal["zenoh", "memory"]
+Wire = Literal["packed", "cells"]
+Processes = int | Literal["each"]
+
+ONE_WORKER_CELLS = 1_000
+"""Up to here a second worker costs more in messages than it saves in work."""
+
+FREE_PORT = "tcp/127.0.0.1 (a free port)"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a scene is run; nothing here may change what happens in it.
+
+    Attributes:
+        processes: Worker processes for the cells; ``each``: one a cell; 0: everything in this process; None:
+            by the number of cells and processor cores.
+        transport: What carries the messages; ``memory`` needs ``processes`` 0.
+        wire: The wire form; None: ``packed``, but ``cells`` where each cell has a process of its own.
+        listen: Endpoint on which the plant listens; None: a free loopback port.
+        realtime: Simulated seconds a wall second; None: as fast as it goes.
+        output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
+        record: Whether to write a recording.
+        picture: Whether to draw the overview.
+    """
+
+    processes: Processes | None = None
+    transport: Transport = "zenoh"
+    wire: Wire | None = None
+    listen: str | None = None
+    realtime: float | None = None
+    output: Path | None = None
+    record: bool = True
+    picture: bool = True
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PlannedProcess:
+    """One process, or one part of this process.
+
+    Attributes:
+        name: As shown in process lists and messages.
+        role: ``plant`` or ``cells``.
+        where: ``this process``, ``a thread of this process`` or ``a process of its own``.
+        cells: ``(row, column)`` of the cells that run in it.
+        listen: Endpoint it listens on, or None.
+        connect: Endpoint it connects to, or None.
+        ready: What has to happen before the first tick.
+    """
+
+    name: str
+    role: Literal["plant", "cells"]
+    where: str
+    cells: tuple[tuple[int, int], ...]
+    listen: str | None
+    connect: str | None
+    ready: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything that a run will start.
+
+    Attributes:
+        run: Names the run on the bus.
+        scene: Name of the scene.
+        setting: ``--processes`` as it was understood.
+        workers: Number of worker processes.
+        transport: What carries the messages.
+        wire: The wire form.
+        partition: Which cells run where, a shard a worker (one shard if there are none).
+        processes: The plant first, then the cells'.
+    """
+
+    run: str
+    scene: str
+    setting: Processes
+    workers: int
+    transport: Transport
+    wire: Wire
+    partition: Partition
+    processes: tuple[PlannedProcess, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The plan in JSON's types; cells as ``row,column``."""
+        return {
+            "run": self.run,
+            "scene": self.scene,
+            "processes": self.setting,
+            "transport": self.transport,
+            "wire": self.wire,
+            "start": [
+                {
+                    "name": process.name,
+                    "role": process.role,
+                    "where": process.where,
+                    "cells": [f"{row},{column}" for row, column in process.cells],
+                    "listen": process.listen,
+                    "connect": process.connect,
+                    "ready": process.ready,
+                }
+                for process in self.processes
+            ],
+        }
+
+
+def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
+    """What running ``scene`` in this way will start.
+
+    Raises:
+        InputError: The options do not go together, or not with the array.
+    """
+    lattice = scene.lattice()
+    setting = _processes(options, lattice)
+    workers = len(lattice) if setting == "each" else setting
+    if options.transport == "memory" and options.listen is not None:
+        raise InputError("--listen: the memory transport has no endpoint; leave one of the two out")
+    if options.realtime is not None and not 0 < options.realtime < float("inf"):
+        raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
+    try:
+        partition = Partition.even(lattice, max(1, workers))
+    except PartitionError:
+        raise InputError(
+            f"--processes {workers}: must be each or 0..{len(lattice)}, the number of cells"
+        ) from None
+    wire: Wire = options.wire or ("cells" if setting == "each" else "packed")
+    return Plan(
+        run=run,
+        scene=scene.name,
+        setting=setting,
+        workers=workers,
+        transport=options.transport,
+        wire=wire,
+        partition=partition,
+        processes=tuple(_listed(partition, workers, setting, options, scene.stall.start_s)),
+    )
+
+
+def _processes(options: RunOptions, lattice: Lattice) -> Processes:
+    if options.transport == "memory":
+        if options.processes not in (None, 0):
+            raise InputError(
+                f"--transport memory --processes {options.processes}: memory is not shared between processes; "
+                "it needs --processes 0"
+            )
+        return 0
+    if options.processes is not None:
+        return options.processes
+    return 1 if len(lattice) <= ONE_WORKER_CELLS else min(2, os.cpu_count() or 1)
+
+
+def _listed(
+    partition: Partition, workers: int, setting: Processes, options: RunOptions, start_s: float
+) -> list[PlannedProcess]:
+    endpoint = None if options.transport == "memory" else options.listen or FREE_PORT
+    cells = partition.lattice.cells
+    plant = PlannedProcess(
+        name="plant",
+        role="plant",
+        where="this process",
+        cells=(),
+        listen=endpoint,
+        connect=None,
+        ready=f"all {len(cells)} cells alive and ready within {start_s:g} s",
+    )
+    where = "a process of its own" if workers else "a thread of this process"
+    processes = [plant]
+    for shard in range(partition.count):
+        own = tuple(cells[i] for i in partition.cells(shard))
+        processes.append(
+            PlannedProcess(
+                name=f"cell {own[0][0]},{own[0][1]}" if setting == "each" else f"cells {shard}",
+                role="cells",
+                where=where,
+                cells=own,
+                listen=None,
+                connect=endpoint,
+                ready="firmware loaded, the plant and every neighbour's process reached",
+            )
+        )
+    return processes

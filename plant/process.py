@@ -1,0 +1,210 @@
+"""The plant on the bus: one exchange with the cells and one advance of the plant a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.counts import Loss
+from bus.wire import DriveFrame, SenseFrame
+
+if TYPE_CHECKING:
+    from bus.specs import StallSpec
+    from plant.plant import Event, Plant, Sense
+
+Floats = NDArray[np.float64]
+Status = Literal["ok", "failed", "stalled"]
+
+
+class LockstepHost(Protocol):
+    """What the process needs of ``bus.lockstep.Host``."""
+
+    def publish(self, frame: SenseFrame) -> None:
+        """Tell every cell what it senses."""
+        ...
+
+    def gather(self, tick: int) -> tuple[DriveFrame, Sequence[Loss]]:
+        """Wait for every cell's drive, or its loss."""
+        ...
+
+    def retire(self, cells: Sequence[int], tick: int) -> None:
+        """Stop waiting for these cells from ``tick`` on."""
+        ...
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class TickRecord:
+    """All that happened in one tick.
+
+    Attributes:
+        tick: Which, from 0.
+        start_ns: When it began.
+        until_ns: When it ended.
+        sense: What the cells sensed at its start.
+        wheel_speed: ``(n, 2)`` m/s at its start.
+        before: ``(m, 6)`` parcel states at its start.
+        drives: ``(n, 2)`` that acted during it, a dead cell's as the stall policy has it.
+        after: ``(m, 6)`` parcel states at its end.
+        events: Of the plant, during it.
+        died: Indices of the cells whose scheduled death was at its start.
+        losses: Cells that were found lost in it.
+    """
+
+    tick: int
+    start_ns: int
+    until_ns: int
+    sense: Sense
+    wheel_speed: Floats
+    before: Floats
+    drives: Floats
+    after: Floats
+    events: Sequence[Event]
+    died: tuple[int, ...]
+    losses: Sequence[Loss]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How the loop ended.
+
+    Attributes:
+        status: ``ok`` at the end of the duration; ``failed`` or ``stalled`` where the policy is ``abort``.
+        losses: What it was aborted for; empty if it was not.
+    """
+
+    status: Status
+    losses: tuple[Loss, ...] = ()
+
+
+@final
+class PlantProcess:
+    """Runs the plant and the bus in lockstep, in one blocking thread.
+
+    In tick k the cells are told what they sense at ``t_k = k period`` and answer with the drives that act on the
+    whole of ``[t_k, t_(k+1))``; the last interval ends with the run and may be shorter. A cell that dies,
+    scheduled or not, is not waited for again; its wheels do what the stall policy says, from that tick on.
+
+    Args:
+        plant: At time 0.
+        host: Past its barrier.
+        period_ns: Of the cells' control.
+        duration_ns: Of the run.
+        schedule: Indices of the cells that die at the start of a tick, by tick.
+        stall: What happens when a cell goes unscheduled; the scheduled dead follow the same policy.
+        observer: Told of every tick when it is over; what it raises ends the run between two ticks.
+        pace: Called with a tick's start, ns, before the tick begins; may wait.
+
+    Attributes:
+        tick: The tick that is under way, or the next.
+        time_ns: Simulated time reached.
+        waiting: Whether the process waits for the cells or the clock: an exception raised by a signal handler
+            at such a time leaves the plant at ``time_ns``, with every tick before it reported.
+        lost: Whether each cell is dead, ``(n,)``.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        host: LockstepHost,
+        *,
+        period_ns: int,
+        duration_ns: int,
+        schedule: Mapping[int, tuple[int, ...]],
+        stall: StallSpec,
+        observer: Callable[[TickRecord], None],
+        pace: Callable[[int], None] | None = None,
+    ) -> None:
+        self._plant = plant
+        self._host = host
+        self._period_ns = period_ns
+        self._duration_ns = duration_ns
+        self._schedule = schedule
+        self._policy = stall.policy
+        self._observer = observer
+        self._pace = pace
+        self._sense = plant.sense()
+        n = len(self._sense.presence)
+        self._drives: Floats = np.zeros((n, 2))
+        self._held: Floats = np.zeros((n, 2))
+        self._any_lost = False
+        self.tick = 0
+        self.time_ns = 0
+        self.waiting = False
+        self.lost: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
+
+    def run(self) -> Ended:
+        """Run to the end of the duration, or to the first loss where the policy is ``abort``.
+
+        Raises:
+            PlantError: The plant could not advance.
+            BusError: The bus broke.
+        """
+        while self.time_ns < self._duration_ns:
+            losses = self.step()
+            if losses and self._policy == "abort":
+                stalled = all(loss.reason == "stalled" for loss in losses)
+                return Ended("stalled" if stalled else "failed", tuple(losses))
+        return Ended("ok")
+
+    def step(self) -> Sequence[Loss]:
+        """One tick. Returns the cells that were found lost in it; under ``abort`` the plant then stays."""
+        tick, start_ns, sense, plant = self.tick, self.time_ns, self._sense, self._plant
+        died = self._schedule.get(tick, ()) if self._schedule else ()
+        if died:
+            died = self._bury(died)
+            self._host.retire(died, tick)
+        drives, losses = self._exchange(tick, start_ns, sense)
+        if losses:
+            if self._policy == "abort":
+                return losses
+            self._bury([loss.cell for loss in losses])
+        if self._any_lost:
+            drives = np.where(self.lost[:, None], self._held, drives)
+        self._drives = drives
+        until_ns = min(start_ns + self._period_ns, self._duration_ns)
+        before, wheel_speed = plant.state, plant.wheel_speed
+        self._sense, events = plant.advance(drives, until_ns)
+        self.tick, self.time_ns = tick + 1, until_ns
+        self._observer(
+            TickRecord(
+                tick, start_ns, until_ns, sense, wheel_speed, before, drives, plant.state, events, died, losses
+            )
+        )
+        return losses
+
+    def _exchange(self, tick: int, start_ns: int, sense: Sense) -> tuple[Floats, Sequence[Loss]]:
+        """Tell the cells what they sense, and hear what they do."""
+        self.waiting = True
+        try:
+            if self._pace is not None:
+                self._pace(start_ns)
+            self._host.publish(SenseFrame(tick, sense.presence, sense.encoder_m))
+            frame, losses = self._host.gather(tick)
+        finally:
+            self.waiting = False
+        return frame.drive, losses
+
+    def _bury(self, cells: Sequence[int]) -> tuple[int, ...]:
+        """Note that these cells are dead; returns those that were not before."""
+        fresh = tuple(cell for cell in cells if not self.lost[cell])
+        if not fresh:
+            return fresh
+        rows = list(fresh)
+        self._any_lost = True
+        self.lost[rows] = True
+        policy = "coast" if self._policy == "abort" else self._policy
+        if policy == "hold":
+            self._held[rows] = self._drives[rows]
+        self._plant.lose(fresh, policy)
+        return fresh
+
+    @property
+    def sense(self) -> Sense:
+        """What the cells would sense now."""
+        return self._sense
