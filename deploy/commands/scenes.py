@@ -1,0 +1,63 @@
+"""``mdms scenes``: what is bundled, and what it looks like."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Annotated
+
+import typer
+
+from deploy.commands.options import JsonOption
+from deploy.scene_files import bundled_names, load_scene, scene_text
+
+
+def scenes(
+    scene: Annotated[
+        str | None, typer.Argument(metavar="[SCENE]", help="Print this one: a bundled name, or a file.")
+    ] = None,
+    *,
+    as_json: JsonOption = False,
+) -> None:
+    """List the bundled scenes, or print one of them.
+
+    A scene printed is a scene file: [cyan]mdms scenes elliptic > mine.toml[/cyan] begins one of your own.
+    With --json a scene is printed as it is understood, defaults and all.
+    """
+    if scene is None:
+        _list(as_json=as_json)
+    elif as_json:
+        print(json.dumps(load_scene(scene).model_dump(mode="json"), indent=2))
+    else:
+        sys.stdout.write(scene_text(scene))
+
+
+def _list(*, as_json: bool) -> None:
+    found = [load_scene(name) for name in bundled_names()]
+    if as_json:
+        rows = [
+            {
+                "name": scene.name,
+                "title": scene.title,
+                "duration_s": scene.duration_s,
+                "cells": len(scene.lattice()),
+                "parcels": len(scene.parcels),
+                "firmware": scene.cells.firmware,
+            }
+            for scene in found
+        ]
+        print(json.dumps({"scenes": rows}, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("scene", style="cyan", no_wrap=True)
+    table.add_column("title")
+    for heading in ("cells", "parcels", "s"):
+        table.add_column(heading, justify="right")
+    table.add_column("firmware", no_wrap=True)
+    for scene in found:
+        numbers = (str(len(scene.lattice())), str(len(scene.parcels)), f"{scene.duration_s:g}")
+        table.add_row(scene.name, scene.title, *numbers, scene.cells.firmware)
+    Console().print(table)

@@ -1,0 +1,16 @@
+"""``mdms schema``: what a scene file may say, for editors and other programs."""
+
+from __future__ import annotations
+
+import json
+
+from deploy.scene_schema import scene_schema
+
+
+def schema() -> None:
+    """Print the JSON Schema of a scene file.
+
+    It knows the parameters of the bundled firmware. Editors check and complete TOML with it, Even Better TOML and
+    Taplo by a first line [cyan]#:schema ./scene.schema.json[/cyan].
+    """
+    print(json.dumps(scene_schema(), indent=2))
