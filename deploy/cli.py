@@ -1,4 +1,4 @@
-"""The command ``mdms``: only what is asked for is imported, and every error ends in words and an exit status."""
+"""The command ``mdms``: imports only what is asked for; every error ends in words and an exit status."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COMMANDS = {
     "scenes": "The bundled scenes, or one of them in full.",
     "schema": "The JSON Schema of a scene file, for editors.",
 }
-"""Every command and its line in the list. Command NAME is function NAME of module ``deploy.commands.NAME``."""
+"""Every command and its line in the list; command NAME is function NAME of ``deploy.commands.NAME``."""
 
 _HELP = """A Modular Distributed Manipulator System in software.
 
@@ -114,10 +114,10 @@ def _report(error: Exception) -> int:
     """Say what went wrong on stderr; the exit status."""
     status = _status(error)
     if status is not None:
-        print(error, file=sys.stderr)
+        typer.echo(error, err=True)
         return status
     traceback.print_exception(error)
-    print(f"mdms: this is a bug, please report it with the lines above: {error!r}", file=sys.stderr)
+    typer.echo(f"mdms: this is a bug, please report it with the lines above: {error!r}", err=True)
     return 1
 
 
