@@ -1,0 +1,72 @@
+"""Key expressions of a run, and how they match.
+
+Every key begins with ``mdms/RUN``. ``docs/bus.md`` lists them all.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Literal
+
+from bus.errors import RunNameError
+from bus.lattice import SIDES
+
+RunLeaf = Literal["sense", "drive", "alive", "ready"]
+
+_RUN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,63}")
+
+
+def check_run(run: str) -> str:
+    """The name of a run, if it can stand in a key expression.
+
+    Raises:
+        RunNameError: Not 1 to 64 letters, digits, ``_``, ``.`` or ``-``, beginning with a letter or digit.
+    """
+    if _RUN.fullmatch(run) is None:
+        raise RunNameError(
+            f"run name {run!r}: must be 1 to 64 of A-Z a-z 0-9 _ . -, beginning with a letter or a digit"
+        )
+    return run
+
+
+def cell_key(run: str, cell: tuple[int, int] | None, leaf: RunLeaf) -> str:
+    """Key of one cell, or of every cell for None."""
+    row, column = ("*", "*") if cell is None else cell
+    return f"mdms/{run}/cell/{row}/{column}/{leaf}"
+
+
+def cell_link_key(run: str, cell: tuple[int, int], side: int) -> str:
+    """Key of what ``cell`` sends towards ``side`` (an index into ``SIDES``)."""
+    return f"mdms/{run}/cell/{cell[0]}/{cell[1]}/to/{SIDES[side]}"
+
+
+def shard_key(run: str, shard: int | None, leaf: RunLeaf | Literal["report"]) -> str:
+    """Key of one shard, or of every shard for None."""
+    return f"mdms/{run}/shard/{'*' if shard is None else shard}/{leaf}"
+
+
+def shard_link_key(run: str, source: int, target: int) -> str:
+    """Key of what shard ``source`` sends to shard ``target``."""
+    return f"mdms/{run}/shard/{source}/to/{target}"
+
+
+def plant_key(run: str, leaf: Literal["state", "control", "alive"]) -> str:
+    """Key of the plant."""
+    return f"mdms/{run}/plant/{leaf}"
+
+
+def intersects(a: str, b: str) -> bool:
+    """Whether two key expressions have a key in common; ``*`` is one chunk, ``**`` any number of them."""
+    return _intersects(a.split("/"), b.split("/"))
+
+
+def _intersects(a: list[str], b: list[str]) -> bool:
+    while a and b:
+        if a[0] == "**":
+            return _intersects(a[1:], b) or _intersects(a, b[1:])
+        if b[0] == "**":
+            return _intersects(a, b[1:]) or _intersects(a[1:], b)
+        if a[0] != b[0] and "*" not in (a[0], b[0]):
+            return False
+        a, b = a[1:], b[1:]
+    return all(chunk == "**" for chunk in a) and all(chunk == "**" for chunk in b)

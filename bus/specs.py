@@ -1,0 +1,26 @@
+"""What a scene may say about the bus."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, final
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
+
+
+@final
+class StallSpec(BaseModel):
+    """What happens when a cell goes away or falls silent.
+
+    The deadlines are wall time: a run that meets one is recorded as such and its digest promises nothing.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+    policy: Literal["coast", "brake", "hold", "abort"] = "coast"
+    """What a lost cell's wheels do, or ``abort``: end the run."""
+    deadline_s: Seconds = 5.0
+    """Wall seconds a tick may wait for a cell before the cell counts as stalled."""
+    start_s: Seconds = 30.0
+    """Wall seconds until every cell must be ready."""

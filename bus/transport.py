@@ -1,0 +1,95 @@
+"""What the lockstep asks of a transport, and what every transport promises."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+
+class Received(NamedTuple):
+    """A payload that somebody put on a key."""
+
+    key: str
+    payload: bytes
+
+
+class Alive(NamedTuple):
+    """A token that appeared (``present``) or went: withdrawn, or its process gone."""
+
+    key: str
+    present: bool
+
+
+class Woken(NamedTuple):
+    """Somebody called ``wake``."""
+
+
+Event = Received | Alive | Woken
+
+
+class Publisher(ABC):
+    """Puts payloads on one key."""
+
+    @abstractmethod
+    def put(self, payload: bytes) -> None:
+        """Sends ``payload`` to every subscriber of the key; blocks rather than drops."""
+
+    @abstractmethod
+    def matched(self) -> bool:
+        """Whether at least one subscriber is known to this side. What is put before that may reach nobody."""
+
+
+class Endpoint(ABC):
+    """One participant: what it subscribes to and the tokens it watches arrive in one inbox.
+
+    Every transport promises, and one conformance suite checks:
+
+    - **Order.** What one endpoint puts, on whatever keys, reaches another endpoint's inbox in the order
+      of the puts. Between different senders there is no order.
+    - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
+      subscriptions of one endpoint would break that and are refused. An endpoint hears its own puts.
+    - **Bytes.** Payloads arrive as they were put, empty ones included.
+    - **Late joiners** get nothing of what was put before they subscribed. Tokens are otherwise: a watcher is
+      told of every token that is there when it begins to watch. The same presence may be told twice.
+    - **Tokens follow the data.** What an endpoint put arrives before the news that its token went.
+    - **Threads.** ``put``, ``wake`` and ``matched`` may be called from any thread, ``receive`` from one at a
+      time. In the main thread a blocked ``receive`` lets signal handlers run.
+    - **Close** withdraws the tokens; closing twice is harmless; anything else on a closed endpoint raises
+      ``TransportError``.
+    """
+
+    @abstractmethod
+    def publisher(self, key: str) -> Publisher:
+        """A publisher on one key (no wildcards)."""
+
+    @abstractmethod
+    def subscribe(self, key_expr: str) -> None:
+        """Lets everything put on matching keys into the inbox; a second time with the same words is a no-op.
+
+        Raises:
+            TransportError: The expression overlaps another subscription of this endpoint.
+        """
+
+    @abstractmethod
+    def declare_alive(self, key: str) -> None:
+        """Shows a token that stands until it is withdrawn or this process goes."""
+
+    @abstractmethod
+    def withdraw(self, key: str) -> None:
+        """Takes a token back; a no-op where none was declared."""
+
+    @abstractmethod
+    def watch_alive(self, key_expr: str) -> None:
+        """Lets the coming and going of matching tokens into the inbox, beginning with those that are there."""
+
+    @abstractmethod
+    def receive(self, timeout_s: float | None) -> Event | None:
+        """The next event, or None after ``timeout_s`` wall seconds (0: at once; None: waits for ever)."""
+
+    @abstractmethod
+    def wake(self) -> None:
+        """Puts one ``Woken`` in the inbox, so that a blocked ``receive`` returns. Safe in a signal handler."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Withdraws everything and leaves."""

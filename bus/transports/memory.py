@@ -1,0 +1,180 @@
+"""The transport inside one process: encoded bytes through queues."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from typing import final
+
+from bus.errors import TransportError
+from bus.keys import intersects
+from bus.transport import Alive, Endpoint, Event, Publisher, Received, Woken
+
+
+@final
+class MemoryBus:
+    """Where the endpoints of one process meet. Thread-safe; a put is delivered before it returns."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._endpoints: list[MemoryEndpoint] = []
+        self._routes: dict[str, tuple[MemoryEndpoint, ...]] = {}
+        self._tokens: dict[str, MemoryEndpoint] = {}
+
+    def endpoint(self) -> MemoryEndpoint:
+        """A new participant."""
+        endpoint = MemoryEndpoint(self)
+        with self._lock:
+            self._endpoints.append(endpoint)
+        return endpoint
+
+    def route(self, key: str) -> tuple[MemoryEndpoint, ...]:
+        """Endpoints that subscribed to ``key``."""
+        route = self._routes.get(key)
+        if route is None:
+            with self._lock:
+                route = tuple(e for e in self._endpoints if e.hears(key))
+                self._routes[key] = route
+        return route
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Delivers ``payload`` to every subscriber of ``key``."""
+        # A copy of the route, not the lock: two senders have no order between them anyway.
+        event = Received(key, payload)
+        for endpoint in self.route(key):
+            endpoint.deliver(event)
+
+    def rerouted(self, endpoint: MemoryEndpoint, key_expr: str) -> None:
+        """Forgets the cached routes after a change of subscriptions."""
+        with self._lock:
+            endpoint.subscriptions.append(key_expr)
+            self._routes.clear()
+
+    def declare(self, key: str, endpoint: MemoryEndpoint) -> None:
+        """Shows a token."""
+        with self._lock:
+            if key in self._tokens:
+                raise TransportError(f"token {key} is declared already")
+            self._tokens[key] = endpoint
+            self._announce(Alive(key, True))
+
+    def withdraw(self, key: str, endpoint: MemoryEndpoint) -> None:
+        """Takes back a token of ``endpoint``."""
+        with self._lock:
+            if self._tokens.get(key) is endpoint:
+                del self._tokens[key]
+                self._announce(Alive(key, False))
+
+    def watch(self, key_expr: str, endpoint: MemoryEndpoint) -> None:
+        """Begins to tell ``endpoint`` of tokens, those that are there first."""
+        with self._lock:
+            endpoint.watches.append(key_expr)
+            for key in self._tokens:
+                if intersects(key_expr, key):
+                    endpoint.deliver(Alive(key, True))
+
+    def leave(self, endpoint: MemoryEndpoint) -> None:
+        """Forgets ``endpoint`` and withdraws its tokens."""
+        with self._lock:
+            if endpoint in self._endpoints:
+                self._endpoints.remove(endpoint)
+            self._routes.clear()
+            for key in [key for key, owner in self._tokens.items() if owner is endpoint]:
+                self.withdraw(key, endpoint)
+
+    def _announce(self, event: Alive) -> None:
+        for endpoint in self._endpoints:
+            if any(intersects(expr, event.key) for expr in endpoint.watches):
+                endpoint.deliver(event)
+
+
+@final
+class MemoryPublisher(Publisher):
+    """Puts on one key of a ``MemoryBus``."""
+
+    def __init__(self, bus: MemoryBus, endpoint: MemoryEndpoint, key: str) -> None:
+        self._bus = bus
+        self._endpoint = endpoint
+        self._key = key
+
+    def put(self, payload: bytes) -> None:
+        self._endpoint.check_open()
+        self._bus.put(self._key, payload)
+
+    def matched(self) -> bool:
+        return bool(self._bus.route(self._key))
+
+
+@final
+class MemoryEndpoint(Endpoint):
+    """A participant of a ``MemoryBus``; made by ``MemoryBus.endpoint``."""
+
+    def __init__(self, bus: MemoryBus) -> None:
+        self._bus = bus
+        self._inbox: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._closed = False
+        self.subscriptions: list[str] = []
+        self.watches: list[str] = []
+
+    def publisher(self, key: str) -> Publisher:
+        self.check_open()
+        return MemoryPublisher(self._bus, self, key)
+
+    def subscribe(self, key_expr: str) -> None:
+        self.check_open()
+        if key_expr in self.subscriptions:
+            return
+        check_overlap(key_expr, self.subscriptions)
+        self._bus.rerouted(self, key_expr)
+
+    def declare_alive(self, key: str) -> None:
+        self.check_open()
+        self._bus.declare(key, self)
+
+    def withdraw(self, key: str) -> None:
+        self.check_open()
+        self._bus.withdraw(key, self)
+
+    def watch_alive(self, key_expr: str) -> None:
+        self.check_open()
+        self._bus.watch(key_expr, self)
+
+    def receive(self, timeout_s: float | None) -> Event | None:
+        self.check_open()
+        try:
+            return self._inbox.get(timeout=timeout_s) if timeout_s != 0 else self._inbox.get_nowait()
+        except queue.Empty:
+            return None
+
+    def wake(self) -> None:
+        self._inbox.put(Woken())
+
+    def close(self) -> None:
+        if not self._closed:
+            self._bus.leave(self)
+            self._closed = True
+
+    def hears(self, key: str) -> bool:
+        """Whether a subscription matches ``key``."""
+        return any(intersects(expr, key) for expr in self.subscriptions)
+
+    def deliver(self, event: Event) -> None:
+        """Puts an event in the inbox."""
+        self._inbox.put(event)
+
+    def check_open(self) -> None:
+        """Raises TransportError after ``close``."""
+        if self._closed:
+            raise TransportError("this endpoint is closed")
+
+
+def check_overlap(key_expr: str, others: list[str]) -> None:
+    """Refuses a subscription that would deliver a payload a second time.
+
+    Raises:
+        TransportError: ``key_expr`` shares a key with one of ``others``.
+    """
+    for other in others:
+        # Two plain keys overlap only when equal, which the caller has looked for.
+        if ("*" in key_expr or "*" in other) and intersects(key_expr, other):
+            raise TransportError(f"subscribe to {key_expr}: overlaps {other}, which is subscribed already")

@@ -1,0 +1,275 @@
+"""The transport between processes: Zenoh over TCP, loopback unless told otherwise.
+
+The plant's session is a peer that listens on one endpoint (``open_hub``); every cell process is a client of it
+(``open_client``), and clients hear each other through it. Nobody is found by multicast or gossip.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import socket
+import threading
+from typing import Final, cast, final
+
+import zenoh
+from zenoh import handlers
+
+from bus.errors import TransportError
+from bus.transport import Alive, Endpoint, Event, Publisher, Received, Woken
+from bus.transports.memory import check_overlap
+
+LEASE_S: Final = 2.0
+"""Silence after which the other side takes a process for gone; each session's own lease governs its token."""
+CLOSE_S: Final = 2.0
+_PORT_ATTEMPTS: Final = 20
+_RUNTIME: Final = (
+    "(app: (worker_threads: 1), acc: (worker_threads: 1), tx: (worker_threads: 1), "
+    "rx: (worker_threads: 1), net: (worker_threads: 1))"
+)
+
+
+def hub_config(listen: str, lease_s: float = LEASE_S) -> zenoh.Config:
+    """Settings of the plant's session.
+
+    Args:
+        listen: Endpoint such as ``tcp/127.0.0.1:7447``.
+        lease_s: Seconds of silence after which the others take the plant for gone.
+    """
+    config = _config("peer", lease_s)
+    _set(config, "listen/endpoints", f'["{listen}"]')
+    _set(config, "listen/exit_on_failure", "true")
+    # Shared memory is off in every session: with it a hub stops near 350 sessions.
+    _set(config, "transport/unicast/max_sessions", "20000")
+    _set(config, "transport/unicast/accept_pending", "2000")
+    return config
+
+
+def client_config(connect: str, lease_s: float = LEASE_S, timeout_s: float = 10.0) -> zenoh.Config:
+    """Settings of a cell process.
+
+    Args:
+        connect: The plant's endpoint.
+        lease_s: Seconds of silence after which the plant takes this process for gone.
+        timeout_s: Seconds to go on trying while nobody listens there.
+    """
+    config = _config("client", lease_s)
+    _set(config, "connect/endpoints", f'["{connect}"]')
+    _set(config, "connect/timeout_ms", str(round(timeout_s * 1000)))
+    _set(config, "connect/exit_on_failure", "true")
+    _set(config, "connect/retry", "{period_init_ms: 20, period_max_ms: 200, period_increase_factor: 2}")
+    _set(config, "listen/endpoints", "[]")
+    return config
+
+
+def _config(mode: str, lease_s: float) -> zenoh.Config:
+    config = zenoh.Config()
+    _set(config, "mode", f'"{mode}"')
+    _set(config, "scouting/multicast/enabled", "false")
+    _set(config, "scouting/gossip/enabled", "false")
+    _set(config, "transport/shared_memory/enabled", "false")
+    _set(config, "transport/link/tx/lease", str(round(lease_s * 1000)))
+    _set(config, "open/return_conditions/connect_scouted", "false")
+    return config
+
+
+def _set(config: zenoh.Config, key: str, json: str) -> None:
+    try:
+        config.insert_json5(key, json)
+    except zenoh.ZError as error:
+        raise TransportError(f"Zenoh refuses {key} = {json}: {_first_line(error)}") from None
+
+
+def open_hub(listen: str | None = None, *, lease_s: float = LEASE_S) -> ZenohEndpoint:
+    """Opens the plant's session.
+
+    Args:
+        listen: Endpoint to listen on; None: a free loopback port.
+        lease_s: See ``hub_config``.
+
+    Returns:
+        The endpoint; its ``locator`` is what clients connect to.
+
+    Raises:
+        TransportError: The port is in use, or the endpoint makes no sense.
+    """
+    if listen is not None:
+        return ZenohEndpoint(_open(hub_config(listen, lease_s), f"listen on {listen}"), listen)
+    for attempt in range(1, _PORT_ATTEMPTS + 1):
+        locator = f"tcp/127.0.0.1:{_free_port()}"
+        try:
+            session = _open(hub_config(locator, lease_s), f"listen on {locator}")
+        except TransportError:
+            # Somebody took the port between our look and Zenoh's; another is as good.
+            if attempt == _PORT_ATTEMPTS:
+                raise
+        else:
+            return ZenohEndpoint(session, locator)
+    raise AssertionError("unreachable: this is a bug")
+
+
+def open_client(connect: str, *, lease_s: float = LEASE_S, timeout_s: float = 10.0) -> ZenohEndpoint:
+    """Opens a cell process's session; call it after a fork, never before.
+
+    Raises:
+        TransportError: Nobody listens there within ``timeout_s``.
+    """
+    # A cell process has little to do: one thread a pool is faster than many. Read once, at the first session.
+    os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)
+    config = client_config(connect, lease_s, timeout_s)
+    return ZenohEndpoint(_open(config, f"connect to {connect}"), connect)
+
+
+def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        text = str(error)
+        if "in use" in text:
+            raise TransportError(f"{attempted}: the port is in use") from None
+        if attempted.startswith("connect"):
+            raise TransportError(f"{attempted}: nobody answers ({_first_line(error)})") from None
+        raise TransportError(f"{attempted}: {_first_line(error)}") from None
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).splitlines()
+    return lines[0] if lines else type(error).__name__
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return cast("int", probe.getsockname()[1])
+
+
+@final
+class ZenohPublisher(Publisher):
+    """Puts on one key: blocking, reliable, batched."""
+
+    def __init__(self, endpoint: ZenohEndpoint, publisher: zenoh.Publisher) -> None:
+        self._endpoint = endpoint
+        self._publisher = publisher
+        self._put = publisher.put
+
+    def put(self, payload: bytes) -> None:
+        self._endpoint.check_usable()
+        try:
+            self._put(payload)
+        except zenoh.ZError as error:
+            raise TransportError(f"put on {self._publisher.key_expr}: {_first_line(error)}") from None
+
+    def matched(self) -> bool:
+        self._endpoint.check_usable()
+        # matching_status is an object that is always true.
+        status = cast("zenoh.MatchingStatus", self._publisher.matching_status)
+        return status.matching
+
+
+@final
+class ZenohEndpoint(Endpoint):
+    """A Zenoh session; made by ``open_hub`` and ``open_client``.
+
+    Zenoh's receiving threads push samples straight into one queue: measured as fast as Zenoh's own channels for one
+    frame a tick, without a thread a subscriber, and the wait can time out, be woken, and lets signals through.
+
+    Attributes:
+        locator: Where the plant listens.
+    """
+
+    def __init__(self, session: zenoh.Session, locator: str) -> None:
+        self.locator = locator
+        self._session = session
+        self._pid = os.getpid()
+        self._closed = False
+        self._inbox: queue.SimpleQueue[zenoh.Sample | Event] = queue.SimpleQueue()
+        self._subscribers: dict[str, object] = {}
+        self._watchers: list[object] = []
+        self._tokens: dict[str, zenoh.LivelinessToken] = {}
+
+    def publisher(self, key: str) -> Publisher:
+        self.check_usable()
+        return ZenohPublisher(
+            self,
+            self._session.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                reliability=zenoh.Reliability.RELIABLE,
+                express=False,
+            ),
+        )
+
+    def subscribe(self, key_expr: str) -> None:
+        self.check_usable()
+        if key_expr in self._subscribers:
+            return
+        check_overlap(key_expr, list(self._subscribers))
+        self._subscribers[key_expr] = self._session.declare_subscriber(
+            key_expr, handlers.Callback(self._inbox.put, indirect=False)
+        )
+
+    def declare_alive(self, key: str) -> None:
+        self.check_usable()
+        if key in self._tokens:
+            raise TransportError(f"token {key} is declared already")
+        # Kept: a token without a reference is withdrawn at once.
+        self._tokens[key] = self._session.liveliness().declare_token(key)
+
+    def withdraw(self, key: str) -> None:
+        self.check_usable()
+        token = self._tokens.pop(key, None)
+        if token is not None:
+            token.undeclare()
+
+    def watch_alive(self, key_expr: str) -> None:
+        self.check_usable()
+        put = self._inbox.put
+
+        def tell(sample: zenoh.Sample) -> None:
+            put(Alive(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+        self._watchers.append(
+            self._session.liveliness().declare_subscriber(
+                key_expr, handlers.Callback(tell, indirect=False), history=True
+            )
+        )
+
+    def receive(self, timeout_s: float | None) -> Event | None:
+        self.check_usable()
+        try:
+            item = self._inbox.get(timeout=timeout_s) if timeout_s != 0 else self._inbox.get_nowait()
+        except queue.Empty:
+            return None
+        if type(item) is zenoh.Sample:
+            return Received(str(item.key_expr), item.payload.to_bytes())
+        return cast("Event", item)
+
+    def wake(self) -> None:
+        self._inbox.put(Woken())
+
+    def close(self) -> None:
+        if self._closed:
+            return
+        self._closed = True
+        if os.getpid() != self._pid:
+            return
+        # Zenoh's close has been seen to hang; nothing that we started may keep a process from ending.
+        closer = threading.Thread(target=self._close, name="zenoh-close", daemon=True)
+        closer.start()
+        closer.join(CLOSE_S)
+
+    def _close(self) -> None:
+        for token in self._tokens.values():
+            with contextlib.suppress(zenoh.ZError):  # The session may be gone already.
+                token.undeclare()
+        self._session.close()
+
+    def check_usable(self) -> None:
+        """Raises TransportError after ``close``, and in a process that inherited this session by a fork."""
+        if self._closed:
+            raise TransportError("this endpoint is closed")
+        if os.getpid() != self._pid:
+            raise TransportError(
+                f"this session was opened in process {self._pid}: a forked process must open its own"
+            )
