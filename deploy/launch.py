@@ -1,8 +1,8 @@
 """Starting worker processes, hearing of their failures, and ending every one of them.
 
-The processes are forked by a nursery (`deploy.nursery`). Ending is by process, never by name: ask (over the bus, the
-caller's part), wait, SIGTERM, wait, SIGKILL. Should this process itself be killed, the nursery and every worker
-notice at once and end.
+The processes are forked by a nursery (`deploy.nursery`). Ending is by process, never by name: ask (over the
+bus, the caller's part), wait, SIGTERM, wait, SIGKILL. Should this process itself be killed, the nursery and
+every worker notice at once and end.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Crew:
         self._channel = Connection(ours.detach())
         self._reports = reading
         os.set_blocking(reading, False)
-        environment = {**{name: "1" for name in _ONE_THREAD}, **(environment or os.environ)}
+        environment = {**dict.fromkeys(_ONE_THREAD, "1"), **(environment or os.environ)}
         arguments = [json.dumps(sys.path), str(theirs.fileno()), str(writing), json.dumps(list(preload))]
         try:
             self._nursery = subprocess.Popen(

@@ -1,15 +1,15 @@
 """The clean parent of worker processes.
 
-A process that has opened a Zenoh session or run a compiled kernel must not be forked. Workers are therefore forked
-from a small process of their own, that imports what they need and never does anything else. It is told what to do
-over a socket and tells what happened over a pipe, one line of JSON an event:
+A process that has opened a Zenoh session or run a compiled kernel must not be forked. Workers are therefore
+forked from a small process of their own, that imports what they need and never does anything else. It is told
+what to do over a socket and tells what happened over a pipe, one line of JSON an event:
 
     {"worker": 3, "event": "started", "pid": 4711}
     {"worker": 3, "event": "failed", "error": "...", "detail": "the traceback"}
     {"worker": 3, "event": "ended", "status": -9}
 
-When the socket's other end closes, however that came about, it kills its workers and ends; the workers watch the same
-socket themselves, so that they outlive neither.
+When the socket's other end closes, however that came about, it kills its workers and ends; the workers watch
+the same socket themselves, so that they outlive neither.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import traceback
 from collections.abc import Callable, Iterable
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import FrameType
 from typing import Any, final
 
 Order = Callable[[int], None]
@@ -57,7 +58,7 @@ class _Nursery:
         self._wakeup = os.pipe()
         for fd in self._wakeup:
             os.set_blocking(fd, False)
-        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.signal(signal.SIGCHLD, _noticed)
         signal.set_wakeup_fd(self._wakeup[1], warn_on_full_buffer=False)
 
     def tend(self) -> None:
@@ -115,7 +116,11 @@ class _Nursery:
             status = 0
         except Exception as error:  # noqa: BLE001 - whatever it is, it is told to the main process
             self._report(
-                worker, "failed", error=_one_line(error), kind=type(error).__name__, detail=traceback.format_exc()
+                worker,
+                "failed",
+                error=_one_line(error),
+                kind=type(error).__name__,
+                detail=traceback.format_exc(),
             )
         finally:
             # Nothing of the nursery's own stack may run in a worker.
@@ -152,6 +157,10 @@ class _Nursery:
             os.kill(pid, signal.SIGKILL)
         for pid in self._workers:
             os.waitpid(pid, 0)
+
+
+def _noticed(number: int, frame: FrameType | None) -> None:
+    """Nothing to do: what matters is that the signal wakes the selector."""
 
 
 def _die_with(fd: int) -> None:

@@ -38,7 +38,6 @@ class RunOptions:
         listen: Endpoint on which the plant listens; None: a free loopback port.
         realtime: Simulated seconds a wall second; None: as fast as it goes.
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
-        record: Whether to write a recording.
         picture: Whether to draw the overview.
     """
 
@@ -48,7 +47,6 @@ class RunOptions:
     listen: str | None = None
     realtime: float | None = None
     output: Path | None = None
-    record: bool = True
     picture: bool = True
 
 
@@ -160,8 +158,8 @@ def _processes(options: RunOptions, lattice: Lattice) -> Processes:
     if options.transport == "memory":
         if options.processes not in (None, 0):
             raise InputError(
-                f"--transport memory --processes {options.processes}: memory is not shared between processes; "
-                "it needs --processes 0"
+                f"--transport memory --processes {options.processes}: "
+                "memory is not shared between processes; it needs --processes 0"
             )
         return 0
     if options.processes is not None:
@@ -186,7 +184,7 @@ def _listed(
     where = "a process of its own" if workers else "a thread of this process"
     processes = [plant]
     for shard in range(partition.count):
-        own = tuple(cells[i] for i in partition.cells(shard))
+        own = tuple(cells[int(i)] for i in partition.cells(shard))
         processes.append(
             PlannedProcess(
                 name=f"cell {own[0][0]},{own[0][1]}" if setting == "each" else f"cells {shard}",

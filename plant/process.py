@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, final
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +36,7 @@ class LockstepHost(Protocol):
         ...
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class TickRecord:
+class TickRecord(NamedTuple):
     """All that happened in one tick.
 
     Attributes:
@@ -75,19 +73,21 @@ class Ended:
 
     Attributes:
         status: ``ok`` at the end of the duration; ``failed`` or ``stalled`` where the policy is ``abort``.
-        losses: What it was aborted for; empty if it was not.
+        losses: Cells found lost, for which it was aborted.
+        died: Cells whose scheduled death it was aborted for.
     """
 
     status: Status
     losses: tuple[Loss, ...] = ()
+    died: tuple[int, ...] = ()
 
 
 @final
 class PlantProcess:
     """Runs the plant and the bus in lockstep, in one blocking thread.
 
-    In tick k the cells are told what they sense at ``t_k = k period`` and answer with the drives that act on the
-    whole of ``[t_k, t_(k+1))``; the last interval ends with the run and may be shorter. A cell that dies,
+    In tick k the cells are told what they sense at ``t_k = k period`` and answer with the drives that act on
+    the whole of ``[t_k, t_(k+1))``; the last interval ends with the run and may be shorter. A cell that dies,
     scheduled or not, is not waited for again; its wheels do what the stall policy says, from that tick on.
 
     Args:
@@ -145,9 +145,12 @@ class PlantProcess:
             PlantError: The plant could not advance.
             BusError: The bus broke.
         """
+        abort = self._policy == "abort"
         while self.time_ns < self._duration_ns:
+            if abort and self.tick in self._schedule:
+                return Ended("failed", died=self._schedule[self.tick])
             losses = self.step()
-            if losses and self._policy == "abort":
+            if losses and abort:
                 stalled = all(loss.reason == "stalled" for loss in losses)
                 return Ended("stalled" if stalled else "failed", tuple(losses))
         return Ended("ok")
@@ -173,7 +176,17 @@ class PlantProcess:
         self.tick, self.time_ns = tick + 1, until_ns
         self._observer(
             TickRecord(
-                tick, start_ns, until_ns, sense, wheel_speed, before, drives, plant.state, events, died, losses
+                tick,
+                start_ns,
+                until_ns,
+                sense,
+                wheel_speed,
+                before,
+                drives,
+                plant.state,
+                events,
+                died,
+                losses,
             )
         )
         return losses

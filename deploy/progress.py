@@ -1,0 +1,103 @@
+"""How far a run has come, on stderr, a few times a second."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, final
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+_TERMINAL_S = 0.2
+"""Wall time between two updates of the bar."""
+
+_LINE_S = 10.0
+"""Wall time between two lines where stderr is not a terminal: for logs, few."""
+
+
+@final
+class Progress:
+    """A bar with simulated time, ticks a second, events and lost cells; lines now and then in a log.
+
+    Args:
+        duration_ns: Simulated time of the run.
+        quiet: Show nothing.
+
+    Attributes:
+        events: Counted by the caller.
+        lost: Cells lost, counted by the caller.
+    """
+
+    def __init__(self, duration_ns: int, *, quiet: bool = False) -> None:
+        self.events = 0
+        self.lost = 0
+        self._duration_ns = duration_ns
+        self._bar: Bar | None = None
+        self._show: Callable[[int, float], None] | None = None
+        self._every_s = _LINE_S
+        if not quiet:
+            self._show = self._line
+            if sys.stderr.isatty():
+                self._bar = _bar(duration_ns)
+                self._task = self._bar.add_task("", total=duration_ns * 1e-9, facts="")
+                self._show = self._redraw
+                self._every_s = _TERMINAL_S
+        self._last = (0, time.monotonic())
+        self._next = self._last[1] + self._every_s
+
+    def __enter__(self) -> Self:
+        if self._bar is not None:
+            self._bar.start()
+        self._last = (0, time.monotonic())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self, ticks: int, time_ns: int) -> None:
+        """Tell how many ticks are over and which time was reached; cheap, call it every tick."""
+        if self._show is None:
+            return
+        now = time.monotonic()
+        if now < self._next:
+            return
+        before, then = self._last
+        self._last = (ticks, now)
+        self._next = now + self._every_s
+        self._show(time_ns, (ticks - before) / (now - then))
+
+    def _facts(self, rate: float) -> str:
+        lost = f"  {self.lost:,} cells lost" if self.lost else ""
+        return f"{rate:,.0f} ticks/s  {self.events:,} events{lost}"
+
+    def _redraw(self, time_ns: int, rate: float) -> None:
+        assert self._bar is not None
+        self._bar.update(self._task, completed=time_ns * 1e-9, facts=self._facts(rate))
+        self._bar.refresh()
+
+    def _line(self, time_ns: int, rate: float) -> None:
+        reached = f"{time_ns * 1e-9:.2f} of {self._duration_ns * 1e-9:g} s"
+        sys.stderr.write(f"mdms: {reached}  {self._facts(rate)}\n")
+        sys.stderr.flush()
+
+
+def _bar(duration_ns: int) -> Bar:
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    duration = f"{duration_ns * 1e-9:g}"
+    return Bar(
+        TextColumn(f"{{task.completed:>{len(duration) + 2}.2f}} of {duration} s"),
+        BarColumn(),
+        TextColumn("{task.fields[facts]}"),
+        console=Console(stderr=True),
+        auto_refresh=False,
+        transient=True,
+    )
