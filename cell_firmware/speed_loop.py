@@ -44,7 +44,7 @@ class SpeedLoop:
         I = I + ki e T
         u = clamp(kf reference + kp e + I, -supply, +supply)
 
-    While the sum is beyond the supply in the error's direction the integral keeps its old value, so that
+    While the sum is beyond the supply in the error's direction the integral is remembered as it was, so that
     a wheel that can't follow does not wind it up.
 
     Args:
@@ -86,5 +86,5 @@ class SpeedLoop:
         wanted = ahead + grown
         winding = ((wanted > self.supply_v) & (error > 0.0)) | ((wanted < -self.supply_v) & (error < 0.0))
         integral = np.where(winding, state.integral_v, grown)
-        volts = np.minimum(np.maximum(ahead + integral, -self.supply_v), self.supply_v)
+        volts = np.minimum(np.maximum(wanted, -self.supply_v), self.supply_v)
         return SpeedLoopState(integral, encoder_m.copy(), np.ones_like(state.seen)), volts

@@ -1,0 +1,137 @@
+"""A small array, and a lockstep of shards that passes their messages by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bus.lattice import Lattice
+from bus.partition import Partition
+from cell_firmware.controller import Controller
+from cell_firmware.errors import FirmwareFailed
+from cell_firmware.firmware import Cells, Firmware
+from cell_firmware.shard import Links, Shard, ShardOutputs
+from cell_firmware.speed_loop import SpeedLoop
+
+PERIOD_S = 0.004096
+PITCH_M = 0.1
+
+
+def cells_of(lattice: Lattice, sensors: int = 1) -> Cells:
+    position = np.stack((lattice.columns * PITCH_M, lattice.rows * PITCH_M), axis=1)
+    return Cells.of(lattice, position, PERIOD_S, sensors)
+
+
+@dataclass
+class Run:
+    """What came of a lockstep: drives ``(ticks, n, 2)`` in the lattice's order, and the failures."""
+
+    drives: NDArray[np.float64]
+    failures: list[FirmwareFailed] = field(default_factory=list)
+
+
+class Lockstep:
+    """Steps shards in turn and carries border messages from tick k to tick k + 1."""
+
+    def __init__(self, firmware: Firmware, partition: Partition, loop: SpeedLoop | None = None) -> None:
+        self.partition = partition
+        self.lattice = partition.lattice
+        self.shards = [
+            Shard(Controller(firmware, loop), cells_of(self.lattice), partition, s)
+            for s in range(partition.count)
+        ]
+        self.links: list[Links | None] = [None] * partition.count
+        self.tick = 0
+        self.failures: list[FirmwareFailed] = []
+
+    def step(
+        self, presence: NDArray[np.bool_] | None = None, encoder_m: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        n = len(self.lattice)
+        bits = np.zeros((n, 1), dtype=np.bool_) if presence is None else presence
+        drive = np.full((n, 2), np.nan)
+        outputs: list[ShardOutputs] = []
+        for shard, links in zip(self.shards, self.links, strict=True):
+            own = shard.indices
+            out = shard.step(self.tick, bits[own], None if encoder_m is None else encoder_m[own], links)
+            drive[own] = out.drive
+            self.failures += out.failures
+            outputs.append(out)
+        self.links = [self._incoming(s, outputs) for s in range(self.partition.count)]
+        self.tick += 1
+        return drive
+
+    def _incoming(self, shard: int, outputs: list[ShardOutputs]) -> Links | None:
+        message = self.shards[shard].message
+        if message is None:
+            return None
+        incoming = self.partition.incoming(shard)
+        sent, values = np.zeros(len(incoming), dtype=np.bool_), np.zeros(len(incoming), dtype=message)
+        for border in self.partition.incoming_borders(shard):
+            theirs = outputs[border.shard].links
+            assert theirs is not None
+            (there,) = [
+                b for b in self.partition.outgoing_borders(border.shard) if b.shard == shard
+            ]
+            sent[border.start : border.stop] = theirs.sent[there.start : there.stop]
+            values[border.start : border.stop] = theirs.message[there.start : there.stop]
+        return Links(sent, values)
+
+    def retire(self, cells: Iterable[tuple[int, int]]) -> None:
+        gone = list(cells)
+        for shard in self.shards:
+            shard.retire(gone)
+
+
+@pytest.fixture
+def grid() -> Callable[..., Lattice]:
+    """A rectangle of cells, less some."""
+
+    def make(rows: int, columns: int, missing: Iterable[tuple[int, int]] = ()) -> Lattice:
+        holes = set(missing)
+        return Lattice((r, c) for r in range(rows) for c in range(columns) if (r, c) not in holes)
+
+    return make
+
+
+@pytest.fixture
+def everything() -> Callable[..., Cells]:
+    """All cells of a lattice."""
+    return cells_of
+
+
+@pytest.fixture
+def lockstep() -> type[Lockstep]:
+    """The lockstep's class."""
+    return Lockstep
+
+
+@pytest.fixture
+def run() -> Callable[..., Run]:
+    """Runs firmware over a partition for some ticks, with cells that die before given ticks."""
+
+    def go(
+        firmware: Firmware,
+        partition: Partition,
+        ticks: int,
+        loop: SpeedLoop | None = None,
+        dead: Mapping[int, list[tuple[int, int]]] | None = None,
+        presence: NDArray[np.bool_] | None = None,
+        encoder_m: NDArray[np.float64] | None = None,
+    ) -> Run:
+        steps = Lockstep(firmware, partition, loop)
+        drives: list[NDArray[np.float64]] = []
+        for k in range(ticks):
+            steps.retire((dead or {}).get(k, ()))
+            drives.append(
+                steps.step(
+                    None if presence is None else presence[k], None if encoder_m is None else encoder_m[k]
+                )
+            )
+        return Run(np.array(drives), steps.failures)
+
+    return go
