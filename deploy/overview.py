@@ -1,0 +1,145 @@
+"""The picture of a run: the overhead view and, beside it, x, y and angle against time."""
+
+# pyright: reportUnknownMemberType=false
+# (matplotlib leaves the keywords of its drawing methods untyped.)
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deploy.errors import DeployError
+from deploy.track import Track
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from deploy.replay import Recording
+
+FILE_NAME = "overview.png"
+_DPI = 110
+_WIDE = 2.0
+"""A view this many times as wide as high has its panels below it."""
+_HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.62, 0.75, 0.35, 0.85, 0.35
+"""Space around the view, inches."""
+_Box = tuple[float, float, float, float]
+_STYLE: Any = {
+    "font.size": 9,
+    "axes.edgecolor": "#8b95a1",
+    "axes.labelcolor": "#3a424c",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": "#6b7580",
+    "ytick.color": "#6b7580",
+    "xtick.labelcolor": "#3a424c",
+    "ytick.labelcolor": "#3a424c",
+    "text.usetex": False,
+}
+"""What a person's own matplotlibrc must not change."""
+
+
+def draw_overview(run: Recording | Track, path: str | Path) -> None:
+    """Draw a run as a PNG, without a display.
+
+    Args:
+        run: A recording, whole or cut, or the track of a simulation.
+        path: The file to write.
+
+    Raises:
+        DeployError: It can't be written.
+    """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    track = run if isinstance(run, Track) else run.track()
+    with mpl.rc_context(_STYLE):
+        figure = _figure(track)
+        try:
+            FigureCanvasAgg(figure).print_png(str(path))
+        except OSError as error:
+            raise DeployError(f"can't write the picture {path}: {error.strerror or error}") from error
+
+
+def _figure(track: Track) -> Figure:
+    from matplotlib.figure import Figure
+
+    from deploy.overview_map import draw_map, extent
+    from deploy.overview_times import draw_times
+
+    left, right, bottom, top = extent(track)
+    timed = len(track.footprints_m) > 0 and len(track.time_s) > 0
+    ratio = (right - left) / (top - bottom)
+    stacked = ratio <= _WIDE
+    width, height, boxes = (_beside if stacked else _below)(ratio, timed)
+    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
+    view, *panels = [
+        figure.add_axes((x / width, y / height, across / width, up / height)) for x, y, across, up in boxes
+    ]
+    view.set_anchor("N")
+    draw_map(view, track)
+    if panels:
+        draw_times(panels, track, stacked=stacked)
+        if stacked:
+            figure.align_ylabels(panels)
+    for text, down, size, weight, shade in (
+        (_shortened(track.title or track.scene, 80), 0.34, 14, "bold", "#22272e"),
+        (_subtitle(track), 0.62, 9, "normal", "#5b6570"),
+    ):
+        figure.text(
+            _TEXT_LEFT / width,
+            1 - down / height,
+            text,
+            size=size,
+            weight=weight,
+            color=shade,
+            va="center",
+            parse_math=False,
+        )
+    return figure
+
+
+def _beside(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
+    """Width, height and boxes of a page with the view at the left and the panels stacked at the right."""
+    height, panel = 6.2, 4.2
+    width = min(max(height * ratio, 3.0), 8.0)
+    boxes = [(_MARGIN, _FOOT, width, height)]
+    page = _MARGIN + width + _EDGE
+    if timed:
+        x, each = _MARGIN + width + _GAP, (height - 0.3) / 3
+        boxes += [(x, _FOOT + row * (each + 0.15), panel, each) for row in (2, 1, 0)]
+        page += _GAP + panel
+    return max(page, 6.0), _HEAD + height + _FOOT, boxes
+
+
+def _below(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
+    """The same for a wide array: the panels in a row under the view."""
+    width, panel = 11.0, 2.4
+    height = max(width / ratio, 0.8)
+    lift = _FOOT + (panel + _FOOT if timed else 0.0)
+    boxes = [(_MARGIN, lift, width, height)]
+    if timed:
+        each = (width - 2 * _GAP) / 3
+        boxes += [(_MARGIN + column * (each + _GAP), _FOOT, each, panel) for column in range(3)]
+    return _MARGIN + width + _EDGE, _HEAD + height + lift, boxes
+
+
+def _subtitle(track: Track) -> str:
+    parts = [
+        track.scene,
+        _counted(len(track.positions_m), "cell"),
+        _counted(len(track.footprints_m), "parcel"),
+    ]
+    parts.append(f"{track.time_s[-1]:.4g} s" if len(track.time_s) else "no ticks")
+    parts.append("recording cut" if track.status is None else track.status)
+    if track.digest:
+        parts.append(f"digest {track.digest[:12]}")
+    return "  ·  ".join(parts)
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number:,} {noun}" + ("" if number == 1 else "s")
+
+
+def _shortened(text: str, length: int) -> str:
+    return text if len(text) <= length else text[: length - 1].rstrip() + "…"

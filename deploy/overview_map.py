@@ -1,0 +1,230 @@
+"""The overhead view: array, wheel velocities, the parcels' paths and outlines."""
+
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
+# (matplotlib leaves the keywords of its drawing methods untyped.)
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.track import Track
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c6d00", "#332288", "#56b4e9")
+"""One a parcel, in turn: after Okabe and Ito, told apart by colour-blind readers and on light grey."""
+
+INK = "#22272e"
+LOST = "#c1121f"
+_CELL = "#eceff3"
+_CELL_LARGE = "#f3f5f8"
+_ARROW = "#7d8a9a"
+
+_SQUARES = 2500
+"""Up to this many cells each is a square of its own; beyond, gaps would be under a pixel."""
+_ARROWS_ACROSS = 26
+_OUTLINES = 9
+"""Outlines of a parcel on its way, start and end included, for few parcels."""
+_FEW = 6
+
+
+def colour(parcel: int) -> str:
+    """Colour of a parcel in every part of the picture."""
+    return COLOURS[parcel % len(COLOURS)]
+
+
+def extent(track: Track) -> tuple[float, float, float, float]:
+    """Left, right, bottom and top of the view: the array, and where parcels went, within reason."""
+    half = track.pitch_m / 2
+    low, high = track.positions_m.min(axis=0) - half, track.positions_m.max(axis=0) + half
+    reach = 0.5 * float((high - low).max())
+    corners = [low, high]
+    for parcel, footprint in enumerate(track.footprints_m):
+        centres = track.parcels[:, parcel, :2]
+        centres = centres[np.isfinite(centres).all(axis=1)]
+        if len(centres):
+            radius = float(np.hypot(footprint[:, 0], footprint[:, 1]).max())
+            corners += [centres.min(axis=0) - radius, centres.max(axis=0) + radius]
+    # An unstable run may fling a parcel anywhere: the array must stay in sight.
+    bounds = np.clip(np.array(corners), low - reach, high + reach)
+    left, bottom = bounds.min(axis=0) - half
+    right, top = bounds.max(axis=0) + half
+    return float(left), float(right), float(bottom), float(top)
+
+
+def draw_map(axes: Axes, track: Track) -> None:
+    """Draw the overhead view, metres along both axes."""
+    left, right, bottom, top = extent(track)
+    axes.set_aspect("equal")
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    _draw_cells(axes, track)
+    _draw_arrows(axes, track)
+    _draw_lost(axes, track)
+    for parcel in range(len(track.footprints_m)):
+        _draw_parcel(axes, track, parcel)
+    _draw_incidents(axes, track)
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+
+
+def _squares(centres: NDArray[np.float64], side: float) -> NDArray[np.float64]:
+    """``(n, 4, 2)`` corners of squares."""
+    corners = 0.5 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return centres[:, None, :] + corners
+
+
+def _draw_cells(axes: Axes, track: Track) -> None:
+    from matplotlib.collections import PolyCollection
+
+    large = len(track.positions_m) > _SQUARES
+    squares = _squares(track.positions_m, track.pitch_m * (1.0 if large else 0.92))
+    axes.add_collection(
+        PolyCollection(
+            list(squares),
+            facecolors=_CELL_LARGE if large else _CELL,
+            edgecolors="none",
+            antialiaseds=not large,
+            zorder=1,
+        ),
+        autolim=False,
+    )
+
+
+def _draw_arrows(axes: Axes, track: Track) -> None:
+    """Wheel velocities, of every k-th cell each way where the array is large."""
+    if track.wheel_speeds is None:
+        return
+    cells = np.array(track.cells).reshape(-1, 2)
+    across = np.ptp(cells, axis=0).max() + 1
+    stride = int(-(-across // _ARROWS_ACROSS))
+    shown = ((cells - stride // 2) % stride == 0).all(axis=1)
+    speeds = track.wheel_speeds[shown]
+    speed = np.hypot(speeds[:, 0], speeds[:, 1])
+    moving = np.isfinite(speed) & (speed > 0)
+    if not moving.any():
+        return
+    fastest = float(speed[moving].max())
+    reach = stride * track.pitch_m
+    left, right = axes.get_xlim()
+    axes.quiver(
+        track.positions_m[shown][moving, 0],
+        track.positions_m[shown][moving, 1],
+        speeds[moving, 0],
+        speeds[moving, 1],
+        angles="xy",
+        pivot="mid",
+        units="xy",
+        scale_units="xy",
+        scale=fastest / (0.92 * reach),
+        width=min(0.055 * reach, 0.004 * (right - left)),
+        headwidth=4.0,
+        headlength=4.6,
+        headaxislength=4.1,
+        minlength=0.1,
+        color=_ARROW,
+        linewidth=0,
+        zorder=2,
+    )
+    axes.set_title(f"longest arrow {fastest:.3g} m/s", loc="right", color=_ARROW, fontsize=8, pad=4)
+
+
+def lost_cells(track: Track) -> dict[tuple[int, int], float]:
+    """Each cell that faults name, and when the first did."""
+    lost: dict[tuple[int, int], float] = {}
+    for fault in track.faults:
+        if fault.get("cell") is not None:
+            row, column = fault["cell"]
+            lost.setdefault((row, column), float(fault["time_s"]))
+    return lost
+
+
+def _draw_lost(axes: Axes, track: Track) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    index = {(row, column): i for i, (row, column) in enumerate(track.cells)}
+    lost = [index[cell] for cell in lost_cells(track) if cell in index]
+    if not lost:
+        return
+    centres = track.positions_m[lost]
+    squares = _squares(centres, 0.92 * track.pitch_m)
+    axes.add_collection(
+        PolyCollection(list(squares), facecolors="#fbd9d3", edgecolors=LOST, linewidths=0.8, zorder=2.5),
+        autolim=False,
+    )
+    crosses = _squares(centres, 0.5 * track.pitch_m)
+    strokes = [crosses[:, [0, 2]], crosses[:, [1, 3]]]
+    axes.add_collection(
+        LineCollection(list(np.concatenate(strokes)), colors=LOST, linewidths=1.1, zorder=2.6), autolim=False
+    )
+
+
+def _outline(footprint: NDArray[np.float64], state: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of a footprint at a pose."""
+    cosine, sine = np.cos(state[2]), np.sin(state[2])
+    turn = np.array([[cosine, sine], [-sine, cosine]])
+    return footprint @ turn + state[:2]
+
+
+def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
+    """Path, outlines at regular times growing more solid, and the last with its front marked."""
+    states = track.parcels[:, parcel]
+    whole = np.flatnonzero(np.isfinite(states).all(axis=1))
+    if not len(whole):
+        return
+    footprint, shade = track.footprints_m[parcel], colour(parcel)
+    few = len(track.footprints_m) <= _FEW
+    path = states[whole]
+    axes.plot(path[:, 0], path[:, 1], color=shade, lw=1.6 if few else 1.0, alpha=0.9, zorder=4)
+    axes.plot(path[:1, 0], path[:1, 1], "o", ms=4 if few else 2.5, mfc="white", mec=shade, zorder=5)
+    times = np.linspace(track.time_s[whole[0]], track.time_s[whole[-1]], _OUTLINES if few else 2)
+    passed = np.unique(np.searchsorted(track.time_s[whole], times).clip(max=len(whole) - 1))[:-1]
+    for place, step in enumerate(passed):
+        corners = _outline(footprint, path[step])
+        weight = 0.22 + 0.5 * place / max(len(passed), 1)
+        axes.fill(*corners.T, fill=False, ec=shade, lw=1.0, alpha=weight, zorder=3)
+    last = path[-1]
+    corners = _outline(footprint, last)
+    axes.fill(*corners.T, fc=shade, ec="none", alpha=0.22, zorder=3.5)
+    axes.fill(*corners.T, fill=False, ec=shade, lw=2.0 if few else 1.3, joinstyle="round", zorder=5)
+    front = np.array([[0.0, 0.0], [float(footprint[:, 0].max()), 0.0]])
+    axes.plot(*_outline(front, last).T, color=shade, lw=1.6 if few else 1.0, zorder=5)
+    axes.plot(*last[:2], "o", ms=4 if few else 2.5, color=shade, zorder=6)
+    if 1 < len(track.footprints_m) <= 12:
+        axes.annotate(
+            str(parcel),
+            (last[0], last[1]),
+            xytext=(5, 5),
+            textcoords="offset points",
+            color=INK,
+            fontsize=9,
+            fontweight="bold",
+            zorder=7,
+        )
+
+
+def incidents(track: Track) -> list[tuple[float, str, int | None]]:
+    """Time, words and parcel of the events worth a mark: outcomes, not every change of support."""
+    marked = ("tipped", "off_array", "overlap")
+    return [
+        (float(event["time_s"]), str(event["kind"]).replace("_", " "), event.get("parcel"))
+        for event in track.events
+        if event["kind"] in marked
+    ]
+
+
+def _draw_incidents(axes: Axes, track: Track) -> None:
+    for time_s, words, parcel in incidents(track):
+        if parcel is None or not len(track.time_s):
+            continue
+        step = min(int(np.searchsorted(track.time_s, time_s)), len(track.time_s) - 1)
+        x, y = track.parcels[step, parcel, :2]
+        if np.isfinite(x) and np.isfinite(y):
+            axes.plot(x, y, "^", ms=8, mfc="white", mec=LOST, mew=1.4, zorder=8)
+            axes.annotate(
+                words, (x, y), xytext=(7, -10), textcoords="offset points", color=LOST, fontsize=8, zorder=8
+            )
