@@ -43,7 +43,7 @@ class PartitionError(BusError):
 
 @final
 class TransportError(BusError):
-    """A transport could not do what was asked: a port in use, nobody listening, a session used after a fork."""
+    """A transport could not do what was asked: a port in use, nobody listening, a forked session."""
 
 
 @final

@@ -44,7 +44,7 @@ class _Slot:
 class Host:
     """Publishes what the cells sense, gathers what they drive, and waits for nobody who is gone.
 
-    Blocking, one thread. It subscribes at once; it owns no endpoint: close that yourself, after this.
+    Blocking, one thread. It subscribes at once. The endpoint stays the caller's, to close later.
 
     Args:
         endpoint: The plant's endpoint.

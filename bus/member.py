@@ -27,8 +27,9 @@ class Gathered(NamedTuple):
     """What a shard computes a tick from.
 
     Attributes:
-        sense: Of this tick; rows in the order of ``partition.cells(shard)``, false and zero for cells that are gone.
-        links: What the links of ``partition.incoming(shard)`` brought: sent in the tick before, hence of ``tick - 1``.
+        sense: Of this tick; rows in the order of ``partition.cells(shard)``, false and zero for cells that
+            are gone.
+        links: What the links of ``partition.incoming(shard)`` brought, sent in the tick before: ``tick - 1``.
             At tick 0 nothing was sent. None where the firmware has no messages.
     """
 
@@ -62,7 +63,7 @@ class _Links:
 class Member:
     """Gathers what a shard's cells sense and hear, and publishes what they drive and say.
 
-    Blocking; one thread at a time. It subscribes at once; it owns no endpoint: close that yourself, after this.
+    Blocking; one thread at a time. It subscribes at once. The endpoint stays the caller's, to close later.
 
     Args:
         endpoint: The endpoint of the shard's process.
@@ -156,11 +157,9 @@ class Member:
                 break
             left = deadline - self._clock()
             if left <= 0:
-                who = "the plant does not answer" if not self._plant_seen else ""
-                keys = f"nobody listens to {', '.join(list(waiting)[:8])}" if waiting else ""
-                raise BarrierError(
-                    f"shard {self._shard} is not ready after {limit:g} s: {'; '.join(t for t in (who, keys) if t)}"
-                )
+                keys = ", ".join(list(waiting)[:8])
+                why = f"nobody listens to {keys}" if self._plant_seen else "the plant does not answer"
+                raise BarrierError(f"shard {self._shard} is not ready after {limit:g} s: {why}")
             # No event tells of a match.
             event = self._endpoint.receive(min(left, _POLL_S))
             if event is not None:
@@ -185,7 +184,7 @@ class Member:
             tick: Must go up from call to call.
 
         Returns:
-            That; or a ``stop`` record: the plant's, or this side's own when no cell of the shard takes part any more.
+            That; or a ``stop`` record: the plant's, or this side's own when no cell of the shard takes part.
 
         Raises:
             HostLostError: The plant went away, or was silent for ``silence_s``.
@@ -268,7 +267,7 @@ class Member:
             )
         if not np.isfinite(values).all():
             i = int(np.nonzero(~np.isfinite(values).all(axis=1))[0][0])
-            row, column = self._partition.lattice.cells[self._cells[i]]
+            row, column = self._partition.lattice.cells[int(self._cells[i])]
             raise BusError(
                 f"drive of cell {row},{column}, tick {drive.tick}: must be finite, is {values[i].tolist()}"
             )
@@ -282,8 +281,8 @@ class Member:
             and links.message.dtype == self._message
         ):
             raise BusError(
-                f"links of shard {self._shard}, tick {drive.tick}: must be {self._outgoing} of {self._message}, "
-                f"are {links.message.shape} of {links.message.dtype} of tick {links.tick}"
+                f"links of shard {self._shard}, tick {drive.tick}: must be {self._outgoing} of {self._message}"
+                f", are {links.message.shape} of {links.message.dtype} of tick {links.tick}"
             )
 
     def _without_the_dead(self, links: LinkFrame) -> LinkFrame:
@@ -304,9 +303,9 @@ class Member:
         return self._until[self._cells] > tick
 
     def fail(self, cells: Iterable[int], tick: int, detail: str) -> None:
-        """Tells the plant that ``cells`` (indices in the lattice) can't do ``tick``; call it before ``publish``.
+        """Tells the plant that ``cells`` (indices in the lattice) can't do ``tick``.
 
-        The plant gives them up as failed; the shard's other cells go on.
+        Call it before ``publish`` of that tick. The plant gives them up as failed; the others go on.
         """
         index = sorted(int(i) for i in cells)
         names = tuple(self._partition.lattice.cells[i] for i in index)

@@ -80,7 +80,7 @@ class Endpoint(ABC):
 
     @abstractmethod
     def watch_alive(self, key_expr: str) -> None:
-        """Lets the coming and going of matching tokens into the inbox, beginning with those that are there."""
+        """Lets the coming and going of matching tokens into the inbox; first, those that are there."""
 
     @abstractmethod
     def receive(self, timeout_s: float | None) -> Event | None:
@@ -88,7 +88,7 @@ class Endpoint(ABC):
 
     @abstractmethod
     def wake(self) -> None:
-        """Puts one ``Woken`` in the inbox, so that a blocked ``receive`` returns. Safe in a signal handler."""
+        """Puts one ``Woken`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""
 
     @abstractmethod
     def close(self) -> None:

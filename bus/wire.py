@@ -1,7 +1,7 @@
 """Frames, and the MessagePack envelope that carries them: bounded, typed, versioned.
 
-What a key promises is checked field by field: every payload becomes values or a ``WireError``, whoever wrote it.
-The layout of each payload belongs to the two wire forms (``bus.forms``).
+What a key promises is checked field by field: every payload becomes values or a ``WireError``, whoever
+wrote it. The layout of each payload belongs to the two wire forms (``bus.forms``).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal, cast, final
 
-import msgpack
+import msgpack  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +26,9 @@ TEXT_LIMIT: Final = 4096
 _MESSAGE_LIMIT: Final = 4096
 _MESSAGE_FIELDS: Final = 64
 
+_packb = cast("Callable[[object], bytes]", cast("Any", msgpack).packb)
+_unpackb = cast("Callable[[bytes], object]", cast("Any", msgpack).unpackb)
+
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Message = NDArray[np.void]
@@ -34,7 +37,7 @@ Message = NDArray[np.void]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SenseFrame:
-    """What the cells sense at a tick's start: presence bits ``(n, sensors)``, encoder travel ``(n, 2)`` m or None."""
+    """What the cells sense as a tick begins: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None."""
 
     tick: int
     presence: Mask
@@ -53,7 +56,7 @@ class DriveFrame:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkFrame:
-    """What went over links in a tick: ``sent`` ``(m,)`` says where; ``message`` ``(m,)`` is zero elsewhere."""
+    """What links carried in a tick: ``sent`` ``(m,)`` says which; ``message`` ``(m,)`` is zero elsewhere."""
 
     tick: int
     sent: Mask
@@ -113,7 +116,7 @@ def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
 
 def pack(tick: int, fields: Mapping[str, object]) -> bytes:
     """One payload: a map of the version, the tick and ``fields``."""
-    return cast("bytes", msgpack.packb({"v": VERSION, "tick": tick, **fields}))
+    return _packb({"v": VERSION, "tick": tick, **fields})
 
 
 def unpack(kind: str, payload: bytes, limit: int, *names: frozenset[str]) -> tuple[int, dict[str, Any]]:
@@ -131,7 +134,7 @@ def unpack(kind: str, payload: bytes, limit: int, *names: frozenset[str]) -> tup
     if len(payload) > limit + _ENVELOPE:
         raise WireError(kind, "length", f"{len(payload)} bytes: must be at most {limit + _ENVELOPE}")
     try:
-        fields = msgpack.unpackb(payload)
+        fields = _unpackb(payload)
     except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
         raise WireError(kind, "encoding", f"not MessagePack: {type(error).__name__}") from None
     if type(fields) is not dict:
@@ -208,6 +211,19 @@ def pair(kind: str, value: object) -> tuple[float, float]:
     if a - a != 0.0 or b - b != 0.0:
         raise WireError(kind, "finite", "every value must be finite")
     return a, b
+
+
+def booleans(kind: str, value: object, count: int) -> list[bool]:
+    """A list of ``count`` booleans.
+
+    Raises:
+        WireError: Something else.
+    """
+    if type(value) is list:
+        items = cast("list[object]", value)
+        if len(items) == count and all(type(item) is bool for item in items):
+            return cast("list[bool]", items)
+    raise WireError(kind, "type", f"must be a list of {count} booleans")
 
 
 def binary(kind: str, value: object, length: int) -> bytes:

@@ -1,9 +1,9 @@
-"""The form of one key a cell and link: maps that any tool reads, for cells that are processes of their own."""
+"""The form of one key a cell and link: maps that any tool reads, for cells in processes of their own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, cast, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -70,7 +70,7 @@ class CellsMember(MemberForm):
         partition, run = wiring.partition, wiring.run
         lattice = partition.lattice
         mine = partition.cells(shard)
-        names = [lattice.cells[i] for i in mine]
+        names = [lattice.cells[int(i)] for i in mine]
         self._sensors = wiring.sensors
         self._encoders = wiring.encoders
         self.alive_keys = tuple(cell_key(run, cell, "alive") for cell in names)
@@ -84,13 +84,14 @@ class CellsMember(MemberForm):
         heard = range(0 if wiring.message is None else len(incoming))
         said = range(0 if wiring.message is None else len(outgoing))
         self.in_parts = {
-            cell_link_key(run, lattice.cells[incoming.source[i]], int(incoming.source_side[i])): i
+            cell_link_key(run, lattice.cells[int(incoming.source[i])], int(incoming.source_side[i])): i
             for i in heard
         }
         self.in_links = tuple(heard)
         self.in_sources = tuple(incoming.source[i : i + 1] for i in heard)
         self.out_keys = tuple(
-            cell_link_key(run, lattice.cells[outgoing.source[i]], int(outgoing.source_side[i])) for i in said
+            cell_link_key(run, lattice.cells[int(outgoing.source[i])], int(outgoing.source_side[i]))
+            for i in said
         )
         self.out_links = tuple(said)
         self.out_sources = tuple(outgoing.source[i : i + 1] for i in said)
@@ -99,11 +100,7 @@ class CellsMember(MemberForm):
     def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any, Any]:  # noqa: ARG002 - all cells alike
         """Tick, the cell's presence bits, its encoder travel or None."""
         tick, fields = wire.unpack("sense", payload, _VALUE, _SENSE)
-        presence = fields["presence"]
-        if type(presence) is not list or len(cast("list[Any]", presence)) != self._sensors:
-            raise WireError("sense", "size", f"presence must be a list of {self._sensors} booleans")
-        if not all(type(bit) is bool for bit in cast("list[Any]", presence)):
-            raise WireError("sense", "type", f"presence must be a list of {self._sensors} booleans")
+        presence = wire.booleans("sense", fields["presence"], self._sensors)
         travel = fields["encoder_m"]
         if self._encoders:
             return tick, presence, wire.pair("sense", travel)

@@ -1,6 +1,6 @@
 """What the lockstep asks of a wire form: frames to keys and payloads, and back.
 
-A form cuts the cells into *units*, each with keys of its own: a shard in the packed form, a cell in the other.
+A form cuts the cells into *units*, each with its own keys: a shard in the packed form, a cell in the other.
 """
 
 from __future__ import annotations

@@ -98,10 +98,12 @@ class MemoryPublisher(Publisher):
         self._key = key
 
     def put(self, payload: bytes) -> None:
+        """Sends ``payload`` to every subscriber of the key."""
         self._endpoint.check_open()
         self._bus.put(self._key, payload)
 
     def matched(self) -> bool:
+        """Whether somebody subscribed to the key."""
         return bool(self._bus.route(self._key))
 
 
@@ -117,10 +119,12 @@ class MemoryEndpoint(Endpoint):
         self.watches: list[str] = []
 
     def publisher(self, key: str) -> Publisher:
+        """A publisher on one key."""
         self.check_open()
         return MemoryPublisher(self._bus, self, key)
 
     def subscribe(self, key_expr: str) -> None:
+        """Lets everything put on matching keys into the inbox."""
         self.check_open()
         if key_expr in self.subscriptions:
             return
@@ -128,18 +132,22 @@ class MemoryEndpoint(Endpoint):
         self._bus.rerouted(self, key_expr)
 
     def declare_alive(self, key: str) -> None:
+        """Shows a token."""
         self.check_open()
         self._bus.declare(key, self)
 
     def withdraw(self, key: str) -> None:
+        """Takes a token back."""
         self.check_open()
         self._bus.withdraw(key, self)
 
     def watch_alive(self, key_expr: str) -> None:
+        """Lets the coming and going of matching tokens into the inbox."""
         self.check_open()
         self._bus.watch(key_expr, self)
 
     def receive(self, timeout_s: float | None) -> Event | None:
+        """The next event, or None after ``timeout_s``."""
         self.check_open()
         try:
             return self._inbox.get(timeout=timeout_s) if timeout_s != 0 else self._inbox.get_nowait()
@@ -147,9 +155,11 @@ class MemoryEndpoint(Endpoint):
             return None
 
     def wake(self) -> None:
+        """Puts one ``Woken`` in the inbox."""
         self._inbox.put(Woken())
 
     def close(self) -> None:
+        """Withdraws everything and leaves."""
         if not self._closed:
             self._bus.leave(self)
             self._closed = True

@@ -1,7 +1,7 @@
 """The transport between processes: Zenoh over TCP, loopback unless told otherwise.
 
-The plant's session is a peer that listens on one endpoint (``open_hub``); every cell process is a client of it
-(``open_client``), and clients hear each other through it. Nobody is found by multicast or gossip.
+The plant's session is a peer that listens on one endpoint (``open_hub``); every cell process is a client of
+it (``open_client``), and clients hear each other through it. Nobody is found by multicast or gossip.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ import os
 import queue
 import socket
 import threading
-from typing import Final, cast, final
+from collections.abc import Callable
+from typing import Any, Final, cast, final
 
 import zenoh
-from zenoh import handlers
+from zenoh import handlers  # pyright: ignore[reportMissingModuleSource] - its source is the binary
 
 from bus.errors import TransportError
 from bus.transport import Alive, Endpoint, Event, Publisher, Received, Woken
@@ -69,6 +70,8 @@ def _config(mode: str, lease_s: float) -> zenoh.Config:
     _set(config, "scouting/multicast/enabled", "false")
     _set(config, "scouting/gossip/enabled", "false")
     _set(config, "transport/shared_memory/enabled", "false")
+    # One queue a link: with priorities a token's withdrawal overtakes the data put before it.
+    _set(config, "transport/unicast/qos/enabled", "false")
     _set(config, "transport/link/tx/lease", str(round(lease_s * 1000)))
     _set(config, "open/return_conditions/connect_scouted", "false")
     return config
@@ -76,7 +79,7 @@ def _config(mode: str, lease_s: float) -> zenoh.Config:
 
 def _set(config: zenoh.Config, key: str, json: str) -> None:
     try:
-        config.insert_json5(key, json)
+        cast("Any", config).insert_json5(key, json)
     except zenoh.ZError as error:
         raise TransportError(f"Zenoh refuses {key} = {json}: {_first_line(error)}") from None
 
@@ -151,9 +154,10 @@ class ZenohPublisher(Publisher):
     def __init__(self, endpoint: ZenohEndpoint, publisher: zenoh.Publisher) -> None:
         self._endpoint = endpoint
         self._publisher = publisher
-        self._put = publisher.put
+        self._put = cast("Callable[[bytes], None]", cast("Any", publisher).put)
 
     def put(self, payload: bytes) -> None:
+        """Sends ``payload`` to every subscriber of the key."""
         self._endpoint.check_usable()
         try:
             self._put(payload)
@@ -161,6 +165,7 @@ class ZenohPublisher(Publisher):
             raise TransportError(f"put on {self._publisher.key_expr}: {_first_line(error)}") from None
 
     def matched(self) -> bool:
+        """Whether somebody subscribed to the key."""
         self._endpoint.check_usable()
         # matching_status is an object that is always true.
         status = cast("zenoh.MatchingStatus", self._publisher.matching_status)
@@ -171,16 +176,18 @@ class ZenohPublisher(Publisher):
 class ZenohEndpoint(Endpoint):
     """A Zenoh session; made by ``open_hub`` and ``open_client``.
 
-    Zenoh's receiving threads push samples straight into one queue: measured as fast as Zenoh's own channels for one
-    frame a tick, without a thread a subscriber, and the wait can time out, be woken, and lets signals through.
+    Zenoh's receiving threads push samples straight into one queue: measured as fast as Zenoh's own channels
+    for one frame a tick, without a thread a subscriber, and the wait can time out, be woken, and lets signals
+    through.
 
     Attributes:
         locator: Where the plant listens.
+        session: The session, for what Zenoh has beyond an endpoint.
     """
 
     def __init__(self, session: zenoh.Session, locator: str) -> None:
         self.locator = locator
-        self._session = session
+        self.session = session
         self._pid = os.getpid()
         self._closed = False
         self._inbox: queue.SimpleQueue[zenoh.Sample | Event] = queue.SimpleQueue()
@@ -189,10 +196,11 @@ class ZenohEndpoint(Endpoint):
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
 
     def publisher(self, key: str) -> Publisher:
+        """A publisher on one key."""
         self.check_usable()
         return ZenohPublisher(
             self,
-            self._session.declare_publisher(
+            self.session.declare_publisher(
                 key,
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 reliability=zenoh.Reliability.RELIABLE,
@@ -201,28 +209,32 @@ class ZenohEndpoint(Endpoint):
         )
 
     def subscribe(self, key_expr: str) -> None:
+        """Lets everything put on matching keys into the inbox."""
         self.check_usable()
         if key_expr in self._subscribers:
             return
         check_overlap(key_expr, list(self._subscribers))
-        self._subscribers[key_expr] = self._session.declare_subscriber(
+        self._subscribers[key_expr] = self.session.declare_subscriber(
             key_expr, handlers.Callback(self._inbox.put, indirect=False)
         )
 
     def declare_alive(self, key: str) -> None:
+        """Shows a token."""
         self.check_usable()
         if key in self._tokens:
             raise TransportError(f"token {key} is declared already")
         # Kept: a token without a reference is withdrawn at once.
-        self._tokens[key] = self._session.liveliness().declare_token(key)
+        self._tokens[key] = self.session.liveliness().declare_token(key)
 
     def withdraw(self, key: str) -> None:
+        """Takes a token back."""
         self.check_usable()
         token = self._tokens.pop(key, None)
         if token is not None:
-            token.undeclare()
+            cast("Any", token).undeclare()
 
     def watch_alive(self, key_expr: str) -> None:
+        """Lets the coming and going of matching tokens into the inbox."""
         self.check_usable()
         put = self._inbox.put
 
@@ -230,12 +242,13 @@ class ZenohEndpoint(Endpoint):
             put(Alive(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
         self._watchers.append(
-            self._session.liveliness().declare_subscriber(
+            self.session.liveliness().declare_subscriber(
                 key_expr, handlers.Callback(tell, indirect=False), history=True
             )
         )
 
     def receive(self, timeout_s: float | None) -> Event | None:
+        """The next event, or None after ``timeout_s``."""
         self.check_usable()
         try:
             item = self._inbox.get(timeout=timeout_s) if timeout_s != 0 else self._inbox.get_nowait()
@@ -243,12 +256,14 @@ class ZenohEndpoint(Endpoint):
             return None
         if type(item) is zenoh.Sample:
             return Received(str(item.key_expr), item.payload.to_bytes())
-        return cast("Event", item)
+        return item
 
     def wake(self) -> None:
+        """Puts one ``Woken`` in the inbox."""
         self._inbox.put(Woken())
 
     def close(self) -> None:
+        """Withdraws everything and leaves."""
         if self._closed:
             return
         self._closed = True
@@ -262,8 +277,8 @@ class ZenohEndpoint(Endpoint):
     def _close(self) -> None:
         for token in self._tokens.values():
             with contextlib.suppress(zenoh.ZError):  # The session may be gone already.
-                token.undeclare()
-        self._session.close()
+                cast("Any", token).undeclare()
+        cast("Any", self.session).close()
 
     def check_usable(self) -> None:
         """Raises TransportError after ``close``, and in a process that inherited this session by a fork."""
