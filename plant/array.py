@@ -1,0 +1,68 @@
+"""The array of cells as the plant sees it: where they are, and which lies beyond an edge."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.lattice import Lattice
+from plant.specs import ArraySpec
+
+
+@final
+class CellArray:
+    """Cells on a square lattice centred on the origin.
+
+    Attributes:
+        lattice: which cells exist, in row-major order.
+        pitch_m: distance of neighbouring cells.
+        positions_m: ``(n, 2)`` cell centres.
+        grid: ``(rows, columns)`` int32, index of each cell or -1.
+        origin_m: centre of cell (0, 0), whether it exists or not.
+        sensors_m: ``(s, 2)`` presence sensors relative to a cell's centre.
+    """
+
+    def __init__(self, spec: ArraySpec) -> None:
+        self.lattice: Lattice = spec.lattice()
+        self.pitch_m: float = spec.pitch_m
+        self.origin_m: tuple[float, float] = (
+            -0.5 * (spec.columns - 1) * spec.pitch_m,
+            -0.5 * (spec.rows - 1) * spec.pitch_m,
+        )
+        rows, columns = self.lattice.rows, self.lattice.columns
+        # from the middle outward, so that mirrored cells have mirrored coordinates to the last bit
+        self.positions_m: NDArray[np.float64] = np.stack(
+            [
+                0.5 * (2 * columns - (spec.columns - 1)) * spec.pitch_m,
+                0.5 * (2 * rows - (spec.rows - 1)) * spec.pitch_m,
+            ],
+            axis=1,
+        )
+        self.grid: NDArray[np.int32] = np.full((spec.rows, spec.columns), -1, dtype=np.int32)
+        self.grid[rows, columns] = np.arange(len(self.lattice), dtype=np.int32)
+        self.sensors_m: NDArray[np.float64] = np.array(spec.sensors_m, dtype=np.float64).reshape(-1, 2)
+
+    def __len__(self) -> int:
+        return len(self.lattice)
+
+    def cells_beyond(self, a: int, b: int, inner_m: NDArray[np.float64]) -> bool:
+        """Whether any cell lies across the edge from cell ``a`` to ``b``, seen from ``inner_m`` ``(2,)``'s other side.
+
+        Looks along the edge's span, widened by half a pitch: the strip onto which a parcel tips.
+        """
+        p, q = self.positions_m[a], self.positions_m[b]
+        along = q - p
+        length = float(np.hypot(along[0], along[1]))
+        if length == 0.0:
+            return False
+        along = along / length
+        outward = np.array([along[1], -along[0]])
+        if outward @ (inner_m - p) > 0.0:
+            outward = -outward
+        offset = self.positions_m - p
+        beyond = offset @ outward > 1e-9 * self.pitch_m
+        span = offset @ along
+        beside = (span > -0.5 * self.pitch_m) & (span < length + 0.5 * self.pitch_m)
+        return bool(np.any(beyond & beside))

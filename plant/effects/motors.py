@@ -1,0 +1,53 @@
+"""Effect ``motors``: each wheel follows its voltage with a first-order lag.
+
+``dV/dt = (gain u - V) / tau``: a speed-controlled DC motor without load (the paper's motor model with the coil's
+inductance and the parcel's reaction neglected). Integrated in closed form, so a period of any length is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+
+from plant.specs import MotorsSpec
+from plant.wheels import Floats, WheelMotion
+
+
+@final
+class Motors:
+    """First-order motors of all wheels; drives are volts, saturated at the supply.
+
+    Args:
+        spec: Time constant, gain and supply.
+        cells: Number of cells.
+    """
+
+    def __init__(self, spec: MotorsSpec, cells: int) -> None:
+        self._spec = spec
+        self._speed: Floats = np.zeros((cells, 2))
+        self._travel: Floats = np.zeros((cells, 2))
+
+    def command(self, drives: Floats) -> WheelMotion:
+        """Motion towards the no-load speed of the voltages ``(n, 2)``."""
+        limit = self._spec.supply_v
+        steady = self._spec.speed_per_volt_m_s * np.clip(drives, -limit, limit)
+        return WheelMotion(steady, self._speed - steady, 1.0 / self._spec.time_constant_s)
+
+    def elapse(self, motion: WheelMotion, span_s: float) -> None:
+        """Take speed and travel ``span_s`` seconds along ``motion``."""
+        left = math.exp(-motion.rate * span_s)
+        covered = -math.expm1(-motion.rate * span_s) / motion.rate
+        self._travel = self._travel + motion.steady * span_s + motion.decay * covered
+        self._speed = motion.steady + motion.decay * left
+
+    @property
+    def speed(self) -> Floats:
+        """``(n, 2)`` m/s."""
+        return self._speed
+
+    @property
+    def travel(self) -> Floats:
+        """``(n, 2)`` m of surface passed since the start."""
+        return self._travel

@@ -1,0 +1,1 @@
+"""Traction laws, one a file."""

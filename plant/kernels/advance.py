@@ -1,0 +1,325 @@
+"""The event-driven loop of one parcel: step, find the earliest events, apply them as one change, go on."""
+
+from __future__ import annotations
+
+from math import cos, exp, isfinite, sin
+
+from numba import njit
+
+from plant.kernels.capture import attracts, coincide, edge_motion, edge_of, form_group
+from plant.kernels.events import entering, leaving, loading, reach
+from plant.kernels.layout import (
+    ACTIVE, CAPTURE, CAPTURE_BEGINS, CAPTURED, CELL, CORNER, CULPRIT, CX, CY, EDGE, ENTER, EV_CELL, EV_EDGE, EV_KIND,
+    EV_TIME, FRACTION_ONE, FRACTION_ZERO, GROUP, LEAVE, LIFTED, MARK, MAX_GROUPS, MOVING, N_CAPTURES, N_EVENTS,
+    N_GROUPS, N_LOGGED, N_MEMBERS, N_STEPS, NOT_FINITE, OMEGA, ON_SURFACE, RADIUS, RANK, RATE, S_A0, S_BX_, S_BY_, S_C,
+    S_E1, S_E2, S_F, S_OM, S_S, S_TH, S_UX, S_UY, S_X, S_XIX, S_XIY, S_Y, STATUS, THETA, TIP, TIPPED, TOO_MANY_EVENTS,
+    TIP_A, TIP_B, TOUCH, UNLOAD, UX, UY,
+)  # fmt: skip
+from plant.kernels.loads import drop, plane, release, settle
+from plant.kernels.motion import onto_surfaces, surface_rates
+from plant.kernels.roots import horner
+from plant.kernels.series import taylor
+
+DECAYED = 1e-22
+"""A motor transient this small moves nothing any more."""
+
+
+@njit(error_model="numpy")
+def to_unit_time(ser, order, groups, step):
+    """Scale the series that events are read from to unit time."""
+    scale = 1.0
+    for k in range(1, order + 1):
+        scale *= step
+        for row in (S_X, S_Y, S_TH, S_UX, S_UY, S_OM, S_C, S_S, S_E1, S_E2, S_A0, S_BX_, S_BY_, S_XIX, S_XIY):
+            ser[row, k] *= scale
+        for h in range(groups):
+            ser[S_F + h, k] *= scale
+
+
+@njit(error_model="numpy")
+def sample(ser, order, y, t, out):
+    """State at unit time ``t`` of the step that starts at ``y``."""
+    out[0] = y[0] + horner(ser[S_X], order, t)
+    out[1] = y[1] + horner(ser[S_Y], order, t)
+    out[THETA] = y[THETA] + horner(ser[S_TH], order, t)
+    out[UX] = horner(ser[S_UX], order, t)
+    out[UY] = horner(ser[S_UY], order, t)
+    out[OMEGA] = horner(ser[S_OM], order, t)
+
+
+@njit(error_model="numpy")
+def slope(g, order, t):
+    """Derivative of a polynomial at ``t``."""
+    value = 0.0
+    for k in range(order, 0, -1):
+        value = value * t + k * g[k]
+    return value
+
+
+@njit(error_model="numpy")
+def log(events, ctl, time, kind, cell, edge):
+    """Log an event; past the log's end events are counted and not kept."""
+    if ctl[N_LOGGED] < events.shape[0]:
+        row = events[ctl[N_LOGGED]]
+        row[EV_TIME], row[EV_KIND], row[EV_CELL], row[EV_EDGE] = time, kind, cell, edge
+    ctl[N_LOGGED] += 1
+
+
+@njit(error_model="numpy")
+def slot_of(mem, ctl, cell):
+    """Where a cell stands among the members, or -1."""
+    for i in range(ctl[N_MEMBERS]):
+        if mem[i, CELL] == cell:
+            return i
+    return -1
+
+
+@njit(error_model="numpy")
+def apply(found, count, together, mem, share, ctl, time, events, cells, edges, pos, normal, offset, y, c, s):
+    """Apply all events at or before ``together`` as one change of the support set.
+
+    Returns (footprint events, entered): the cells that crossed the footprint's edge are left in ``cells`` and
+    ``edges``; ``entered`` is 1 if all entered, -1 if all left, 0 if mixed or none.
+    """
+    crossed, direction = 0, 0
+    for i in range(count):
+        if found[i, EV_TIME] > together:
+            continue
+        kind, cell = int(found[i, EV_KIND]), int(found[i, EV_CELL])
+        slot = slot_of(mem, ctl, cell)
+        if kind == ENTER and slot < 0:
+            slot = ctl[N_MEMBERS]
+            ctl[N_MEMBERS] += 1
+            mem[slot, CELL], mem[slot, MARK] = cell, ACTIVE
+            share[slot] = 0.0
+        elif kind == LEAVE and slot >= 0 and mem[slot, MARK] != CAPTURED:
+            drop(mem, share, ctl, slot)
+        elif kind == UNLOAD and slot >= 0:
+            mem[slot, MARK] = LIFTED
+        elif kind == TOUCH and slot >= 0:
+            mem[slot, MARK] = ACTIVE
+        elif kind in (FRACTION_ZERO, FRACTION_ONE, CORNER) and slot >= 0 and mem[slot, MARK] == CAPTURED:
+            release(mem, share, ctl, mem[slot, GROUP], kind == FRACTION_ONE)
+            ctl[N_CAPTURES] += 1
+        else:
+            continue
+        log(events, ctl, time, kind, cell, int(found[i, EV_EDGE]))
+        ctl[N_EVENTS] += 1
+        if kind in (ENTER, LEAVE) and crossed < cells.shape[0]:
+            cells[crossed] = cell
+            edges[crossed] = edge_of(pos, normal, offset, cell, y, c, s)
+            sign = 1 if kind == ENTER else -1
+            direction = sign if crossed == 0 or direction == sign else 0
+            crossed += 1
+    return crossed, direction
+
+
+@njit(error_model="numpy")
+def may_capture(seg, ctl, crossed, direction, cells, edges, pos, normal, y, c, s, capture, before, after):
+    """Whether the cells that just crossed sit on one surface that attracts from both sides."""
+    if crossed == 0 or direction == 0 or ctl[N_GROUPS] >= MAX_GROUPS or seg[RANK] < 2:
+        return False
+    if not coincide(pos, normal, cells, edges, crossed, y, c, s, capture):
+        return False
+    rate, second_before, _, _, _ = edge_motion(
+        pos, normal, cells[0], edges[0], y, c, s, before[0], before[1], before[2]
+    )
+    _, second_after, _, _, _ = edge_motion(pos, normal, cells[0], edges[0], y, c, s, after[0], after[1], after[2])
+    if direction > 0:
+        return attracts(rate, second_before, second_after, capture)
+    return attracts(rate, second_after, second_before, capture)
+
+
+@njit(error_model="numpy")
+def groups_hold(pos, mem, share, ctl, y, normal, offset, c, s, capture):
+    """Release groups whose cells no longer lie on their common surface (a pair that drifts apart)."""
+    h = 0
+    while h < ctl[N_GROUPS]:
+        low, high = 1e300, -1e300
+        for i in range(ctl[N_MEMBERS]):
+            if mem[i, MARK] == CAPTURED and mem[i, GROUP] == h:
+                px, py = pos[mem[i, CELL], 0] - y[0], pos[mem[i, CELL], 1] - y[1]
+                qx, qy = c * px + s * py, -s * px + c * py
+                edge = mem[i, EDGE]
+                distance = offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy
+                low, high = min(low, distance), max(high, distance)
+        if high - low > 2.0 * capture:
+            release(mem, share, ctl, h, True)
+            ctl[N_CAPTURES] += 1
+        else:
+            h += 1
+
+
+@njit(error_model="numpy")
+def capture_crossed(pos, mem, share, ctl, y, seg, grp, f, cells, edges, loads, crossed):
+    """Capture the cells that just crossed as one group, their shares in proportion to their full loads."""
+    a0, bx, by = plane(seg, grp, f, ctl[N_GROUPS])
+    for i in range(crossed):
+        rx, ry = pos[cells[i], 0] - y[0] - seg[CX], pos[cells[i], 1] - y[1] - seg[CY]
+        loads[i] = a0 + bx * rx + by * ry
+    form_group(mem, share, ctl, cells, edges, loads, crossed)
+    ctl[N_CAPTURES] += 1
+
+
+@njit(error_model="numpy")
+def drifted(grp, groups, y, c, s, zero):
+    """True where a captured parcel has strayed from its surfaces by more than rounding."""
+    for h in range(groups):
+        value, rate, _ = surface_rates(grp[h], y, c, s, 0.0, 0.0, 0.0)
+        if abs(value) > zero or abs(rate) > zero:
+            return True
+    return False
+
+
+@njit(error_model="numpy")
+def settled(surface, parcel, work, e, c, s):
+    """``settle`` on the bundles that ``advance`` is given."""
+    return settle(
+        surface.pos, surface.steady, surface.decay, surface.grip, parcel.normal, parcel.offset, parcel.mem,
+        parcel.share, parcel.ctl, parcel.y, parcel.par, e, c, s, work.seg, work.grp, work.matrix, work.reply, work.f,
+        work.scratch, work.newton,
+    )  # fmt: skip
+
+
+@njit(error_model="numpy")
+def prepare(surface, parcel, work, now, e, c, s, crossed, direction, events):
+    """Loads, captured groups and accelerations at the start of a step. Returns the parcel's status."""
+    ctl, y, par = parcel.ctl, parcel.y, parcel.par
+    if ctl[N_GROUPS] > 0:
+        groups_hold(surface.pos, parcel.mem, parcel.share, ctl, y, parcel.normal, parcel.offset, c, s, par[CAPTURE])
+    status, ax, ay, al = settled(surface, parcel, work, e, c, s)
+    if status != MOVING:
+        return status
+    if crossed > 0:
+        after = work.after
+        after[0], after[1], after[2] = ax, ay, al
+        if may_capture(
+            work.seg, ctl, crossed, direction, work.cells, work.edges, surface.pos, parcel.normal, y, c, s,
+            par[CAPTURE], work.before, after,
+        ):  # fmt: skip
+            capture_crossed(
+                surface.pos, parcel.mem, parcel.share, ctl, y, work.seg, work.grp, work.f, work.cells, work.edges,
+                work.loads, crossed,
+            )  # fmt: skip
+            log(events, ctl, now, CAPTURE_BEGINS, work.cells[0], work.edges[0])
+            status, ax, ay, al = settled(surface, parcel, work, e, c, s)
+    if status == MOVING and ctl[N_GROUPS] > 0 and drifted(work.grp, ctl[N_GROUPS], y, c, s, par[ON_SURFACE]):
+        onto_surfaces(
+            work.grp, ctl[N_GROUPS], y, c, s, work.matrix, work.reply, work.reply[:, 3], work.f, work.scratch
+        )
+        status, ax, ay, al = settled(surface, parcel, work, e, cos(y[THETA]), sin(y[THETA]))
+    return status
+
+
+@njit(error_model="numpy")
+def search(surface, parcel, work, order):
+    """All events of the step that may be its earliest. Returns (how many, time of the earliest or 1)."""
+    mem, ctl, y, par, ser, found = parcel.mem, parcel.ctl, parcel.y, parcel.par, work.ser, work.found
+    far, turn = reach(ser, order)
+    count, end = leaving(
+        surface.pos, parcel.normal, parcel.offset, mem, ctl, y, par, ser, order, far, turn, 1.0, found, 0, work.g,
+        work.p,
+    )  # fmt: skip
+    for i in range(ctl[N_MEMBERS]):
+        work.where[mem[i, CELL]] = 1
+    count, end = entering(
+        surface.pos, surface.grid, parcel.vertices, parcel.normal, parcel.offset, work.where, y, par, ser, order, far,
+        turn, par[RADIUS], end, found, count, work.g, work.p, work.q,
+    )  # fmt: skip
+    for i in range(ctl[N_MEMBERS]):
+        work.where[mem[i, CELL]] = 0
+    count, end = loading(
+        surface.pos, mem, parcel.share, ctl, y, par, work.seg, ser, order, end, found, count, work.g, work.p
+    )
+    earliest = 1.0
+    for i in range(count):
+        earliest = min(earliest, found[i, EV_TIME])
+    return count, earliest
+
+
+@njit(error_model="numpy")
+def move(ser, order, y, t, step, state, before):
+    """Take the state to unit time ``t``; keep the accelerations there (before any event) in ``before``."""
+    before[0] = slope(ser[S_UX], order, t) / step
+    before[1] = slope(ser[S_UY], order, t) / step
+    before[2] = slope(ser[S_OM], order, t) / step
+    sample(ser, order, y, t, state)
+    for k in range(6):
+        y[k] = state[k]
+
+
+@njit(error_model="numpy")
+def finite(y):
+    """True where every entry of the state is a number."""
+    for k in range(6):
+        if not isfinite(y[k]):
+            return False
+    return True
+
+
+@njit(error_model="numpy")
+def advance(surface, parcel, work, span, budget, times, out, events):
+    """Move one parcel by ``span`` seconds with the wheel velocities given.
+
+    Args:
+        surface: ``plant.solvers.exact.Surface``: the cells and their wheels.
+        parcel: ``plant.solvers.exact.Parcel``: footprint, constants and state; changed in place.
+        work: ``plant.solvers.exact.Work``: scratch.
+        span: s.
+        budget: events allowed in this call before the motion is called unstable.
+        times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way.
+        out: ``(k, 6)``: those states.
+        events: ``(capacity, 4)``: log.
+
+    Returns:
+        Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
+    """
+    y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
+    now, sampled, used, crossed, direction = 0.0, 0, 0, 0, 0
+    ctl[N_LOGGED] = 0
+    while now < span and ctl[STATUS] == MOVING:
+        e = exp(-par[RATE] * now) if par[RATE] > 0.0 else 0.0
+        if e < DECAYED:
+            e = 0.0
+        status = prepare(
+            surface, parcel, work, now, e, cos(y[THETA]), sin(y[THETA]), crossed, direction, events
+        )  # fmt: skip
+        crossed = 0
+        if status != MOVING:
+            ctl[STATUS] = status
+            if status == TIPPED:
+                log(events, ctl, now, TIP, ctl[TIP_A], ctl[TIP_B])
+            break
+        order, step = taylor(
+            work.seg, work.grp, ctl, y, par, e, cos(y[THETA]), sin(y[THETA]), span - now, work.matrix, work.reply,
+            work.f, work.scratch, ser,
+        )  # fmt: skip
+        ctl[N_STEPS] += 1
+        to_unit_time(ser, order, ctl[N_GROUPS], step)
+        count, earliest = search(surface, parcel, work, order)
+        ends_at = now + earliest * step
+        if earliest == 1.0 and step == span - now:
+            ends_at = span
+        while sampled < times.shape[0] and times[sampled] <= ends_at:
+            sample(ser, order, y, (times[sampled] - now) / step, out[sampled])
+            sampled += 1
+        move(ser, order, y, earliest, step, work.state, work.before)
+        if not finite(y) or ends_at == now and count == 0:
+            ctl[STATUS] = NOT_FINITE
+            break
+        now = ends_at
+        if count > 0:
+            # events that rounding can't tell apart happen together
+            together = earliest * (1.0 + 1e-13) + 1e-15
+            crossed, direction = apply(
+                work.found, count, together, parcel.mem, parcel.share, ctl, now, events, work.cells, work.edges,
+                surface.pos, parcel.normal, parcel.offset, y, cos(y[THETA]), sin(y[THETA]),
+            )  # fmt: skip
+            used += 1
+            if used > budget:
+                ctl[STATUS] = TOO_MANY_EVENTS
+                ctl[CULPRIT] = int(work.found[0, EV_CELL])
+    for i in range(sampled, times.shape[0]):
+        for k in range(6):
+            out[i, k] = y[k]
+    return now

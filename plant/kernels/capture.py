@@ -1,0 +1,86 @@
+"""Chatter at a surface that attracts from both sides, replaced by motion along it (Filippov).
+
+A parcel that settles at an orientation where the support set changes crosses the same surface ever faster. Once the
+amplitude of that motion falls below ``capture_m``, the cells on the surface are captured: they carry the fraction of
+their load that keeps the surface's second rate at zero, and the parcel moves along the surface. Cells whose
+surfaces coincide are captured as one group.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from plant.kernels.layout import CAPTURED, CELL, EDGE, GROUP, MARK, N_GROUPS, N_MEMBERS, OMEGA, UX, UY
+
+
+@njit(error_model="numpy")
+def edge_of(pos, normal, offset, cell, y, c, s):
+    """The edge on whose line a cell lies nearest."""
+    px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
+    qx, qy = c * px + s * py, -s * px + c * py
+    nearest, least = 0, 1e300
+    for edge in range(offset.shape[0]):
+        distance = abs(offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy)
+        if distance < least:
+            nearest, least = edge, distance
+    return nearest
+
+
+@njit(error_model="numpy")
+def edge_motion(pos, normal, cell, edge, y, c, s, ax, ay, al):
+    """Rate and second rate of a cell's distance inside an edge, for the accelerations given."""
+    nx = c * normal[edge, 0] - s * normal[edge, 1]
+    ny = s * normal[edge, 0] + c * normal[edge, 1]
+    rx, ry = y[0] - pos[cell, 0], y[1] - pos[cell, 1]
+    om = y[OMEGA]
+    along, across = nx * rx + ny * ry, -ny * rx + nx * ry
+    rate = nx * y[UX] + ny * y[UY] + om * across
+    second = nx * ax + ny * ay + al * across - om * om * along
+    second += 2.0 * om * (-ny * y[UX] + nx * y[UY])
+    return rate, second, across, nx, ny
+
+
+@njit(error_model="numpy")
+def attracts(rate, off, on, capture):
+    """True where the surface draws the parcel in from both sides and the motion about it is below ``capture``."""
+    if not (off > 0.0 > on):
+        return False
+    return rate * rate < 2.0 * capture * min(off, -on)
+
+
+@njit(error_model="numpy")
+def coincide(pos, normal, cells, edges, count, y, c, s, capture):
+    """True where the cells' surfaces turn alike about the centre of mass and have parallel or opposite normals.
+
+    Opposite normals are the pair of a symmetric scene: their distances are equal while the centre of mass lies
+    midway, and only then do they reach their edges together.
+    """
+    _, _, across0, nx0, ny0 = edge_motion(pos, normal, cells[0], edges[0], y, c, s, 0.0, 0.0, 0.0)
+    for i in range(1, count):
+        _, _, across, nx, ny = edge_motion(pos, normal, cells[i], edges[i], y, c, s, 0.0, 0.0, 0.0)
+        if abs(across - across0) > capture or abs(nx * ny0 - ny * nx0) > 1e-9:
+            return False
+    return True
+
+
+@njit(error_model="numpy")
+def form_group(mem, share, ctl, cells, edges, loads, count):
+    """Capture the cells as a new group, each with a share in proportion to the load it would carry."""
+    total = 0.0
+    for i in range(count):
+        total += max(loads[i], 0.0)
+    group = ctl[N_GROUPS]
+    for i in range(count):
+        slot = -1
+        for j in range(ctl[N_MEMBERS]):
+            if mem[j, CELL] == cells[i]:
+                slot = j
+        if slot < 0:
+            slot = ctl[N_MEMBERS]
+            ctl[N_MEMBERS] += 1
+            mem[slot, CELL] = cells[i]
+        mem[slot, MARK] = CAPTURED
+        mem[slot, EDGE] = edges[i]
+        mem[slot, GROUP] = group
+        share[slot] = max(loads[i], 0.0) / total if total > 0.0 else 1.0 / count
+    ctl[N_GROUPS] = group + 1

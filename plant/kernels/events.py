@@ -1,0 +1,256 @@
+"""The events of one step: cells that enter or leave the footprint, loads that vanish or return, fractions that end.
+
+All series are in unit time here (coefficient k times step**k). A candidate whose distance from its surface exceeds
+what the motion can cover in the step is passed over by that bound alone; the others are isolated as polynomials.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from plant.kernels.layout import (
+    ACTIVE, CAPTURED, CELL, CORNER, CX, CY, EDGE, ENTER, EV_CELL, EV_EDGE, EV_KIND, EV_TIME, FRACTION_ONE,
+    FRACTION_ZERO, GROUP, LEAVE, LIFTED, LINE, LINE_X, LINE_Y, MARK, N_GROUPS, N_MEMBERS, ON_LINE, ON_SURFACE,
+    ORIGIN_X, ORIGIN_Y, PITCH, RANK, S_A0, S_BX_, S_BY_, S_C, S_E1, S_E2, S_F, S_S, S_TH, S_X, S_XIX, S_XIY, S_Y,
+    THETA, TOUCH, UNLOAD,
+)  # fmt: skip
+from plant.kernels.loads import LOAD_ZERO
+from plant.kernels.roots import NONE, deflate, first_crossing, horner
+
+SLACK = 1.0 + 1e-9
+"""How far past the earliest event so far others are still looked for: those that fall together with it."""
+
+
+@njit(error_model="numpy")
+def edge_polynomial(ser, order, nx, ny, offset, px, py, g):
+    """Distance inside one edge of the cell at (px, py) from ``X0``: coefficients into ``g``."""
+    along, across = nx * px + ny * py, nx * py - ny * px
+    for k in range(order + 1):
+        g[k] = -along * ser[S_C, k] - across * ser[S_S, k] + nx * ser[S_E1, k] + ny * ser[S_E2, k]
+    g[0] += offset
+
+
+@njit(error_model="numpy")
+def crossing(g, order, zero, upward, end, p):
+    """Earliest crossing in the direction asked; 0.0 where the motion just after the start is on the far side."""
+    degree, sign = order, 1
+    if abs(g[0]) <= zero:
+        degree, sign = deflate(g, order, zero)
+        if sign == 0:
+            return NONE
+        if (sign > 0) == upward:
+            # just past the surface already: only a later return could cross again, and that is the other direction
+            return 0.0
+    elif (g[0] > 0.0) == upward:
+        # on the far side by more than rounding: the crossing was at the start
+        return 0.0
+    return first_crossing(g, degree, upward, end, p)
+
+
+@njit(error_model="numpy")
+def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
+    """Earliest time at which a cell outside the footprint is inside every edge. Returns (time, edge).
+
+    Leaps from the last of the violated edges' crossings to the next until none is violated, so that no short stay
+    is stepped over.
+    """
+    t, entered = 0.0, 0
+    for _ in range(64):
+        latest, violated = t, False
+        for edge in range(offset.shape[0]):
+            edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
+            if t > 0.0:
+                if horner(g, order, t) > zero:
+                    continue
+                shift(g, order, t, start)
+            degree, sign = order, (1 if g[0] > 0.0 else -1)
+            if abs(g[0]) <= zero:
+                degree, sign = deflate(g, order, zero)
+                if sign == 0:
+                    # rests on this edge for the whole step: neither enters nor leaves
+                    return NONE, edge
+            if sign > 0:
+                continue
+            violated = True
+            root = first_crossing(g, degree, True, 1.0, p)
+            if root == NONE or t + root > end:
+                return NONE, edge
+            if t + root >= latest:
+                latest, entered = t + root, edge
+        if not violated:
+            return t, entered
+        t = latest
+    return NONE, entered
+
+
+@njit(error_model="numpy")
+def shift(g, order, t, p):
+    """Re-centre ``g`` at ``t`` in place."""
+    for k in range(order + 1):
+        p[k] = g[k]
+    for i in range(order):
+        for k in range(order - 1, i - 1, -1):
+            p[k] += t * p[k + 1]
+    for k in range(order + 1):
+        g[k] = p[k]
+
+
+@njit(error_model="numpy")
+def note(found, count, t, kind, cell, edge):
+    """Add an event to the list; returns the new count (events past the list's end fall to the next step)."""
+    if count < found.shape[0]:
+        found[count, EV_TIME], found[count, EV_KIND] = t, kind
+        found[count, EV_CELL], found[count, EV_EDGE] = cell, edge
+        return count + 1
+    return count
+
+
+@njit(error_model="numpy")
+def reach(ser, order):
+    """Bounds on how far the centre of mass moves, and the angle turns, within the unit step."""
+    far, turn = 0.0, 0.0
+    for k in range(1, order + 1):
+        far += (ser[S_X, k] * ser[S_X, k] + ser[S_Y, k] * ser[S_Y, k]) ** 0.5
+        turn += abs(ser[S_TH, k])
+    return far, turn
+
+
+@njit(error_model="numpy")
+def leaving(pos, normal, offset, mem, ctl, y, par, ser, order, far, turn, end, found, count, g, p):
+    """Cells that leave the footprint. A captured cell leaves by an edge other than the one it sits on."""
+    zero = par[ON_SURFACE]
+    c, s = ser[S_C, 0], ser[S_S, 0]
+    for i in range(ctl[N_MEMBERS]):
+        cell = mem[i, CELL]
+        px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
+        bound = (far + turn * (px * px + py * py) ** 0.5) * end * 1.000001 + zero
+        qx, qy = c * px + s * py, -s * px + c * py
+        for edge in range(offset.shape[0]):
+            if mem[i, MARK] == CAPTURED and mem[i, EDGE] == edge:
+                continue
+            if offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy > bound:
+                continue
+            edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
+            t = crossing(g, order, zero, False, end, p)
+            if t <= end:
+                kind = CORNER if mem[i, MARK] == CAPTURED else LEAVE
+                count = note(found, count, t, kind, cell, edge)
+                end = min(end, t * SLACK)
+    return count, end
+
+
+@njit(error_model="numpy")
+def entering(pos, grid, vertices, normal, offset, where, y, par, ser, order, far, turn, radius, end, found, count, g,
+             p, start):  # fmt: skip
+    """Cells that enter the footprint: only those in the box that the footprint can reach are looked at."""
+    zero = par[ON_SURFACE]
+    c, s = ser[S_C, 0], ser[S_S, 0]
+    low_x = high_x = low_y = high_y = 0.0
+    for v in range(vertices.shape[0]):
+        vx = c * vertices[v, 0] - s * vertices[v, 1]
+        vy = s * vertices[v, 0] + c * vertices[v, 1]
+        low_x, high_x = min(low_x, vx), max(high_x, vx)
+        low_y, high_y = min(low_y, vy), max(high_y, vy)
+    swept = (far + turn * radius) * end * 1.000001 + zero
+    pitch = par[PITCH]
+    left, below = y[0] - par[ORIGIN_X], y[1] - par[ORIGIN_Y]
+    # clamp before the conversion: a swept distance may exceed any integer
+    first_column = int(max(0.0, (left + low_x - swept) / pitch))
+    last_column = int(min(grid.shape[1] - 1.0, (left + high_x + swept) / pitch))
+    first_row = int(max(0.0, (below + low_y - swept) / pitch))
+    last_row = int(min(grid.shape[0] - 1.0, (below + high_y + swept) / pitch))
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            cell = grid[row, column]
+            if cell < 0 or where[cell] != 0:
+                continue
+            px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
+            bound = (far + turn * (px * px + py * py) ** 0.5) * end * 1.000001 + zero
+            qx, qy = c * px + s * py, -s * px + c * py
+            near = True
+            for edge in range(offset.shape[0]):
+                if offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy < -bound:
+                    near = False
+                    break
+            if not near:
+                continue
+            t, edge = entry(ser, order, normal, offset, px, py, zero, end, g, p, start)
+            if t <= end:
+                count = note(found, count, t, ENTER, cell, edge)
+                end = min(end, t * SLACK)
+    return count, end
+
+
+@njit(error_model="numpy")
+def loading(pos, mem, share, ctl, y, par, seg, ser, order, end, found, count, g, p):
+    """Loads that vanish, lifted cells that touch again, fractions that reach 0 or 1, a line of supports left."""
+    if ser[S_A0, 0] <= 0.0:
+        return count, end
+    zero = LOAD_ZERO * ser[S_A0, 0]
+    swing0, swing = 0.0, 0.0
+    for k in range(1, order + 1):
+        swing0 += abs(ser[S_A0, k])
+        swing += abs(ser[S_BX_, k]) + abs(ser[S_BY_, k])
+    for i in range(ctl[N_MEMBERS]):
+        cell, mark = mem[i, CELL], mem[i, MARK]
+        if mark == CAPTURED:
+            continue
+        rx, ry = pos[cell, 0] - y[0] - seg[CX], pos[cell, 1] - y[1] - seg[CY]
+        now = ser[S_A0, 0] + ser[S_BX_, 0] * rx + ser[S_BY_, 0] * ry
+        bound = (swing0 + swing * (rx * rx + ry * ry) ** 0.5) * end * 1.000001 + zero
+        if abs(now) > bound:
+            continue
+        if mark == LIFTED and seg[RANK] < 2:
+            continue
+        for k in range(order + 1):
+            g[k] = ser[S_A0, k] + ser[S_BX_, k] * rx + ser[S_BY_, k] * ry
+        t = crossing(g, order, zero, mark == LIFTED, end, p)
+        if t <= end:
+            count = note(found, count, t, UNLOAD if mark == ACTIVE else TOUCH, cell, 0)
+            end = min(end, t * SLACK)
+    if ctl[N_GROUPS] > 0:
+        count, end = fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p)
+    if seg[RANK] < 2:
+        count, end = off_line(seg, par, ser, order, end, found, count, g, p)
+    return count, end
+
+
+@njit(error_model="numpy")
+def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p):
+    """Captured cells whose share of the load reaches nothing or all of it."""
+    for i in range(ctl[N_MEMBERS]):
+        if mem[i, MARK] != CAPTURED:
+            continue
+        cell, h = mem[i, CELL], mem[i, GROUP]
+        rx, ry = pos[cell, 0] - y[0] - seg[CX], pos[cell, 1] - y[1] - seg[CY]
+        for k in range(order + 1):
+            g[k] = ser[S_F + h, k]
+        t = crossing(g, order, zero, False, end, p)
+        if t <= end:
+            count = note(found, count, t, FRACTION_ZERO, cell, h)
+            end = min(end, t * SLACK)
+        for k in range(order + 1):
+            g[k] = ser[S_A0, k] + ser[S_BX_, k] * rx + ser[S_BY_, k] * ry - share[i] * ser[S_F + h, k]
+        t = crossing(g, order, zero, False, end, p)
+        if t <= end:
+            count = note(found, count, t, FRACTION_ONE, cell, h)
+            end = min(end, t * SLACK)
+    return count, end
+
+
+@njit(error_model="numpy")
+def off_line(seg, par, ser, order, end, found, count, g, p):
+    """A centre of mass that leaves the line (or point) its supports stand on."""
+    for axis in range(2 if seg[RANK] == 0 else 1):
+        lx, ly = seg[LINE_X], seg[LINE_Y]
+        if seg[RANK] == 0:
+            lx, ly = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
+        for sign in (1.0, -1.0):
+            for k in range(order + 1):
+                g[k] = -sign * (lx * ser[S_XIX, k] + ly * ser[S_XIY, k])
+            g[0] += par[ON_LINE]
+            t = crossing(g, order, 0.0, False, end, p)
+            if t <= end:
+                count = note(found, count, t, LINE, -1, 0)
+                end = min(end, t * SLACK)
+    return count, end

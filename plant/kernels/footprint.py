@@ -1,0 +1,54 @@
+"""What the footprint covers at one instant: cells under a parcel, presence bits."""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+from numba import njit
+
+from plant.kernels.layout import ORIGIN_X, ORIGIN_Y, PITCH, THETA
+
+
+@njit(error_model="numpy")
+def box(vertices, y, par, grid, margin):
+    """Rows and columns that the footprint's bounding box, widened by ``margin``, can touch."""
+    c, s = cos(y[THETA]), sin(y[THETA])
+    low_x = high_x = low_y = high_y = 0.0
+    for v in range(vertices.shape[0]):
+        vx, vy = c * vertices[v, 0] - s * vertices[v, 1], s * vertices[v, 0] + c * vertices[v, 1]
+        low_x, high_x = min(low_x, vx), max(high_x, vx)
+        low_y, high_y = min(low_y, vy), max(high_y, vy)
+    pitch = par[PITCH]
+    left, below = y[0] - par[ORIGIN_X] - margin, y[1] - par[ORIGIN_Y] - margin
+    first_column = int(max(0.0, (left + low_x) / pitch))
+    last_column = int(max(-1.0, min(grid.shape[1] - 1.0, (left + high_x + 2.0 * margin) / pitch)))
+    first_row = int(max(0.0, (below + low_y) / pitch))
+    last_row = int(max(-1.0, min(grid.shape[0] - 1.0, (below + high_y + 2.0 * margin) / pitch)))
+    return first_row, last_row, first_column, last_column
+
+
+@njit(error_model="numpy")
+def inside(px, py, normal, offset, y, c, s, slack):
+    """Whether a point of the surface is under the footprint, the boundary and ``slack`` included."""
+    dx, dy = px - y[0], py - y[1]
+    qx, qy = c * dx + s * dy, -s * dx + c * dy
+    for edge in range(offset.shape[0]):
+        if offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy < -slack:
+            return False
+    return True
+
+
+@njit(error_model="numpy")
+def cover(surface, parcel, sensors, reach, slack, bits):
+    """Set the presence bits ``(n, sensors)`` of every sensor under the parcel; ``reach`` bounds the sensors' offset."""
+    y, grid = parcel.y, surface.grid
+    c, s = cos(y[THETA]), sin(y[THETA])
+    first_row, last_row, first_column, last_column = box(parcel.vertices, y, parcel.par, grid, reach + slack)
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            cell = grid[row, column]
+            if cell >= 0:
+                for k in range(sensors.shape[0]):
+                    px, py = surface.pos[cell, 0] + sensors[k, 0], surface.pos[cell, 1] + sensors[k, 1]
+                    if inside(px, py, parcel.normal, parcel.offset, y, c, s, slack):
+                        bits[cell, k] = True

@@ -1,0 +1,294 @@
+"""Which cells carry load: the exact unilateral solution, and whether the parcel still stands.
+
+Springs push, never pull: the loads are the least-norm ones that are not negative, which is a strictly convex
+problem in the three unknowns of the springs' plane. All supports being in contact is tried first; only when some
+load would be negative is the convex problem solved, by Newton's method with a line search.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from plant.kernels.layout import (
+    ACTIVE, CAPTURED, CELL, CX, CY, GROUP, LIFTED, LINE_X, LINE_Y, MARK, MOVING, N_ACTIVE, N_CAPTURES, N_GROUPS,
+    N_MEMBERS, NO_LOADS, ON_LINE, PITCH, PXX, PXY, PYY, RANK, S_RX, S_RY, TIP_A, TIP_B, TIPPED,
+)  # fmt: skip
+from plant.kernels.moments import segment
+from plant.kernels.motion import accelerations, solve, surfaces
+
+LOAD_ZERO = 1e-12
+"""A share of the mean load that rounding can't tell from none."""
+
+
+@njit(error_model="numpy")
+def outside_hull(pos, mem, ctl, y):
+    """How far the centre of mass lies outside the convex hull of the cells under the parcel, and by which edge.
+
+    Returns (distance in m, negative inside; cell, cell) with the two supports of the edge it is farthest outside
+    of. Gift wrapping: only called when a load would be negative or the supports don't span a plane.
+    """
+    count = ctl[N_MEMBERS]
+    first = 0
+    for i in range(1, count):
+        a, b = mem[i, CELL], mem[first, CELL]
+        if pos[a, 0] < pos[b, 0] or (pos[a, 0] == pos[b, 0] and pos[a, 1] < pos[b, 1]):
+            first = i
+    worst, edge_a, edge_b = -1e300, mem[first, CELL], mem[first, CELL]
+    corners, here = 0, first
+    while corners <= count:
+        ax, ay = pos[mem[here, CELL], 0] - y[0], pos[mem[here, CELL], 1] - y[1]
+        following = -1
+        fx, fy = 0.0, 0.0
+        for i in range(count):
+            dx, dy = pos[mem[i, CELL], 0] - y[0] - ax, pos[mem[i, CELL], 1] - y[1] - ay
+            if dx == 0.0 and dy == 0.0:
+                continue
+            cross = fx * dy - fy * dx
+            if following < 0 or cross < 0.0 or (cross == 0.0 and dx * dx + dy * dy > fx * fx + fy * fy):
+                following, fx, fy = i, dx, dy
+        if following < 0:
+            return (ax * ax + ay * ay) ** 0.5, edge_a, edge_b
+        size = (fx * fx + fy * fy) ** 0.5
+        distance = (ay * fx - ax * fy) / size  # outward is to the right of a counter-clockwise edge
+        along = -(ax * fx + ay * fy) / size
+        if corners == 1 and following == first:
+            # all on one line: the hull is a segment
+            past = max(-along, along - size)
+            off = abs(distance)
+            return (off if past <= 0.0 else (off * off + past * past) ** 0.5), mem[here, CELL], mem[following, CELL]
+        if distance > worst:
+            worst, edge_a, edge_b = distance, mem[here, CELL], mem[following, CELL]
+        corners += 1
+        here = following
+        if here == first:
+            break
+    return worst, edge_a, edge_b
+
+
+@njit(error_model="numpy")
+def potential(pos, mem, ctl, y, length, ox, oy, z, w):
+    """Half the squared loads minus the work of the weight: convex, least at the springs' plane ``z``."""
+    total = -(z[0] * w[0] + z[1] * w[1] + z[2] * w[2])
+    for i in range(ctl[N_MEMBERS]):
+        if mem[i, MARK] != CAPTURED:
+            cell = mem[i, CELL]
+            rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
+            n = z[0] + z[1] * rx + z[2] * ry
+            if n > 0.0:
+                total += 0.5 * n * n
+    return total
+
+
+@njit(error_model="numpy")
+def gradient(pos, mem, ctl, y, length, ox, oy, z, w, hessian, slope):
+    """Gradient and Hessian of ``potential``. Returns how many cells carry load on the plane ``z``."""
+    for i in range(3):
+        slope[i] = -w[i]
+        for j in range(3):
+            hessian[i, j] = 0.0
+    count = 0
+    for i in range(ctl[N_MEMBERS]):
+        if mem[i, MARK] != CAPTURED:
+            cell = mem[i, CELL]
+            rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
+            n = z[0] + z[1] * rx + z[2] * ry
+            if n > 0.0:
+                count += 1
+                slope[0] += n
+                slope[1] += n * rx
+                slope[2] += n * ry
+                hessian[0, 0] += 1.0
+                hessian[0, 1] += rx
+                hessian[0, 2] += ry
+                hessian[1, 1] += rx * rx
+                hessian[1, 2] += rx * ry
+                hessian[2, 2] += ry * ry
+    hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
+    return count
+
+
+@njit(error_model="numpy")
+def contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton):
+    """Mark every cell under the parcel as carrying load or lifted, at the minimum of ``potential``."""
+    z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
+    hessian = newton[5:8]
+    length, ox, oy = par[PITCH], seg[CX], seg[CY]
+    total, mx, my = 1.0, -ox, -oy
+    for h in range(ctl[N_GROUPS]):
+        total -= f[h]
+        mx -= f[h] * grp[h, S_RX]
+        my -= f[h] * grp[h, S_RY]
+    w[0], w[1], w[2] = total, mx / length, my / length
+    z[0], z[1], z[2] = 1.0 / ctl[N_MEMBERS], 0.0, 0.0
+    value = potential(pos, mem, ctl, y, length, ox, oy, z, w)
+    for _ in range(200):
+        count = gradient(pos, mem, ctl, y, length, ox, oy, z, w, hessian, slope)
+        size = abs(slope[0]) + abs(slope[1]) + abs(slope[2])
+        if size <= 1e-14:
+            break
+        # a set of supports that spans no plane leaves the Hessian singular: a trace of ridge keeps the step finite
+        ridge = 1e-13 * (1.0 + count)
+        for i in range(3):
+            hessian[i, i] += ridge
+            trial[i] = -slope[i]
+        solve(hessian, 3, trial, step, scratch)
+        descent = slope[0] * step[0] + slope[1] * step[1] + slope[2] * step[2]
+        t = 1.0
+        improved = False
+        for _ in range(60):
+            for i in range(3):
+                trial[i] = z[i] + t * step[i]
+            following = potential(pos, mem, ctl, y, length, ox, oy, trial, w)
+            if following <= value + 1e-4 * t * descent:
+                improved = following < value
+                break
+            t *= 0.5
+        if not improved:
+            break
+        for i in range(3):
+            z[i] = trial[i]
+        value = following
+    for i in range(ctl[N_MEMBERS]):
+        if mem[i, MARK] != CAPTURED:
+            cell = mem[i, CELL]
+            rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
+            mem[i, MARK] = ACTIVE if z[0] + z[1] * rx + z[2] * ry > 0.0 else LIFTED
+
+
+@njit(error_model="numpy")
+def plane(seg, grp, f, groups):
+    """The springs' plane now: load share ``a0 + b . r`` of a cell at r from the centroid."""
+    total, mx, my = 1.0, -seg[CX], -seg[CY]
+    for h in range(groups):
+        total -= f[h]
+        mx -= f[h] * grp[h, S_RX]
+        my -= f[h] * grp[h, S_RY]
+    return total / seg[N_ACTIVE], seg[PXX] * mx + seg[PXY] * my, seg[PXY] * mx + seg[PYY] * my
+
+
+@njit(error_model="numpy")
+def violated(pos, mem, ctl, y, par, seg, a0, bx, by):
+    """True where a cell marked as loaded would pull, or one marked as lifted would be pressed."""
+    zero = LOAD_ZERO * a0
+    for i in range(ctl[N_MEMBERS]):
+        mark = mem[i, MARK]
+        if mark == CAPTURED:
+            continue
+        rx = pos[mem[i, CELL], 0] - y[0] - seg[CX]
+        ry = pos[mem[i, CELL], 1] - y[1] - seg[CY]
+        n = a0 + bx * rx + by * ry
+        if mark == ACTIVE and n < -zero:
+            return True
+        if mark == LIFTED and n > zero:
+            # on a line of supports the plane may tilt about the line: cells beside it stay clear
+            if seg[RANK] == 2:
+                return True
+            if seg[RANK] == 1 and abs(seg[LINE_X] * rx + seg[LINE_Y] * ry) <= par[ON_LINE]:
+                return True
+    return False
+
+
+@njit(error_model="numpy")
+def drop(mem, share, ctl, i):
+    """Take member ``i`` off the list (the last takes its place)."""
+    last = ctl[N_MEMBERS] - 1
+    for k in range(mem.shape[1]):
+        mem[i, k] = mem[last, k]
+    share[i] = share[last]
+    ctl[N_MEMBERS] = last
+
+
+@njit(error_model="numpy")
+def release(mem, share, ctl, group, inside):
+    """End a captured group: its cells carry their full load again, or leave the footprint."""
+    i = 0
+    while i < ctl[N_MEMBERS]:
+        if mem[i, MARK] == CAPTURED:
+            if mem[i, GROUP] == group:
+                mem[i, MARK] = ACTIVE
+                if not inside:
+                    drop(mem, share, ctl, i)
+                    continue
+            elif mem[i, GROUP] > group:
+                mem[i, GROUP] -= 1
+        i += 1
+    ctl[N_GROUPS] -= 1
+
+
+@njit(error_model="numpy")
+def release_one_outside(pos, mem, share, ctl, y, seg, grp, f, a0, bx, by):
+    """Release the captured group whose fraction is farthest outside [0, 1]. Returns True where there was one."""
+    worst, which, inside = LOAD_ZERO, -1, False
+    for i in range(ctl[N_MEMBERS]):
+        if mem[i, MARK] != CAPTURED:
+            continue
+        h = mem[i, GROUP]
+        rx = pos[mem[i, CELL], 0] - y[0] - seg[CX]
+        ry = pos[mem[i, CELL], 1] - y[1] - seg[CY]
+        full = a0 + bx * rx + by * ry
+        load = share[i] * f[h]
+        if -load / a0 > worst:
+            worst, which, inside = -load / a0, h, False
+        if (load - full) / a0 > worst:
+            worst, which, inside = (load - full) / a0, h, True
+    if which >= 0:
+        release(mem, share, ctl, which, inside)
+        return True
+    return False
+
+
+@njit(error_model="numpy")
+def settle(pos, steady, decay, grip, normal, offset, mem, share, ctl, y, par, e, c, s, seg, grp, matrix, reply, f,
+           scratch, newton):  # fmt: skip
+    """Find the loads at this instant: constants, marks, captured fractions, accelerations.
+
+    Returns (status, ax, ay, alpha); with status TIPPED the edge is in ``ctl[TIP_A]``, ``ctl[TIP_B]``.
+    """
+    for attempt in range(40):
+        if ctl[N_MEMBERS] == 0:
+            ctl[TIP_A] = ctl[TIP_B] = -1
+            return TIPPED, 0.0, 0.0, 0.0
+        segment(pos, steady, decay, grip, mem, share, ctl, y, par, seg, grp)
+        if seg[N_ACTIVE] == 0 or (seg[RANK] < 2 and ctl[N_GROUPS] > 0):
+            while ctl[N_GROUPS] > 0:
+                release(mem, share, ctl, 0, True)
+            for i in range(ctl[N_MEMBERS]):
+                mem[i, MARK] = ACTIVE
+            segment(pos, steady, decay, grip, mem, share, ctl, y, par, seg, grp)
+        distance, a, b = -1.0, 0, 0
+        if seg[RANK] < 2:
+            distance, a, b = outside_hull(pos, mem, ctl, y)
+            if distance > par[ON_LINE]:
+                ctl[TIP_A], ctl[TIP_B] = a, b
+                return TIPPED, 0.0, 0.0, 0.0
+            off = abs(seg[LINE_X] * seg[CX] + seg[LINE_Y] * seg[CY])
+            if seg[RANK] == 0:
+                off = (seg[CX] * seg[CX] + seg[CY] * seg[CY]) ** 0.5
+            if off > par[ON_LINE]:
+                contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton)
+                continue
+        if ctl[N_GROUPS] > 0:
+            surfaces(pos, normal, offset, mem, share, ctl, y, grp)
+        ax, ay, al, conditioning = accelerations(
+            seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch
+        )  # fmt: skip
+        if ctl[N_GROUPS] > 0 and conditioning < 1e-9:
+            release(mem, share, ctl, ctl[N_GROUPS] - 1, True)
+            continue
+        a0, bx, by = plane(seg, grp, f, ctl[N_GROUPS])
+        if violated(pos, mem, ctl, y, par, seg, a0, bx, by):
+            if seg[RANK] == 2:
+                distance, a, b = outside_hull(pos, mem, ctl, y)
+                if distance > par[ON_LINE]:
+                    ctl[TIP_A], ctl[TIP_B] = a, b
+                    return TIPPED, 0.0, 0.0, 0.0
+            if attempt >= 20:
+                while ctl[N_GROUPS] > 0:
+                    release(mem, share, ctl, 0, True)
+            contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton)
+            continue
+        if ctl[N_GROUPS] > 0 and release_one_outside(pos, mem, share, ctl, y, seg, grp, f, a0, bx, by):
+            ctl[N_CAPTURES] += 1
+            continue
+        return MOVING, ax, ay, al
+    return NO_LOADS, 0.0, 0.0, 0.0
