@@ -1,0 +1,143 @@
+"""The picture of a run shows what happened."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from deploy.errors import DeployError
+from deploy.overview import draw_overview
+from deploy.overview_map import colour, extent, incidents, lost_cells
+from deploy.replay import load
+from deploy.track import Track
+
+Make = Callable[..., Any]
+
+
+@pytest.fixture
+def draw(tmp_path: Path) -> Callable[[Any], np.ndarray]:
+    """Draws a run and gives the picture's ``(height, width, 3)`` colours."""
+
+    def _draw(run: Any) -> np.ndarray:
+        draw_overview(run, tmp_path / "overview.png")
+        return imread(tmp_path / "overview.png")[..., :3]
+
+    return _draw
+
+
+@pytest.fixture
+def track(tmp_path: Path, made_up_run: Make) -> Track:
+    return load(made_up_run().record(tmp_path)).track()
+
+
+def pixels(picture: np.ndarray, shade: str) -> int:
+    """How many pixels have about this colour."""
+    return int((np.abs(picture - mpl.colors.to_rgb(shade)).max(axis=2) < 0.06).sum())
+
+
+@pytest.mark.parametrize("parcels", [1, 3, 8, 30])
+def test_every_parcel_is_drawn_in_its_colour(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray], parcels: int
+) -> None:
+    run = made_up_run(rows=8, columns=8, parcels=parcels)
+    run.states[:, :, :2] += np.linspace(0, 0.7, parcels)[None, :, None]
+    picture = draw(load(run.record(tmp_path)))
+    assert all(pixels(picture, colour(parcel)) > 100 for parcel in range(parcels))
+
+
+def test_a_run_without_parcels_shows_its_array(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
+) -> None:
+    picture = draw(load(made_up_run(parcels=0).record(tmp_path)))
+    assert pixels(picture, "#eceff3") > 10_000
+
+
+def test_a_recording_cut_before_its_first_instant_shows_its_array(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
+) -> None:
+    path = made_up_run().record(tmp_path)
+    recording = load(path)
+    empty = dataclasses.replace(
+        recording.track(), time_s=np.zeros(0), parcels=np.zeros((0, 1, 6)), wheel_speeds=None, status=None
+    )
+    picture = draw(empty)
+    assert pixels(picture, "#eceff3") > 10_000
+    assert pixels(picture, colour(0)) == 0
+
+
+def test_lost_cells_are_marked(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+    red = "#c1121f"
+    assert pixels(draw(track), red) == 0
+    faulty = dataclasses.replace(track, faults=[{"time_s": 0.01, "kind": "crash", "cell": [2, 3]}])
+    assert pixels(draw(faulty), red) > 100
+    assert lost_cells(faulty) == {(2, 3): 0.01}
+
+
+def test_a_tipped_parcel_is_marked_and_changes_of_support_are_not(track: Track) -> None:
+    events = [
+        {"time_s": 0.01, "kind": "support", "parcel": 0},
+        {"time_s": 0.02, "kind": "tipped", "parcel": 0},
+    ]
+    assert incidents(dataclasses.replace(track, events=events)) == [(0.02, "tipped", 0)]
+
+
+def test_missing_cells_leave_a_gap(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+    bare = dataclasses.replace(track, wheel_speeds=None, footprints_m=[], parcels=np.zeros((13, 0, 6)))
+    fewer = dataclasses.replace(
+        bare, cells=[*bare.cells[:5], *bare.cells[6:]], positions_m=np.delete(bare.positions_m, 5, axis=0)
+    )
+    share = pixels(draw(fewer), "#eceff3") / pixels(draw(bare), "#eceff3")
+    assert share == pytest.approx(11 / 12, abs=0.01)
+
+
+def test_the_view_holds_the_array_and_the_whole_of_the_way(track: Track) -> None:
+    left, right, bottom, top = extent(track)
+    assert left < -0.05
+    assert right > 0.35
+    assert bottom < -0.05
+    assert top > 0.25
+    far = track.parcels.copy()
+    far[-1, 0, 0] = 0.45
+    assert extent(dataclasses.replace(track, parcels=far))[1] > 0.45 + 0.1
+
+
+def test_a_parcel_flung_away_leaves_the_array_in_sight(
+    track: Track, draw: Callable[[Any], np.ndarray]
+) -> None:
+    flung = track.parcels.copy()
+    flung[5:, 0, 0] = 1e6
+    flung[8:] = np.nan
+    thrown = dataclasses.replace(track, parcels=flung, status="unstable")
+    left, right, _, _ = extent(thrown)
+    assert right - left < 2.0
+    assert pixels(draw(thrown), "#eceff3") > 10_000
+
+
+def test_a_wide_array_has_its_panels_below(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
+) -> None:
+    height, width, _ = draw(load(made_up_run(rows=2, columns=40).record(tmp_path))).shape
+    assert width > 1.5 * height
+
+
+def test_a_title_may_hold_dollar_signs_and_be_long(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+    picture = draw(dataclasses.replace(track, title="costs $1 and \\frac{ $" + "x" * 300))
+    assert pixels(picture, colour(0)) > 100
+
+
+def test_the_same_run_gives_the_same_picture(tmp_path: Path, track: Track) -> None:
+    for name in ("one.png", "two.png"):
+        draw_overview(track, tmp_path / name)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_a_picture_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path, track: Track) -> None:
+    with pytest.raises(DeployError, match=r"can't write the picture .*overview\.png: No such file"):
+        draw_overview(track, tmp_path / "absent" / "overview.png")

@@ -1,0 +1,213 @@
+"""Recordings that were cut, spoilt, or could not be written."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from deploy.errors import DeployError, InputError
+from deploy.recording import Recorder
+from deploy.replay import load
+
+Make = Callable[..., Any]
+
+
+def test_cut_anywhere_after_its_header_a_recording_gives_what_comes_before_the_cut(
+    tmp_path: Path, made_up_run: Make
+) -> None:
+    run = made_up_run(ticks=30, wheels_change=True)
+    with Recorder(tmp_path, run.header) as recorder:
+        header_end = recorder.path.stat().st_size
+        for tick in range(run.ticks):
+            recorder.tick(
+                tick, tick, run.presence[tick], run.drives[tick], run.wheel_speeds[tick], run.states[tick]
+            )
+            if tick % 5 == 4:
+                recorder.flush()
+        flushed = recorder.path.stat().st_size
+        recorder.close("ok")
+    whole = recorder.path.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    counts = []
+    for size in sorted({*range(header_end, flushed, 151), header_end, flushed}):
+        cut.write_bytes(whole[:size])
+        recording = load(cut)
+        rows = len(recording.tick)
+        assert not recording.complete
+        np.testing.assert_array_equal(recording.parcels, run.states[:rows])
+        np.testing.assert_array_equal(recording.drives, run.drives[:rows])
+        counts.append(rows)
+    assert counts == sorted(counts)
+    assert set(counts) == {0, 5, 10, 15, 20, 25, 30}
+
+
+def test_a_flush_puts_all_so_far_into_the_file(made_up_run: Make, recorder: Recorder) -> None:
+    run = made_up_run()
+    run.feed(recorder, end=False)
+    recorder.flush()
+    assert len(load(recorder.path).tick) == run.ticks
+
+
+def test_zeros_at_the_end_count_as_cut(tmp_path: Path, made_up_run: Make, recorder: Recorder) -> None:
+    run = made_up_run()
+    run.feed(recorder, end=False)
+    recorder.flush()
+    spoilt = tmp_path / "spoilt.mcap"
+    spoilt.write_bytes(recorder.path.read_bytes() + bytes(4096))
+    recording = load(spoilt)
+    assert len(recording.tick) == run.ticks
+    assert not recording.complete
+
+
+@pytest.mark.parametrize("size", [0, 5, 8, 60])
+def test_cut_inside_its_header_a_recording_is_refused(tmp_path: Path, made_up_run: Make, size: int) -> None:
+    path = made_up_run().record(tmp_path)
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(InputError, match="holds no complete header"):
+        load(path)
+
+
+def test_a_changed_byte_in_the_data_is_found(tmp_path: Path, made_up_run: Make) -> None:
+    with Recorder(tmp_path, made_up_run().header) as recorder:
+        header_end = recorder.path.stat().st_size
+        made_up_run(ticks=200).feed(recorder)
+        recorder.close("ok")
+    data = bytearray(recorder.path.read_bytes())
+    data[header_end + 3000] ^= 0x20
+    recorder.path.write_bytes(data)
+    with pytest.raises(InputError, match=r"is corrupt: record at byte \d+"):
+        load(recorder.path)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "recording.mcap"
+    path.write_bytes(b"PK\x03\x04 something else entirely")
+    with pytest.raises(InputError, match="is not a recording: it does not begin as an MCAP file does"):
+        load(path)
+
+
+def test_an_mcap_file_of_another_program_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "robot.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="other")
+        writer.finish()
+    with pytest.raises(InputError, match="profile 'ros2', not 'mdms'"):
+        load(path)
+
+
+def test_a_missing_recording_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"can't read the recording .*recording\.mcap: No such file"):
+        load(tmp_path)
+
+
+def test_a_folder_that_is_a_file_is_refused_before_anything_starts(tmp_path: Path, made_up_run: Make) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    with pytest.raises(
+        InputError, match=r"output .*: can't write recording\.mcap there: (File exists|Not a)"
+    ):
+        Recorder(blocked, made_up_run().header)
+
+
+def test_a_folder_without_permission_is_refused_before_anything_starts(made_up_run: Make) -> None:
+    # /proc refuses even the superuser, whom file modes would not stop.
+    with pytest.raises(InputError, match="can't write"):
+        Recorder("/proc/mdms", made_up_run().header)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_disk_that_is_full_at_the_start_is_refused(tmp_path: Path, made_up_run: Make) -> None:
+    (tmp_path / "recording.mcap").symlink_to("/dev/full")
+    with pytest.raises(InputError, match="No space left on device"):
+        Recorder(tmp_path, made_up_run().header)
+
+
+def _feed_and_flush(run: Any, recorder: Recorder) -> None:
+    run.feed(recorder)
+    recorder.flush()
+
+
+def test_a_disk_that_fills_up_during_the_run_ends_it_with_the_file_and_the_cause(
+    tmp_path: Path, made_up_run: Make
+) -> None:
+    run = made_up_run(ticks=400, wheels_change=True)
+    recorder = Recorder(tmp_path, run.header)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(DeployError, match=r"can't write the recording .*recording\.mcap: File too large"):
+            _feed_and_flush(run, recorder)
+        with pytest.raises(DeployError, match="File too large"):
+            recorder.event({"time_s": 0.0, "kind": "too late"})
+        with pytest.raises(DeployError, match="File too large"):
+            recorder.close("failed")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not load(tmp_path).complete
+
+
+_ENDLESS = """
+    import os, sys, time
+    import numpy as np
+    from deploy.recording import Recorder
+    header = dict(run="r", title="", scene_name="", scene={}, versions={}, period_ns=1, pitch_m=0.1,
+                  cells=[[0, 0]], positions_m=[[0, 0]], sensors_m=[[0, 0]], footprints_m=[])
+    recorder = Recorder(sys.argv[1], header)
+    made = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT)
+    for tick in range(int(sys.argv[3])):
+        now = time.monotonic_ns()
+        recorder.tick(tick, now, np.ones((1, 1), bool), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((0, 6)))
+        os.write(made, now.to_bytes(8, "little"))
+        if tick == 0:
+            print("started", flush=True)
+        time.sleep(0.001)
+    print("stopped", flush=True)
+    time.sleep(60)
+"""
+
+
+def _endless(folder: Path, ticks: int) -> subprocess.Popen[str]:
+    """A process that records a tick a millisecond, then stands still; it notes the time of each in a file."""
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(_ENDLESS), folder, folder / "made", str(ticks)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
+
+
+def test_killed_at_any_moment_a_run_leaves_all_but_its_last_half_second(tmp_path: Path) -> None:
+    with _endless(tmp_path, 10**9) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(1.1)  # of a real clock: the claim is about one
+        killed = time.monotonic_ns()
+        os.kill(process.pid, signal.SIGKILL)
+    made = np.fromfile(tmp_path / "made", dtype="<u8")
+    recording = load(tmp_path)
+    kept = len(recording.tick)
+    assert not recording.complete
+    assert recording.time_ns.tolist() == made[:kept].tolist()
+    assert kept >= np.count_nonzero(made < killed - 500_000_000) > 0
+
+
+def test_killed_while_it_stands_still_a_run_leaves_everything(tmp_path: Path) -> None:
+    with _endless(tmp_path, 100) as process:
+        assert process.stdout is not None
+        assert [process.stdout.readline() for _ in range(2)] == ["started\n", "stopped\n"]
+        time.sleep(0.5)  # as above
+        os.kill(process.pid, signal.SIGKILL)
+    assert len(load(tmp_path).tick) == 100

@@ -1,0 +1,148 @@
+"""The outcome of a run, for programs and for people."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from deploy.errors import DeployError
+from deploy.summary import Messages, ParcelOutcome, Summary
+
+PROMISED = {
+    "status", "scene", "seed", "duration_s", "cells", "processes", "transport", "solver", "ticks", "wall_s",
+    "startup_s", "ticks_per_s", "realtime_factor", "parcels", "support_changes", "messages", "faults",
+    "cells_lost", "digest", "output",
+}  # fmt: skip
+
+
+def summary(**changes: Any) -> Summary:
+    values: dict[str, Any] = {
+        "status": "ok",
+        "scene": "elliptic",
+        "seed": 1,
+        "duration_s": 10.0,
+        "simulated_s": 10.0,
+        "cells": 400,
+        "processes": 2,
+        "transport": "zenoh",
+        "solver": {"name": "exact", "tolerance": 1e-9},
+        "ticks": 2442,
+        "wall_s": 2.0,
+        "startup_s": 0.5,
+        "parcels": [ParcelOutcome.of(np.arange(6.0), "at_rest", 7.5)],
+        "support_changes": 172,
+    }
+    return Summary(**(values | changes))
+
+
+def printed(outcome: Summary) -> str:
+    console = Console(file=io.StringIO(), width=100)
+    outcome.print_table(console)
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_the_json_object_has_every_promised_key() -> None:
+    assert set(json.loads(summary().to_json())) >= PROMISED
+
+
+def test_a_parcel_s_six_numbers_go_where_their_names_say() -> None:
+    (parcel,) = json.loads(summary().to_json())["parcels"]
+    assert parcel["position_m"] == [0.0, 1.0]
+    assert parcel["angle_rad"] == 2.0
+    assert parcel["velocity_m_s"] == [3.0, 4.0]
+    assert parcel["angular_velocity_rad_s"] == 5.0
+    assert (parcel["state"], parcel["time_s"]) == ("at_rest", 7.5)
+
+
+def test_numbers_keep_all_their_digits() -> None:
+    state = np.full(6, 0.1 + 0.2)
+    (parcel,) = json.loads(summary(parcels=[ParcelOutcome.of(state, "moving", 0.0)]).to_json())["parcels"]
+    assert parcel["angle_rad"] == 0.1 + 0.2
+
+
+def test_speed_is_counted_without_start_up() -> None:
+    outcome = summary().to_dict()
+    assert outcome["ticks_per_s"] == 1221.0
+    assert outcome["realtime_factor"] == 5.0
+
+
+def test_an_interrupted_run_is_as_fast_as_what_it_simulated() -> None:
+    assert summary(status="interrupted", simulated_s=1.0).realtime_factor == 0.5
+
+
+def test_a_run_that_took_no_time_has_no_speed() -> None:
+    outcome = summary(wall_s=0.0).to_dict()
+    assert outcome["ticks_per_s"] is None
+    assert outcome["realtime_factor"] is None
+
+
+def test_a_number_that_is_not_finite_is_null() -> None:
+    state = np.array([np.inf, np.nan, 0.0, 0.0, 0.0, 0.0])
+    outcome = summary(status="unstable", parcels=[ParcelOutcome.of(state, "moving", 0.0)])
+    assert json.loads(outcome.to_json())["parcels"][0]["position_m"] == [None, None]
+
+
+def test_numpy_values_in_faults_and_cells_become_json() -> None:
+    fault = {"kind": "crash", "time_s": np.float64(2.0), "cell": np.array([3, 4])}
+    outcome = json.loads(summary(faults=[fault], cells_lost=[(np.int64(3), np.int64(4))]).to_json())
+    assert outcome["faults"] == [{"kind": "crash", "time_s": 2.0, "cell": [3, 4]}]
+    assert outcome["cells_lost"] == [[3, 4]]
+
+
+def test_the_file_holds_the_same_object_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
+    path = summary().write(tmp_path)
+    assert json.loads(path.read_text()) == summary().to_dict()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["summary.json"]
+
+
+def test_a_summary_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path) -> None:
+    with pytest.raises(DeployError, match=r"can't write the summary .*summary\.json: No such file"):
+        summary().write(tmp_path / "absent")
+
+
+def test_the_table_names_lost_cells_faults_and_lost_messages() -> None:
+    text = printed(
+        summary(
+            faults=[{"kind": "crash", "time_s": 2.0, "cell": [3, 4]}],
+            cells_lost=[(3, 4)],
+            messages=Messages(sent=10, delivered=9, lost=1),
+            digest="ab" * 32,
+            output="runs/1",
+        )
+    )
+    for words in (
+        "crash at 2 s",
+        "3,4",
+        "10 sent, 9 delivered, 1 lost",
+        "ab" * 32,
+        "runs/1",
+        "at rest since",
+    ):
+        assert words in text
+
+
+def test_the_table_says_why_a_run_did_not_end_well() -> None:
+    text = printed(summary(status="stalled", reason="cell 3,4 gave no drive for tick 17"))
+    assert "stalled" in text
+    assert "cell 3,4 gave no drive for tick 17" in text
+
+
+def test_many_parcels_are_counted_by_state() -> None:
+    parcels = [ParcelOutcome.of(np.zeros(6), "at_rest" if i % 5 else "tipped", 0.0) for i in range(50)]
+    assert "40 at rest, 10 tipped" in printed(summary(parcels=parcels))
+
+
+def test_the_table_fits_eighty_columns_without_cutting_a_number() -> None:
+    console = Console(file=io.StringIO(), width=80)
+    state = np.array([-12.345678, -12.345678, -123.456789, 0.0, 0.0, 0.0])
+    summary(digest="ab" * 32, parcels=[ParcelOutcome.of(state, "at_rest", 1.0)]).print_table(console)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "…" not in text
+    assert "ab" * 32 in text
+    assert text.count("-12.345678") == 2
