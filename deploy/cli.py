@@ -96,9 +96,13 @@ def _top(
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
     if version:
-        from importlib.metadata import version as installed
+        from importlib import metadata
 
-        typer.echo(f"mdms {installed('mdms-emulator')}")
+        try:
+            number = metadata.version("mdms-emulator")
+        except metadata.PackageNotFoundError:
+            number = "(not installed)"
+        typer.echo(f"mdms {number}")
         raise typer.Exit
 
 
