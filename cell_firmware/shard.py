@@ -62,6 +62,7 @@ class Shard:
 
     Attributes:
         indices: ``(n,)``, the cells of this shard, by index into the lattice.
+        names: ``(row, column)`` of each.
 
     Raises:
         FirmwareFailed: The firmware's ``init`` failed.
@@ -69,6 +70,9 @@ class Shard:
 
     def __init__(self, controller: Controller, cells: Cells, partition: Partition, shard: int) -> None:
         self.indices: Indices = partition.cells(shard)
+        self.names: tuple[tuple[int, int], ...] = tuple(
+            partition.lattice.cells[int(i)] for i in self.indices.tolist()
+        )
         self._n = len(self.indices)
         self._controller = controller
         self._message = controller.firmware.message

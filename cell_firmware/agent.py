@@ -1,0 +1,175 @@
+"""The asyncio agent around a shard: it waits, the shard computes, it sends."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from bus.errors import WokenError
+from bus.lockstep import Gathered, Member
+from bus.transport import Endpoint
+from bus.wire import TEXT_LIMIT, Control, DriveFrame, LinkFrame, Mask
+from cell_firmware.errors import FirmwareFailed
+from cell_firmware.shard import Links, Shard, ShardOutputs
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a shard's run came to its end.
+
+    Attributes:
+        ticks: Ticks that were stepped.
+        detail: Why it stopped, in the words of who stopped it.
+        failures: Cells whose firmware failed on the way.
+    """
+
+    ticks: int
+    detail: str
+    failures: tuple[FirmwareFailed, ...]
+
+
+async def run(shard: Shard, member: Member, endpoint: Endpoint) -> Ended:
+    """Runs a shard tick by tick until it is told to stop.
+
+    ``member.ready()`` comes before, closing the member and its endpoint after. Cells that the member was
+    told to retire stop at their tick. A cell whose firmware fails is reported to the plant, with its
+    traceback, and the others go on: whether the run does is the plant's to say.
+
+    Args:
+        shard: The cells, before tick 0.
+        member: Their side of the lockstep, ready.
+        endpoint: The member's endpoint, to wake it by.
+
+    Raises:
+        HostLostError: The plant went away.
+        WokenError: Somebody woke the endpoint: the way to end a run that nobody tells to stop.
+        BusError: Whatever else stops the member.
+        asyncio.CancelledError: Cancelled; the gather thread has ended by then.
+    """
+    agent = _Agent(shard, member, endpoint, asyncio.get_running_loop())
+    return await agent.run()
+
+
+@final
+class _Agent:
+    """One thread blocks in ``member.gather`` and hands each whole tick to the event loop with one hop.
+
+    The tick is stepped and published in the very callback that the hop schedules: waking a task for it would
+    cost another turn of the loop. The thread goes back to gathering at once; it can't overtake the loop,
+    because the next tick begins only after this one's drives. What changes who takes part (a failure, rare)
+    is handed back to the thread instead, so that the member's books are kept by one thread alone.
+    """
+
+    def __init__(
+        self, shard: Shard, member: Member, endpoint: Endpoint, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self._shard: Final = shard
+        self._member: Final = member
+        self._endpoint: Final = endpoint
+        self._loop: Final = loop
+        self._end: Final[asyncio.Future[str]] = loop.create_future()
+        self._thread: Final = threading.Thread(target=self._gather, name="gather", daemon=True)
+        self._stopping = False
+        self._failed: tuple[int, ShardOutputs] | None = None
+        self._ticks = 0
+        self._failures: list[FirmwareFailed] = []
+
+    async def run(self) -> Ended:
+        self._thread.start()
+        try:
+            detail = await self._end
+        finally:
+            self._stopping = True
+            if self._thread.is_alive():
+                self._endpoint.wake()
+            self._thread.join()
+        return Ended(self._ticks, detail, tuple(self._failures))
+
+    # --- in the gather thread ---------------------------------------------------------------------
+
+    def _gather(self) -> None:
+        tick, before = 0, np.ones(len(self._shard), dtype=np.bool_)
+        try:
+            while not self._stopping:
+                try:
+                    gathered = self._member.gather(tick)
+                except WokenError:
+                    if not (self._report() or self._stopping):
+                        raise  # somebody else woke us, and knows why
+                    continue
+                if isinstance(gathered, Control):
+                    self._hop(self._finish, gathered.detail)
+                    return
+                live = self._member.live(tick)
+                changed = (live != before).any()
+                self._hop(self._step, tick, gathered, live if changed else None)
+                tick, before = tick + 1, live
+        except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
+            self._hop(self._break, error)
+
+    def _report(self) -> bool:
+        """Tells the plant which cells failed, if any, then publishes what the others do."""
+        failed, self._failed = self._failed, None
+        if failed is None:
+            return False
+        tick, outputs = failed
+        index = dict(zip(self._shard.names, self._shard.indices.tolist(), strict=True))
+        alike: dict[str, list[int]] = {}
+        for failure in outputs.failures:
+            alike.setdefault(_text(failure), []).append(index[failure.cell])
+        for detail, cells in alike.items():
+            self._member.fail(cells, tick, detail)
+        self._publish(tick, outputs)
+        return True
+
+    def _hop(self, callback: object, *arguments: object) -> None:
+        self._loop.call_soon_threadsafe(callback, *arguments)  # pyright: ignore[reportArgumentType]
+
+    # --- in the event loop ------------------------------------------------------------------------
+
+    def _step(self, tick: int, gathered: Gathered, live: Mask | None) -> None:
+        if self._end.done():
+            return
+        try:
+            if live is not None:  # changed since the last tick
+                self._shard.retire(
+                    cell for cell, lives in zip(self._shard.names, live, strict=True) if not lives
+                )
+            sense, links = gathered
+            heard = None if links is None else Links(links.sent, links.message)
+            outputs = self._shard.step(tick, sense.presence, sense.encoder_m, heard)
+            self._ticks += 1
+            if outputs.failures:
+                self._failures += outputs.failures
+                self._failed = (tick, outputs)
+                self._endpoint.wake()
+            else:
+                self._publish(tick, outputs)
+        except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
+            self._break(error)
+
+    def _finish(self, detail: str) -> None:
+        if not self._end.done():
+            self._end.set_result(detail)
+
+    def _break(self, error: Exception) -> None:
+        if not self._end.done():
+            self._end.set_exception(error)
+
+    # --- in either --------------------------------------------------------------------------------
+
+    def _publish(self, tick: int, outputs: ShardOutputs) -> None:
+        links = outputs.links
+        frame = None if links is None else LinkFrame(tick, links.sent, links.message)
+        self._member.publish(DriveFrame(tick, outputs.drive), frame)
+
+
+def _text(failure: FirmwareFailed) -> str:
+    """Problem and traceback as one text that a report can carry; of a long traceback the end is kept."""
+    problem = failure.problem[: TEXT_LIMIT // 2]
+    return f"{problem}\n{failure.trace[-(TEXT_LIMIT - len(problem) - 1) :]}" if failure.trace else problem
