@@ -78,8 +78,6 @@ def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
     offset = stream.seek(len(MAGIC))
     while offset + _RECORD.size <= size:
         opcode, length = _RECORD.unpack(stream.read(_RECORD.size))
-        if opcode == 0:  # never one of the format's; a file system after a power cut leaves zeros
-            return
         if offset + _RECORD.size + length > size:
             return
         yield offset, opcode, stream.read(length)
