@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, final
@@ -24,12 +24,18 @@ class Interrupted(BaseException):
 class Interruption:
     """Notes SIGINT and SIGTERM, and raises Interrupted only where that leaves nothing half done.
 
-    A signal raises at once inside `allowed`, and at the next `check` elsewhere. Whatever was set before is
-    restored by `watching`. In a thread other than the main one signals are left alone.
+    A signal raises at once inside `allowed` and whenever `waits` says that the run only waits; elsewhere at the
+    next `check`. Whatever was set before is restored by `watching`. In a thread other than the main one signals
+    are left alone.
+
+    Attributes:
+        requested: Whether a signal has come.
+        waits: Asked in the signal handler.
     """
 
     def __init__(self) -> None:
         self.requested = False
+        self.waits: Callable[[], bool] = lambda: False
         self._allowed = False
 
     @contextmanager
@@ -62,7 +68,7 @@ class Interruption:
 
     def _note(self, number: int, frame: FrameType | None) -> Any:
         del number, frame
-        self.requested = True
-        if self._allowed:
-            self._allowed = False  # one exception is enough: what it unwinds is not to be interrupted again
+        first, self.requested = not self.requested, True
+        # One exception is enough: what it unwinds is not to be interrupted again.
+        if first and (self._allowed or self.waits()):
             raise Interrupted

@@ -69,6 +69,7 @@ class Crew:
         pids: Process id by worker, of those that have been started and have not ended.
         ended: Exit status by worker, minus the signal's number where a signal ended it.
         failures: What workers raised, in order of arrival.
+        gone: Whether every process has gone that could report anything, the nursery too.
     """
 
     def __init__(self, preload: Sequence[str] = (), environment: dict[str, str] | None = None) -> None:
@@ -77,7 +78,7 @@ class Crew:
         self.failures: list[Failure] = []
         self._names: dict[int, str] = {}
         self._unread = b""
-        self._gone = False
+        self.gone = False
         ours, theirs = socketpair()
         reading, writing = os.pipe()
         self._channel = Connection(ours.detach())
@@ -134,16 +135,16 @@ class Crew:
     @property
     def running(self) -> list[int]:
         """Workers that have not ended, those not yet known to be started included."""
-        return [] if self._gone else [worker for worker in self._names if worker not in self.ended]
+        return [] if self.gone else [worker for worker in self._names if worker not in self.ended]
 
     def poll(self, timeout_s: float = 0.0) -> bool:
         """Take in what has been reported, waiting for something up to ``timeout_s``; False if nothing was."""
-        if self._gone or not _readable(self._reports, timeout_s):
+        if self.gone or not _readable(self._reports, timeout_s):
             return False
         content = os.read(self._reports, 1 << 20)
         if not content:  # every process that could report has gone
             os.close(self._reports)
-            self._gone = True
+            self.gone = True
             self.pids.clear()
             return True
         *lines, self._unread = (self._unread + content).split(b"\n")
@@ -175,7 +176,7 @@ class Crew:
             raise WorkerError(f"{self.name(failure.worker)}: {failure.error}")
         for worker, status in self.ended.items():
             raise WorkerError(f"{self.name(worker)} ended before the run did: {describe_exit(status)}")
-        if self._gone:
+        if self.gone:
             raise WorkerError("the process that starts workers ended before the run did")
 
     def wait(self, timeout_s: float) -> bool:
@@ -204,12 +205,12 @@ class Crew:
         except subprocess.TimeoutExpired:
             self._nursery.kill()
             self._nursery.wait()
-        if not self._gone:
+        if not self.gone:
             while self.poll():
                 pass
-        if not self._gone:  # a process started by a firmware may hold the pipe open
+        if not self.gone:  # a process started by a firmware may hold the pipe open
             os.close(self._reports)
-            self._gone = True
+            self.gone = True
 
 
 def describe_exit(status: int) -> str:

@@ -180,5 +180,6 @@ def _rename(name: str) -> None:
 
 
 def _one_line(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    return text or type(error).__name__
+    """The first and the last line of an error's text: what failed and, of a traceback, why."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(dict.fromkeys(lines[:1] + lines[-1:])) or type(error).__name__

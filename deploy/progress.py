@@ -72,6 +72,14 @@ class Progress:
         self._next = now + self._every_s
         self._show(time_ns, (ticks - before) / (now - then))
 
+    def say(self, line: str) -> None:
+        """Put a line above the bar."""
+        if self._bar is not None:
+            self._bar.console.print(f"mdms: {line}", markup=False, highlight=False, soft_wrap=True)
+        elif self._show is not None:
+            sys.stderr.write(f"mdms: {line}\n")
+            sys.stderr.flush()
+
     def _facts(self, rate: float) -> str:
         lost = f"  {self.lost:,} cells lost" if self.lost else ""
         return f"{rate:,.0f} ticks/s  {self.events:,} events{lost}"

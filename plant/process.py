@@ -161,8 +161,7 @@ class PlantProcess:
         died = self._schedule.get(tick, ()) if self._schedule else ()
         if died:
             died = self._bury(died)
-            self._host.retire(died, tick)
-        drives, losses = self._exchange(tick, start_ns, sense)
+        drives, losses = self._exchange(tick, start_ns, sense, died)
         if losses:
             if self._policy == "abort":
                 return losses
@@ -191,13 +190,20 @@ class PlantProcess:
         )
         return losses
 
-    def _exchange(self, tick: int, start_ns: int, sense: Sense) -> tuple[Floats, Sequence[Loss]]:
-        """Tell the cells what they sense, and hear what they do."""
+    def _exchange(
+        self, tick: int, start_ns: int, sense: Sense, died: tuple[int, ...]
+    ) -> tuple[Floats, Sequence[Loss]]:
+        """Tell the cells what they sense, and hear what they do.
+
+        Those who die in this tick still sense: that a tick begins tells them that all they sent has arrived.
+        """
         self.waiting = True
         try:
             if self._pace is not None:
                 self._pace(start_ns)
             self._host.publish(SenseFrame(tick, sense.presence, sense.encoder_m))
+            if died:
+                self._host.retire(died, tick)
             frame, losses = self._host.gather(tick)
         finally:
             self.waiting = False

@@ -1,0 +1,151 @@
+"""The cells' side of a run as the plant's process sees it: worker processes, or a thread of this one."""
+
+from __future__ import annotations
+
+import threading
+from typing import Protocol, final
+
+from bus.transport import Endpoint
+from deploy.launch import Crew, WorkerError, describe_exit
+from deploy.plan import Plan
+from deploy.worker import Order, serve
+
+PRELOAD = (
+    "asyncio",
+    "msgpack",
+    "numpy",
+    "zenoh",
+    "bus.lockstep",
+    "bus.transports.zenoh",
+    "cell_firmware.agent",
+    "cell_firmware.protocols.heat_diffusion",
+    "cell_firmware.protocols.velocity_field",
+    "deploy.scene",
+    "deploy.worker",
+    "plant.array",
+)
+"""What a worker needs: imported once, before the workers are forked."""
+
+_SLICE_S = 0.05
+
+
+class CellsSide(Protocol):
+    """Starts the cells, says what went wrong with them, and ends them."""
+
+    def start(self, order: Order) -> None:
+        """Start every agent; returns before they are ready."""
+        ...
+
+    def trouble(self, timeout_s: float) -> bool:
+        """Whether anything has gone wrong, waiting up to ``timeout_s`` for it."""
+        ...
+
+    def check(self) -> None:
+        """Raise WorkerError if anything has gone wrong."""
+        ...
+
+    def details(self) -> str:
+        """Tracebacks of what went wrong, or an empty string."""
+        ...
+
+    def close(self, grace_s: float) -> None:
+        """End every agent; those that were told to stop get ``grace_s`` to do so."""
+        ...
+
+
+@final
+class WorkerProcesses:
+    """One worker process a shard. Made before anything else, so that it gets ready meanwhile.
+
+    Args:
+        plan: Which cells run where.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._names = [process.name for process in plan.processes if process.role == "cells"]
+        self._crew = Crew(PRELOAD)
+
+    def start(self, order: Order) -> None:
+        """Fork the workers."""
+        self._crew.start(order, self._names)
+
+    def trouble(self, timeout_s: float) -> bool:
+        """Whether a worker has failed or ended."""
+        self._crew.poll(timeout_s)
+        return bool(self._crew.failures or self._crew.ended or self._crew.gone)
+
+    def check(self) -> None:
+        """Raise WorkerError if a worker has failed or ended."""
+        self._crew.check()
+
+    def details(self) -> str:
+        """Tracebacks of the workers that raised, and how the others ended that did not end well."""
+        crew = self._crew
+        failed = [f"{crew.name(failure.worker)}: {failure.detail}" for failure in crew.failures]
+        raised = {failure.worker for failure in crew.failures}
+        ended = [
+            f"{crew.name(worker)}: {describe_exit(status)}"
+            for worker, status in crew.ended.items()
+            if status and worker not in raised
+        ]
+        return "\n".join([*failed, *ended])
+
+    def close(self, grace_s: float) -> None:
+        """End every worker and their parent."""
+        self._crew.close(grace_s)
+
+
+@final
+class WorkerThread:
+    """Every agent in the event loop of one thread of this process.
+
+    Args:
+        endpoint: The cells' own; closed when they have ended.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._thread: threading.Thread | None = None
+        self._error: Exception | None = None
+        self._over = threading.Event()
+
+    def start(self, order: Order) -> None:
+        """Start the thread."""
+
+        def work() -> None:
+            try:
+                serve(order, 0, self._endpoint)
+            except Exception as error:  # noqa: BLE001 - whatever it is, `check` raises it
+                self._error = error
+            finally:
+                self._over.set()
+
+        # A firmware that never returns must not keep the process from ending.
+        self._thread = threading.Thread(target=work, name="cells", daemon=True)
+        self._thread.start()
+
+    def trouble(self, timeout_s: float) -> bool:
+        """Whether the agents have ended, as they don't before they are told to."""
+        return self._over.wait(timeout_s)
+
+    def check(self) -> None:
+        """Raise WorkerError if an agent has raised."""
+        if self._error is not None:
+            raise WorkerError(f"cells: {' '.join(str(self._error).split())}") from self._error
+        if self._over.is_set():
+            raise WorkerError("cells: the agents ended before the run did")
+
+    def details(self) -> str:
+        """The traceback, where an agent raised."""
+        import traceback
+
+        return "" if self._error is None else "".join(traceback.format_exception(self._error))
+
+    def close(self, grace_s: float) -> None:
+        """Wait for the agents to leave; wake them if they do not."""
+        if self._thread is not None:
+            self._thread.join(grace_s)
+            if self._thread.is_alive():
+                self._endpoint.wake()
+                self._thread.join(grace_s)
+        self._endpoint.close()

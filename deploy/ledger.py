@@ -1,0 +1,152 @@
+"""What happened in a run, tick by tick: digested, recorded, shown, and counted for the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, final
+
+from deploy.digest import Digest
+
+if TYPE_CHECKING:
+    from bus.counts import Loss
+    from deploy.progress import Progress
+    from deploy.recording import Recorder
+    from plant.plant import Event
+    from plant.process import TickRecord
+
+SUPPORT_CHANGES = frozenset({"support_gained", "support_lost"})
+"""Events that count as changes of a support set."""
+
+_WORDS = {"token lost": "its process went away", "stalled": "it did not answer in time"}
+
+
+@final
+class Ledger:
+    """Takes in every tick of a run.
+
+    Args:
+        cells: ``(row, column)`` of every cell, in the lattice's order.
+        period_ns: Of a tick.
+        digest: Continued tick by tick.
+        recorder: Where ticks, events and faults are written.
+        progress: What shows how far the run has come.
+        policy: What the wheels of a cell do that goes away.
+        warn: Told of every loss, one line.
+
+    Attributes:
+        ticks: Ticks that are over.
+        time_ns: Simulated time reached.
+        support_changes: How often a cell came under or out from under a parcel's load.
+        faults: Scheduled and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``.
+        cells_lost: ``(row, column)`` of each, in order.
+        last: The last tick; None before the first is over.
+    """
+
+    def __init__(
+        self,
+        cells: Sequence[tuple[int, int]],
+        period_ns: int,
+        *,
+        digest: Digest,
+        recorder: Recorder,
+        progress: Progress,
+        policy: str,
+        warn: Callable[[str], None],
+    ) -> None:
+        self._cells = cells
+        self._period_ns = period_ns
+        self._digest = digest
+        self._recorder = recorder
+        self._progress = progress
+        self._policy = policy
+        self._warn = warn
+        self.ticks = 0
+        self.time_ns = 0
+        self.support_changes = 0
+        self.faults: list[Mapping[str, Any]] = []
+        self.cells_lost: list[tuple[int, int]] = []
+        self.last: TickRecord | None = None
+
+    def tick(self, record: TickRecord) -> None:
+        """Take in one tick, once it is over."""
+        if record.died:
+            self.died(record.tick, record.died)
+        if record.losses:
+            self.lost(record.losses)
+        self._digest.tick(record.tick, record.sense.presence, record.drives, record.after)
+        self._recorder.tick(
+            record.tick,
+            record.start_ns,
+            record.sense.presence,
+            record.drives,
+            record.wheel_speed,
+            record.before,
+        )
+        if record.events:
+            self._take_events(record.events)
+        self.last = record
+        self.ticks = record.tick + 1
+        self.time_ns = record.until_ns
+        self._progress.update(self.ticks, self.time_ns)
+
+    def _take_events(self, events: Sequence[Event]) -> None:
+        for event in events:
+            if event.kind in SUPPORT_CHANGES:
+                self.support_changes += 1
+            self._recorder.event(event_record(event, self._cells))
+        self._progress.events += len(events)
+
+    def died(self, tick: int, cells: Sequence[int]) -> None:
+        """Note cells that died at the start of a tick because the scene said so."""
+        for cell in cells:
+            self._fault(tick, "crash", cell, "scheduled")
+
+    def lost(self, losses: Sequence[Loss]) -> None:
+        """Note cells that were found lost, and say so: once for those that were lost alike."""
+        alike: dict[tuple[int, str], list[Loss]] = {}
+        for loss in losses:
+            self._fault(loss.tick, loss.reason.replace(" ", "_"), loss.cell, loss.detail)
+            alike.setdefault((loss.tick, loss.reason), []).append(loss)
+        for group in alike.values():
+            self._warn(f"{self.describe(group)}; wheels: {self._policy}")
+
+    def describe(self, losses: Sequence[Loss]) -> str:
+        """Which cells were lost, when, and why, one line; they are of one tick."""
+        names = [self._cells[loss.cell] for loss in losses]
+        named = " ".join(f"{row},{column}" for row, column in names[:6])
+        more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+        first = losses[0]
+        why = _WORDS.get(first.reason) or _last_line(first.detail) or first.reason
+        when = f"tick {first.tick} ({first.tick * self._period_ns * 1e-9:g} s)"
+        return f"cell{'s' if len(names) > 1 else ''} {named}{more} lost in {when}: {why}"
+
+    def _fault(self, tick: int, kind: str, cell: int, detail: str) -> None:
+        place = self._cells[cell]
+        fault = {
+            "time_s": tick * self._period_ns * 1e-9,
+            "kind": kind,
+            "cell": list(place),
+            "tick": tick,
+            "detail": detail,
+        }
+        self.faults.append(fault)
+        self.cells_lost.append(place)
+        self._recorder.fault(fault)
+        self._progress.lost += 1
+
+
+def event_record(event: Event, cells: Sequence[tuple[int, int]]) -> dict[str, Any]:
+    """An event of the plant as the recording has it: cells by row and column."""
+    return {
+        "time_s": event.time_s,
+        "kind": event.kind,
+        "parcel": event.parcel,
+        "cells": [list(cells[cell]) for cell in event.cells],
+        "position_m": event.position_m,
+        "detail": event.detail,
+    }
+
+
+def _last_line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else ""

@@ -1,0 +1,121 @@
+"""What a run or a simulation leaves behind: its name, its folder, its header and its picture."""
+
+from __future__ import annotations
+
+import platform
+import re
+import time
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.errors import InputError
+from deploy.recording_format import Header
+from deploy.summary import ParcelOutcome
+from plant.geometry import centroid
+from plant.specs import ParcelSpec
+
+if TYPE_CHECKING:
+    from deploy.scene import Scene
+    from plant.array import CellArray
+    from plant.plant import Plant
+
+_VERSIONS = ("mdms-emulator", "eclipse-zenoh", "llvmlite", "mcap", "msgpack", "numba", "numpy")
+
+
+def run_name(scene: Scene, suffix: str) -> str:
+    """A name for the run that can stand in a key expression and a file name."""
+    stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(scene.name).stem).strip("-_")
+    return f"{stem[:40] or 'scene'}-{suffix}"
+
+
+def output_folder(scene: Scene, wanted: Path | None) -> Path:
+    """Make the folder for everything the run leaves behind.
+
+    Args:
+        scene: Gives the default its name: ``runs/SCENE-YYYYmmdd-HHMMSS``, numbered where that exists.
+        wanted: The folder asked for; may exist.
+
+    Raises:
+        InputError: It can't be made.
+    """
+    if wanted is not None:
+        folder, number = wanted, None
+    else:
+        folder = Path("runs") / run_name(scene, time.strftime("%Y%m%d-%H%M%S"))
+        number = 2
+    first = folder
+    while True:
+        try:
+            folder.mkdir(parents=True, exist_ok=number is None)
+        except FileExistsError:
+            if number is None:
+                raise InputError(f"output {folder}: is a file, must be a folder") from None
+            folder = first.with_name(f"{first.name}-{number}")
+            number += 1
+        except OSError as error:
+            raise InputError(f"output {folder}: can't be made: {error.strerror or error}") from None
+        else:
+            return folder
+
+
+def header(run: str, scene: Scene, array: CellArray) -> Header:
+    """What the recording says of its run."""
+    return Header(
+        run=run,
+        title=scene.title,
+        scene_name=scene.name,
+        scene=scene.model_dump(mode="json"),
+        versions=versions(),
+        period_ns=scene.cells.period_ns,
+        pitch_m=scene.array.pitch_m,
+        cells=[list(cell) for cell in array.lattice.cells],
+        positions_m=array.positions_m.tolist(),
+        sensors_m=[list(point) for point in scene.array.sensors_m],
+        footprints_m=[footprint(parcel).tolist() for parcel in scene.parcels],
+    )
+
+
+def footprint(parcel: ParcelSpec) -> NDArray[np.float64]:
+    """``(v, 2)`` corners of a parcel about its centre of mass, in its axes."""
+    corners = np.array(parcel.polygon(), dtype=np.float64)
+    return corners - np.array(parcel.centre_of_mass_m or centroid(parcel.polygon()))
+
+
+def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
+    """Where every parcel is, and in which state."""
+    return [
+        ParcelOutcome.of(numbers, status.state, status.time_s, status.detail)
+        for numbers, status in zip(plant.state, plant.status, strict=True)
+    ]
+
+
+def draw(folder: Path) -> None:
+    """Draw the overview of the recording in a folder, whole or not at all.
+
+    Raises:
+        DeployError: It can't be written.
+    """
+    from deploy.overview import FILE_NAME, draw_overview
+    from deploy.replay import load
+
+    draft = folder / f".{FILE_NAME}.draft"
+    try:
+        draw_overview(load(folder), draft)
+        draft.replace(folder / FILE_NAME)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def versions() -> dict[str, str]:
+    """Of this package, Python and the libraries that decide the bits of a run."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in _VERSIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # run from a checkout that is not installed
+            found[name] = "not installed"
+    return found

@@ -1,0 +1,272 @@
+"""The whole system: cells, bus and plant in lockstep; a recording, a summary and a picture at the end."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+from bus.errors import BusError
+from deploy.digest import Digest
+from deploy.errors import DeployError
+from deploy.faults.schedule import deaths
+from deploy.interruption import Interrupted, Interruption
+from deploy.ledger import Ledger
+from deploy.output import draw, header, output_folder, parcel_outcomes, run_name
+from deploy.plan import RunOptions, plan
+from deploy.progress import Progress
+from deploy.recording import Recorder
+from deploy.summary import Messages, Summary
+from deploy.system import System
+from plant.errors import PlantError
+
+if TYPE_CHECKING:
+    from bus.lockstep import Counts
+    from deploy.scene import Scene
+    from plant.plant import Plant
+    from plant.process import Ended, PlantProcess, TickRecord
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes:
+        summary: For programs and people.
+        detail: Several lines on what went wrong, such as a firmware's traceback; empty where all is well.
+    """
+
+    summary: Summary
+    detail: str = ""
+
+
+def run(scene: Scene, options: RunOptions | None = None, *, quiet: bool = False) -> Outcome:
+    """Run the whole system once.
+
+    Once the cells are started, whatever ends the run is told by the outcome's status and reason. However this
+    ends, every process that was started has ended, and what was recorded is complete up to there.
+
+    Args:
+        scene: What to run.
+        options: How to run it.
+        quiet: Show no progress and no warnings on stderr.
+
+    Raises:
+        InputError: Bad input; nothing was started.
+        PlantError: The plant refuses the scene; nothing was started.
+        Interrupted: SIGINT or SIGTERM came before the run had a recording.
+    """
+    interruption = Interruption()
+    with interruption.watching():
+        return _Run(scene, options or RunOptions(), interruption, quiet=quiet).go()
+
+
+@final
+class _Run:
+    """One run, from the plan to the picture."""
+
+    def __init__(self, scene: Scene, options: RunOptions, interruption: Interruption, *, quiet: bool) -> None:
+        self.begun = time.monotonic()
+        self.scene = scene
+        self.options = options
+        self.interruption = interruption
+        self.quiet = quiet
+        self.plan = plan(scene, options, run_name(scene, secrets.token_hex(4)))
+        self.digest = Digest(scene.canonical())
+        self.status = "ok"
+        self.reason: str | None = None
+        self.detail = ""
+        self.counts: Counts | None = None
+        self.startup_s = 0.0
+        self.wall_s = 0.0
+
+    def go(self) -> Outcome:
+        """Everything; see `run`."""
+        with System(self.plan, self.scene, self.options.listen) as system:
+            with self.interruption.allowed():
+                plant = load_plant(self.scene, self._warn)
+            system.open()
+            self.interruption.check()
+            folder = output_folder(self.scene, self.options.output)
+            with (
+                Recorder(folder, header(self.plan.run, self.scene, plant.array)) as recorder,
+                Progress(self.scene.duration_ns, quiet=self.quiet) as progress,
+            ):
+                ledger = Ledger(
+                    plant.array.lattice.cells,
+                    self.scene.cells.period_ns,
+                    digest=self.digest,
+                    recorder=recorder,
+                    progress=progress,
+                    policy=self.scene.stall.policy,
+                    warn=lambda line: self._warn(line, progress),
+                )
+                self._lockstep(system, plant, ledger, recorder)
+                recorder.close(self.status, self.digest.hexdigest)
+        summary = self._summary(plant, ledger, folder)
+        summary.write(folder)
+        if self.options.picture and self.status != "interrupted":
+            summary = self._draw(summary, folder)
+        return Outcome(summary, self.detail)
+
+    # --- the run itself ---------------------------------------------------------------------------
+
+    def _lockstep(self, system: System, plant: Plant, ledger: Ledger, recorder: Recorder) -> None:
+        """Start the cells, run to whatever end, stop the cells; sets status, reason and times."""
+        process: PlantProcess | None = None
+        started = time.monotonic()
+        try:
+            with self.interruption.allowed():
+                process = self._process(system, plant, ledger)
+            started = time.monotonic()
+            self.startup_s = started - self.begun
+            self.interruption.waits = lambda: process.waiting
+            self._take(process.run(), ledger)
+        except Interrupted:
+            self._end("interrupted", f"interrupted at {ledger.time_ns * 1e-9:g} s of simulated time")
+        except (BusError, DeployError) as error:
+            self._end("failed", str(error))
+        except PlantError as error:
+            self._end(status_of(error), f"{error} (tick {ledger.ticks})")
+        finally:
+            self.interruption.waits = lambda: False
+            self.wall_s = time.monotonic() - started
+            if self.status == "failed":
+                self.detail = "\n".join(text for text in (self.detail, system.explain()) if text)
+            self.counts = system.stop(self.reason or "the run is over")
+        if process is not None and self.status != "unstable":
+            recorder.tick(
+                process.tick, process.time_ns, process.sense.presence, None, plant.wheel_speed, plant.state
+            )
+
+    def _process(self, system: System, plant: Plant, ledger: Ledger) -> PlantProcess:
+        from plant.process import PlantProcess
+
+        def observe(record: TickRecord) -> None:
+            ledger.tick(record)
+            if self.interruption.requested:
+                raise Interrupted
+
+        host = system.start(plant.array, encoders=plant.sense().encoder_m is not None)
+        return PlantProcess(
+            plant,
+            host,
+            period_ns=self.scene.cells.period_ns,
+            duration_ns=self.scene.duration_ns,
+            schedule=deaths(self.scene),
+            stall=self.scene.stall,
+            observer=observe,
+            pace=None if self.options.realtime is None else pacer(self.options.realtime),
+        )
+
+    def _take(self, ended: Ended, ledger: Ledger) -> None:
+        """Tell why the policy ``abort`` ended the run, if it did."""
+        if ended.died:
+            ledger.died(ledger.ticks, ended.died)
+            row, column = ledger.cells_lost[-len(ended.died)]
+            at_s = ledger.time_ns * 1e-9
+            self._end(
+                "failed", f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"
+            )
+        elif ended.losses:
+            ledger.lost(ended.losses)
+            self._end(ended.status, f"{ledger.describe(ended.losses)}; stall.policy is abort")
+            self.detail = next((loss.detail for loss in ended.losses if loss.detail), "")
+
+    def _end(self, status: str, reason: str) -> None:
+        self.status, self.reason = status, reason
+
+    # --- what it leaves ---------------------------------------------------------------------------
+
+    def _summary(self, plant: Plant, ledger: Ledger, folder: Path) -> Summary:
+        scene, counts = self.scene, self.counts
+        messages = Messages()
+        if counts is not None:
+            messages = Messages(
+                sent=counts.sent, delivered=counts.delivered, lost=counts.lost, late=counts.late
+            )
+        return Summary(
+            status=self.status,
+            reason=self.reason,
+            scene=scene.name,
+            seed=scene.seed,
+            duration_s=scene.duration_s,
+            simulated_s=ledger.time_ns * 1e-9,
+            cells=len(plant.array),
+            processes=self.plan.workers,
+            transport=self.plan.transport,
+            solver={"name": scene.solver.name, "tolerance": scene.solver.tolerance},
+            ticks=ledger.ticks,
+            wall_s=self.wall_s,
+            startup_s=self.startup_s,
+            parcels=parcel_outcomes(plant),
+            support_changes=ledger.support_changes,
+            messages=messages,
+            faults=ledger.faults,
+            cells_lost=ledger.cells_lost,
+            digest=self.digest.hexdigest,
+            output=str(folder),
+        )
+
+    def _draw(self, summary: Summary, folder: Path) -> Summary:
+        """Draw the picture; a signal gives it up and makes the run an interrupted one."""
+        try:
+            with self.interruption.allowed():
+                draw(folder)
+        except Interrupted:
+            summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
+            summary.write(folder)
+        return summary
+
+    def _warn(self, line: str, progress: Progress | None = None) -> None:
+        if progress is not None:
+            progress.say(line)
+        elif not self.quiet:
+            sys.stderr.write(f"mdms: {line}\n")
+            sys.stderr.flush()
+
+
+def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
+    """The plant of a scene, its kernels compiled or loaded; says so where that takes long.
+
+    Raises:
+        PlantError: The plant refuses the scene.
+    """
+    from plant.kernels.cache import is_warm
+    from plant.plant import Plant
+
+    if not is_warm():
+        warn("compiling the solver (once) ...")
+    return Plant(scene.plant_spec())
+
+
+def status_of(error: PlantError) -> str:
+    """``unstable`` where the numbers ran away, else ``failed``."""
+    from plant.errors import UnstableError
+
+    return "unstable" if isinstance(error, UnstableError) else "failed"
+
+
+def pacer(factor: float) -> Callable[[int], None]:
+    """Something that waits, before a tick, until its simulated time has come on the wall clock.
+
+    Args:
+        factor: Simulated seconds a wall second.
+    """
+    begun: float | None = None
+
+    def pace(start_ns: int) -> None:
+        nonlocal begun
+        now = time.monotonic()
+        if begun is None:
+            begun = now - start_ns * 1e-9 / factor
+        ahead = begun + start_ns * 1e-9 / factor - now
+        if ahead > 0:
+            time.sleep(ahead)
+
+    return pace

@@ -1,0 +1,171 @@
+"""The parts of a running system, put together: the plant's endpoint, the lockstep's host, and the cells."""
+
+from __future__ import annotations
+
+import threading
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, final
+
+from bus.errors import BusError, TransportError, WokenError
+from deploy.cells_side import CellsSide, WorkerProcesses, WorkerThread
+from deploy.errors import DeployError, InputError
+from deploy.plan import Plan
+from deploy.worker import Order, firmware_of
+
+if TYPE_CHECKING:
+    from bus.lockstep import Counts, Host
+    from bus.transport import Endpoint
+    from deploy.scene import Scene
+    from plant.array import CellArray
+
+_STOP_S = 2.0
+"""Wall time that the cells get to leave when they are told to stop."""
+
+_WATCH_S = 0.05
+"""How often the barrier's watch looks whether it is still needed."""
+
+
+@final
+class System:
+    """One run's endpoint, host and cells; leaving the context ends whatever was started.
+
+    Args:
+        plan: What to start.
+        scene: What runs.
+        listen: Endpoint on which the plant listens; None: a free loopback port.
+    """
+
+    def __init__(self, plan: Plan, scene: Scene, listen: str | None) -> None:
+        self._plan = plan
+        self._scene = scene
+        self._listen = listen
+        self._endpoint: Endpoint | None = None
+        self._cells: CellsSide | None = None
+        self._locator = ""
+        self._host: Host | None = None
+        self._stopped = False
+        # Begun at once: the workers' parent imports what they need while this process gets its kernels.
+        self._processes = WorkerProcesses(plan) if plan.workers else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def open(self) -> None:
+        """Open the plant's endpoint.
+
+        Raises:
+            InputError: The port is in use, or the endpoint makes no sense.
+        """
+        if self._plan.transport == "memory":
+            from bus.transports.memory import MemoryBus
+
+            bus = MemoryBus()
+            self._endpoint = bus.endpoint()
+            self._cells = WorkerThread(bus.endpoint())
+            return
+        from bus.transports.zenoh import open_client, open_hub
+
+        try:
+            self._endpoint = open_hub(self._listen)
+        except TransportError as error:
+            raise InputError(str(error)) from None
+        self._locator = self._endpoint.locator
+        self._cells = self._processes or WorkerThread(open_client(self._locator))
+
+    def start(self, array: CellArray, *, encoders: bool) -> Host:
+        """Start the cells and wait until all of them are ready.
+
+        Args:
+            array: The cells that exist.
+            encoders: Whether the plant's wheels have encoders.
+
+        Raises:
+            DeployError: A worker failed on the way; says which and why.
+            BusError: Somebody was not ready in time; names who.
+        """
+        from bus.lockstep import Host
+
+        assert self._endpoint is not None
+        assert self._cells is not None
+        scene, plan = self._scene, self._plan
+        order = Order(
+            scene=scene,
+            array=array,
+            partition=plan.partition,
+            wire=plan.wire,
+            run=plan.run,
+            connect=self._locator,
+            encoders=encoders,
+            alone=plan.workers > 0,
+        )
+        host = self._host = Host(
+            self._endpoint,
+            plan.partition,
+            plan.wire,
+            run=plan.run,
+            sensors=len(scene.array.sensors_m),
+            encoders=encoders,
+            message=firmware_of(scene).message,
+            stall=scene.stall,
+        )
+        self._cells.start(order)
+        self._barrier(host, self._endpoint, self._cells)
+        return host
+
+    def _barrier(self, host: Host, endpoint: Endpoint, cells: CellsSide) -> None:
+        """The host's barrier, cut short by a worker that fails."""
+        over = threading.Event()
+
+        def watch() -> None:
+            while not over.is_set():
+                if cells.trouble(_WATCH_S):
+                    endpoint.wake()
+                    return
+
+        watcher = threading.Thread(target=watch, name="start-up watch", daemon=True)
+        watcher.start()
+        try:
+            host.barrier()
+        except BusError:
+            over.set()
+            watcher.join()
+            cells.check()  # why a worker is not there says more than that it is not
+            raise
+        finally:
+            over.set()
+            watcher.join()
+
+    def explain(self) -> str:
+        """What is known of workers that went wrong, several lines, or an empty string."""
+        if self._cells is None:
+            return ""
+        self._cells.trouble(_WATCH_S)
+        return self._cells.details()
+
+    def stop(self, detail: str = "") -> Counts | None:
+        """Tell the cells to stop, end those that do not, and close the endpoint; a second call does nothing.
+
+        Returns:
+            The messages of all sides; None if the lockstep never was.
+        """
+        if self._stopped:
+            return None
+        self._stopped = True
+        counts: Counts | None = None
+        try:
+            if self._host is not None:
+                counts = self._host.stop(detail, _STOP_S)
+        finally:
+            try:
+                for side in (self._cells, self._processes):
+                    if side is not None:
+                        side.close(_STOP_S if counts is not None else 0.0)
+            finally:
+                if self._endpoint is not None:
+                    self._endpoint.close()
+        return counts

@@ -1,0 +1,139 @@
+"""What a worker does: the agents of one shard, from loading their firmware to leaving the bus."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from bus.keys import plant_key
+from bus.partition import Partition
+from bus.transport import Alive, Endpoint, Received
+from deploy.faults.schedule import Deaths, deaths
+
+if TYPE_CHECKING:
+    from bus.lockstep import FormName
+    from cell_firmware.firmware import Firmware
+    from cell_firmware.shard import Shard
+    from deploy.scene import Scene
+    from plant.array import CellArray
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """What every worker of a run is told; calling it with a shard's number is that worker's whole life.
+
+    Attributes:
+        scene: What runs.
+        array: The cells that exist.
+        partition: Which cells run where.
+        wire: The wire form.
+        run: Names the run on the bus.
+        connect: Where the plant listens.
+        encoders: Whether the wheels have encoders.
+        alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
+    """
+
+    scene: Scene
+    array: CellArray
+    partition: Partition
+    wire: FormName
+    run: str
+    connect: str
+    encoders: bool
+    alone: bool
+
+    def __call__(self, shard: int) -> None:
+        """Open a session of one's own, serve, and close it."""
+        from bus.transports.zenoh import open_client
+
+        endpoint = open_client(self.connect, timeout_s=self.scene.stall.start_s)
+        try:
+            serve(self, shard, endpoint)
+        finally:
+            endpoint.close()
+
+
+def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
+    """Run the agents of one shard until the plant says stop or all their cells are dead.
+
+    Raises:
+        FirmwareError: The firmware can't be loaded or initialised.
+        BusError: The plant is not there, or went away.
+    """
+    import asyncio
+
+    from bus.lockstep import Member
+    from cell_firmware import agent
+
+    cells = _shard(order, shard)
+    member = Member(
+        endpoint,
+        order.partition,
+        shard,
+        order.wire,
+        run=order.run,
+        sensors=len(order.scene.array.sensors_m),
+        encoders=order.encoders,
+        message=cells.message,
+        stall=order.scene.stall,
+    )
+    schedule = deaths(order.scene)
+    for tick, dead in schedule.items():
+        member.retire(dead, tick)
+    member.ready()
+    ended = asyncio.run(agent.run(cells, member, endpoint))
+    if order.alone and _doomed(order, shard, schedule, ended.ticks) and _next_tick_came(order.run, endpoint):
+        os.kill(os.getpid(), signal.SIGKILL)
+    member.close()
+
+
+def firmware_of(scene: Scene) -> Firmware:
+    """The firmware that a scene asks for."""
+    from cell_firmware.loader import load
+
+    return load(scene.cells)
+
+
+def _shard(order: Order, shard: int) -> Shard:
+    from cell_firmware.controller import Controller
+    from cell_firmware.firmware import Cells
+    from cell_firmware.shard import Shard
+    from cell_firmware.speed_loop import SpeedLoop
+
+    scene, array = order.scene, order.array
+    period_s = scene.cells.period_s
+    loop = None
+    if scene.speed_loop is not None and scene.effects.motors is not None:
+        loop = SpeedLoop(scene.speed_loop, period_s, scene.effects.motors.supply_v)
+    return Shard(
+        Controller(firmware_of(scene), loop),
+        Cells.of(array.lattice, array.positions_m, period_s, len(scene.array.sensors_m)),
+        order.partition,
+        shard,
+    )
+
+
+def _doomed(order: Order, shard: int, schedule: Deaths, ticks: int) -> bool:
+    """Whether every cell of the shard is dead by the schedule after so many ticks."""
+    dead = {cell for tick, cells in schedule.items() if tick <= ticks for cell in cells}
+    return dead.issuperset(order.partition.cells(shard).tolist())
+
+
+def _next_tick_came(run: str, endpoint: Endpoint) -> bool:
+    """Wait until the plant begins the tick of the crash; False if the run ends instead.
+
+    Only then has everything that was sent before arrived: a process that killed itself earlier would take its last
+    messages with it, some of the time.
+    """
+    while True:
+        event = endpoint.receive(None)
+        if isinstance(event, Received):
+            if event.key.endswith("/sense"):
+                return True
+            if event.key == plant_key(run, "control"):
+                return False
+        elif isinstance(event, Alive) and event.key == plant_key(run, "alive") and not event.present:
+            return False
