@@ -8,6 +8,7 @@ from pydantic.json_schema import models_json_schema
 
 from cell_firmware.loader import BUNDLED, find
 from cell_firmware.specs import CellsSpec
+from deploy.field_docs import describe
 from deploy.scene import Scene
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -21,6 +22,7 @@ def scene_schema() -> dict[str, Any]:
         ref_template="#/$defs/{model}",
     )
     definitions: dict[str, Any] = document["$defs"]
+    describe(definitions, Scene, *parameters.values())
     scene = definitions.pop("Scene")
     definitions["CellsSpec"]["allOf"] = [
         _parameters_of(name, references[model, "validation"]) for name, model in parameters.items()

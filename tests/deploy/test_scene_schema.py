@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +12,8 @@ from jsonschema import Draft202012Validator
 
 from deploy.scene_files import bundled_names, scene_text
 from deploy.scene_schema import scene_schema
+
+REFERENCE = Path(__file__).parents[2] / "docs" / "scenes.md"
 
 
 @pytest.fixture(scope="module")
@@ -49,3 +53,26 @@ def test_the_parameters_are_those_of_the_firmware_that_the_scene_names(
     heat = tomllib.loads(scene_text("heat"))
     heat["cells"]["parameters"]["field"] = {}
     assert paths_of_errors(validator, heat) == {"$.cells.parameters"}
+
+
+def test_the_words_under_a_field_describe_it(validator: Draft202012Validator) -> None:
+    properties = validator.schema["$defs"]["SolverSpec"]["properties"]
+    assert properties["tolerance"]["description"] == "Metres at the footprint, over the run."
+    field = validator.schema["$defs"]["Radial"]["properties"]["rotation_rad_s"]
+    assert field["description"] == "Added rigid rotation, counter-clockwise."
+    assert "duration_s" in validator.schema["properties"]
+    assert "simulated time" in validator.schema["properties"]["duration_s"]["description"].lower()
+
+
+def test_the_reference_names_every_key_and_choice_of_the_schema(validator: Draft202012Validator) -> None:
+    words = set(re.findall(r"\w+", REFERENCE.read_text(encoding="utf-8")))
+    schemas = [validator.schema, *validator.schema["$defs"].values()]
+    keys = {key for schema in schemas for key in schema.get("properties", {})}
+    choices = {
+        choice
+        for schema in schemas
+        for value in schema.get("properties", {}).values()
+        for choice in (*value.get("enum", ()), *((value["const"],) if "const" in value else ()))
+    }
+    assert len(keys) > 40
+    assert (keys | choices) - words == set()
