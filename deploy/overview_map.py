@@ -209,11 +209,10 @@ def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
 
 def incidents(track: Track) -> list[tuple[float, str, int | None]]:
     """Time, words and parcel of the events worth a mark: outcomes, not every change of support."""
-    marked = ("tipped", "off_array", "overlap")
     return [
         (float(event["time_s"]), str(event["kind"]).replace("_", " "), event.get("parcel"))
         for event in track.events
-        if event["kind"] in marked
+        if event["kind"] in ("tipped", "off_array") or "overlap" in event["kind"]
     ]
 
 
