@@ -1,7 +1,7 @@
 """The strings under a model's fields, as descriptions in its JSON Schema.
 
-Pydantic can read them while a class is being made (``use_attribute_docstrings``), which costs every start of the
-program; only the schema needs them.
+Pydantic can read them while a class is being made (``use_attribute_docstrings``), which costs every start of
+the program; only the schema needs them.
 """
 
 from __future__ import annotations
