@@ -91,19 +91,26 @@ def _flowing(text: str) -> str:
     return re.sub(r"(?<!\n)\n(?=\S)", " ", inspect.cleandoc(text))
 
 
-def _top(
-    *,
-    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
-) -> None:
-    if version:
-        from importlib import metadata
+def _print_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    from importlib import metadata
 
-        try:
-            number = metadata.version("mdms-emulator")
-        except metadata.PackageNotFoundError:
-            number = "(not installed)"
-        typer.echo(f"mdms {number}")
-        raise typer.Exit
+    try:
+        number = metadata.version("mdms-emulator")
+    except metadata.PackageNotFoundError:
+        number = "(not installed)"
+    typer.echo(f"mdms {number}")
+    raise typer.Exit
+
+
+_Version = Annotated[
+    bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
+]
+
+
+def _top(*, version: _Version = False) -> None:
+    del version  # answered before it gets here
 
 
 def _function(name: str) -> Any:
