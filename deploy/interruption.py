@@ -24,9 +24,9 @@ class Interrupted(BaseException):
 class Interruption:
     """Notes SIGINT and SIGTERM, and raises Interrupted only where that leaves nothing half done.
 
-    A signal raises at once inside `allowed` and whenever `waits` says that the run only waits; elsewhere at the
-    next `check`. Whatever was set before is restored by `watching`. In a thread other than the main one signals
-    are left alone.
+    A signal raises at once inside `allowed` and whenever `waits` says that the run only waits; elsewhere at
+    the next `check`. Whatever was set before is restored by `watching`. In a thread other than the main one
+    signals are left alone.
 
     Attributes:
         requested: Whether a signal has come.

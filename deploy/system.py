@@ -6,9 +6,9 @@ import threading
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
-from bus.errors import BusError, TransportError, WokenError
+from bus.errors import BusError, TransportError
 from deploy.cells_side import CellsSide, WorkerProcesses, WorkerThread
-from deploy.errors import DeployError, InputError
+from deploy.errors import InputError
 from deploy.plan import Plan
 from deploy.worker import Order, firmware_of
 

@@ -125,8 +125,8 @@ def _doomed(order: Order, shard: int, schedule: Deaths, ticks: int) -> bool:
 def _next_tick_came(run: str, endpoint: Endpoint) -> bool:
     """Wait until the plant begins the tick of the crash; False if the run ends instead.
 
-    Only then has everything that was sent before arrived: a process that killed itself earlier would take its last
-    messages with it, some of the time.
+    Only then has everything that was sent before arrived: a process that killed itself earlier would take its
+    last messages with it, some of the time.
     """
     while True:
         event = endpoint.receive(None)

@@ -97,7 +97,8 @@ class PlantProcess:
         duration_ns: Of the run.
         schedule: Indices of the cells that die at the start of a tick, by tick.
         stall: What happens when a cell goes unscheduled; the scheduled dead follow the same policy.
-        observer: Told of every tick when it is over; what it raises ends the run between two ticks.
+        observer: Told of every tick when it is over, before anything of the next is awaited; what it raises ends
+            the run between two ticks.
         pace: Called with a tick's start, ns, before the tick begins; may wait.
 
     Attributes:
@@ -133,6 +134,7 @@ class PlantProcess:
         self._drives: Floats = np.zeros((n, 2))
         self._held: Floats = np.zeros((n, 2))
         self._any_lost = False
+        self._over: TickRecord | None = None
         self.tick = 0
         self.time_ns = 0
         self.waiting = False
@@ -148,11 +150,13 @@ class PlantProcess:
         abort = self._policy == "abort"
         while self.time_ns < self._duration_ns:
             if abort and self.tick in self._schedule:
+                self._report()
                 return Ended("failed", died=self._schedule[self.tick])
             losses = self.step()
             if losses and abort:
                 stalled = all(loss.reason == "stalled" for loss in losses)
                 return Ended("stalled" if stalled else "failed", tuple(losses))
+        self._report()
         return Ended("ok")
 
     def step(self) -> Sequence[Loss]:
@@ -173,20 +177,8 @@ class PlantProcess:
         before, wheel_speed = plant.state, plant.wheel_speed
         self._sense, events = plant.advance(drives, until_ns)
         self.tick, self.time_ns = tick + 1, until_ns
-        self._observer(
-            TickRecord(
-                tick,
-                start_ns,
-                until_ns,
-                sense,
-                wheel_speed,
-                before,
-                drives,
-                plant.state,
-                events,
-                died,
-                losses,
-            )
+        self._over = TickRecord(
+            tick, start_ns, until_ns, sense, wheel_speed, before, drives, plant.state, events, died, losses
         )
         return losses
 
@@ -195,19 +187,32 @@ class PlantProcess:
     ) -> tuple[Floats, Sequence[Loss]]:
         """Tell the cells what they sense, and hear what they do.
 
-        Those who die in this tick still sense: that a tick begins tells them that all they sent has arrived.
+        Those who die in this tick still sense: that a tick begins tells them that all they sent has arrived. The
+        tick before is reported while the cells compute.
         """
+        if self._pace is not None:
+            self._report()
+            self.waiting = True
+            try:
+                self._pace(start_ns)
+            finally:
+                self.waiting = False
+        self._host.publish(SenseFrame(tick, sense.presence, sense.encoder_m))
+        if died:
+            self._host.retire(died, tick)
+        self._report()
         self.waiting = True
         try:
-            if self._pace is not None:
-                self._pace(start_ns)
-            self._host.publish(SenseFrame(tick, sense.presence, sense.encoder_m))
-            if died:
-                self._host.retire(died, tick)
             frame, losses = self._host.gather(tick)
         finally:
             self.waiting = False
         return frame.drive, losses
+
+    def _report(self) -> None:
+        """Hand the last tick to the observer, once."""
+        record, self._over = self._over, None
+        if record is not None:
+            self._observer(record)
 
     def _bury(self, cells: Sequence[int]) -> tuple[int, ...]:
         """Note that these cells are dead; returns those that were not before."""

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 class CrashFault(BaseModel):
     """A cell that dies for good at the first tick boundary not before ``at_s``.
 
-    A worker process all of whose cells are dead ends itself by SIGKILL, as a real death does; in a shared worker
-    the cell's agent stops. Its wheels do what the scene's stall policy says.
+    A worker process all of whose cells are dead ends itself by SIGKILL, as a real death does; in a shared
+    worker the cell's agent stops. Its wheels do what the scene's stall policy says.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
