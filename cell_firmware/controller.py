@@ -130,15 +130,15 @@ class Controller:
         }
         drive, loop = np.asarray(speed, dtype=np.float64), None
         finite = np.isfinite(drive)
-        if self.speed_loop is not None:
-            if inputs.encoder_m is None or state.speed_loop is None:
-                raise FirmwareError("this is a bug: a speed loop without encoders")
-            loop, drive = self.speed_loop.step(state.speed_loop, drive, inputs.encoder_m)
-            finite &= np.isfinite(drive)
         if not finite.all():
             for i in np.flatnonzero(~finite.all(axis=1)).tolist():
                 problem = f"drive is not finite: speed {speed[i].tolist()} m/s"
                 failures.setdefault(i, FirmwareFailed(state.cells.name(i), tick, problem))
+            drive = np.where(finite, drive, 0.0)
+        if self.speed_loop is not None:
+            if inputs.encoder_m is None or state.speed_loop is None:
+                raise FirmwareError("this is a bug: a speed loop without encoders")
+            loop, drive = self.speed_loop.step(state.speed_loop, drive, inputs.encoder_m)
         if outbox is not None:
             for i, problem in _not_finite(outbox):
                 failures.setdefault(i, FirmwareFailed(state.cells.name(i), tick, problem))

@@ -77,9 +77,9 @@ def find(name: str, folder: Path | None = None) -> FirmwareClass:
         found = getattr(module, class_name, None)
     else:
         nearest = difflib.get_close_matches(name, BUNDLED, n=1)
-        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+        hint = f"; did you mean {nearest[0]!r}? Known: " if nearest else "; known: "
         raise FirmwareError(
-            f"unknown firmware {name!r}{hint} Known: {', '.join(sorted(BUNDLED))}; "
+            f"unknown firmware {name!r}{hint}{', '.join(sorted(BUNDLED))}; "
             "or package.module:Class, or a path to a .py file"
         )
     if found is None:

@@ -28,8 +28,8 @@ def _problem(detail: Any, model: type[BaseModel], given: Any) -> Problem:
     if detail["type"] == "extra_forbidden":
         known = sorted({name for found in _models_at(location[:-1], model) for name in found.model_fields})
         nearest = difflib.get_close_matches(str(location[-1]), known, n=1)
-        hint = f"; did you mean {nearest[0]}?" if nearest else ""
-        return Problem(path, f"unknown key{hint} Known: {', '.join(known) or 'none'}", detail["input"])
+        hint = f"; did you mean {nearest[0]}? Known: " if nearest else "; known: "
+        return Problem(path, f"unknown key{hint}{', '.join(known) or 'none'}", detail["input"])
     message = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     if detail["type"] == "missing":
         return Problem(path, "is required")

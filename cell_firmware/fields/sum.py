@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, final
+from typing import TYPE_CHECKING, Literal, final
 
-import pydantic
+from pydantic import field_validator
 
 from cell_firmware.fields.base import Array, Field
 
@@ -17,7 +17,14 @@ class Sum(Field):
     """The sum of its fields, added in the order in which they are listed. Sums nest."""
 
     kind: Literal["sum"] = "sum"
-    fields: Annotated[tuple[FieldSpec, ...], pydantic.Field(min_length=1)]
+    fields: tuple[FieldSpec, ...]
+
+    @field_validator("fields")
+    @classmethod
+    def _some(cls, value: tuple[FieldSpec, ...]) -> tuple[FieldSpec, ...]:
+        if not value:
+            raise ValueError("must name at least one field")
+        return value
 
     def velocity(self, x: Array, y: Array) -> Array:
         """Surface velocity, ``(n, 2)`` m/s."""

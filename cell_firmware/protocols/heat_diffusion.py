@@ -36,10 +36,7 @@ class HeatDiffusionParameters(Spec):
     @classmethod
     def _stable(cls, value: float) -> float:
         if value > 0.25:
-            raise ValueError(
-                f"must be at most 0.25, not {value}: above that the explicit scheme is unstable on a "
-                "four-neighbour lattice"
-            )
+            raise ValueError(f"must be at most 0.25, not {value}: the explicit scheme is unstable above that")
         return value
 
     @field_validator("initial", "held")

@@ -74,9 +74,7 @@ class Lockstep:
         for border in self.partition.incoming_borders(shard):
             theirs = outputs[border.shard].links
             assert theirs is not None
-            (there,) = [
-                b for b in self.partition.outgoing_borders(border.shard) if b.shard == shard
-            ]
+            (there,) = [b for b in self.partition.outgoing_borders(border.shard) if b.shard == shard]
             sent[border.start : border.stop] = theirs.sent[there.start : there.stop]
             values[border.start : border.stop] = theirs.message[there.start : there.stop]
         return Links(sent, values)
@@ -87,7 +85,7 @@ class Lockstep:
             shard.retire(gone)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def grid() -> Callable[..., Lattice]:
     """A rectangle of cells, less some."""
 
@@ -98,19 +96,19 @@ def grid() -> Callable[..., Lattice]:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def everything() -> Callable[..., Cells]:
     """All cells of a lattice."""
     return cells_of
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def lockstep() -> type[Lockstep]:
     """The lockstep's class."""
     return Lockstep
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def run() -> Callable[..., Run]:
     """Runs firmware over a partition for some ticks, with cells that die before given ticks."""
 

@@ -8,7 +8,9 @@ def test_the_default_period_is_one_real_time_interrupt_in_nanoseconds():
     assert CellsSpec().period_ns == 4_096_000
 
 
-@pytest.mark.parametrize(("seconds", "whole"), [(1e-9, 1), (0.1, 100_000_000), (0.008192, 8_192_000), (2, 2 * 10**9)])
+@pytest.mark.parametrize(
+    ("seconds", "whole"), [(1e-9, 1), (0.1, 100_000_000), (0.008192, 8_192_000), (2, 2 * 10**9)]
+)
 def test_a_period_is_read_as_the_decimal_number_that_was_written(seconds: float, whole: int):
     assert CellsSpec(period_s=seconds).period_ns == whole
 

@@ -134,7 +134,7 @@ def test_the_first_reading_counts_as_standing_still_whatever_the_encoder_says():
 
 def test_wheels_do_not_influence_each_other():
     loop = SpeedLoop(SpeedLoopSpec(), PERIOD_S, SUPPLY_V)
-    state, volts = loop.step(loop.init(3), np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]]), np.zeros((3, 2)))
+    _, volts = loop.step(loop.init(3), np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]]), np.zeros((3, 2)))
     assert (volts != 0).tolist() == [[True, False], [False, False], [False, True]]
     assert volts[0, 0] == -volts[2, 1]
 

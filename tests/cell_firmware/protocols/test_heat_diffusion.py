@@ -1,0 +1,135 @@
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from bus.lattice import Lattice
+from bus.partition import Partition
+from cell_firmware.errors import ParametersError
+from cell_firmware.protocols.heat_diffusion import HeatDiffusion, HeatDiffusionParameters
+
+HEAT: dict[str, Any] = {
+    "diffusion_number": 0.23,
+    "speed_m_s": [0.05, -0.02],
+    "initial": [{"cell": [2, 3], "speed_m_s": [1.0, -0.5]}, {"cell": [4, 1], "speed_m_s": [-0.3, 0.7]}],
+    "held": [{"cell": [0, 0], "speed_m_s": [0.4, 0.1]}, {"cell": [4, 5], "speed_m_s": [-0.2, 0.0]}],
+}
+
+
+def heat(**changes: Any) -> HeatDiffusion:
+    return HeatDiffusion(HeatDiffusionParameters.model_validate({**HEAT, **changes}))
+
+
+def matrix(lattice: Lattice, number: float, held: list[int]) -> NDArray[np.float64]:
+    """One step of the explicit scheme, from the lattice's Laplacian; held cells have the identity's rows."""
+    n = len(lattice)
+    m = np.eye(n)
+    for i in range(n):
+        for j in lattice.neighbours[i]:
+            if j >= 0 and i not in held:
+                m[i, j] += number
+                m[i, i] -= number
+    return m
+
+
+def initial(lattice: Lattice, spec: dict[str, Any]) -> NDArray[np.float64]:
+    u = np.tile(np.array(spec["speed_m_s"]), (len(lattice), 1))
+    for item in spec["initial"] + spec["held"]:
+        u[lattice.index(tuple(item["cell"]))] = item["speed_m_s"]
+    return u
+
+
+def test_every_tick_is_that_power_of_the_discrete_heat_matrix(
+    grid: Callable[..., Lattice], run: Callable[..., Any]
+):
+    """The wheels of tick k run at ``M^k u[0]``: tick 0 at the initial speeds, tick 1 after one step."""
+    lattice = grid(5, 6, missing=[(1, 1), (3, 4)])
+    m = matrix(lattice, 0.23, [lattice.index((0, 0)), lattice.index((4, 5))])
+    u0 = initial(lattice, HEAT)
+    drives = run(heat(), Partition.even(lattice, 1), 300).drives
+    for k in range(300):
+        np.testing.assert_allclose(
+            drives[k], np.linalg.matrix_power(m, k) @ u0, rtol=0, atol=1e-12, err_msg=f"tick {k}"
+        )
+
+
+@pytest.mark.parametrize("shards", [2, 3, 7, 28])
+def test_heat_is_the_same_to_the_last_bit_however_the_array_is_cut(
+    grid: Callable[..., Lattice], run: Callable[..., Any], shards: int
+):
+    lattice = grid(5, 6, missing=[(1, 1), (3, 4)])
+    whole = run(heat(), Partition.even(lattice, 1), 40).drives
+    cut = run(heat(), Partition.even(lattice, shards), 40).drives
+    assert cut.tobytes() == whole.tobytes()
+
+
+def test_an_array_without_held_cells_keeps_its_mean_and_goes_flat(
+    grid: Callable[..., Lattice], run: Callable[..., Any]
+):
+    lattice = grid(3, 3)
+    drives = run(
+        heat(held=[], initial=[{"cell": [0, 0], "speed_m_s": [9.0, -9.0]}], speed_m_s=[0.0, 0.0]),
+        Partition.even(lattice, 1),
+        400,
+    ).drives
+    np.testing.assert_allclose(drives.mean(axis=1), np.tile([1.0, -1.0], (400, 1)), atol=1e-12)
+    np.testing.assert_allclose(drives[-1], np.tile([1.0, -1.0], (9, 1)), atol=1e-6)
+
+
+def test_between_held_cells_the_profile_becomes_the_straight_line_of_steady_conduction(
+    grid: Callable[..., Lattice], run: Callable[..., Any]
+):
+    lattice = grid(1, 5)
+    held = [{"cell": [0, 0], "speed_m_s": [0.0, 4.0]}, {"cell": [0, 4], "speed_m_s": [4.0, 0.0]}]
+    drives = run(heat(held=held, initial=[]), Partition.each(lattice), 600).drives
+    np.testing.assert_allclose(drives[-1, :, 0], [0, 1, 2, 3, 4], atol=1e-9)
+    np.testing.assert_allclose(drives[-1, :, 1], [4, 3, 2, 1, 0], atol=1e-9)
+
+
+def test_a_dead_cell_insulates_from_the_tick_after_its_last_message(
+    grid: Callable[..., Lattice], run: Callable[..., Any]
+):
+    """The cell dies before tick 6: what it sent in tick 5 still counts in tick 6, and nothing after."""
+    lattice = grid(1, 5)
+    spec = {"held": [], "initial": [{"cell": [0, 0], "speed_m_s": [1.0, 0.0]}], "speed_m_s": [0.0, 0.0]}
+    drives = run(heat(**spec), Partition.even(lattice, 1), 400, dead={6: [(0, 2)]}).drives
+    m = matrix(lattice, 0.23, [])
+    without = matrix(Lattice([(0, 0), (0, 1), (0, 3), (0, 4)]), 0.23, [])
+    u = initial(lattice, {"speed_m_s": [0.0, 0.0], "initial": spec["initial"], "held": []})
+    alive = [0, 1, 3, 4]
+    for k in range(400):
+        if k in range(1, 7):
+            u = m @ u
+        elif k > 6:
+            u[alive] = without @ u[alive]
+        np.testing.assert_allclose(drives[k, alive], u[alive], rtol=0, atol=1e-12, err_msg=f"tick {k}")
+        assert (drives[k, 2] == 0).all() == (k >= 6 or k < 2)
+    np.testing.assert_allclose(
+        drives[-1, [0, 3]], [u[[0, 1]].mean(axis=0), u[[3, 4]].mean(axis=0)], atol=1e-9
+    )
+
+
+def test_a_diffusion_number_above_a_quarter_is_refused_with_the_reason():
+    with pytest.raises(
+        ValidationError, match=r"at most 0\.25, not 0\.26: the explicit scheme is unstable above that"
+    ):
+        heat(diffusion_number=0.26)
+
+
+def test_cells_that_do_not_exist_are_all_named(grid: Callable[..., Lattice]):
+    firmware = heat(held=[{"cell": [0, 9], "speed_m_s": [0, 0]}, {"cell": [1, 1], "speed_m_s": [0, 0]}])
+    with pytest.raises(ParametersError) as caught:
+        firmware.check(grid(5, 6, missing=[(1, 1)]))
+    assert [str(problem) for problem in caught.value.problems] == [
+        "held[0].cell: the array has no cell [0, 9]",
+        "held[1].cell: the array has no cell [1, 1]",
+    ]
+
+
+def test_a_cell_named_twice_is_refused():
+    twice = [{"cell": [0, 0], "speed_m_s": [0, 0]}, {"cell": [0, 0], "speed_m_s": [1, 0]}]
+    with pytest.raises(ValidationError, match=r"names cell \[0, 0\] twice"):
+        heat(held=twice)

@@ -1,0 +1,164 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell_firmware.cell import PerCell
+from cell_firmware.errors import FirmwareError, ParametersError
+from cell_firmware.loader import BUNDLED, find, load
+from cell_firmware.protocols.heat_diffusion import HeatDiffusion
+from cell_firmware.protocols.velocity_field import VelocityField
+from cell_firmware.specs import CellsSpec
+
+PLAIN = """
+from cell_firmware.cell import CellFirmware, CellOutputs
+
+class Still(CellFirmware):
+    def init(self, cell):
+        return None
+
+    def step(self, state, inputs):
+        return None, CellOutputs((0.0, 0.0))
+"""
+
+
+def write(folder: Path, text: str, name: str = "mine.py") -> str:
+    (folder / name).write_text(text, encoding="utf-8")
+    return name
+
+
+def test_bundled_firmware_is_found_by_name():
+    assert find("velocity_field") is VelocityField
+    assert find("heat_diffusion") is HeatDiffusion
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_every_bundled_name_leads_to_a_class(name: str):
+    assert find(name).__doc__
+
+
+def test_an_importable_class_is_found_by_its_place():
+    assert find("cell_firmware.protocols.heat_diffusion:HeatDiffusion") is HeatDiffusion
+
+
+def test_a_file_is_found_relative_to_the_folder_and_plain_firmware_is_adapted(tmp_path: Path):
+    name = write(tmp_path, PLAIN)
+    for asked in (name, f"{name}:Still", str(tmp_path / name)):
+        assert isinstance(load(CellsSpec(firmware=asked), tmp_path), PerCell)
+
+
+def test_an_unknown_name_is_answered_with_the_nearest_and_all_known():
+    with pytest.raises(FirmwareError) as caught:
+        find("velocity_feild")
+    assert str(caught.value) == (
+        "unknown firmware 'velocity_feild'; did you mean 'velocity_field'? "
+        "Known: heat_diffusion, velocity_field; or package.module:Class, or a path to a .py file"
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ("no_such_package.module:Class", "there is no module 'no_such_package' to import"),
+        ("cell_firmware.nothing:Class", "there is no module 'cell_firmware.nothing' to import"),
+        ("cell_firmware.specs:CellsSpec", "is not a subclass of Firmware or CellFirmware"),
+        (
+            "cell_firmware.protocols.heat_diffusion:Heat",
+            "cell_firmware.protocols.heat_diffusion has no Heat; it has HeatDiffusion",
+        ),
+        ("absent.py", "there is no file"),
+    ],
+)
+def test_a_place_without_firmware_is_refused_with_the_reason(asked: str, message: str, tmp_path: Path):
+    with pytest.raises(FirmwareError, match=message):
+        find(asked, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = 1\n", "expected one Firmware or CellFirmware class, found none"),
+        (PLAIN + PLAIN.replace("Still", "Other"), r"found 2 \(Other, Still\): name one, as in mine.py:Other"),
+        ("1 / 0\n", "can't be loaded:\n(.|\n)*ZeroDivisionError"),
+        ("import nothing_of_that_name\n", "can't be loaded:\n(.|\n)*nothing_of_that_name"),
+        ("def broken(:\n", "can't be loaded:\n(.|\n)*SyntaxError"),
+        (PLAIN.replace("def step", "def stepp"), "found none"),
+        (
+            PLAIN.replace("    def init", "    message = 3\n    def init"),
+            "message must be an np.dtype, not int",
+        ),
+        (
+            PLAIN.replace(
+                "    def init", "    import numpy as np\n    message = np.dtype('<f8')\n    def init"
+            ),
+            "must be structured",
+        ),
+        (
+            PLAIN.replace(
+                "    def init", "    import numpy as np\n    message = np.dtype([('a', '>f8')])\n    def init"
+            ),
+            r"must be little-endian and packed: \[\('a', '<f8'\)\]",
+        ),
+        (
+            PLAIN.replace("    def init", "    def __init__(self, p): raise OSError('no')\n    def init"),
+            "on creation",
+        ),
+    ],
+)
+def test_a_file_that_holds_no_usable_firmware_is_refused_with_the_reason(
+    text: str, message: str, tmp_path: Path
+):
+    with pytest.raises(FirmwareError, match=message):
+        load(CellsSpec(firmware=write(tmp_path, text)), tmp_path)
+
+
+def test_a_class_that_lacks_a_method_is_refused_by_its_name(tmp_path: Path):
+    name = write(tmp_path, PLAIN.replace("def step", "def stepp"))
+    with pytest.raises(FirmwareError, match=r"'mine.py:Still' does not define step"):
+        find(f"{name}:Still", tmp_path)
+
+
+def problems(firmware: str, parameters: dict[str, Any]) -> list[str]:
+    with pytest.raises(ParametersError) as caught:
+        load(CellsSpec(firmware=firmware, parameters=parameters))
+    return [str(problem) for problem in caught.value.problems]
+
+
+def test_all_bad_parameters_are_told_at_once_with_their_paths():
+    found = problems(
+        "heat_diffusion",
+        {"diffusion_number": 0.3, "held": [{"cell": [0, -1], "speed_m_s": [0.0, "x"]}], "hold": []},
+    )
+    assert found == [
+        "diffusion_number: must be at most 0.25, not 0.3: the explicit scheme is unstable above that",
+        "held[0].cell[1]: must be greater than or equal to 0, not -1",
+        "held[0].speed_m_s[1]: must be a valid number, unable to parse string as a number, not 'x'",
+        "hold: unknown key; did you mean held? Known: diffusion_number, held, initial, speed_m_s",
+    ]
+
+
+def test_paths_inside_fields_are_those_of_the_scene():
+    wrong = {"kind": "elliptic", "kx_per_s": -1.0, "ky_pers": -2.0}
+    missing, unknown = problems("velocity_field", {"field": {"kind": "sum", "fields": [wrong]}})
+    assert missing == "field.fields[0].ky_per_s: is required"
+    assert unknown == (
+        "field.fields[0].ky_pers: unknown key; did you mean ky_per_s? "
+        "Known: centre_m, kind, kx_per_s, ky_per_s"
+    )
+
+
+def test_an_unknown_kind_of_field_is_answered_with_the_known_ones():
+    (problem,) = problems("velocity_field", {"field": {"kind": "eliptic"}})
+    assert problem.startswith("field: ")
+    for kind in ("elliptic", "radial", "squeeze", "sum", "uniform", "vortex"):
+        assert f"'{kind}'" in problem
+
+
+def test_a_missing_field_is_required():
+    assert problems("velocity_field", {}) == ["field: is required"]
+
+
+def test_firmware_without_parameters_takes_none(tmp_path: Path):
+    name = write(tmp_path, PLAIN)
+    with pytest.raises(ParametersError, match="unknown key; known: none"):
+        load(CellsSpec(firmware=name, parameters={"speed": 1}), tmp_path)
