@@ -139,6 +139,15 @@ def test_defaults_of_the_firmware_are_part_of_the_canonical_description() -> Non
     assert described[0] != described[2]
 
 
+def test_the_default_speed_loop_is_the_same_whether_or_not_it_is_written() -> None:
+    motors = SHORT + "effects = { motors = {} }"
+    written = motors.replace("cells = {", "cells = { speed_loop = {}, ")
+    changed = motors.replace("cells = {", "cells = { speed_loop = { kp_v_per_m_s = 1 }, ")
+    described = [parse_scene(text, "short").canonical() for text in (motors, written, changed)]
+    assert described[0] == described[1]
+    assert described[0] != described[2]
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -155,6 +155,14 @@ def test_a_union_kind_nested_in_a_sum_is_found_at_its_place() -> None:
     ]
 
 
+def test_an_unknown_key_is_answered_with_the_keys_of_the_kind_that_was_chosen() -> None:
+    field = '{ kind = "uniform", velocity_m_s = [0, 0], centre = [0, 0] }'
+    text = GOOD.replace('{ kind = "elliptic", kx_per_s = -1.0, ky_per_s = -2.0 }', field)
+    assert refused(text) == [
+        "scene x.toml: cells.parameters.field.centre = [0, 0]: unknown key; known: kind, velocity_m_s"
+    ]
+
+
 def test_firmware_checks_its_parameters_against_the_array() -> None:
     head, tail = GOOD.partition("[cells]")[0], GOOD.partition("[[parcels]]")[2]
     (line,) = refused(head + HEAT + "[[parcels]]" + tail)
