@@ -57,9 +57,7 @@ class ArraySpec(Spec):
         if self.cells is not None:
             return Lattice(self.cells)
         holes = set(self.missing)
-        return Lattice(
-            (r, c) for r in range(self.rows) for c in range(self.columns) if (r, c) not in holes
-        )
+        return Lattice((r, c) for r in range(self.rows) for c in range(self.columns) if (r, c) not in holes)
 
 
 class ParcelSpec(Spec):

@@ -4,16 +4,72 @@ from __future__ import annotations
 
 from math import cos, exp, isfinite, sin
 
-from numba import njit
-
 from plant.kernels.capture import attracts, coincide, edge_motion, edge_of, form_group
 from plant.kernels.events import entering, leaving, loading, reach
+from plant.kernels.jit import kernel
 from plant.kernels.layout import (
-    ACTIVE, CAPTURE, CAPTURE_BEGINS, CAPTURED, CELL, CORNER, CULPRIT, CX, CY, EDGE, ENTER, EV_CELL, EV_EDGE, EV_KIND,
-    EV_TIME, FRACTION_ONE, FRACTION_ZERO, GROUP, LEAVE, LIFTED, MARK, MAX_GROUPS, MOVING, N_CAPTURES, N_EVENTS,
-    N_GROUPS, N_LOGGED, N_MEMBERS, N_STEPS, NOT_FINITE, OMEGA, ON_SURFACE, RADIUS, RANK, RATE, S_A0, S_BX_, S_BY_, S_C,
-    S_E1, S_E2, S_F, S_OM, S_S, S_TH, S_UX, S_UY, S_X, S_XIX, S_XIY, S_Y, STATUS, THETA, TIP, TIPPED, TOO_MANY_EVENTS,
-    TIP_A, TIP_B, TOUCH, UNLOAD, UX, UY,
+    ACTIVE,
+    CAPTURE,
+    CAPTURE_BEGINS,
+    CAPTURED,
+    CELL,
+    CORNER,
+    CULPRIT,
+    CX,
+    CY,
+    EDGE,
+    ENTER,
+    EV_CELL,
+    EV_EDGE,
+    EV_KIND,
+    EV_TIME,
+    FRACTION_ONE,
+    FRACTION_ZERO,
+    GROUP,
+    LEAVE,
+    LIFTED,
+    MARK,
+    MAX_GROUPS,
+    MOVING,
+    N_CAPTURES,
+    N_EVENTS,
+    N_GROUPS,
+    N_LOGGED,
+    N_MEMBERS,
+    N_STEPS,
+    NOT_FINITE,
+    OMEGA,
+    ON_SURFACE,
+    RADIUS,
+    RANK,
+    RATE,
+    S_A0,
+    S_BX_,
+    S_BY_,
+    S_C,
+    S_E1,
+    S_E2,
+    S_F,
+    S_OM,
+    S_S,
+    S_TH,
+    S_UX,
+    S_UY,
+    S_X,
+    S_XIX,
+    S_XIY,
+    S_Y,
+    STATUS,
+    THETA,
+    TIP,
+    TIP_A,
+    TIP_B,
+    TIPPED,
+    TOO_MANY_EVENTS,
+    TOUCH,
+    UNLOAD,
+    UX,
+    UY,
 )  # fmt: skip
 from plant.kernels.loads import drop, plane, release, settle
 from plant.kernels.motion import onto_surfaces, surface_rates
@@ -24,7 +80,7 @@ DECAYED = 1e-22
 """A motor transient this small moves nothing any more."""
 
 
-@njit(error_model="numpy")
+@kernel
 def to_unit_time(ser, order, groups, step):
     """Scale the series that events are read from to unit time."""
     scale = 1.0
@@ -36,7 +92,7 @@ def to_unit_time(ser, order, groups, step):
             ser[S_F + h, k] *= scale
 
 
-@njit(error_model="numpy")
+@kernel
 def sample(ser, order, y, t, out):
     """State at unit time ``t`` of the step that starts at ``y``."""
     out[0] = y[0] + horner(ser[S_X], order, t)
@@ -47,7 +103,7 @@ def sample(ser, order, y, t, out):
     out[OMEGA] = horner(ser[S_OM], order, t)
 
 
-@njit(error_model="numpy")
+@kernel
 def slope(g, order, t):
     """Derivative of a polynomial at ``t``."""
     value = 0.0
@@ -56,7 +112,7 @@ def slope(g, order, t):
     return value
 
 
-@njit(error_model="numpy")
+@kernel
 def log(events, ctl, time, kind, cell, edge):
     """Log an event; past the log's end events are counted and not kept."""
     if ctl[N_LOGGED] < events.shape[0]:
@@ -65,7 +121,7 @@ def log(events, ctl, time, kind, cell, edge):
     ctl[N_LOGGED] += 1
 
 
-@njit(error_model="numpy")
+@kernel
 def slot_of(mem, ctl, cell):
     """Where a cell stands among the members, or -1."""
     for i in range(ctl[N_MEMBERS]):
@@ -74,7 +130,7 @@ def slot_of(mem, ctl, cell):
     return -1
 
 
-@njit(error_model="numpy")
+@kernel
 def apply(found, count, together, mem, share, ctl, time, events, cells, edges, pos, normal, offset, y, c, s):
     """Apply all events at or before ``together`` as one change of the support set.
 
@@ -114,7 +170,7 @@ def apply(found, count, together, mem, share, ctl, time, events, cells, edges, p
     return crossed, direction
 
 
-@njit(error_model="numpy")
+@kernel
 def may_capture(seg, ctl, crossed, direction, cells, edges, pos, normal, y, c, s, capture, before, after):
     """Whether the cells that just crossed sit on one surface that attracts from both sides."""
     if crossed == 0 or direction == 0 or ctl[N_GROUPS] >= MAX_GROUPS or seg[RANK] < 2:
@@ -124,13 +180,15 @@ def may_capture(seg, ctl, crossed, direction, cells, edges, pos, normal, y, c, s
     rate, second_before, _, _, _ = edge_motion(
         pos, normal, cells[0], edges[0], y, c, s, before[0], before[1], before[2]
     )
-    _, second_after, _, _, _ = edge_motion(pos, normal, cells[0], edges[0], y, c, s, after[0], after[1], after[2])
+    _, second_after, _, _, _ = edge_motion(
+        pos, normal, cells[0], edges[0], y, c, s, after[0], after[1], after[2]
+    )
     if direction > 0:
         return attracts(rate, second_before, second_after, capture)
     return attracts(rate, second_after, second_before, capture)
 
 
-@njit(error_model="numpy")
+@kernel
 def groups_hold(pos, mem, share, ctl, y, normal, offset, c, s, capture):
     """Release groups whose cells no longer lie on their common surface (a pair that drifts apart)."""
     h = 0
@@ -150,7 +208,7 @@ def groups_hold(pos, mem, share, ctl, y, normal, offset, c, s, capture):
             h += 1
 
 
-@njit(error_model="numpy")
+@kernel
 def capture_crossed(pos, mem, share, ctl, y, seg, grp, f, cells, edges, loads, crossed):
     """Capture the cells that just crossed as one group, their shares in proportion to their full loads."""
     a0, bx, by = plane(seg, grp, f, ctl[N_GROUPS])
@@ -161,7 +219,7 @@ def capture_crossed(pos, mem, share, ctl, y, seg, grp, f, cells, edges, loads, c
     ctl[N_CAPTURES] += 1
 
 
-@njit(error_model="numpy")
+@kernel
 def drifted(grp, groups, y, c, s, zero):
     """True where a captured parcel has strayed from its surfaces by more than rounding."""
     for h in range(groups):
@@ -171,7 +229,7 @@ def drifted(grp, groups, y, c, s, zero):
     return False
 
 
-@njit(error_model="numpy")
+@kernel
 def settled(surface, parcel, work, e, c, s):
     """``settle`` on the bundles that ``advance`` is given."""
     return settle(
@@ -181,12 +239,14 @@ def settled(surface, parcel, work, e, c, s):
     )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@kernel
 def prepare(surface, parcel, work, now, e, c, s, crossed, direction, events):
     """Loads, captured groups and accelerations at the start of a step. Returns the parcel's status."""
     ctl, y, par = parcel.ctl, parcel.y, parcel.par
     if ctl[N_GROUPS] > 0:
-        groups_hold(surface.pos, parcel.mem, parcel.share, ctl, y, parcel.normal, parcel.offset, c, s, par[CAPTURE])
+        groups_hold(
+            surface.pos, parcel.mem, parcel.share, ctl, y, parcel.normal, parcel.offset, c, s, par[CAPTURE]
+        )
     status, ax, ay, al = settled(surface, parcel, work, e, c, s)
     if status != MOVING:
         return status
@@ -211,7 +271,7 @@ def prepare(surface, parcel, work, now, e, c, s, crossed, direction, events):
     return status
 
 
-@njit(error_model="numpy")
+@kernel
 def search(surface, parcel, work, order):
     """All events of the step that may be its earliest. Returns (how many, time of the earliest or 1)."""
     mem, ctl, y, par, ser, found = parcel.mem, parcel.ctl, parcel.y, parcel.par, work.ser, work.found
@@ -237,7 +297,7 @@ def search(surface, parcel, work, order):
     return count, earliest
 
 
-@njit(error_model="numpy")
+@kernel
 def move(ser, order, y, t, step, state, before):
     """Take the state to unit time ``t``; keep the accelerations there (before any event) in ``before``."""
     before[0] = slope(ser[S_UX], order, t) / step
@@ -248,7 +308,7 @@ def move(ser, order, y, t, step, state, before):
         y[k] = state[k]
 
 
-@njit(error_model="numpy")
+@kernel
 def finite(y):
     """True where every entry of the state is a number."""
     for k in range(6):
@@ -257,7 +317,7 @@ def finite(y):
     return True
 
 
-@njit(error_model="numpy")
+@kernel
 def advance(surface, parcel, work, span, budget, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
 
@@ -265,7 +325,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         surface: ``plant.solvers.exact.Surface``: the cells and their wheels.
         parcel: ``plant.solvers.exact.Parcel``: footprint, constants and state; changed in place.
         work: ``plant.solvers.exact.Work``: scratch.
-        span: s.
+        span: s; 0 only finds the loads and whether the parcel stands.
         budget: events allowed in this call before the motion is called unstable.
         times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way.
         out: ``(k, 6)``: those states.
@@ -277,6 +337,8 @@ def advance(surface, parcel, work, span, budget, times, out, events):
     y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
     now, sampled, used, crossed, direction = 0.0, 0, 0, 0, 0
     ctl[N_LOGGED] = 0
+    if span == 0.0:
+        ctl[STATUS] = prepare(surface, parcel, work, 0.0, 1.0, cos(y[THETA]), sin(y[THETA]), 0, 0, events)
     while now < span and ctl[STATUS] == MOVING:
         e = exp(-par[RATE] * now) if par[RATE] > 0.0 else 0.0
         if e < DECAYED:

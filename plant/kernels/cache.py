@@ -42,7 +42,9 @@ def key() -> str:
 def processor() -> str:
     """The processor's name and features, as far as the system tells."""
     with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split("\n\n")[0].splitlines():
+        for line in (
+            Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split("\n\n")[0].splitlines()
+        ):
             if line.startswith(("flags", "Features")):
                 return platform.processor() + line
     return platform.processor()

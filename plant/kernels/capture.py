@@ -8,12 +8,11 @@ surfaces coincide are captured as one group.
 
 from __future__ import annotations
 
-from numba import njit
-
+from plant.kernels.jit import kernel
 from plant.kernels.layout import CAPTURED, CELL, EDGE, GROUP, MARK, N_GROUPS, N_MEMBERS, OMEGA, UX, UY
 
 
-@njit(error_model="numpy")
+@kernel
 def edge_of(pos, normal, offset, cell, y, c, s):
     """The edge on whose line a cell lies nearest."""
     px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
@@ -26,7 +25,7 @@ def edge_of(pos, normal, offset, cell, y, c, s):
     return nearest
 
 
-@njit(error_model="numpy")
+@kernel
 def edge_motion(pos, normal, cell, edge, y, c, s, ax, ay, al):
     """Rate and second rate of a cell's distance inside an edge, for the accelerations given."""
     nx = c * normal[edge, 0] - s * normal[edge, 1]
@@ -40,7 +39,7 @@ def edge_motion(pos, normal, cell, edge, y, c, s, ax, ay, al):
     return rate, second, across, nx, ny
 
 
-@njit(error_model="numpy")
+@kernel
 def attracts(rate, off, on, capture):
     """True where the surface draws the parcel in from both sides and the motion about it is below ``capture``."""
     if not (off > 0.0 > on):
@@ -48,7 +47,7 @@ def attracts(rate, off, on, capture):
     return rate * rate < 2.0 * capture * min(off, -on)
 
 
-@njit(error_model="numpy")
+@kernel
 def coincide(pos, normal, cells, edges, count, y, c, s, capture):
     """True where the cells' surfaces turn alike about the centre of mass and have parallel or opposite normals.
 
@@ -63,7 +62,7 @@ def coincide(pos, normal, cells, edges, count, y, c, s, capture):
     return True
 
 
-@njit(error_model="numpy")
+@kernel
 def form_group(mem, share, ctl, cells, edges, loads, count):
     """Capture the cells as a new group, each with a share in proportion to the load it would carry."""
     total = 0.0

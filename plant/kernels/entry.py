@@ -9,5 +9,4 @@ from plant.kernels import cache, footprint
 
 with cache.kept_here():
     advance = njit(cache=True, nogil=True, error_model="numpy")(_advance.advance.py_func)
-    settled = njit(cache=True, nogil=True, error_model="numpy")(_advance.settled.py_func)
     cover = njit(cache=True, nogil=True, error_model="numpy")(footprint.cover.py_func)

@@ -6,13 +6,53 @@ what the motion can cover in the step is passed over by that bound alone; the ot
 
 from __future__ import annotations
 
-from numba import njit
-
+from plant.kernels.jit import kernel
 from plant.kernels.layout import (
-    ACTIVE, CAPTURED, CELL, CORNER, CX, CY, EDGE, ENTER, EV_CELL, EV_EDGE, EV_KIND, EV_TIME, FRACTION_ONE,
-    FRACTION_ZERO, GROUP, LEAVE, LIFTED, LINE, LINE_X, LINE_Y, MARK, N_GROUPS, N_MEMBERS, ON_LINE, ON_SURFACE,
-    ORIGIN_X, ORIGIN_Y, PITCH, RANK, S_A0, S_BX_, S_BY_, S_C, S_E1, S_E2, S_F, S_S, S_TH, S_X, S_XIX, S_XIY, S_Y,
-    THETA, TOUCH, UNLOAD,
+    ACTIVE,
+    CAPTURED,
+    CELL,
+    CORNER,
+    CX,
+    CY,
+    EDGE,
+    ENTER,
+    EV_CELL,
+    EV_EDGE,
+    EV_KIND,
+    EV_TIME,
+    FRACTION_ONE,
+    FRACTION_ZERO,
+    GROUP,
+    LEAVE,
+    LIFTED,
+    LINE,
+    LINE_X,
+    LINE_Y,
+    MARK,
+    N_GROUPS,
+    N_MEMBERS,
+    ON_LINE,
+    ON_SURFACE,
+    ORIGIN_X,
+    ORIGIN_Y,
+    PITCH,
+    RANK,
+    S_A0,
+    S_BX_,
+    S_BY_,
+    S_C,
+    S_E1,
+    S_E2,
+    S_F,
+    S_S,
+    S_TH,
+    S_X,
+    S_XIX,
+    S_XIY,
+    S_Y,
+    THETA,
+    TOUCH,
+    UNLOAD,
 )  # fmt: skip
 from plant.kernels.loads import LOAD_ZERO
 from plant.kernels.roots import NONE, deflate, first_crossing, horner
@@ -21,7 +61,7 @@ SLACK = 1.0 + 1e-9
 """How far past the earliest event so far others are still looked for: those that fall together with it."""
 
 
-@njit(error_model="numpy")
+@kernel
 def edge_polynomial(ser, order, nx, ny, offset, px, py, g):
     """Distance inside one edge of the cell at (px, py) from ``X0``: coefficients into ``g``."""
     along, across = nx * px + ny * py, nx * py - ny * px
@@ -30,7 +70,7 @@ def edge_polynomial(ser, order, nx, ny, offset, px, py, g):
     g[0] += offset
 
 
-@njit(error_model="numpy")
+@kernel
 def crossing(g, order, zero, upward, end, p):
     """Earliest crossing in the direction asked; 0.0 where the motion just after the start is on the far side."""
     degree, sign = order, 1
@@ -47,7 +87,7 @@ def crossing(g, order, zero, upward, end, p):
     return first_crossing(g, degree, upward, end, p)
 
 
-@njit(error_model="numpy")
+@kernel
 def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
     """Earliest time at which a cell outside the footprint is inside every edge. Returns (time, edge).
 
@@ -83,7 +123,7 @@ def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
     return NONE, entered
 
 
-@njit(error_model="numpy")
+@kernel
 def shift(g, order, t, p):
     """Re-centre ``g`` at ``t`` in place."""
     for k in range(order + 1):
@@ -95,7 +135,7 @@ def shift(g, order, t, p):
         g[k] = p[k]
 
 
-@njit(error_model="numpy")
+@kernel
 def note(found, count, t, kind, cell, edge):
     """Add an event to the list; returns the new count (events past the list's end fall to the next step)."""
     if count < found.shape[0]:
@@ -105,7 +145,7 @@ def note(found, count, t, kind, cell, edge):
     return count
 
 
-@njit(error_model="numpy")
+@kernel
 def reach(ser, order):
     """Bounds on how far the centre of mass moves, and the angle turns, within the unit step."""
     far, turn = 0.0, 0.0
@@ -115,7 +155,7 @@ def reach(ser, order):
     return far, turn
 
 
-@njit(error_model="numpy")
+@kernel
 def leaving(pos, normal, offset, mem, ctl, y, par, ser, order, far, turn, end, found, count, g, p):
     """Cells that leave the footprint. A captured cell leaves by an edge other than the one it sits on."""
     zero = par[ON_SURFACE]
@@ -139,7 +179,7 @@ def leaving(pos, normal, offset, mem, ctl, y, par, ser, order, far, turn, end, f
     return count, end
 
 
-@njit(error_model="numpy")
+@kernel
 def entering(pos, grid, vertices, normal, offset, where, y, par, ser, order, far, turn, radius, end, found, count, g,
              p, start):  # fmt: skip
     """Cells that enter the footprint: only those in the box that the footprint can reach are looked at."""
@@ -181,7 +221,7 @@ def entering(pos, grid, vertices, normal, offset, where, y, par, ser, order, far
     return count, end
 
 
-@njit(error_model="numpy")
+@kernel
 def loading(pos, mem, share, ctl, y, par, seg, ser, order, end, found, count, g, p):
     """Loads that vanish, lifted cells that touch again, fractions that reach 0 or 1, a line of supports left."""
     if ser[S_A0, 0] <= 0.0:
@@ -215,7 +255,7 @@ def loading(pos, mem, share, ctl, y, par, seg, ser, order, end, found, count, g,
     return count, end
 
 
-@njit(error_model="numpy")
+@kernel
 def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p):
     """Captured cells whose share of the load reaches nothing or all of it."""
     for i in range(ctl[N_MEMBERS]):
@@ -238,7 +278,7 @@ def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count,
     return count, end
 
 
-@njit(error_model="numpy")
+@kernel
 def off_line(seg, par, ser, order, end, found, count, g, p):
     """A centre of mass that leaves the line (or point) its supports stand on."""
     for axis in range(2 if seg[RANK] == 0 else 1):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from numba import njit
-
+from plant.kernels.jit import kernel
 from plant.kernels.layout import ORIGIN_X, ORIGIN_Y, PITCH, THETA
 
 
-@njit(error_model="numpy")
+@kernel
 def box(vertices, y, par, grid, margin):
     """Rows and columns that the footprint's bounding box, widened by ``margin``, can touch."""
     c, s = cos(y[THETA]), sin(y[THETA])
@@ -27,7 +26,7 @@ def box(vertices, y, par, grid, margin):
     return first_row, last_row, first_column, last_column
 
 
-@njit(error_model="numpy")
+@kernel
 def inside(px, py, normal, offset, y, c, s, slack):
     """Whether a point of the surface is under the footprint, the boundary and ``slack`` included."""
     dx, dy = px - y[0], py - y[1]
@@ -38,7 +37,7 @@ def inside(px, py, normal, offset, y, c, s, slack):
     return True
 
 
-@njit(error_model="numpy")
+@kernel
 def cover(surface, parcel, sensors, reach, slack, bits):
     """Set the presence bits ``(n, sensors)`` of every sensor under the parcel; ``reach`` bounds the sensors' offset."""
     y, grid = parcel.y, surface.grid

@@ -7,11 +7,35 @@ load would be negative is the convex problem solved, by Newton's method with a l
 
 from __future__ import annotations
 
-from numba import njit
-
+from plant.kernels.jit import kernel
 from plant.kernels.layout import (
-    ACTIVE, CAPTURED, CELL, CX, CY, GROUP, LIFTED, LINE_X, LINE_Y, MARK, MOVING, N_ACTIVE, N_CAPTURES, N_GROUPS,
-    N_MEMBERS, NO_LOADS, ON_LINE, PITCH, PXX, PXY, PYY, RANK, S_RX, S_RY, TIP_A, TIP_B, TIPPED,
+    ACTIVE,
+    CAPTURED,
+    CELL,
+    CX,
+    CY,
+    GROUP,
+    LIFTED,
+    LINE_X,
+    LINE_Y,
+    MARK,
+    MOVING,
+    N_ACTIVE,
+    N_CAPTURES,
+    N_GROUPS,
+    N_MEMBERS,
+    NO_LOADS,
+    ON_LINE,
+    PITCH,
+    PXX,
+    PXY,
+    PYY,
+    RANK,
+    S_RX,
+    S_RY,
+    TIP_A,
+    TIP_B,
+    TIPPED,
 )  # fmt: skip
 from plant.kernels.moments import segment
 from plant.kernels.motion import accelerations, solve, surfaces
@@ -20,7 +44,7 @@ LOAD_ZERO = 1e-12
 """A share of the mean load that rounding can't tell from none."""
 
 
-@njit(error_model="numpy")
+@kernel
 def outside_hull(pos, mem, ctl, y):
     """How far the centre of mass lies outside the convex hull of the cells under the parcel, and by which edge.
 
@@ -55,7 +79,11 @@ def outside_hull(pos, mem, ctl, y):
             # all on one line: the hull is a segment
             past = max(-along, along - size)
             off = abs(distance)
-            return (off if past <= 0.0 else (off * off + past * past) ** 0.5), mem[here, CELL], mem[following, CELL]
+            return (
+                (off if past <= 0.0 else (off * off + past * past) ** 0.5),
+                mem[here, CELL],
+                mem[following, CELL],
+            )
         if distance > worst:
             worst, edge_a, edge_b = distance, mem[here, CELL], mem[following, CELL]
         corners += 1
@@ -65,7 +93,7 @@ def outside_hull(pos, mem, ctl, y):
     return worst, edge_a, edge_b
 
 
-@njit(error_model="numpy")
+@kernel
 def potential(pos, mem, ctl, y, length, ox, oy, z, w):
     """Half the squared loads minus the work of the weight: convex, least at the springs' plane ``z``."""
     total = -(z[0] * w[0] + z[1] * w[1] + z[2] * w[2])
@@ -79,7 +107,7 @@ def potential(pos, mem, ctl, y, length, ox, oy, z, w):
     return total
 
 
-@njit(error_model="numpy")
+@kernel
 def gradient(pos, mem, ctl, y, length, ox, oy, z, w, hessian, slope):
     """Gradient and Hessian of ``potential``. Returns how many cells carry load on the plane ``z``."""
     for i in range(3):
@@ -107,7 +135,7 @@ def gradient(pos, mem, ctl, y, length, ox, oy, z, w, hessian, slope):
     return count
 
 
-@njit(error_model="numpy")
+@kernel
 def contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton):
     """Mark every cell under the parcel as carrying load or lifted, at the minimum of ``potential``."""
     z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
@@ -155,7 +183,7 @@ def contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton):
             mem[i, MARK] = ACTIVE if z[0] + z[1] * rx + z[2] * ry > 0.0 else LIFTED
 
 
-@njit(error_model="numpy")
+@kernel
 def plane(seg, grp, f, groups):
     """The springs' plane now: load share ``a0 + b . r`` of a cell at r from the centroid."""
     total, mx, my = 1.0, -seg[CX], -seg[CY]
@@ -166,7 +194,7 @@ def plane(seg, grp, f, groups):
     return total / seg[N_ACTIVE], seg[PXX] * mx + seg[PXY] * my, seg[PXY] * mx + seg[PYY] * my
 
 
-@njit(error_model="numpy")
+@kernel
 def violated(pos, mem, ctl, y, par, seg, a0, bx, by):
     """True where a cell marked as loaded would pull, or one marked as lifted would be pressed."""
     zero = LOAD_ZERO * a0
@@ -188,7 +216,7 @@ def violated(pos, mem, ctl, y, par, seg, a0, bx, by):
     return False
 
 
-@njit(error_model="numpy")
+@kernel
 def drop(mem, share, ctl, i):
     """Take member ``i`` off the list (the last takes its place)."""
     last = ctl[N_MEMBERS] - 1
@@ -198,7 +226,7 @@ def drop(mem, share, ctl, i):
     ctl[N_MEMBERS] = last
 
 
-@njit(error_model="numpy")
+@kernel
 def release(mem, share, ctl, group, inside):
     """End a captured group: its cells carry their full load again, or leave the footprint."""
     i = 0
@@ -215,7 +243,7 @@ def release(mem, share, ctl, group, inside):
     ctl[N_GROUPS] -= 1
 
 
-@njit(error_model="numpy")
+@kernel
 def release_one_outside(pos, mem, share, ctl, y, seg, grp, f, a0, bx, by):
     """Release the captured group whose fraction is farthest outside [0, 1]. Returns True where there was one."""
     worst, which, inside = LOAD_ZERO, -1, False
@@ -237,7 +265,7 @@ def release_one_outside(pos, mem, share, ctl, y, seg, grp, f, a0, bx, by):
     return False
 
 
-@njit(error_model="numpy")
+@kernel
 def settle(pos, steady, decay, grip, normal, offset, mem, share, ctl, y, par, e, c, s, seg, grp, matrix, reply, f,
            scratch, newton):  # fmt: skip
     """Find the loads at this instant: constants, marks, captured fractions, accelerations.

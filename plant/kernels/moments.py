@@ -7,16 +7,64 @@ are therefore linear in (a, b, f), with the moments below as coefficients (eqs. 
 
 from __future__ import annotations
 
-from numba import njit
-
+from plant.kernels.jit import kernel
 from plant.kernels.layout import (
-    ACTIVE, CAPTURED, CELL, CX, CY, DECAY, DRIVEN, G0, G1X, G1Y, GROUP, GRP_SIZE, K0X, K0Y, K1XX, K1XY, K1YX, K1YY,
-    LINE_X, LINE_Y, MARK, N_ACTIVE, N_GROUPS, N_MEMBERS, ON_LINE, PXX, PXY, PYY, RANK, RATE, S_BX, S_BY, S_RB, S_RV,
-    S_RX, S_RY, S_VX, S_VY, S_W, S_WRR, S_WRX, S_WRY, STEADY, T0, T1X, T1Y, W0, W1X, W1Y, W2XX, W2XY, W2YY,
+    ACTIVE,
+    CAPTURED,
+    CELL,
+    CX,
+    CY,
+    DECAY,
+    DRIVEN,
+    G0,
+    G1X,
+    G1Y,
+    GROUP,
+    GRP_SIZE,
+    K0X,
+    K0Y,
+    K1XX,
+    K1XY,
+    K1YX,
+    K1YY,
+    LINE_X,
+    LINE_Y,
+    MARK,
+    N_ACTIVE,
+    N_GROUPS,
+    N_MEMBERS,
+    ON_LINE,
+    PXX,
+    PXY,
+    PYY,
+    RANK,
+    RATE,
+    S_BX,
+    S_BY,
+    S_RB,
+    S_RV,
+    S_RX,
+    S_RY,
+    S_VX,
+    S_VY,
+    S_W,
+    S_WRR,
+    S_WRX,
+    S_WRY,
+    STEADY,
+    T0,
+    T1X,
+    T1Y,
+    W0,
+    W1X,
+    W1Y,
+    W2XX,
+    W2XY,
+    W2YY,
 )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@kernel
 def centre_and_plane(pos, mem, ctl, y, par, seg):
     """Number, centroid and inverse second moment of the active supports, with its rank."""
     count = 0
@@ -46,7 +94,7 @@ def centre_and_plane(pos, mem, ctl, y, par, seg):
     invert_symmetric(xx, xy, yy, count, par[ON_LINE], seg)
 
 
-@njit(error_model="numpy")
+@kernel
 def invert_symmetric(xx, xy, yy, count, on_line, seg):
     """(Pseudo-)inverse of ``[[xx, xy], [xy, yy]]``: rank 1 where the supports lie on a line, 0 where on a point."""
     mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
@@ -72,7 +120,7 @@ def invert_symmetric(xx, xy, yy, count, on_line, seg):
     seg[LINE_X], seg[LINE_Y] = -dy, dx
 
 
-@njit(error_model="numpy")
+@kernel
 def wheel_moments(pos, velocity, grip, mem, ctl, y, seg, base):
     """Moments of the driven wheels' velocity over the active supports, into ``seg[base:base + 9]``."""
     for k in range(9):
@@ -96,7 +144,7 @@ def wheel_moments(pos, velocity, grip, mem, ctl, y, seg, base):
             seg[base + T1Y] += turn * ry
 
 
-@njit(error_model="numpy")
+@kernel
 def load_moments(pos, grip, mem, ctl, y, seg):
     """Moments of the driven wheels themselves; where every wheel is driven several vanish exactly."""
     for k in range(W0, G1Y + 1):
@@ -122,7 +170,7 @@ def load_moments(pos, grip, mem, ctl, y, seg):
             seg[G1Y] += w * square * ry
 
 
-@njit(error_model="numpy")
+@kernel
 def group_moments(pos, steady, decay, grip, mem, share, ctl, y, seg, grp):
     """What a unit load on each captured group contributes, about the centroid of the active supports."""
     for h in range(ctl[N_GROUPS]):
@@ -149,7 +197,7 @@ def group_moments(pos, steady, decay, grip, mem, share, ctl, y, seg, grp):
         grp[h, S_RB] += w * (rx * decay[cell, 1] - ry * decay[cell, 0])
 
 
-@njit(error_model="numpy")
+@kernel
 def segment(pos, steady, decay, grip, mem, share, ctl, y, par, seg, grp):
     """All constants of the present support set."""
     centre_and_plane(pos, mem, ctl, y, par, seg)

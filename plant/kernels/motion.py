@@ -2,16 +2,68 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from plant.kernels.jit import kernel
 from plant.kernels.layout import (
-    A_1, A_2, A_C, A_S, CAPTURED, CELL, CX, CY, DECAY, EDGE, G0, G1X, G1Y, GROUP, K0X, K0Y, K1XX, K1XY, K1YX, K1YY,
-    KAPPA, MARK, MASS_OVER_INERTIA, N_ACTIVE, N_GROUPS, N_MEMBERS, OMEGA, PXX, PXY, PYY, S_BX, S_BY, S_RB, S_RV, S_RX,
-    S_RY, S_VX, S_VY, S_W, S_WRR, S_WRX, S_WRY, STEADY, T0, T1X, T1Y, THETA, UX, UY, W0, W1X, W1Y, W2XX, W2XY, W2YY, B,
+    A_1,
+    A_2,
+    A_C,
+    A_S,
+    CAPTURED,
+    CELL,
+    CX,
+    CY,
+    DECAY,
+    EDGE,
+    G0,
+    G1X,
+    G1Y,
+    GROUP,
+    K0X,
+    K0Y,
+    K1XX,
+    K1XY,
+    K1YX,
+    K1YY,
+    KAPPA,
+    MARK,
+    MASS_OVER_INERTIA,
+    N_ACTIVE,
+    N_GROUPS,
+    N_MEMBERS,
+    OMEGA,
+    PXX,
+    PXY,
+    PYY,
+    S_BX,
+    S_BY,
+    S_RB,
+    S_RV,
+    S_RX,
+    S_RY,
+    S_VX,
+    S_VY,
+    S_W,
+    S_WRR,
+    S_WRX,
+    S_WRY,
+    STEADY,
+    T0,
+    T1X,
+    T1Y,
+    THETA,
+    UX,
+    UY,
+    W0,
+    W1X,
+    W1Y,
+    W2XX,
+    W2XY,
+    W2YY,
+    B,
 )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@kernel
 def traction(seg, a0, bx, by, e, y, kappa, kappa_inertia):
     """Acceleration from the active supports' loads ``a0 + b . r`` (eqs. 16-17, 21-22 with loads kept general).
 
@@ -31,7 +83,7 @@ def traction(seg, a0, bx, by, e, y, kappa, kappa_inertia):
     return combine(dx, dy, turn, s0, s1x, s1y, c2, -seg[CX], -seg[CY], y, kappa, kappa_inertia)
 
 
-@njit(error_model="numpy")
+@kernel
 def combine(dx, dy, turn, s0, s1x, s1y, c2, xix, xiy, y, kappa, kappa_inertia):
     """Force and torque per unit from the moments: ``D - S0 U - omega J B`` and ``T - xi x D - B x U - omega C``."""
     bx, by = s1x - s0 * xix, s1y - s0 * xiy
@@ -42,7 +94,7 @@ def combine(dx, dy, turn, s0, s1x, s1y, c2, xix, xiy, y, kappa, kappa_inertia):
     return ax, ay, kappa_inertia * torque
 
 
-@njit(error_model="numpy")
+@kernel
 def response(seg, g, e, y, kappa, kappa_inertia):
     """Acceleration that one unit of load on a captured group adds (the active supports give way to it)."""
     da = -1.0 / seg[N_ACTIVE]
@@ -56,7 +108,7 @@ def response(seg, g, e, y, kappa, kappa_inertia):
     return ax + bx, ay + by, al + bl
 
 
-@njit(error_model="numpy")
+@kernel
 def surfaces(pos, normal, offset, mem, share, ctl, y, grp):
     """Coefficients of each group's surface ``sigma = B + A_C cos + A_S sin + A_1 E1 + A_2 E2``.
 
@@ -76,7 +128,7 @@ def surfaces(pos, normal, offset, mem, share, ctl, y, grp):
         grp[h, A_2] += s * ny
 
 
-@njit(error_model="numpy")
+@kernel
 def surface_rates(g, y, c, s, ax, ay, al):
     """``sigma``, its rate and its second rate, for motion with the accelerations given."""
     om, ux, uy = y[OMEGA], y[UX], y[UY]
@@ -88,13 +140,13 @@ def surface_rates(g, y, c, s, ax, ay, al):
     return value, rate, second
 
 
-@njit(error_model="numpy")
+@kernel
 def surface_slope(g, c, s, dx, dy, dth):
     """Change of ``sigma`` for a small displacement ``(dx, dy, dth)``."""
     return dth * (-g[A_C] * s + g[A_S] * c) + g[A_1] * (c * dx + s * dy) + g[A_2] * (-s * dx + c * dy)
 
 
-@njit(error_model="numpy")
+@kernel
 def solve(m, size, rhs, x, scratch):
     """Solve a system of up to three unknowns with pivoting. Returns the smallest pivot over the largest."""
     a = scratch
@@ -126,7 +178,7 @@ def solve(m, size, rhs, x, scratch):
     return smallest / largest
 
 
-@njit(error_model="numpy")
+@kernel
 def accelerations(seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch):
     """Acceleration now, with the loads ``f`` of captured groups that keep each surface's second rate at zero.
 
@@ -157,7 +209,7 @@ def accelerations(seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch):
     return ax, ay, al, conditioning
 
 
-@njit(error_model="numpy")
+@kernel
 def onto_surfaces(grp, groups, y, c, s, matrix, reply, rhs, change, scratch):
     """Move state and velocity of a captured parcel back onto its surfaces, along the captured loads' own push."""
     for g in range(groups):

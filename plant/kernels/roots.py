@@ -8,7 +8,7 @@ leaves) are therefore found like any other.
 
 from __future__ import annotations
 
-from numba import njit
+from plant.kernels.jit import kernel
 
 NONE = 2.0
 """Returned where there is no crossing: past the unit interval."""
@@ -16,7 +16,7 @@ NARROWEST = 2.0**-36
 """An interval this small that still can't be decided holds a double root to rounding: a touch, not a crossing."""
 
 
-@njit(error_model="numpy")
+@kernel
 def horner(g, order, t):
     """Value of the polynomial ``g[0..order]`` at ``t``."""
     value = g[order]
@@ -25,7 +25,7 @@ def horner(g, order, t):
     return value
 
 
-@njit(error_model="numpy")
+@kernel
 def restrict(g, order, start, width, p):
     """Coefficients of ``g(start + width t)`` into ``p`` (a Taylor shift, then a scaling)."""
     for k in range(order + 1):
@@ -40,7 +40,7 @@ def restrict(g, order, start, width, p):
         p[k] *= scale
 
 
-@njit(error_model="numpy")
+@kernel
 def polish(p, order):
     """The one root of a monotone polynomial in [0, 1], by Newton inside a shrinking bracket."""
     low, high = 0.0, 1.0
@@ -70,7 +70,7 @@ def polish(p, order):
     return t
 
 
-@njit(error_model="numpy")
+@kernel
 def first_crossing(g, order, upward, end, p):
     """Earliest ``t`` in ``(0, end]`` where ``g`` changes sign in the direction asked, or ``NONE``.
 
@@ -108,7 +108,7 @@ def first_crossing(g, order, upward, end, p):
     return NONE
 
 
-@njit(error_model="numpy")
+@kernel
 def deflate(g, order, zero):
     """Divide out a root at t = 0: coefficients below ``zero`` in front are rounding, not motion.
 

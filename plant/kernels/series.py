@@ -7,19 +7,97 @@ by Cauchy products. Loads of captured cells are series too, fixed order by order
 
 from __future__ import annotations
 
-from numba import njit
-
+from plant.kernels.jit import kernel
 from plant.kernels.layout import (
-    A_1, A_2, A_C, A_S, CX, CY, DECAY, DRIVEN, G0, G1X, G1Y, K0X, K0Y, K1XX, K1XY, K1YX, K1YY, KAPPA,
-    MASS_OVER_INERTIA, MAX_ORDER, MEMORY, N_ACTIVE, N_GROUPS, OMEGA, PXX, PXY, PYY, RADIUS, RATE, S_A0, S_BBX, S_BBY,
-    S_BX_, S_BY_, S_C, S_C2, S_CC, S_DBX, S_DBY, S_DX, S_DY, S_E1, S_E2, S_EXP, S_F, S_OM, S_RB, S_RV, S_RX, S_RY, S_S,
-    S_S0, S_S1X, S_S1Y, S_T, S_TB, S_TH, S_UX, S_UY, S_VX, S_VY, S_W, S_WRR, S_WRX, S_WRY, S_X, S_XIX, S_XIY, S_Y,
-    STEADY, T0, T1X, T1Y, TOLERANCE, UX, UY, W0, W1X, W1Y, W2XX, W2XY, W2YY, S_BX, S_BY,
+    A_1,
+    A_2,
+    A_C,
+    A_S,
+    CX,
+    CY,
+    DECAY,
+    DRIVEN,
+    G0,
+    G1X,
+    G1Y,
+    K0X,
+    K0Y,
+    K1XX,
+    K1XY,
+    K1YX,
+    K1YY,
+    KAPPA,
+    MASS_OVER_INERTIA,
+    MAX_ORDER,
+    MEMORY,
+    N_ACTIVE,
+    N_GROUPS,
+    OMEGA,
+    PXX,
+    PXY,
+    PYY,
+    RADIUS,
+    RATE,
+    S_A0,
+    S_BBX,
+    S_BBY,
+    S_BX,
+    S_BX_,
+    S_BY,
+    S_BY_,
+    S_C,
+    S_C2,
+    S_CC,
+    S_DBX,
+    S_DBY,
+    S_DX,
+    S_DY,
+    S_E1,
+    S_E2,
+    S_EXP,
+    S_F,
+    S_OM,
+    S_RB,
+    S_RV,
+    S_RX,
+    S_RY,
+    S_S,
+    S_S0,
+    S_S1X,
+    S_S1Y,
+    S_T,
+    S_TB,
+    S_TH,
+    S_UX,
+    S_UY,
+    S_VX,
+    S_VY,
+    S_W,
+    S_WRR,
+    S_WRX,
+    S_WRY,
+    S_X,
+    S_XIX,
+    S_XIY,
+    S_Y,
+    STEADY,
+    T0,
+    T1X,
+    T1Y,
+    TOLERANCE,
+    UX,
+    UY,
+    W0,
+    W1X,
+    W1Y,
+    W2XX,
+    W2XY,
+    W2YY,
 )  # fmt: skip
 from plant.kernels.motion import solve
 
 
-@njit(error_model="numpy")
+@kernel
 def product(ser, a, b, k):
     """Coefficient k of the product of two series."""
     total = 0.0
@@ -28,7 +106,7 @@ def product(ser, a, b, k):
     return total
 
 
-@njit(error_model="numpy")
+@kernel
 def linear_terms(seg, grp, groups, motors, ser, k):
     """Coefficient k of everything linear in the loads: D, T and, where wheels coast, S0, S1; and C2."""
     a0, bx, by = ser[S_A0, k], ser[S_BX_, k], ser[S_BY_, k]
@@ -64,7 +142,7 @@ def linear_terms(seg, grp, groups, motors, ser, k):
         ser[S_T, k] += product(ser, S_EXP, S_TB, k)
 
 
-@njit(error_model="numpy")
+@kernel
 def load_plane(seg, grp, groups, ser, k):
     """Coefficient k of the plane ``a0 + b . r`` of the active supports' loads."""
     mx, my = ser[S_XIX, k], ser[S_XIY, k]
@@ -79,7 +157,7 @@ def load_plane(seg, grp, groups, ser, k):
     ser[S_BY_, k] = seg[PXY] * mx + seg[PYY] * my
 
 
-@njit(error_model="numpy")
+@kernel
 def acceleration_terms(seg, par, ser, k):
     """Coefficient k of (ax, ay, alpha)."""
     kappa = par[KAPPA]
@@ -103,7 +181,7 @@ def acceleration_terms(seg, par, ser, k):
     return ax, ay, kappa * par[MASS_OVER_INERTIA] * torque
 
 
-@njit(error_model="numpy")
+@kernel
 def angle_terms(ser, k):
     """Coefficient k + 1 of cosine, sine and of ``E1``, ``E2`` (k + 1 >= 1; ``Y`` starts at 0)."""
     ser[S_C, k + 1] = -product(ser, S_S, S_OM, k) / (k + 1)
@@ -112,7 +190,7 @@ def angle_terms(ser, k):
     ser[S_E2, k + 1] = product(ser, S_C, S_Y, k + 1) - product(ser, S_S, S_X, k + 1)
 
 
-@njit(error_model="numpy")
+@kernel
 def hold_surfaces(grp, groups, ser, k, ax, ay, al, matrix, reply, f, scratch):
     """Loads of captured groups at order k that keep each surface's second rate at zero to that order.
 
@@ -137,7 +215,7 @@ def hold_surfaces(grp, groups, ser, k, ax, ay, al, matrix, reply, f, scratch):
     return ax, ay, al
 
 
-@njit(error_model="numpy")
+@kernel
 def start(seg, grp, groups, y, e, c, s, f, ser):
     """Order 0 of every series."""
     ser[S_X, 0] = ser[S_Y, 0] = ser[S_TH, 0] = ser[S_E1, 0] = ser[S_E2, 0] = 0.0
@@ -149,7 +227,7 @@ def start(seg, grp, groups, y, e, c, s, f, ser):
         ser[S_F + h, 0] = f[h]
 
 
-@njit(error_model="numpy")
+@kernel
 def taylor(seg, grp, ctl, y, par, e, c, s, tmax, matrix, reply, f, scratch, ser):
     """Coefficients of the motion from now, to the order that ``tmax`` or the tolerance asks.
 

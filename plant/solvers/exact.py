@@ -201,11 +201,9 @@ class Exact:
 
     def stand(self, index: int, grip: Floats) -> bool:
         """Find a parcel's loads at its start. False where its supports can't carry it."""
-        parcel = self.parcels[index]
-        surface = Surface(self._array.positions_m, self._array.grid, self._still, self._still, grip)
-        c, s = math.cos(parcel.y[layout.THETA]), math.sin(parcel.y[layout.THETA])
-        status, *_ = self._entry.settled(surface, parcel, self._work, 0.0, c, s)
-        return bool(status == layout.MOVING)
+        none = np.zeros(0)
+        self.advance(index, WheelMotion(self._still, self._still, 0.0), grip, 0.0, none, np.zeros((0, 6)))
+        return bool(self.parcels[index].ctl[layout.STATUS] == layout.MOVING)
 
     def advance(
         self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
@@ -223,11 +221,15 @@ class Exact:
         if not logged:
             return float(moved), []
         rows = self._log[:logged].tolist()
-        return float(moved), [RawEvent(time, int(kind), int(cell), int(edge)) for time, kind, cell, edge in rows]
+        return float(moved), [
+            RawEvent(time, int(kind), int(cell), int(edge)) for time, kind, cell, edge in rows
+        ]
 
     def presence(self, bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under every parcel."""
-        surface = Surface(self._array.positions_m, self._array.grid, self._still, self._still, self._still[:, 0])
+        surface = Surface(
+            self._array.positions_m, self._array.grid, self._still, self._still, self._still[:, 0]
+        )
         for parcel in self.parcels:
             # a sensor exactly under the edge is covered: the edge of a parcel at rest must not flicker
             slack = 4.0 * parcel.par[layout.ON_SURFACE]

@@ -1,0 +1,345 @@
+"""The plant: parcels on wheels, as a pure object. State in, drives in; state out, senses out; no clock, no bus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.array import CellArray
+from plant.effects.motors import Motors
+from plant.errors import PlantError, PlantUnstable
+from plant.friction.viscous import Viscous
+from plant.kernels import layout
+from plant.overlap import OverlapWatch
+from plant.solvers.exact import Exact, RawEvent
+from plant.specs import PlantSpec
+from plant.wheels import Floats, IdealWheels, WheelMotion, Wheels
+
+REST_SPEED_M_S = 1e-6
+"""A parcel none of whose corners moves faster, or gains speed faster than this per second, is at rest."""
+
+LossPolicy = Literal["coast", "brake", "hold"]
+ParcelState = Literal["moving", "at_rest", "tipped", "off_array"]
+
+_KINDS = {
+    layout.ENTER: "support_gained",
+    layout.LEAVE: "support_lost",
+    layout.UNLOAD: "load_vanished",
+    layout.TOUCH: "load_returned",
+    layout.FRACTION_ZERO: "released",
+    layout.FRACTION_ONE: "released",
+    layout.CORNER: "released",
+    layout.CAPTURE_BEGINS: "captured",
+}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Sense:
+    """What the cells sense at an instant.
+
+    Attributes:
+        presence: ``(n, sensors)`` bool.
+        encoder_m: ``(n, 2)`` surface passed since the start, m; None where there are no encoders.
+    """
+
+    presence: NDArray[np.bool_]
+    encoder_m: Floats | None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened in the plant.
+
+    Attributes:
+        time_s: when.
+        kind: ``support_gained``, ``support_lost``, ``load_vanished``, ``load_returned``, ``captured``, ``released``,
+            ``tipped``, ``off_array``, ``overlap`` or ``apart``.
+        parcel: index of the parcel.
+        cells: ``(row, column)`` of the cells concerned.
+        position_m: where.
+        detail: in words, where there is more to say.
+    """
+
+    time_s: float
+    kind: str
+    parcel: int
+    cells: tuple[tuple[int, int], ...]
+    position_m: tuple[float, float]
+    detail: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ParcelStatus:
+    """How a parcel fares.
+
+    Attributes:
+        state: see ``contract``: moving, at rest, tipped, off the array.
+        time_s: since when.
+        detail: about which edge it tipped.
+    """
+
+    state: ParcelState
+    time_s: float
+    detail: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """A plant's course under constant drives.
+
+    Attributes:
+        time_ns: ``(T,)`` instants.
+        state: ``(T, parcels, 6)``.
+        events: all of them.
+    """
+
+    time_ns: NDArray[np.int64]
+    state: Floats
+    events: list[Event]
+
+
+@final
+class Plant:
+    """Parcels on an array of cells, integrated from the wheels' motion.
+
+    Args:
+        spec: what the scene says of the physics.
+
+    Attributes:
+        array: the cells.
+        status: how each parcel fares.
+        support_changes: changes of support sets so far.
+
+    Raises:
+        PlantError: a parcel doesn't stand on the array at the start, or two overlap.
+    """
+
+    def __init__(self, spec: PlantSpec) -> None:
+        self.array: CellArray = CellArray(spec.array)
+        n = len(self.array)
+        motors = spec.effects.motors
+        self._wheels: Wheels = IdealWheels(n) if motors is None else Motors(motors, n)
+        rate = 0.0 if motors is None else 1.0 / motors.time_constant_s
+        kappa = Viscous.from_spec(spec.friction).rate(spec.gravity_m_s2)
+        self._solver = Exact(self.array, spec.parcels, kappa, rate, spec.solver)
+        self._grip: Floats = np.ones(n)
+        self._now_ns = 0
+        self._none: Floats = np.zeros(0)
+        self._nothing: Floats = np.zeros((0, 6))
+        self._radius: Floats = np.array([parcel.par[layout.RADIUS] for parcel in self._solver.parcels])
+        self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in spec.parcels]
+        self.support_changes = 0
+        self._overlaps = OverlapWatch([parcel.vertices for parcel in self._solver.parcels], self._radius)
+        self._check_start()
+
+    def _check_start(self) -> None:
+        for i, parcel in enumerate(self._solver.parcels):
+            x, y = parcel.y[:2]
+            if parcel.ctl[layout.N_MEMBERS] == 0:
+                raise PlantError(
+                    f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel is off the array: no cell lies under it"
+                )
+            if not self._solver.stand(i, self._grip):
+                raise PlantError(
+                    f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel would tip: its centre of mass lies outside "
+                    f"the {int(parcel.ctl[layout.N_MEMBERS])} cells under it"
+                )
+        for first, second, depth, place in self._overlaps.pairs(self.state):
+            raise PlantError(
+                f"parcels[{first}] and parcels[{second}] overlap at the start by {depth:.3g} m near "
+                f"[{place[0]:.3g}, {place[1]:.3g}]"
+            )
+
+    @property
+    def footprints_m(self) -> list[Floats]:
+        """Corners ``(v, 2)`` of each parcel about its centre of mass, in its axes."""
+        return [parcel.vertices.copy() for parcel in self._solver.parcels]
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time."""
+        return self._now_ns
+
+    @property
+    def state(self) -> Floats:
+        """``(parcels, 6)``: x, y, theta, vx, vy, omega; a copy."""
+        return np.array([parcel.y for parcel in self._solver.parcels]).reshape(-1, 6)
+
+    @property
+    def wheel_speed(self) -> Floats:
+        """``(n, 2)`` surface speeds, m/s."""
+        return self._wheels.speed
+
+    def sense(self) -> Sense:
+        """What the cells sense now."""
+        presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
+        self._solver.presence(presence)
+        return Sense(presence, self._wheels.travel)
+
+    def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
+        """Note that cells are dead from now on.
+
+        A coasting wheel turns freely: it carries its load and pulls nothing. A braked or held one goes on acting
+        on the drive it is given: zero, or the last.
+        """
+        if policy == "coast":
+            self._grip = self._grip.copy()
+            self._grip[list(cells)] = 0.0
+
+    def advance(self, drives: Floats, until_ns: int) -> tuple[Sense, list[Event]]:
+        """Move on to ``until_ns`` with constant drives.
+
+        Args:
+            drives: ``(n, 2)`` surface speeds in m/s, or volts where the scene has motors; finite.
+            until_ns: not before now.
+
+        Returns:
+            What the cells sense then, and what happened on the way.
+
+        Raises:
+            PlantUnstable: the motion of a parcel can't be followed.
+        """
+        start_ns, before = self._now_ns, self.state
+        events = self._move(drives, until_ns, self._none, None)
+        after = self.state
+        self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
+        events.extend(self._meetings(after, until_ns * 1e-9))
+        return self.sense(), events
+
+    def trajectory(self, drives: Floats, until_ns: int, sample_ns: int) -> Trajectory:
+        """Move on to ``until_ns`` in one go with constant drives, and look at the parcels every ``sample_ns``.
+
+        Raises:
+            PlantUnstable: the motion of a parcel can't be followed.
+        """
+        times = np.arange(self._now_ns, until_ns, sample_ns, dtype=np.int64)
+        if len(times) == 0 or times[-1] != until_ns:
+            times = np.append(times, until_ns)
+        start_ns = self._now_ns
+        state = np.empty((len(times), len(self._solver.parcels), 6))
+        state[0] = self.state
+        events = self._move(drives, until_ns, (times[1:] - start_ns) * 1e-9, state)
+        self._note_rest(state, times)
+        for k in self._overlaps.close_calls(state):
+            events.extend(self._meetings(state[k], float(times[k]) * 1e-9))
+        events.sort(key=lambda event: event.time_s)
+        return Trajectory(times, state, events)
+
+    def _move(self, drives: Floats, until_ns: int, times_s: Floats, samples: Floats | None) -> list[Event]:
+        """Advance wheels and every parcel; fill ``samples[1:]`` with the states at ``times_s`` after now."""
+        span = (until_ns - self._now_ns) * 1e-9
+        start = self._now_ns * 1e-9
+        motion = self._wheels.command(np.ascontiguousarray(drives, dtype=np.float64))
+        events: list[Event] = []
+        for i in range(len(self._solver.parcels)):
+            out = self._nothing if samples is None else np.empty((len(times_s), 6))
+            events.extend(self._move_parcel(i, motion, start, span, times_s, out))
+            if samples is not None:
+                samples[1:, i] = out
+        self._wheels.elapse(motion, span)
+        self._now_ns = until_ns
+        return events
+
+    def _move_parcel(
+        self, i: int, motion: WheelMotion, start: float, span: float, times_s: Floats, out: Floats
+    ) -> list[Event]:
+        if self.status[i].state in ("tipped", "off_array"):
+            out[:] = self._solver.parcels[i].y
+            return []
+        parcel = self._solver.parcels[i]
+        changes = int(parcel.ctl[layout.N_EVENTS])
+        moved, raw = self._solver.advance(i, motion, self._grip, span, times_s, out)
+        self.support_changes += int(parcel.ctl[layout.N_EVENTS]) - changes
+        events = [self._event(i, start, event) for event in raw if event.kind != layout.TIP]
+        status = int(parcel.ctl[layout.STATUS])
+        if status == layout.TIPPED:
+            parcel.y[3:] = 0.0
+            out[times_s > moved, 3:] = 0.0
+            events.append(self._tip(i, start + moved))
+        elif status != layout.MOVING:
+            self._unstable(i, start + moved, status)
+        return events
+
+    def _event(self, i: int, start: float, raw: RawEvent) -> Event:
+        x, y = self._solver.parcels[i].y[:2]
+        cells = (self.array.lattice.cells[raw.cell],) if raw.cell >= 0 else ()
+        place = self.array.positions_m[raw.cell] if raw.cell >= 0 else (x, y)
+        return Event(start + raw.after_s, _KINDS[raw.kind], i, cells, (float(place[0]), float(place[1])))
+
+    def _tip(self, i: int, time_s: float) -> Event:
+        """Name the edge a parcel tips about; off the array where nothing lies beyond it."""
+        parcel = self._solver.parcels[i]
+        a, b = int(parcel.ctl[layout.TIP_A]), int(parcel.ctl[layout.TIP_B])
+        place = (float(parcel.y[0]), float(parcel.y[1]))
+        if a < 0:
+            state, cells, detail = "off_array", (), "its last support left the footprint"
+        else:
+            cells = tuple(dict.fromkeys((self.array.lattice.cells[a], self.array.lattice.cells[b])))
+            named = " and ".join(f"{row},{column}" for row, column in cells)
+            state = (
+                "tipped"
+                if self.array.cells_beyond(a, b, self._inner(parcel.mem, parcel.ctl))
+                else "off_array"
+            )
+            detail = f"about the edge from cell {named}" if len(cells) == 2 else f"about cell {named}"
+        self.status[i] = ParcelStatus(state, time_s, detail)
+        return Event(time_s, state, i, cells, place, detail)
+
+    def _inner(self, mem: NDArray[np.int32], ctl: NDArray[np.int64]) -> Floats:
+        """A point on the side of the supports: their mean."""
+        members = mem[: ctl[layout.N_MEMBERS], layout.CELL]
+        return self.array.positions_m[members].mean(axis=0)
+
+    def _unstable(self, i: int, time_s: float, status: int) -> None:
+        parcel = self._solver.parcels[i]
+        where = f"parcel {i} at t = {time_s:.6g} s, x = {parcel.y[0]:.6g} m, y = {parcel.y[1]:.6g} m"
+        if status == layout.TOO_MANY_EVENTS:
+            cell = int(parcel.ctl[layout.CULPRIT])
+            named = "{},{}".format(*self.array.lattice.cells[cell]) if cell >= 0 else "the supports"
+            raise PlantUnstable(f"{where}: support changes without end, the last about cell {named}")
+        if status == layout.NO_LOADS:
+            raise PlantUnstable(f"{where}: no set of loads balances the parcel; this is a bug")
+        raise PlantUnstable(f"{where}: the motion is no longer finite")
+
+    def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:
+        """Update ``status`` from the states ``(T, parcels, 6)`` at the instants ``(T,)``."""
+        if len(times_ns) < 2 or not self.status:
+            return
+        scale = np.ones((len(self.status), 3))
+        scale[:, 2] = self._radius
+        speed = states[:, :, 3:] * scale
+        slow = np.max(np.abs(speed), axis=2) < REST_SPEED_M_S
+        span_s = np.diff(times_ns)[:, None] * 1e-9
+        steady = np.max(np.abs(np.diff(speed, axis=0)), axis=2) < REST_SPEED_M_S * span_s
+        still = slow[1:] & slow[:-1] & steady
+        for i, status in enumerate(self.status):
+            if status.state in ("tipped", "off_array"):
+                continue
+            at_end = bool(still[-1, i])
+            changed = np.flatnonzero(still[:, i] != at_end)
+            state: ParcelState = "at_rest" if at_end else "moving"
+            if state != status.state or len(changed):
+                since = changed[-1] + 1 if len(changed) else 0
+                self.status[i] = ParcelStatus(state, float(times_ns[since + at_end]) * 1e-9)
+
+    def _meetings(self, state: Floats, time_s: float) -> list[Event]:
+        """Parcels that have come to overlap, and those that no longer do."""
+        return [
+            Event(
+                time_s,
+                kind,
+                first,
+                (),
+                place,
+                f"with parcel {second}" + (f", {depth:.3g} m deep" if depth else ""),
+            )
+            for kind, first, second, depth, place in self._overlaps.changes(state)
+        ]
