@@ -33,13 +33,9 @@ class CellArray:
         )
         rows, columns = self.lattice.rows, self.lattice.columns
         # from the middle outward, so that mirrored cells have mirrored coordinates to the last bit
-        self.positions_m: NDArray[np.float64] = np.stack(
-            [
-                0.5 * (2 * columns - (spec.columns - 1)) * spec.pitch_m,
-                0.5 * (2 * rows - (spec.rows - 1)) * spec.pitch_m,
-            ],
-            axis=1,
-        )
+        self.positions_m: NDArray[np.float64] = np.empty((len(self.lattice), 2))
+        self.positions_m[:, 0] = 0.5 * (2 * columns - (spec.columns - 1)) * spec.pitch_m
+        self.positions_m[:, 1] = 0.5 * (2 * rows - (spec.rows - 1)) * spec.pitch_m
         self.grid: NDArray[np.int32] = np.full((spec.rows, spec.columns), -1, dtype=np.int32)
         self.grid[rows, columns] = np.arange(len(self.lattice), dtype=np.int32)
         self.sensors_m: NDArray[np.float64] = np.array(spec.sensors_m, dtype=np.float64).reshape(-1, 2)
@@ -48,7 +44,7 @@ class CellArray:
         return len(self.lattice)
 
     def cells_beyond(self, a: int, b: int, inner_m: NDArray[np.float64]) -> bool:
-        """Whether any cell lies across the edge from cell ``a`` to ``b``, seen from ``inner_m`` ``(2,)``'s other side.
+        """Whether any cell lies across the edge from cell ``a`` to ``b``, on the side away from ``inner_m`` ``(2,)``.
 
         Looks along the edge's span, widened by half a pitch: the strip onto which a parcel tips.
         """

@@ -226,7 +226,8 @@ class Plant:
         start_ns = self._now_ns
         state = np.empty((len(times), len(self._solver.parcels), 6))
         state[0] = self.state
-        events = self._move(drives, until_ns, (times[1:] - start_ns) * 1e-9, state)
+        after_s: Floats = (times[1:] - start_ns).astype(np.float64) * 1e-9
+        events = self._move(drives, until_ns, after_s, state)
         self._note_rest(state, times)
         for k in self._overlaps.close_calls(state):
             events.extend(self._meetings(state[k], float(times[k]) * 1e-9))

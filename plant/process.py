@@ -97,8 +97,8 @@ class PlantProcess:
         duration_ns: Of the run.
         schedule: Indices of the cells that die at the start of a tick, by tick.
         stall: What happens when a cell goes unscheduled; the scheduled dead follow the same policy.
-        observer: Told of every tick when it is over, before anything of the next is awaited; what it raises ends
-            the run between two ticks.
+        observer: Told of every tick when it is over, before anything of the next is awaited; what it raises
+            ends the run between two ticks.
         pace: Called with a tick's start, ns, before the tick begins; may wait.
 
     Attributes:
@@ -187,8 +187,8 @@ class PlantProcess:
     ) -> tuple[Floats, Sequence[Loss]]:
         """Tell the cells what they sense, and hear what they do.
 
-        Those who die in this tick still sense: that a tick begins tells them that all they sent has arrived. The
-        tick before is reported while the cells compute.
+        Those who die in this tick still sense: that a tick begins tells them that all they sent has arrived.
+        The tick before is reported while the cells compute.
         """
         if self._pace is not None:
             self._report()

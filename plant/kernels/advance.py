@@ -4,103 +4,45 @@ from __future__ import annotations
 
 from math import cos, exp, isfinite, sin
 
+from plant.kernels import layout as at
 from plant.kernels.capture import attracts, coincide, edge_motion, edge_of, form_group
 from plant.kernels.events import entering, leaving, loading, reach
 from plant.kernels.jit import kernel
-from plant.kernels.layout import (
-    ACTIVE,
-    CAPTURE,
-    CAPTURE_BEGINS,
-    CAPTURED,
-    CELL,
-    CORNER,
-    CULPRIT,
-    CX,
-    CY,
-    EDGE,
-    ENTER,
-    EV_CELL,
-    EV_EDGE,
-    EV_KIND,
-    EV_TIME,
-    FRACTION_ONE,
-    FRACTION_ZERO,
-    GROUP,
-    LEAVE,
-    LIFTED,
-    MARK,
-    MAX_GROUPS,
-    MOVING,
-    N_CAPTURES,
-    N_EVENTS,
-    N_GROUPS,
-    N_LOGGED,
-    N_MEMBERS,
-    N_STEPS,
-    NOT_FINITE,
-    OMEGA,
-    ON_SURFACE,
-    RADIUS,
-    RANK,
-    RATE,
-    S_A0,
-    S_BX_,
-    S_BY_,
-    S_C,
-    S_E1,
-    S_E2,
-    S_F,
-    S_OM,
-    S_S,
-    S_TH,
-    S_UX,
-    S_UY,
-    S_X,
-    S_XIX,
-    S_XIY,
-    S_Y,
-    STATUS,
-    THETA,
-    TIP,
-    TIP_A,
-    TIP_B,
-    TIPPED,
-    TOO_MANY_EVENTS,
-    TOUCH,
-    UNLOAD,
-    UX,
-    UY,
-)  # fmt: skip
 from plant.kernels.loads import drop, plane, release, settle
 from plant.kernels.motion import onto_surfaces, surface_rates
 from plant.kernels.roots import horner
 from plant.kernels.series import taylor
 
+UNIT_TIME = (
+    *(at.S_X, at.S_Y, at.S_TH, at.S_UX, at.S_UY, at.S_OM, at.S_C, at.S_S, at.S_E1, at.S_E2),
+    *(at.S_A0, at.S_BX_, at.S_BY_, at.S_XIX, at.S_XIY),
+)
+"""The series that events are read from."""
 DECAYED = 1e-22
 """A motor transient this small moves nothing any more."""
 
 
 @kernel
 def to_unit_time(ser, order, groups, step):
-    """Scale the series that events are read from to unit time."""
+    """Scale the series that events are read from, so that the step is one unit of time."""
     scale = 1.0
     for k in range(1, order + 1):
         scale *= step
-        for row in (S_X, S_Y, S_TH, S_UX, S_UY, S_OM, S_C, S_S, S_E1, S_E2, S_A0, S_BX_, S_BY_, S_XIX, S_XIY):
+        for row in UNIT_TIME:
             ser[row, k] *= scale
         for h in range(groups):
-            ser[S_F + h, k] *= scale
+            ser[at.S_F + h, k] *= scale
 
 
 @kernel
 def sample(ser, order, y, t, out):
     """State at unit time ``t`` of the step that starts at ``y``."""
-    out[0] = y[0] + horner(ser[S_X], order, t)
-    out[1] = y[1] + horner(ser[S_Y], order, t)
-    out[THETA] = y[THETA] + horner(ser[S_TH], order, t)
-    out[UX] = horner(ser[S_UX], order, t)
-    out[UY] = horner(ser[S_UY], order, t)
-    out[OMEGA] = horner(ser[S_OM], order, t)
+    out[0] = y[0] + horner(ser[at.S_X], order, t)
+    out[1] = y[1] + horner(ser[at.S_Y], order, t)
+    out[at.THETA] = y[at.THETA] + horner(ser[at.S_TH], order, t)
+    out[at.UX] = horner(ser[at.S_UX], order, t)
+    out[at.UY] = horner(ser[at.S_UY], order, t)
+    out[at.OMEGA] = horner(ser[at.S_OM], order, t)
 
 
 @kernel
@@ -115,17 +57,17 @@ def slope(g, order, t):
 @kernel
 def log(events, ctl, time, kind, cell, edge):
     """Log an event; past the log's end events are counted and not kept."""
-    if ctl[N_LOGGED] < events.shape[0]:
-        row = events[ctl[N_LOGGED]]
-        row[EV_TIME], row[EV_KIND], row[EV_CELL], row[EV_EDGE] = time, kind, cell, edge
-    ctl[N_LOGGED] += 1
+    if ctl[at.N_LOGGED] < events.shape[0]:
+        row = events[ctl[at.N_LOGGED]]
+        row[at.EV_TIME], row[at.EV_KIND], row[at.EV_CELL], row[at.EV_EDGE] = time, kind, cell, edge
+    ctl[at.N_LOGGED] += 1
 
 
 @kernel
 def slot_of(mem, ctl, cell):
     """Where a cell stands among the members, or -1."""
-    for i in range(ctl[N_MEMBERS]):
-        if mem[i, CELL] == cell:
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.CELL] == cell:
             return i
     return -1
 
@@ -139,32 +81,36 @@ def apply(found, count, together, mem, share, ctl, time, events, cells, edges, p
     """
     crossed, direction = 0, 0
     for i in range(count):
-        if found[i, EV_TIME] > together:
+        if found[i, at.EV_TIME] > together:
             continue
-        kind, cell = int(found[i, EV_KIND]), int(found[i, EV_CELL])
+        kind, cell = int(found[i, at.EV_KIND]), int(found[i, at.EV_CELL])
         slot = slot_of(mem, ctl, cell)
-        if kind == ENTER and slot < 0:
-            slot = ctl[N_MEMBERS]
-            ctl[N_MEMBERS] += 1
-            mem[slot, CELL], mem[slot, MARK] = cell, ACTIVE
+        if kind == at.ENTER and slot < 0:
+            slot = ctl[at.N_MEMBERS]
+            ctl[at.N_MEMBERS] += 1
+            mem[slot, at.CELL], mem[slot, at.MARK] = cell, at.ACTIVE
             share[slot] = 0.0
-        elif kind == LEAVE and slot >= 0 and mem[slot, MARK] != CAPTURED:
+        elif kind == at.LEAVE and slot >= 0 and mem[slot, at.MARK] != at.CAPTURED:
             drop(mem, share, ctl, slot)
-        elif kind == UNLOAD and slot >= 0:
-            mem[slot, MARK] = LIFTED
-        elif kind == TOUCH and slot >= 0:
-            mem[slot, MARK] = ACTIVE
-        elif kind in (FRACTION_ZERO, FRACTION_ONE, CORNER) and slot >= 0 and mem[slot, MARK] == CAPTURED:
-            release(mem, share, ctl, mem[slot, GROUP], kind == FRACTION_ONE)
-            ctl[N_CAPTURES] += 1
+        elif kind == at.UNLOAD and slot >= 0:
+            mem[slot, at.MARK] = at.LIFTED
+        elif kind == at.TOUCH and slot >= 0:
+            mem[slot, at.MARK] = at.ACTIVE
+        elif (
+            kind in (at.FRACTION_ZERO, at.FRACTION_ONE, at.CORNER)
+            and slot >= 0
+            and mem[slot, at.MARK] == at.CAPTURED
+        ):
+            release(mem, share, ctl, mem[slot, at.GROUP], kind == at.FRACTION_ONE)
+            ctl[at.N_CAPTURES] += 1
         else:
             continue
-        log(events, ctl, time, kind, cell, int(found[i, EV_EDGE]))
-        ctl[N_EVENTS] += 1
-        if kind in (ENTER, LEAVE) and crossed < cells.shape[0]:
+        log(events, ctl, time, kind, cell, int(found[i, at.EV_EDGE]))
+        ctl[at.N_EVENTS] += 1
+        if kind in (at.ENTER, at.LEAVE) and crossed < cells.shape[0]:
             cells[crossed] = cell
             edges[crossed] = edge_of(pos, normal, offset, cell, y, c, s)
-            sign = 1 if kind == ENTER else -1
+            sign = 1 if kind == at.ENTER else -1
             direction = sign if crossed == 0 or direction == sign else 0
             crossed += 1
     return crossed, direction
@@ -173,7 +119,7 @@ def apply(found, count, together, mem, share, ctl, time, events, cells, edges, p
 @kernel
 def may_capture(seg, ctl, crossed, direction, cells, edges, pos, normal, y, c, s, capture, before, after):
     """Whether the cells that just crossed sit on one surface that attracts from both sides."""
-    if crossed == 0 or direction == 0 or ctl[N_GROUPS] >= MAX_GROUPS or seg[RANK] < 2:
+    if crossed == 0 or direction == 0 or ctl[at.N_GROUPS] >= at.MAX_GROUPS or seg[at.RANK] < 2:
         return False
     if not coincide(pos, normal, cells, edges, crossed, y, c, s, capture):
         return False
@@ -192,18 +138,18 @@ def may_capture(seg, ctl, crossed, direction, cells, edges, pos, normal, y, c, s
 def groups_hold(pos, mem, share, ctl, y, normal, offset, c, s, capture):
     """Release groups whose cells no longer lie on their common surface (a pair that drifts apart)."""
     h = 0
-    while h < ctl[N_GROUPS]:
+    while h < ctl[at.N_GROUPS]:
         low, high = 1e300, -1e300
-        for i in range(ctl[N_MEMBERS]):
-            if mem[i, MARK] == CAPTURED and mem[i, GROUP] == h:
-                px, py = pos[mem[i, CELL], 0] - y[0], pos[mem[i, CELL], 1] - y[1]
+        for i in range(ctl[at.N_MEMBERS]):
+            if mem[i, at.MARK] == at.CAPTURED and mem[i, at.GROUP] == h:
+                px, py = pos[mem[i, at.CELL], 0] - y[0], pos[mem[i, at.CELL], 1] - y[1]
                 qx, qy = c * px + s * py, -s * px + c * py
-                edge = mem[i, EDGE]
+                edge = mem[i, at.EDGE]
                 distance = offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy
                 low, high = min(low, distance), max(high, distance)
         if high - low > 2.0 * capture:
             release(mem, share, ctl, h, True)
-            ctl[N_CAPTURES] += 1
+            ctl[at.N_CAPTURES] += 1
         else:
             h += 1
 
@@ -211,12 +157,12 @@ def groups_hold(pos, mem, share, ctl, y, normal, offset, c, s, capture):
 @kernel
 def capture_crossed(pos, mem, share, ctl, y, seg, grp, f, cells, edges, loads, crossed):
     """Capture the cells that just crossed as one group, their shares in proportion to their full loads."""
-    a0, bx, by = plane(seg, grp, f, ctl[N_GROUPS])
+    a0, bx, by = plane(seg, grp, f, ctl[at.N_GROUPS])
     for i in range(crossed):
-        rx, ry = pos[cells[i], 0] - y[0] - seg[CX], pos[cells[i], 1] - y[1] - seg[CY]
+        rx, ry = pos[cells[i], 0] - y[0] - seg[at.CX], pos[cells[i], 1] - y[1] - seg[at.CY]
         loads[i] = a0 + bx * rx + by * ry
     form_group(mem, share, ctl, cells, edges, loads, crossed)
-    ctl[N_CAPTURES] += 1
+    ctl[at.N_CAPTURES] += 1
 
 
 @kernel
@@ -233,41 +179,94 @@ def drifted(grp, groups, y, c, s, zero):
 def settled(surface, parcel, work, e, c, s):
     """``settle`` on the bundles that ``advance`` is given."""
     return settle(
-        surface.pos, surface.steady, surface.decay, surface.grip, parcel.normal, parcel.offset, parcel.mem,
-        parcel.share, parcel.ctl, parcel.y, parcel.par, e, c, s, work.seg, work.grp, work.matrix, work.reply, work.f,
-        work.scratch, work.newton,
-    )  # fmt: skip
+        surface.pos,
+        surface.steady,
+        surface.decay,
+        surface.grip,
+        parcel.normal,
+        parcel.offset,
+        parcel.mem,
+        parcel.share,
+        parcel.ctl,
+        parcel.y,
+        parcel.par,
+        e,
+        c,
+        s,
+        work.seg,
+        work.grp,
+        work.matrix,
+        work.reply,
+        work.f,
+        work.scratch,
+        work.newton,
+    )
 
 
 @kernel
 def prepare(surface, parcel, work, now, e, c, s, crossed, direction, events):
     """Loads, captured groups and accelerations at the start of a step. Returns the parcel's status."""
     ctl, y, par = parcel.ctl, parcel.y, parcel.par
-    if ctl[N_GROUPS] > 0:
+    if ctl[at.N_GROUPS] > 0:
         groups_hold(
-            surface.pos, parcel.mem, parcel.share, ctl, y, parcel.normal, parcel.offset, c, s, par[CAPTURE]
+            surface.pos, parcel.mem, parcel.share, ctl, y, parcel.normal, parcel.offset, c, s, par[at.CAPTURE]
         )
     status, ax, ay, al = settled(surface, parcel, work, e, c, s)
-    if status != MOVING:
+    if status != at.MOVING:
         return status
     if crossed > 0:
         after = work.after
         after[0], after[1], after[2] = ax, ay, al
         if may_capture(
-            work.seg, ctl, crossed, direction, work.cells, work.edges, surface.pos, parcel.normal, y, c, s,
-            par[CAPTURE], work.before, after,
-        ):  # fmt: skip
+            work.seg,
+            ctl,
+            crossed,
+            direction,
+            work.cells,
+            work.edges,
+            surface.pos,
+            parcel.normal,
+            y,
+            c,
+            s,
+            par[at.CAPTURE],
+            work.before,
+            after,
+        ):
             capture_crossed(
-                surface.pos, parcel.mem, parcel.share, ctl, y, work.seg, work.grp, work.f, work.cells, work.edges,
-                work.loads, crossed,
-            )  # fmt: skip
-            log(events, ctl, now, CAPTURE_BEGINS, work.cells[0], work.edges[0])
+                surface.pos,
+                parcel.mem,
+                parcel.share,
+                ctl,
+                y,
+                work.seg,
+                work.grp,
+                work.f,
+                work.cells,
+                work.edges,
+                work.loads,
+                crossed,
+            )
+            log(events, ctl, now, at.CAPTURE_BEGINS, work.cells[0], work.edges[0])
             status, ax, ay, al = settled(surface, parcel, work, e, c, s)
-    if status == MOVING and ctl[N_GROUPS] > 0 and drifted(work.grp, ctl[N_GROUPS], y, c, s, par[ON_SURFACE]):
+    if (
+        status == at.MOVING
+        and ctl[at.N_GROUPS] > 0
+        and drifted(work.grp, ctl[at.N_GROUPS], y, c, s, par[at.ON_SURFACE])
+    ):
         onto_surfaces(
-            work.grp, ctl[N_GROUPS], y, c, s, work.matrix, work.reply, work.reply[:, 3], work.f, work.scratch
+            work.grp,
+            ctl[at.N_GROUPS],
+            y,
+            c,
+            s,
+            work.matrix,
+            work.reply,
+            work.reply[:, 3],
+            work.f,
+            work.scratch,
         )
-        status, ax, ay, al = settled(surface, parcel, work, e, cos(y[THETA]), sin(y[THETA]))
+        status, ax, ay, al = settled(surface, parcel, work, e, cos(y[at.THETA]), sin(y[at.THETA]))
     return status
 
 
@@ -277,32 +276,63 @@ def search(surface, parcel, work, order):
     mem, ctl, y, par, ser, found = parcel.mem, parcel.ctl, parcel.y, parcel.par, work.ser, work.found
     far, turn = reach(ser, order)
     count, end = leaving(
-        surface.pos, parcel.normal, parcel.offset, mem, ctl, y, par, ser, order, far, turn, 1.0, found, 0, work.g,
+        surface.pos,
+        parcel.normal,
+        parcel.offset,
+        mem,
+        ctl,
+        y,
+        par,
+        ser,
+        order,
+        far,
+        turn,
+        1.0,
+        found,
+        0,
+        work.g,
         work.p,
-    )  # fmt: skip
-    for i in range(ctl[N_MEMBERS]):
-        work.where[mem[i, CELL]] = 1
+    )
+    for i in range(ctl[at.N_MEMBERS]):
+        work.where[mem[i, at.CELL]] = 1
     count, end = entering(
-        surface.pos, surface.grid, parcel.vertices, parcel.normal, parcel.offset, work.where, y, par, ser, order, far,
-        turn, par[RADIUS], end, found, count, work.g, work.p, work.q,
-    )  # fmt: skip
-    for i in range(ctl[N_MEMBERS]):
-        work.where[mem[i, CELL]] = 0
+        surface.pos,
+        surface.grid,
+        parcel.vertices,
+        parcel.normal,
+        parcel.offset,
+        work.where,
+        y,
+        par,
+        ser,
+        order,
+        far,
+        turn,
+        par[at.RADIUS],
+        end,
+        found,
+        count,
+        work.g,
+        work.p,
+        work.q,
+    )
+    for i in range(ctl[at.N_MEMBERS]):
+        work.where[mem[i, at.CELL]] = 0
     count, end = loading(
         surface.pos, mem, parcel.share, ctl, y, par, work.seg, ser, order, end, found, count, work.g, work.p
     )
     earliest = 1.0
     for i in range(count):
-        earliest = min(earliest, found[i, EV_TIME])
+        earliest = min(earliest, found[i, at.EV_TIME])
     return count, earliest
 
 
 @kernel
 def move(ser, order, y, t, step, state, before):
     """Take the state to unit time ``t``; keep the accelerations there (before any event) in ``before``."""
-    before[0] = slope(ser[S_UX], order, t) / step
-    before[1] = slope(ser[S_UY], order, t) / step
-    before[2] = slope(ser[S_OM], order, t) / step
+    before[0] = slope(ser[at.S_UX], order, t) / step
+    before[1] = slope(ser[at.S_UY], order, t) / step
+    before[2] = slope(ser[at.S_OM], order, t) / step
     sample(ser, order, y, t, state)
     for k in range(6):
         y[k] = state[k]
@@ -336,28 +366,42 @@ def advance(surface, parcel, work, span, budget, times, out, events):
     """
     y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
     now, sampled, used, crossed, direction = 0.0, 0, 0, 0, 0
-    ctl[N_LOGGED] = 0
+    ctl[at.N_LOGGED] = 0
     if span == 0.0:
-        ctl[STATUS] = prepare(surface, parcel, work, 0.0, 1.0, cos(y[THETA]), sin(y[THETA]), 0, 0, events)
-    while now < span and ctl[STATUS] == MOVING:
-        e = exp(-par[RATE] * now) if par[RATE] > 0.0 else 0.0
+        ctl[at.STATUS] = prepare(
+            surface, parcel, work, 0.0, 1.0, cos(y[at.THETA]), sin(y[at.THETA]), 0, 0, events
+        )
+    while now < span and ctl[at.STATUS] == at.MOVING:
+        e = exp(-par[at.RATE] * now) if par[at.RATE] > 0.0 else 0.0
         if e < DECAYED:
             e = 0.0
         status = prepare(
-            surface, parcel, work, now, e, cos(y[THETA]), sin(y[THETA]), crossed, direction, events
-        )  # fmt: skip
+            surface, parcel, work, now, e, cos(y[at.THETA]), sin(y[at.THETA]), crossed, direction, events
+        )
         crossed = 0
-        if status != MOVING:
-            ctl[STATUS] = status
-            if status == TIPPED:
-                log(events, ctl, now, TIP, ctl[TIP_A], ctl[TIP_B])
+        if status != at.MOVING:
+            ctl[at.STATUS] = status
+            if status == at.TIPPED:
+                log(events, ctl, now, at.TIP, ctl[at.TIP_A], ctl[at.TIP_B])
             break
         order, step = taylor(
-            work.seg, work.grp, ctl, y, par, e, cos(y[THETA]), sin(y[THETA]), span - now, work.matrix, work.reply,
-            work.f, work.scratch, ser,
-        )  # fmt: skip
-        ctl[N_STEPS] += 1
-        to_unit_time(ser, order, ctl[N_GROUPS], step)
+            work.seg,
+            work.grp,
+            ctl,
+            y,
+            par,
+            e,
+            cos(y[at.THETA]),
+            sin(y[at.THETA]),
+            span - now,
+            work.matrix,
+            work.reply,
+            work.f,
+            work.scratch,
+            ser,
+        )
+        ctl[at.N_STEPS] += 1
+        to_unit_time(ser, order, ctl[at.N_GROUPS], step)
         count, earliest = search(surface, parcel, work, order)
         ends_at = now + earliest * step
         if earliest == 1.0 and step == span - now:
@@ -366,21 +410,35 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             sample(ser, order, y, (times[sampled] - now) / step, out[sampled])
             sampled += 1
         move(ser, order, y, earliest, step, work.state, work.before)
-        if not finite(y) or ends_at == now and count == 0:
-            ctl[STATUS] = NOT_FINITE
+        if not finite(y) or (ends_at == now and count == 0):
+            ctl[at.STATUS] = at.NOT_FINITE
             break
         now = ends_at
         if count > 0:
             # events that rounding can't tell apart happen together
             together = earliest * (1.0 + 1e-13) + 1e-15
             crossed, direction = apply(
-                work.found, count, together, parcel.mem, parcel.share, ctl, now, events, work.cells, work.edges,
-                surface.pos, parcel.normal, parcel.offset, y, cos(y[THETA]), sin(y[THETA]),
-            )  # fmt: skip
+                work.found,
+                count,
+                together,
+                parcel.mem,
+                parcel.share,
+                ctl,
+                now,
+                events,
+                work.cells,
+                work.edges,
+                surface.pos,
+                parcel.normal,
+                parcel.offset,
+                y,
+                cos(y[at.THETA]),
+                sin(y[at.THETA]),
+            )
             used += 1
             if used > budget:
-                ctl[STATUS] = TOO_MANY_EVENTS
-                ctl[CULPRIT] = int(work.found[0, EV_CELL])
+                ctl[at.STATUS] = at.TOO_MANY_EVENTS
+                ctl[at.CULPRIT] = int(work.found[0, at.EV_CELL])
     for i in range(sampled, times.shape[0]):
         for k in range(6):
             out[i, k] = y[k]

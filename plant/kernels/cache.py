@@ -32,9 +32,14 @@ def key() -> str:
     # numba also looks at where the cached file is and when it changed: another checkout has a folder of its own
     entry = here / "advance.py"
     for part in (
-        version("numba"), version("llvmlite"), sys.version, platform.machine(), processor(),
-        str(entry), str(entry.stat().st_mtime_ns),
-    ):  # fmt: skip
+        version("numba"),
+        version("llvmlite"),
+        sys.version,
+        platform.machine(),
+        processor(),
+        str(entry),
+        str(entry.stat().st_mtime_ns),
+    ):
         digest.update(part.encode() + b"\0")
     return digest.hexdigest()[:16]
 

@@ -8,8 +8,8 @@ surfaces coincide are captured as one group.
 
 from __future__ import annotations
 
+from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.layout import CAPTURED, CELL, EDGE, GROUP, MARK, N_GROUPS, N_MEMBERS, OMEGA, UX, UY
 
 
 @kernel
@@ -31,11 +31,11 @@ def edge_motion(pos, normal, cell, edge, y, c, s, ax, ay, al):
     nx = c * normal[edge, 0] - s * normal[edge, 1]
     ny = s * normal[edge, 0] + c * normal[edge, 1]
     rx, ry = y[0] - pos[cell, 0], y[1] - pos[cell, 1]
-    om = y[OMEGA]
+    om = y[at.OMEGA]
     along, across = nx * rx + ny * ry, -ny * rx + nx * ry
-    rate = nx * y[UX] + ny * y[UY] + om * across
+    rate = nx * y[at.UX] + ny * y[at.UY] + om * across
     second = nx * ax + ny * ay + al * across - om * om * along
-    second += 2.0 * om * (-ny * y[UX] + nx * y[UY])
+    second += 2.0 * om * (-ny * y[at.UX] + nx * y[at.UY])
     return rate, second, across, nx, ny
 
 
@@ -68,18 +68,18 @@ def form_group(mem, share, ctl, cells, edges, loads, count):
     total = 0.0
     for i in range(count):
         total += max(loads[i], 0.0)
-    group = ctl[N_GROUPS]
+    group = ctl[at.N_GROUPS]
     for i in range(count):
         slot = -1
-        for j in range(ctl[N_MEMBERS]):
-            if mem[j, CELL] == cells[i]:
+        for j in range(ctl[at.N_MEMBERS]):
+            if mem[j, at.CELL] == cells[i]:
                 slot = j
         if slot < 0:
-            slot = ctl[N_MEMBERS]
-            ctl[N_MEMBERS] += 1
-            mem[slot, CELL] = cells[i]
-        mem[slot, MARK] = CAPTURED
-        mem[slot, EDGE] = edges[i]
-        mem[slot, GROUP] = group
+            slot = ctl[at.N_MEMBERS]
+            ctl[at.N_MEMBERS] += 1
+            mem[slot, at.CELL] = cells[i]
+        mem[slot, at.MARK] = at.CAPTURED
+        mem[slot, at.EDGE] = edges[i]
+        mem[slot, at.GROUP] = group
         share[slot] = max(loads[i], 0.0) / total if total > 0.0 else 1.0 / count
-    ctl[N_GROUPS] = group + 1
+    ctl[at.N_GROUPS] = group + 1

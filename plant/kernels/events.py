@@ -6,54 +6,8 @@ what the motion can cover in the step is passed over by that bound alone; the ot
 
 from __future__ import annotations
 
+from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.layout import (
-    ACTIVE,
-    CAPTURED,
-    CELL,
-    CORNER,
-    CX,
-    CY,
-    EDGE,
-    ENTER,
-    EV_CELL,
-    EV_EDGE,
-    EV_KIND,
-    EV_TIME,
-    FRACTION_ONE,
-    FRACTION_ZERO,
-    GROUP,
-    LEAVE,
-    LIFTED,
-    LINE,
-    LINE_X,
-    LINE_Y,
-    MARK,
-    N_GROUPS,
-    N_MEMBERS,
-    ON_LINE,
-    ON_SURFACE,
-    ORIGIN_X,
-    ORIGIN_Y,
-    PITCH,
-    RANK,
-    S_A0,
-    S_BX_,
-    S_BY_,
-    S_C,
-    S_E1,
-    S_E2,
-    S_F,
-    S_S,
-    S_TH,
-    S_X,
-    S_XIX,
-    S_XIY,
-    S_Y,
-    THETA,
-    TOUCH,
-    UNLOAD,
-)  # fmt: skip
 from plant.kernels.loads import LOAD_ZERO
 from plant.kernels.roots import NONE, deflate, first_crossing, horner
 
@@ -66,7 +20,7 @@ def edge_polynomial(ser, order, nx, ny, offset, px, py, g):
     """Distance inside one edge of the cell at (px, py) from ``X0``: coefficients into ``g``."""
     along, across = nx * px + ny * py, nx * py - ny * px
     for k in range(order + 1):
-        g[k] = -along * ser[S_C, k] - across * ser[S_S, k] + nx * ser[S_E1, k] + ny * ser[S_E2, k]
+        g[k] = -along * ser[at.S_C, k] - across * ser[at.S_S, k] + nx * ser[at.S_E1, k] + ny * ser[at.S_E2, k]
     g[0] += offset
 
 
@@ -139,8 +93,8 @@ def shift(g, order, t, p):
 def note(found, count, t, kind, cell, edge):
     """Add an event to the list; returns the new count (events past the list's end fall to the next step)."""
     if count < found.shape[0]:
-        found[count, EV_TIME], found[count, EV_KIND] = t, kind
-        found[count, EV_CELL], found[count, EV_EDGE] = cell, edge
+        found[count, at.EV_TIME], found[count, at.EV_KIND] = t, kind
+        found[count, at.EV_CELL], found[count, at.EV_EDGE] = cell, edge
         return count + 1
     return count
 
@@ -150,41 +104,60 @@ def reach(ser, order):
     """Bounds on how far the centre of mass moves, and the angle turns, within the unit step."""
     far, turn = 0.0, 0.0
     for k in range(1, order + 1):
-        far += (ser[S_X, k] * ser[S_X, k] + ser[S_Y, k] * ser[S_Y, k]) ** 0.5
-        turn += abs(ser[S_TH, k])
+        far += (ser[at.S_X, k] * ser[at.S_X, k] + ser[at.S_Y, k] * ser[at.S_Y, k]) ** 0.5
+        turn += abs(ser[at.S_TH, k])
     return far, turn
 
 
 @kernel
 def leaving(pos, normal, offset, mem, ctl, y, par, ser, order, far, turn, end, found, count, g, p):
     """Cells that leave the footprint. A captured cell leaves by an edge other than the one it sits on."""
-    zero = par[ON_SURFACE]
-    c, s = ser[S_C, 0], ser[S_S, 0]
-    for i in range(ctl[N_MEMBERS]):
-        cell = mem[i, CELL]
+    zero = par[at.ON_SURFACE]
+    c, s = ser[at.S_C, 0], ser[at.S_S, 0]
+    for i in range(ctl[at.N_MEMBERS]):
+        cell = mem[i, at.CELL]
         px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
         bound = (far + turn * (px * px + py * py) ** 0.5) * end * 1.000001 + zero
         qx, qy = c * px + s * py, -s * px + c * py
         for edge in range(offset.shape[0]):
-            if mem[i, MARK] == CAPTURED and mem[i, EDGE] == edge:
+            if mem[i, at.MARK] == at.CAPTURED and mem[i, at.EDGE] == edge:
                 continue
             if offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy > bound:
                 continue
             edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
             t = crossing(g, order, zero, False, end, p)
             if t <= end:
-                kind = CORNER if mem[i, MARK] == CAPTURED else LEAVE
+                kind = at.CORNER if mem[i, at.MARK] == at.CAPTURED else at.LEAVE
                 count = note(found, count, t, kind, cell, edge)
                 end = min(end, t * SLACK)
     return count, end
 
 
 @kernel
-def entering(pos, grid, vertices, normal, offset, where, y, par, ser, order, far, turn, radius, end, found, count, g,
-             p, start):  # fmt: skip
+def entering(
+    pos,
+    grid,
+    vertices,
+    normal,
+    offset,
+    where,
+    y,
+    par,
+    ser,
+    order,
+    far,
+    turn,
+    radius,
+    end,
+    found,
+    count,
+    g,
+    p,
+    start,
+):
     """Cells that enter the footprint: only those in the box that the footprint can reach are looked at."""
-    zero = par[ON_SURFACE]
-    c, s = ser[S_C, 0], ser[S_S, 0]
+    zero = par[at.ON_SURFACE]
+    c, s = ser[at.S_C, 0], ser[at.S_S, 0]
     low_x = high_x = low_y = high_y = 0.0
     for v in range(vertices.shape[0]):
         vx = c * vertices[v, 0] - s * vertices[v, 1]
@@ -192,8 +165,8 @@ def entering(pos, grid, vertices, normal, offset, where, y, par, ser, order, far
         low_x, high_x = min(low_x, vx), max(high_x, vx)
         low_y, high_y = min(low_y, vy), max(high_y, vy)
     swept = (far + turn * radius) * end * 1.000001 + zero
-    pitch = par[PITCH]
-    left, below = y[0] - par[ORIGIN_X], y[1] - par[ORIGIN_Y]
+    pitch = par[at.PITCH]
+    left, below = y[0] - par[at.ORIGIN_X], y[1] - par[at.ORIGIN_Y]
     # clamp before the conversion: a swept distance may exceed any integer
     first_column = int(max(0.0, (left + low_x - swept) / pitch))
     last_column = int(min(grid.shape[1] - 1.0, (left + high_x + swept) / pitch))
@@ -216,7 +189,7 @@ def entering(pos, grid, vertices, normal, offset, where, y, par, ser, order, far
                 continue
             t, edge = entry(ser, order, normal, offset, px, py, zero, end, g, p, start)
             if t <= end:
-                count = note(found, count, t, ENTER, cell, edge)
+                count = note(found, count, t, at.ENTER, cell, edge)
                 end = min(end, t * SLACK)
     return count, end
 
@@ -224,33 +197,33 @@ def entering(pos, grid, vertices, normal, offset, where, y, par, ser, order, far
 @kernel
 def loading(pos, mem, share, ctl, y, par, seg, ser, order, end, found, count, g, p):
     """Loads that vanish, lifted cells that touch again, fractions that reach 0 or 1, a line of supports left."""
-    if ser[S_A0, 0] <= 0.0:
+    if ser[at.S_A0, 0] <= 0.0:
         return count, end
-    zero = LOAD_ZERO * ser[S_A0, 0]
+    zero = LOAD_ZERO * ser[at.S_A0, 0]
     swing0, swing = 0.0, 0.0
     for k in range(1, order + 1):
-        swing0 += abs(ser[S_A0, k])
-        swing += abs(ser[S_BX_, k]) + abs(ser[S_BY_, k])
-    for i in range(ctl[N_MEMBERS]):
-        cell, mark = mem[i, CELL], mem[i, MARK]
-        if mark == CAPTURED:
+        swing0 += abs(ser[at.S_A0, k])
+        swing += abs(ser[at.S_BX_, k]) + abs(ser[at.S_BY_, k])
+    for i in range(ctl[at.N_MEMBERS]):
+        cell, mark = mem[i, at.CELL], mem[i, at.MARK]
+        if mark == at.CAPTURED:
             continue
-        rx, ry = pos[cell, 0] - y[0] - seg[CX], pos[cell, 1] - y[1] - seg[CY]
-        now = ser[S_A0, 0] + ser[S_BX_, 0] * rx + ser[S_BY_, 0] * ry
+        rx, ry = pos[cell, 0] - y[0] - seg[at.CX], pos[cell, 1] - y[1] - seg[at.CY]
+        now = ser[at.S_A0, 0] + ser[at.S_BX_, 0] * rx + ser[at.S_BY_, 0] * ry
         bound = (swing0 + swing * (rx * rx + ry * ry) ** 0.5) * end * 1.000001 + zero
         if abs(now) > bound:
             continue
-        if mark == LIFTED and seg[RANK] < 2:
+        if mark == at.LIFTED and seg[at.RANK] < 2:
             continue
         for k in range(order + 1):
-            g[k] = ser[S_A0, k] + ser[S_BX_, k] * rx + ser[S_BY_, k] * ry
-        t = crossing(g, order, zero, mark == LIFTED, end, p)
+            g[k] = ser[at.S_A0, k] + ser[at.S_BX_, k] * rx + ser[at.S_BY_, k] * ry
+        t = crossing(g, order, zero, mark == at.LIFTED, end, p)
         if t <= end:
-            count = note(found, count, t, UNLOAD if mark == ACTIVE else TOUCH, cell, 0)
+            count = note(found, count, t, at.UNLOAD if mark == at.ACTIVE else at.TOUCH, cell, 0)
             end = min(end, t * SLACK)
-    if ctl[N_GROUPS] > 0:
+    if ctl[at.N_GROUPS] > 0:
         count, end = fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p)
-    if seg[RANK] < 2:
+    if seg[at.RANK] < 2:
         count, end = off_line(seg, par, ser, order, end, found, count, g, p)
     return count, end
 
@@ -258,22 +231,27 @@ def loading(pos, mem, share, ctl, y, par, seg, ser, order, end, found, count, g,
 @kernel
 def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p):
     """Captured cells whose share of the load reaches nothing or all of it."""
-    for i in range(ctl[N_MEMBERS]):
-        if mem[i, MARK] != CAPTURED:
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] != at.CAPTURED:
             continue
-        cell, h = mem[i, CELL], mem[i, GROUP]
-        rx, ry = pos[cell, 0] - y[0] - seg[CX], pos[cell, 1] - y[1] - seg[CY]
+        cell, h = mem[i, at.CELL], mem[i, at.GROUP]
+        rx, ry = pos[cell, 0] - y[0] - seg[at.CX], pos[cell, 1] - y[1] - seg[at.CY]
         for k in range(order + 1):
-            g[k] = ser[S_F + h, k]
+            g[k] = ser[at.S_F + h, k]
         t = crossing(g, order, zero, False, end, p)
         if t <= end:
-            count = note(found, count, t, FRACTION_ZERO, cell, h)
+            count = note(found, count, t, at.FRACTION_ZERO, cell, h)
             end = min(end, t * SLACK)
         for k in range(order + 1):
-            g[k] = ser[S_A0, k] + ser[S_BX_, k] * rx + ser[S_BY_, k] * ry - share[i] * ser[S_F + h, k]
+            g[k] = (
+                ser[at.S_A0, k]
+                + ser[at.S_BX_, k] * rx
+                + ser[at.S_BY_, k] * ry
+                - share[i] * ser[at.S_F + h, k]
+            )
         t = crossing(g, order, zero, False, end, p)
         if t <= end:
-            count = note(found, count, t, FRACTION_ONE, cell, h)
+            count = note(found, count, t, at.FRACTION_ONE, cell, h)
             end = min(end, t * SLACK)
     return count, end
 
@@ -281,16 +259,16 @@ def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count,
 @kernel
 def off_line(seg, par, ser, order, end, found, count, g, p):
     """A centre of mass that leaves the line (or point) its supports stand on."""
-    for axis in range(2 if seg[RANK] == 0 else 1):
-        lx, ly = seg[LINE_X], seg[LINE_Y]
-        if seg[RANK] == 0:
+    for axis in range(2 if seg[at.RANK] == 0 else 1):
+        lx, ly = seg[at.LINE_X], seg[at.LINE_Y]
+        if seg[at.RANK] == 0:
             lx, ly = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
         for sign in (1.0, -1.0):
             for k in range(order + 1):
-                g[k] = -sign * (lx * ser[S_XIX, k] + ly * ser[S_XIY, k])
-            g[0] += par[ON_LINE]
+                g[k] = -sign * (lx * ser[at.S_XIX, k] + ly * ser[at.S_XIY, k])
+            g[0] += par[at.ON_LINE]
             t = crossing(g, order, 0.0, False, end, p)
             if t <= end:
-                count = note(found, count, t, LINE, -1, 0)
+                count = note(found, count, t, at.LINE, -1, 0)
                 end = min(end, t * SLACK)
     return count, end

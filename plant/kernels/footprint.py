@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from math import cos, sin
 
+from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.layout import ORIGIN_X, ORIGIN_Y, PITCH, THETA
 
 
 @kernel
 def box(vertices, y, par, grid, margin):
     """Rows and columns that the footprint's bounding box, widened by ``margin``, can touch."""
-    c, s = cos(y[THETA]), sin(y[THETA])
+    c, s = cos(y[at.THETA]), sin(y[at.THETA])
     low_x = high_x = low_y = high_y = 0.0
     for v in range(vertices.shape[0]):
         vx, vy = c * vertices[v, 0] - s * vertices[v, 1], s * vertices[v, 0] + c * vertices[v, 1]
         low_x, high_x = min(low_x, vx), max(high_x, vx)
         low_y, high_y = min(low_y, vy), max(high_y, vy)
-    pitch = par[PITCH]
-    left, below = y[0] - par[ORIGIN_X] - margin, y[1] - par[ORIGIN_Y] - margin
+    pitch = par[at.PITCH]
+    left, below = y[0] - par[at.ORIGIN_X] - margin, y[1] - par[at.ORIGIN_Y] - margin
     first_column = int(max(0.0, (left + low_x) / pitch))
     last_column = int(max(-1.0, min(grid.shape[1] - 1.0, (left + high_x + 2.0 * margin) / pitch)))
     first_row = int(max(0.0, (below + low_y) / pitch))
@@ -41,7 +41,7 @@ def inside(px, py, normal, offset, y, c, s, slack):
 def cover(surface, parcel, sensors, reach, slack, bits):
     """Set the presence bits ``(n, sensors)`` of every sensor under the parcel; ``reach`` bounds the sensors' offset."""
     y, grid = parcel.y, surface.grid
-    c, s = cos(y[THETA]), sin(y[THETA])
+    c, s = cos(y[at.THETA]), sin(y[at.THETA])
     first_row, last_row, first_column, last_column = box(parcel.vertices, y, parcel.par, grid, reach + slack)
     for row in range(first_row, last_row + 1):
         for column in range(first_column, last_column + 1):

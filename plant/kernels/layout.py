@@ -69,9 +69,37 @@ GRP_SIZE: Final = 17
 
 # ── ser: float64 (rows, MAX_ORDER + 4), Taylor coefficients
 (
-    S_X, S_Y, S_TH, S_UX, S_UY, S_OM, S_C, S_S, S_E1, S_E2, S_A0, S_BX_, S_BY_, S_DX, S_DY, S_T, S_XIX, S_XIY,
-    S_CC, S_EXP, S_DBX, S_DBY, S_TB, S_S0, S_BBX, S_BBY, S_S1X, S_S1Y, S_C2, S_F,
-) = range(30)  # fmt: skip
+    S_X,
+    S_Y,
+    S_TH,
+    S_UX,
+    S_UY,
+    S_OM,
+    S_C,
+    S_S,
+    S_E1,
+    S_E2,
+    S_A0,
+    S_BX_,
+    S_BY_,
+    S_DX,
+    S_DY,
+    S_T,
+    S_XIX,
+    S_XIY,
+    S_CC,
+    S_EXP,
+    S_DBX,
+    S_DBY,
+    S_TB,
+    S_S0,
+    S_BBX,
+    S_BBY,
+    S_S1X,
+    S_S1Y,
+    S_C2,
+    S_F,
+) = range(30)
 SER_ROWS: Final = 29 + MAX_GROUPS
 SER_COLUMNS: Final = MAX_ORDER + 4
 

@@ -7,36 +7,8 @@ load would be negative is the convex problem solved, by Newton's method with a l
 
 from __future__ import annotations
 
+from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.layout import (
-    ACTIVE,
-    CAPTURED,
-    CELL,
-    CX,
-    CY,
-    GROUP,
-    LIFTED,
-    LINE_X,
-    LINE_Y,
-    MARK,
-    MOVING,
-    N_ACTIVE,
-    N_CAPTURES,
-    N_GROUPS,
-    N_MEMBERS,
-    NO_LOADS,
-    ON_LINE,
-    PITCH,
-    PXX,
-    PXY,
-    PYY,
-    RANK,
-    S_RX,
-    S_RY,
-    TIP_A,
-    TIP_B,
-    TIPPED,
-)  # fmt: skip
 from plant.kernels.moments import segment
 from plant.kernels.motion import accelerations, solve, surfaces
 
@@ -51,20 +23,20 @@ def outside_hull(pos, mem, ctl, y):
     Returns (distance in m, negative inside; cell, cell) with the two supports of the edge it is farthest outside
     of. Gift wrapping: only called when a load would be negative or the supports don't span a plane.
     """
-    count = ctl[N_MEMBERS]
+    count = ctl[at.N_MEMBERS]
     first = 0
     for i in range(1, count):
-        a, b = mem[i, CELL], mem[first, CELL]
+        a, b = mem[i, at.CELL], mem[first, at.CELL]
         if pos[a, 0] < pos[b, 0] or (pos[a, 0] == pos[b, 0] and pos[a, 1] < pos[b, 1]):
             first = i
-    worst, edge_a, edge_b = -1e300, mem[first, CELL], mem[first, CELL]
+    worst, edge_a, edge_b = -1e300, mem[first, at.CELL], mem[first, at.CELL]
     corners, here = 0, first
     while corners <= count:
-        ax, ay = pos[mem[here, CELL], 0] - y[0], pos[mem[here, CELL], 1] - y[1]
+        ax, ay = pos[mem[here, at.CELL], 0] - y[0], pos[mem[here, at.CELL], 1] - y[1]
         following = -1
         fx, fy = 0.0, 0.0
         for i in range(count):
-            dx, dy = pos[mem[i, CELL], 0] - y[0] - ax, pos[mem[i, CELL], 1] - y[1] - ay
+            dx, dy = pos[mem[i, at.CELL], 0] - y[0] - ax, pos[mem[i, at.CELL], 1] - y[1] - ay
             if dx == 0.0 and dy == 0.0:
                 continue
             cross = fx * dy - fy * dx
@@ -81,11 +53,11 @@ def outside_hull(pos, mem, ctl, y):
             off = abs(distance)
             return (
                 (off if past <= 0.0 else (off * off + past * past) ** 0.5),
-                mem[here, CELL],
-                mem[following, CELL],
+                mem[here, at.CELL],
+                mem[following, at.CELL],
             )
         if distance > worst:
-            worst, edge_a, edge_b = distance, mem[here, CELL], mem[following, CELL]
+            worst, edge_a, edge_b = distance, mem[here, at.CELL], mem[following, at.CELL]
         corners += 1
         here = following
         if here == first:
@@ -97,9 +69,9 @@ def outside_hull(pos, mem, ctl, y):
 def potential(pos, mem, ctl, y, length, ox, oy, z, w):
     """Half the squared loads minus the work of the weight: convex, least at the springs' plane ``z``."""
     total = -(z[0] * w[0] + z[1] * w[1] + z[2] * w[2])
-    for i in range(ctl[N_MEMBERS]):
-        if mem[i, MARK] != CAPTURED:
-            cell = mem[i, CELL]
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] != at.CAPTURED:
+            cell = mem[i, at.CELL]
             rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
             n = z[0] + z[1] * rx + z[2] * ry
             if n > 0.0:
@@ -115,9 +87,9 @@ def gradient(pos, mem, ctl, y, length, ox, oy, z, w, hessian, slope):
         for j in range(3):
             hessian[i, j] = 0.0
     count = 0
-    for i in range(ctl[N_MEMBERS]):
-        if mem[i, MARK] != CAPTURED:
-            cell = mem[i, CELL]
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] != at.CAPTURED:
+            cell = mem[i, at.CELL]
             rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
             n = z[0] + z[1] * rx + z[2] * ry
             if n > 0.0:
@@ -140,14 +112,14 @@ def contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton):
     """Mark every cell under the parcel as carrying load or lifted, at the minimum of ``potential``."""
     z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
     hessian = newton[5:8]
-    length, ox, oy = par[PITCH], seg[CX], seg[CY]
+    length, ox, oy = par[at.PITCH], seg[at.CX], seg[at.CY]
     total, mx, my = 1.0, -ox, -oy
-    for h in range(ctl[N_GROUPS]):
+    for h in range(ctl[at.N_GROUPS]):
         total -= f[h]
-        mx -= f[h] * grp[h, S_RX]
-        my -= f[h] * grp[h, S_RY]
+        mx -= f[h] * grp[h, at.S_RX]
+        my -= f[h] * grp[h, at.S_RY]
     w[0], w[1], w[2] = total, mx / length, my / length
-    z[0], z[1], z[2] = 1.0 / ctl[N_MEMBERS], 0.0, 0.0
+    z[0], z[1], z[2] = 1.0 / ctl[at.N_MEMBERS], 0.0, 0.0
     value = potential(pos, mem, ctl, y, length, ox, oy, z, w)
     for _ in range(200):
         count = gradient(pos, mem, ctl, y, length, ox, oy, z, w, hessian, slope)
@@ -176,42 +148,42 @@ def contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton):
         for i in range(3):
             z[i] = trial[i]
         value = following
-    for i in range(ctl[N_MEMBERS]):
-        if mem[i, MARK] != CAPTURED:
-            cell = mem[i, CELL]
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] != at.CAPTURED:
+            cell = mem[i, at.CELL]
             rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
-            mem[i, MARK] = ACTIVE if z[0] + z[1] * rx + z[2] * ry > 0.0 else LIFTED
+            mem[i, at.MARK] = at.ACTIVE if z[0] + z[1] * rx + z[2] * ry > 0.0 else at.LIFTED
 
 
 @kernel
 def plane(seg, grp, f, groups):
     """The springs' plane now: load share ``a0 + b . r`` of a cell at r from the centroid."""
-    total, mx, my = 1.0, -seg[CX], -seg[CY]
+    total, mx, my = 1.0, -seg[at.CX], -seg[at.CY]
     for h in range(groups):
         total -= f[h]
-        mx -= f[h] * grp[h, S_RX]
-        my -= f[h] * grp[h, S_RY]
-    return total / seg[N_ACTIVE], seg[PXX] * mx + seg[PXY] * my, seg[PXY] * mx + seg[PYY] * my
+        mx -= f[h] * grp[h, at.S_RX]
+        my -= f[h] * grp[h, at.S_RY]
+    return total / seg[at.N_ACTIVE], seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
 
 
 @kernel
 def violated(pos, mem, ctl, y, par, seg, a0, bx, by):
     """True where a cell marked as loaded would pull, or one marked as lifted would be pressed."""
     zero = LOAD_ZERO * a0
-    for i in range(ctl[N_MEMBERS]):
-        mark = mem[i, MARK]
-        if mark == CAPTURED:
+    for i in range(ctl[at.N_MEMBERS]):
+        mark = mem[i, at.MARK]
+        if mark == at.CAPTURED:
             continue
-        rx = pos[mem[i, CELL], 0] - y[0] - seg[CX]
-        ry = pos[mem[i, CELL], 1] - y[1] - seg[CY]
+        rx = pos[mem[i, at.CELL], 0] - y[0] - seg[at.CX]
+        ry = pos[mem[i, at.CELL], 1] - y[1] - seg[at.CY]
         n = a0 + bx * rx + by * ry
-        if mark == ACTIVE and n < -zero:
+        if mark == at.ACTIVE and n < -zero:
             return True
-        if mark == LIFTED and n > zero:
+        if mark == at.LIFTED and n > zero:
             # on a line of supports the plane may tilt about the line: cells beside it stay clear
-            if seg[RANK] == 2:
+            if seg[at.RANK] == 2:
                 return True
-            if seg[RANK] == 1 and abs(seg[LINE_X] * rx + seg[LINE_Y] * ry) <= par[ON_LINE]:
+            if seg[at.RANK] == 1 and abs(seg[at.LINE_X] * rx + seg[at.LINE_Y] * ry) <= par[at.ON_LINE]:
                 return True
     return False
 
@@ -219,40 +191,40 @@ def violated(pos, mem, ctl, y, par, seg, a0, bx, by):
 @kernel
 def drop(mem, share, ctl, i):
     """Take member ``i`` off the list (the last takes its place)."""
-    last = ctl[N_MEMBERS] - 1
+    last = ctl[at.N_MEMBERS] - 1
     for k in range(mem.shape[1]):
         mem[i, k] = mem[last, k]
     share[i] = share[last]
-    ctl[N_MEMBERS] = last
+    ctl[at.N_MEMBERS] = last
 
 
 @kernel
 def release(mem, share, ctl, group, inside):
     """End a captured group: its cells carry their full load again, or leave the footprint."""
     i = 0
-    while i < ctl[N_MEMBERS]:
-        if mem[i, MARK] == CAPTURED:
-            if mem[i, GROUP] == group:
-                mem[i, MARK] = ACTIVE
+    while i < ctl[at.N_MEMBERS]:
+        if mem[i, at.MARK] == at.CAPTURED:
+            if mem[i, at.GROUP] == group:
+                mem[i, at.MARK] = at.ACTIVE
                 if not inside:
                     drop(mem, share, ctl, i)
                     continue
-            elif mem[i, GROUP] > group:
-                mem[i, GROUP] -= 1
+            elif mem[i, at.GROUP] > group:
+                mem[i, at.GROUP] -= 1
         i += 1
-    ctl[N_GROUPS] -= 1
+    ctl[at.N_GROUPS] -= 1
 
 
 @kernel
-def release_one_outside(pos, mem, share, ctl, y, seg, grp, f, a0, bx, by):
+def release_one_outside(pos, mem, share, ctl, y, seg, f, a0, bx, by):
     """Release the captured group whose fraction is farthest outside [0, 1]. Returns True where there was one."""
     worst, which, inside = LOAD_ZERO, -1, False
-    for i in range(ctl[N_MEMBERS]):
-        if mem[i, MARK] != CAPTURED:
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] != at.CAPTURED:
             continue
-        h = mem[i, GROUP]
-        rx = pos[mem[i, CELL], 0] - y[0] - seg[CX]
-        ry = pos[mem[i, CELL], 1] - y[1] - seg[CY]
+        h = mem[i, at.GROUP]
+        rx = pos[mem[i, at.CELL], 0] - y[0] - seg[at.CX]
+        ry = pos[mem[i, at.CELL], 1] - y[1] - seg[at.CY]
         full = a0 + bx * rx + by * ry
         load = share[i] * f[h]
         if -load / a0 > worst:
@@ -266,57 +238,76 @@ def release_one_outside(pos, mem, share, ctl, y, seg, grp, f, a0, bx, by):
 
 
 @kernel
-def settle(pos, steady, decay, grip, normal, offset, mem, share, ctl, y, par, e, c, s, seg, grp, matrix, reply, f,
-           scratch, newton):  # fmt: skip
+def settle(
+    pos,
+    steady,
+    decay,
+    grip,
+    normal,
+    offset,
+    mem,
+    share,
+    ctl,
+    y,
+    par,
+    e,
+    c,
+    s,
+    seg,
+    grp,
+    matrix,
+    reply,
+    f,
+    scratch,
+    newton,
+):
     """Find the loads at this instant: constants, marks, captured fractions, accelerations.
 
     Returns (status, ax, ay, alpha); with status TIPPED the edge is in ``ctl[TIP_A]``, ``ctl[TIP_B]``.
     """
     for attempt in range(40):
-        if ctl[N_MEMBERS] == 0:
-            ctl[TIP_A] = ctl[TIP_B] = -1
-            return TIPPED, 0.0, 0.0, 0.0
+        if ctl[at.N_MEMBERS] == 0:
+            ctl[at.TIP_A] = ctl[at.TIP_B] = -1
+            return at.TIPPED, 0.0, 0.0, 0.0
         segment(pos, steady, decay, grip, mem, share, ctl, y, par, seg, grp)
-        if seg[N_ACTIVE] == 0 or (seg[RANK] < 2 and ctl[N_GROUPS] > 0):
-            while ctl[N_GROUPS] > 0:
+        if seg[at.N_ACTIVE] == 0 or (seg[at.RANK] < 2 and ctl[at.N_GROUPS] > 0):
+            while ctl[at.N_GROUPS] > 0:
                 release(mem, share, ctl, 0, True)
-            for i in range(ctl[N_MEMBERS]):
-                mem[i, MARK] = ACTIVE
+            for i in range(ctl[at.N_MEMBERS]):
+                mem[i, at.MARK] = at.ACTIVE
             segment(pos, steady, decay, grip, mem, share, ctl, y, par, seg, grp)
         distance, a, b = -1.0, 0, 0
-        if seg[RANK] < 2:
+        if seg[at.RANK] < 2:
             distance, a, b = outside_hull(pos, mem, ctl, y)
-            if distance > par[ON_LINE]:
-                ctl[TIP_A], ctl[TIP_B] = a, b
-                return TIPPED, 0.0, 0.0, 0.0
-            off = abs(seg[LINE_X] * seg[CX] + seg[LINE_Y] * seg[CY])
-            if seg[RANK] == 0:
-                off = (seg[CX] * seg[CX] + seg[CY] * seg[CY]) ** 0.5
-            if off > par[ON_LINE]:
+            if distance > par[at.ON_LINE]:
+                ctl[at.TIP_A], ctl[at.TIP_B] = a, b
+                return at.TIPPED, 0.0, 0.0, 0.0
+            off = abs(seg[at.LINE_X] * seg[at.CX] + seg[at.LINE_Y] * seg[at.CY])
+            if seg[at.RANK] == 0:
+                off = (seg[at.CX] * seg[at.CX] + seg[at.CY] * seg[at.CY]) ** 0.5
+            if off > par[at.ON_LINE]:
                 contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton)
                 continue
-        if ctl[N_GROUPS] > 0:
+        if ctl[at.N_GROUPS] > 0:
             surfaces(pos, normal, offset, mem, share, ctl, y, grp)
-        ax, ay, al, conditioning = accelerations(
-            seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch
-        )  # fmt: skip
-        if ctl[N_GROUPS] > 0 and conditioning < 1e-9:
-            release(mem, share, ctl, ctl[N_GROUPS] - 1, True)
+        ax, ay, al, conditioning = accelerations(seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch)
+        if ctl[at.N_GROUPS] > 0 and conditioning < 1e-9:
+            release(mem, share, ctl, ctl[at.N_GROUPS] - 1, True)
             continue
-        a0, bx, by = plane(seg, grp, f, ctl[N_GROUPS])
+        a0, bx, by = plane(seg, grp, f, ctl[at.N_GROUPS])
         if violated(pos, mem, ctl, y, par, seg, a0, bx, by):
-            if seg[RANK] == 2:
+            if seg[at.RANK] == 2:
                 distance, a, b = outside_hull(pos, mem, ctl, y)
-                if distance > par[ON_LINE]:
-                    ctl[TIP_A], ctl[TIP_B] = a, b
-                    return TIPPED, 0.0, 0.0, 0.0
+                if distance > par[at.ON_LINE]:
+                    ctl[at.TIP_A], ctl[at.TIP_B] = a, b
+                    return at.TIPPED, 0.0, 0.0, 0.0
             if attempt >= 20:
-                while ctl[N_GROUPS] > 0:
+                while ctl[at.N_GROUPS] > 0:
                     release(mem, share, ctl, 0, True)
             contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton)
             continue
-        if ctl[N_GROUPS] > 0 and release_one_outside(pos, mem, share, ctl, y, seg, grp, f, a0, bx, by):
-            ctl[N_CAPTURES] += 1
+        if ctl[at.N_GROUPS] > 0 and release_one_outside(pos, mem, share, ctl, y, seg, f, a0, bx, by):
+            ctl[at.N_CAPTURES] += 1
             continue
-        return MOVING, ax, ay, al
-    return NO_LOADS, 0.0, 0.0, 0.0
+        return at.MOVING, ax, ay, al
+    return at.NO_LOADS, 0.0, 0.0, 0.0

@@ -64,7 +64,7 @@ def polish(p, order):
         following = t - value / slope if slope != 0.0 else 0.5 * (low + high)
         if not (low < following < high):
             following = 0.5 * (low + high)
-        if abs(following - t) <= 1e-16 or following == low or following == high:
+        if abs(following - t) <= 1e-16 or following in (low, high):
             return following
         t = following
     return t

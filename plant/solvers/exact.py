@@ -2,8 +2,8 @@
 
 Between two changes of the support set the motion is a Taylor series (translation linear, rotation linear with
 polynomial coefficients), so a step is as long as the series is accurate, and event times are isolated roots of
-polynomials. See ``plant/kernels``: ``series`` for the motion, ``events`` and ``roots`` for its events, ``loads`` for the
-unilateral normal forces, ``capture`` for chatter.
+polynomials. See ``plant/kernels``: ``series`` for the motion, ``events`` and ``roots`` for its events, ``loads`` for
+the unilateral normal forces, ``capture`` for chatter.
 """
 
 from __future__ import annotations
