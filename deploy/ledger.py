@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from plant.plant import Event
     from plant.process import TickRecord
 
-SUPPORT_CHANGES = frozenset({"support_gained", "support_lost"})
-"""Events that count as changes of a support set."""
-
 _WORDS = {"token lost": "its process went away", "stalled": "it did not answer in time"}
 
 
@@ -36,7 +33,6 @@ class Ledger:
     Attributes:
         ticks: Ticks that are over.
         time_ns: Simulated time reached.
-        support_changes: How often a cell came under or out from under a parcel's load.
         faults: Scheduled and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``.
         cells_lost: ``(row, column)`` of each, in order.
         last: The last tick; None before the first is over.
@@ -62,7 +58,6 @@ class Ledger:
         self._warn = warn
         self.ticks = 0
         self.time_ns = 0
-        self.support_changes = 0
         self.faults: list[Mapping[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
         self.last: TickRecord | None = None
@@ -91,9 +86,7 @@ class Ledger:
 
     def _take_events(self, events: Sequence[Event]) -> None:
         for event in events:
-            if event.kind in SUPPORT_CHANGES:
-                self.support_changes += 1
-            self._recorder.event(event_record(event, self._cells))
+            self._recorder.event(event_record(event))
         self._progress.events += len(events)
 
     def died(self, tick: int, cells: Sequence[int]) -> None:
@@ -135,13 +128,13 @@ class Ledger:
         self._progress.lost += 1
 
 
-def event_record(event: Event, cells: Sequence[tuple[int, int]]) -> dict[str, Any]:
-    """An event of the plant as the recording has it: cells by row and column."""
+def event_record(event: Event) -> dict[str, Any]:
+    """An event of the plant as the recording has it."""
     return {
         "time_s": event.time_s,
         "kind": event.kind,
         "parcel": event.parcel,
-        "cells": [list(cells[cell]) for cell in event.cells],
+        "cells": event.cells,
         "position_m": event.position_m,
         "detail": event.detail,
     }

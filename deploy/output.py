@@ -19,7 +19,9 @@ from plant.geometry import centroid
 from plant.specs import ParcelSpec
 
 if TYPE_CHECKING:
+    from deploy.replay import Recording
     from deploy.scene import Scene
+    from deploy.track import Track
     from plant.array import CellArray
     from plant.plant import Plant
 
@@ -93,18 +95,17 @@ def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
     ]
 
 
-def draw(folder: Path) -> None:
-    """Draw the overview of the recording in a folder, whole or not at all.
+def draw(run: Recording | Track, folder: Path) -> None:
+    """Draw the overview of a run into its folder, whole or not at all.
 
     Raises:
         DeployError: It can't be written.
     """
     from deploy.overview import FILE_NAME, draw_overview
-    from deploy.replay import load
 
     draft = folder / f".{FILE_NAME}.draft"
     try:
-        draw_overview(load(folder), draft)
+        draw_overview(run, draft)
         draft.replace(folder / FILE_NAME)
     finally:
         draft.unlink(missing_ok=True)

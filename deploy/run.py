@@ -22,7 +22,7 @@ from deploy.progress import Progress
 from deploy.recording import Recorder
 from deploy.summary import Messages, Summary
 from deploy.system import System
-from plant.errors import PlantError
+from plant.errors import PlantError, PlantUnstable
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts
@@ -205,7 +205,7 @@ class _Run:
             wall_s=self.wall_s,
             startup_s=self.startup_s,
             parcels=parcel_outcomes(plant),
-            support_changes=ledger.support_changes,
+            support_changes=plant.support_changes,
             messages=messages,
             faults=ledger.faults,
             cells_lost=ledger.cells_lost,
@@ -215,9 +215,11 @@ class _Run:
 
     def _draw(self, summary: Summary, folder: Path) -> Summary:
         """Draw the picture; a signal gives it up and makes the run an interrupted one."""
+        from deploy.replay import load
+
         try:
             with self.interruption.allowed():
-                draw(folder)
+                draw(load(folder), folder)
         except Interrupted:
             summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
             summary.write(folder)
@@ -247,9 +249,7 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
 
 def status_of(error: PlantError) -> str:
     """``unstable`` where the numbers ran away, else ``failed``."""
-    from plant.errors import UnstableError
-
-    return "unstable" if isinstance(error, UnstableError) else "failed"
+    return "unstable" if isinstance(error, PlantUnstable) else "failed"
 
 
 def pacer(factor: float) -> Callable[[int], None]:

@@ -1,0 +1,250 @@
+"""The plant alone, wheel speeds straight from the scene's velocity field: the paper's simulator."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.digest import Digest
+from deploy.errors import InputError
+from deploy.faults.schedule import deaths
+from deploy.interruption import Interrupted, Interruption
+from deploy.ledger import event_record
+from deploy.output import draw, footprint, output_folder, parcel_outcomes
+from deploy.progress import Progress
+from deploy.run import Outcome, load_plant, status_of
+from deploy.summary import Summary
+from deploy.track import Track
+from plant.errors import PlantError
+
+if TYPE_CHECKING:
+    from deploy.scene import Scene
+    from plant.plant import Event, Plant, Trajectory
+
+Floats = NDArray[np.float64]
+
+SLICE = 1_000
+"""Samples a call of the plant: between two calls the progress is shown and a signal is heeded."""
+
+
+def simulate(
+    scene: Scene, *, output: Path | None = None, picture: bool = True, quiet: bool = False
+) -> Outcome:
+    """Simulate a scene without cells: every wheel runs at the field's speed from the start.
+
+    Wheels are ideal: where the scene has motors they are left out, as the paper's simulator has none, and that is
+    said. A cell that the scene lets crash does what the stall policy says. The motion is sampled once a control
+    period, and at the end.
+
+    Args:
+        scene: What to simulate; its firmware must be ``velocity_field``.
+        output: Folder for summary and picture; None: a new one under ``runs/``.
+        picture: Whether to draw the overview.
+        quiet: Show no progress and no warnings on stderr.
+
+    Raises:
+        InputError: The scene's firmware has no field to simulate.
+        PlantError: The plant refuses the scene.
+        Interrupted: SIGINT or SIGTERM came before the simulation began.
+    """
+    interruption = Interruption()
+    with interruption.watching():
+        return _Simulation(scene, interruption, quiet=quiet).go(output, picture=picture)
+
+
+def field_speeds(scene: Scene, positions_m: Floats) -> Floats:
+    """The field's velocity at every cell, ``(n, 2)`` m/s.
+
+    Raises:
+        InputError: The scene's firmware is not ``velocity_field``.
+    """
+    from cell_firmware.loader import load
+    from cell_firmware.protocols.velocity_field import VelocityField
+
+    firmware = load(scene.cells)
+    if not isinstance(firmware, VelocityField):
+        raise InputError(
+            f"scene {scene.name}: cells.firmware = {scene.cells.firmware}: simulate takes wheel speeds from a "
+            "velocity field, so the firmware must be velocity_field; `mdms run` runs any firmware"
+        )
+    return firmware.parameters.field.velocity(positions_m[:, 0], positions_m[:, 1])
+
+
+@final
+class _Simulation:
+    """One simulation, from the plant to the picture."""
+
+    def __init__(self, scene: Scene, interruption: Interruption, *, quiet: bool) -> None:
+        self.begun = time.monotonic()
+        self.quiet = quiet
+        self.interruption = interruption
+        self.motors = scene.effects.motors is not None
+        self.named = scene
+        self.scene = _ideal(scene)
+        self.status = "ok"
+        self.reason: str | None = None
+        self.times: list[NDArray[np.int64]] = []
+        self.states: list[Floats] = []
+        self.events: list[Event] = []
+        self.faults: list[dict[str, Any]] = []
+        self.time_ns = 0
+
+    def go(self, output: Path | None, *, picture: bool) -> Outcome:
+        """Everything; see `simulate`."""
+        with self.interruption.allowed():
+            from plant.array import CellArray
+
+            array = CellArray(self.scene.array)
+            speeds = field_speeds(self.scene, array.positions_m)
+            plant = load_plant(self.scene, self._warn)
+        if self.motors:
+            self._warn("effects.motors is left out: simulate has ideal wheels")
+        self.interruption.check()
+        folder = output_folder(self.named, output)
+        started = time.monotonic()
+        with Progress(self.scene.duration_ns, quiet=self.quiet) as progress:
+            try:
+                self._advance(plant, speeds, progress)
+            except Interrupted:
+                self._end("interrupted", f"interrupted at {self.time_ns * 1e-9:g} s of simulated time")
+            except PlantError as error:
+                self._end(status_of(error), f"{error} (after {self.time_ns * 1e-9:g} s)")
+        wall_s = time.monotonic() - started
+        summary = self._summary(plant, folder, wall_s, started - self.begun)
+        summary.write(folder)
+        if picture and self.status != "interrupted":
+            summary = self._draw(summary, self._track(plant, summary.digest), folder)
+        return Outcome(summary)
+
+    # --- the simulation itself --------------------------------------------------------------------
+
+    def _advance(self, plant: Plant, speeds: Floats, progress: Progress) -> None:
+        """Run from death to death and to the end, in slices; sets samples, events and status."""
+        scene, drives = self.scene, speeds.copy()
+        period_ns, end_ns = scene.cells.period_ns, scene.duration_ns
+        schedule = deaths(scene)
+        self.times.append(np.zeros(1, dtype=np.int64))
+        self.states.append(plant.state[None])
+        for tick, cells in (*schedule.items(), (scene.ticks, ())):
+            until_ns = min(tick * period_ns, end_ns)
+            while self.time_ns < until_ns:
+                self.interruption.check()
+                part = plant.trajectory(drives, min(self.time_ns + SLICE * period_ns, until_ns), period_ns)
+                self._take(part, progress)
+            if self.time_ns >= end_ns:
+                return
+            self._die(plant, drives, cells)
+            if scene.stall.policy == "abort":
+                return
+
+    def _take(self, part: Trajectory, progress: Progress) -> None:
+        self.times.append(part.time_ns[1:])
+        self.states.append(part.state[1:])
+        self.events += part.events
+        self.time_ns = int(part.time_ns[-1])
+        progress.events = len(self.events)
+        progress.update(sum(len(times) for times in self.times), self.time_ns)
+
+    def _die(self, plant: Plant, drives: Floats, cells: Sequence[int]) -> None:
+        """Cells crash now, as the scene says; changes their rows of ``drives``."""
+        policy, at_s, names = self.scene.stall.policy, self.time_ns * 1e-9, plant.array.lattice.cells
+        for cell in cells:
+            self.faults.append(
+                {"time_s": at_s, "kind": "crash", "cell": list(names[cell]), "detail": "scheduled"}
+            )
+        if policy == "abort":
+            row, column = names[cells[0]]
+            self._end(
+                "failed", f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"
+            )
+            return
+        if policy != "hold":
+            drives[list(cells)] = 0.0
+        plant.lose(cells, policy)
+
+    def _end(self, status: str, reason: str) -> None:
+        self.status, self.reason = status, reason
+
+    # --- what it leaves ---------------------------------------------------------------------------
+
+    def _digest(self) -> str:
+        """Of all sampled states: there are no senses and no drives to cover."""
+        digest = Digest(b"simulate " + self.scene.canonical())
+        nothing = np.zeros((0, 1), dtype=np.bool_)
+        none: Floats = np.zeros((0, 2))
+        for tick, state in enumerate(np.concatenate(self.states)):
+            digest.tick(tick, nothing, none, state)
+        return digest.hexdigest
+
+    def _track(self, plant: Plant, digest: str | None) -> Track:
+        scene, array = self.scene, plant.array
+        return Track(
+            title=scene.title,
+            scene=self.named.name,
+            pitch_m=array.pitch_m,
+            cells=array.lattice.cells,
+            positions_m=array.positions_m,
+            footprints_m=[footprint(parcel) for parcel in scene.parcels],
+            time_s=np.concatenate(self.times) * 1e-9,
+            parcels=np.concatenate(self.states),
+            wheel_speeds=plant.wheel_speed,
+            events=[event_record(event) for event in self.events],
+            faults=self.faults,
+            status=self.status,
+            digest=digest,
+        )
+
+    def _summary(self, plant: Plant, folder: Path, wall_s: float, startup_s: float) -> Summary:
+        scene = self.scene
+        return Summary(
+            status=self.status,
+            reason=self.reason,
+            scene=self.named.name,
+            seed=scene.seed,
+            duration_s=scene.duration_s,
+            simulated_s=self.time_ns * 1e-9,
+            cells=len(plant.array),
+            processes=0,
+            transport=None,
+            solver={"name": scene.solver.name, "tolerance": scene.solver.tolerance},
+            ticks=sum(len(times) for times in self.times) - 1,
+            wall_s=wall_s,
+            startup_s=startup_s,
+            parcels=parcel_outcomes(plant),
+            support_changes=plant.support_changes,
+            faults=self.faults,
+            cells_lost=[(fault["cell"][0], fault["cell"][1]) for fault in self.faults],
+            digest=self._digest(),
+            output=str(folder),
+        )
+
+    def _draw(self, summary: Summary, track: Track, folder: Path) -> Summary:
+        """Draw the picture; a signal gives it up and makes the simulation an interrupted one."""
+        try:
+            with self.interruption.allowed():
+                draw(track, folder)
+        except Interrupted:
+            summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
+            summary.write(folder)
+        return summary
+
+    def _warn(self, line: str) -> None:
+        if not self.quiet:
+            sys.stderr.write(f"mdms: {line}\n")
+            sys.stderr.flush()
+
+
+def _ideal(scene: Scene) -> Scene:
+    """The scene with wheels that run at the commanded speed at once."""
+    if scene.effects.motors is None:
+        return scene
+    effects = scene.effects.model_copy(update={"motors": None})
+    cells = scene.cells.model_copy(update={"speed_loop": None})
+    return scene.model_copy(update={"effects": effects, "cells": cells})
