@@ -154,7 +154,14 @@ class _Agent:
             self._break(error)
 
     def _finish(self, detail: str) -> None:
-        if not self._end.done():
+        """The thread has ended: what it had yet to report is reported here."""
+        if self._end.done():
+            return
+        try:
+            self._report()
+        except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
+            self._break(error)
+        else:
             self._end.set_result(detail)
 
     def _break(self, error: Exception) -> None:

@@ -1,0 +1,307 @@
+"""The agent against a real host and member, over the transport inside one process."""
+
+import asyncio
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bus.errors import HostLostError, WokenError
+from bus.lattice import Lattice
+from bus.lockstep import Host, Loss, Member
+from bus.partition import Partition
+from bus.transports.memory import MemoryBus, MemoryEndpoint
+from bus.wire import SenseFrame
+from cell_firmware import agent
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.controller import Controller
+from cell_firmware.firmware import Cells, Firmware, NoParameters
+from cell_firmware.protocols.heat_diffusion import HeatDiffusion, HeatDiffusionParameters
+from cell_firmware.shard import Shard
+
+HEAT = HeatDiffusion(
+    HeatDiffusionParameters.model_validate(
+        {"diffusion_number": 0.2, "initial": [{"cell": [1, 1], "speed_m_s": [1.0, -1.0]}]}
+    )
+)
+RUN = "test"
+
+
+class Grumpy(CellFirmware):
+    """Adds up what it hears; the cells of row 1 give up in tick 3, those of column 9 never start."""
+
+    message = np.dtype([("n", "<f8")])
+
+    def init(self, cell: Cell) -> dict[str, Any]:
+        return {"row": cell.row, "sum": cell.column + 0.5, "tick": 0}
+
+    def step(self, state: dict[str, Any], inputs: CellInputs) -> tuple[dict[str, Any], CellOutputs]:
+        if state["row"] == 1 and state["tick"] == 3:
+            raise RuntimeError("had enough")
+        heard = [message["n"] for message in inputs.inbox.values() if message is not None]
+        total = state["sum"] + 0.1 * sum(heard)
+        after = {"row": state["row"], "sum": total, "tick": state["tick"] + 1}
+        outbox = {side: {"n": total} for side in inputs.inbox}
+        return after, CellOutputs((total, -total), outbox)
+
+
+@dataclass
+class System:
+    """A host in the test's thread, and one thread with an event loop per shard."""
+
+    firmware: Firmware
+    partition: Partition
+    everything: Callable[..., Cells]
+    form: Any = "packed"
+    deaths: dict[int, list[int]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.bus = MemoryBus()
+        self.endpoint = self.bus.endpoint()
+        self.host = Host(
+            self.endpoint,
+            self.partition,
+            self.form,
+            run=RUN,
+            sensors=1,
+            encoders=False,
+            message=self.firmware.message,
+        )
+        count = self.partition.count
+        self.endpoints: list[MemoryEndpoint] = [self.bus.endpoint() for _ in range(count)]
+        self.ended: list[agent.Ended | BaseException | None] = [None] * count
+        self.threads = [threading.Thread(target=self._cells, args=(s,)) for s in range(count)]
+        self.losses: list[Loss] = []
+        self.tick = 0
+        for thread in self.threads:
+            thread.start()
+        self.host.barrier(10.0)
+        for tick, cells in self.deaths.items():
+            self.host.retire(cells, tick)
+
+    def member(self, s: int) -> Member:
+        member = Member(
+            self.endpoints[s],
+            self.partition,
+            s,
+            self.form,
+            run=RUN,
+            sensors=1,
+            encoders=False,
+            message=self.firmware.message,
+        )
+        for tick, cells in self.deaths.items():
+            member.retire(cells, tick)
+        return member
+
+    def _cells(self, s: int) -> None:
+        member = self.member(s)
+        shard = Shard(Controller(self.firmware), self.everything(self.partition.lattice), self.partition, s)
+        member.ready(10.0)
+        try:
+            self.ended[s] = asyncio.run(agent.run(shard, member, self.endpoints[s]))
+        except Exception as error:  # noqa: BLE001 - looked at by the test
+            self.ended[s] = error
+        member.close()
+
+    def run(self, ticks: int) -> NDArray[np.float64]:
+        presence = np.zeros((len(self.partition.lattice), 1), dtype=np.bool_)
+        drives: list[NDArray[np.float64]] = []
+        for _ in range(ticks):
+            self.host.publish(SenseFrame(self.tick, presence, None))
+            frame, losses = self.host.gather(self.tick)
+            drives.append(frame.drive)
+            self.losses += losses
+            self.tick += 1
+        return np.array(drives)
+
+    def join(self) -> None:
+        for thread in self.threads:
+            thread.join(10.0)
+            assert not thread.is_alive()
+
+    def stop(self) -> None:
+        self.host.stop("enough")
+        self.join()
+
+
+@pytest.fixture
+def system(everything: Callable[..., Cells]) -> Iterator[Callable[..., System]]:
+    made: list[System] = []
+
+    def make(firmware: Firmware, partition: Partition, **more: Any) -> System:
+        made.append(System(firmware, partition, everything, **more))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.stop()
+        one.host.close()
+        one.endpoint.close()
+        for endpoint in one.endpoints:
+            endpoint.close()
+
+
+@pytest.mark.parametrize("form", ["packed", "cells"])
+@pytest.mark.parametrize("shards", [1, 3, 9])
+def test_agents_on_the_bus_give_the_same_bytes_as_one_shard_without_one(
+    grid: Callable[..., Lattice],
+    system: Callable[..., System],
+    run: Callable[..., Any],
+    shards: int,
+    form: str,
+):
+    lattice = grid(3, 3)
+    running = system(HEAT, Partition.even(lattice, shards), form=form)
+    drives = running.run(20)
+    assert drives.tobytes() == run(HEAT, Partition.even(lattice, 1), 20).drives.tobytes()
+    running.stop()
+    assert running.ended == [agent.Ended(20, "enough", ())] * shards
+    assert running.losses == []
+
+
+@pytest.mark.parametrize("form", ["packed", "cells"])
+@pytest.mark.parametrize("shards", [1, 2, 6])
+def test_failed_firmware_reaches_the_plant_with_cell_tick_and_traceback_and_the_rest_goes_on(
+    grid: Callable[..., Lattice],
+    system: Callable[..., System],
+    run: Callable[..., Any],
+    shards: int,
+    form: str,
+):
+    """Row 1 fails in tick 3: with six shards whole shards do, with one shard a part of it."""
+    lattice = grid(3, 2)
+    firmware = PerCell(Grumpy(NoParameters()))
+    running = system(firmware, Partition.even(lattice, shards), form=form)
+    drives = running.run(8)
+    assert drives.tobytes() == run(firmware, Partition.even(lattice, 1), 8).drives.tobytes()
+    row = [lattice.index((1, 0)), lattice.index((1, 1))]
+    assert [(loss.cell, loss.tick, loss.reason) for loss in running.losses] == [(i, 3, "failed") for i in row]
+    for loss in running.losses:
+        assert loss.detail.startswith("RuntimeError: had enough\nTraceback (most recent call last):\n")
+        assert ', in step\n    raise RuntimeError("had enough")' in loss.detail
+    assert (drives[3:, row] == 0).all()
+    running.stop()
+    failures = [f for ended in running.ended if isinstance(ended, agent.Ended) for f in ended.failures]
+    assert sorted((f.cell, f.tick) for f in failures) == [((1, 0), 3), ((1, 1), 3)]
+
+
+@pytest.mark.parametrize("form", ["packed", "cells"])
+@pytest.mark.parametrize("shards", [1, 2, 3, 9])
+def test_cells_that_die_by_schedule_are_silent_from_their_tick_on(
+    grid: Callable[..., Lattice],
+    system: Callable[..., System],
+    run: Callable[..., Any],
+    shards: int,
+    form: str,
+):
+    lattice = grid(3, 3)
+    running = system(HEAT, Partition.even(lattice, shards), form=form, deaths={4: [4], 7: [0, 8]})
+    drives = running.run(15)
+    names = {tick: [lattice.cells[i] for i in cells] for tick, cells in running.deaths.items()}
+    assert drives.tobytes() == run(HEAT, Partition.even(lattice, 1), 15, dead=names).drives.tobytes()
+
+
+def test_a_failure_in_the_last_tick_before_a_scheduled_death_is_still_reported(
+    grid: Callable[..., Lattice], system: Callable[..., System]
+):
+    running = system(PerCell(Grumpy(NoParameters())), Partition.each(grid(2, 1)), deaths={4: [1]})
+    running.run(6)
+    assert [(loss.cell, loss.tick, loss.reason) for loss in running.losses] == [(1, 3, "failed")]
+
+
+def test_a_long_traceback_keeps_its_end(grid: Callable[..., Lattice], system: Callable[..., System]):
+    class Deep(CellFirmware):
+        def init(self, cell: Cell) -> None:
+            return None
+
+        def step(self, state: None, inputs: CellInputs) -> tuple[None, CellOutputs]:
+            return self.one(90)
+
+        def one(self, depth: int) -> tuple[None, CellOutputs]:
+            return self.two(depth)
+
+        def two(self, depth: int) -> tuple[None, CellOutputs]:
+            return self.one(depth // (depth > 0) - 1)
+
+    running = system(PerCell(Deep(NoParameters())), Partition.each(grid(1, 1)))
+    running.run(1)
+    (loss,) = running.losses
+    assert len(loss.detail) == 4096
+    assert loss.detail.startswith("ZeroDivisionError: ")
+    assert loss.detail.rstrip().splitlines()[-1].startswith("ZeroDivisionError: ")
+
+
+def test_when_the_plant_goes_away_the_run_says_so(
+    grid: Callable[..., Lattice], system: Callable[..., System]
+):
+    running = system(HEAT, Partition.even(grid(2, 2), 2))
+    running.run(3)
+    running.host.close()
+    running.join()
+    assert [type(ended) for ended in running.ended] == [HostLostError] * 2
+
+
+def test_waking_the_endpoint_ends_a_run_that_nobody_tells_to_stop(
+    grid: Callable[..., Lattice], system: Callable[..., System]
+):
+    running = system(HEAT, Partition.even(grid(2, 2), 1))
+    running.run(2)
+    running.endpoints[0].wake()
+    running.join()
+    assert [type(ended) for ended in running.ended] == [WokenError]
+
+
+def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
+    grid: Callable[..., Lattice], everything: Callable[..., Cells]
+):
+    """While the plant is silent, other tasks of the loop run; then the run is cancelled."""
+    partition = Partition.even(grid(2, 2), 1)
+    bus = MemoryBus()
+    endpoint, ours = bus.endpoint(), bus.endpoint()
+    Host(endpoint, partition, "packed", run=RUN, sensors=1, encoders=False, message=HEAT.message)
+    member = Member(ours, partition, 0, "packed", run=RUN, sensors=1, encoders=False, message=HEAT.message)
+    member.ready(10.0)
+    shard = Shard(Controller(HEAT), everything(partition.lattice), partition, 0)
+    threads = threading.active_count()
+
+    async def main() -> None:
+        task = asyncio.create_task(agent.run(shard, member, ours))
+        for _ in range(100):
+            await asyncio.sleep(0)
+        assert threading.active_count() == threads + 1
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    asyncio.run(main())
+    assert threading.active_count() == threads
+    member.close()
+    ours.close()
+    endpoint.close()
+
+
+def test_a_broken_step_ends_the_run_with_its_error(
+    grid: Callable[..., Lattice], system: Callable[..., System]
+):
+    """Not firmware's failure but our own: a shard that was stepped already."""
+    running: System
+    made: list[Shard] = []
+    original = Shard.step
+
+    def step(self: Shard, tick: int, *arguments: Any) -> Any:
+        made.append(self)
+        return original(self, tick + (tick == 2), *arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Shard, "step", step)
+        running = system(HEAT, Partition.even(grid(1, 1), 1))
+        running.run(2)
+        presence = np.zeros((1, 1), dtype=np.bool_)
+        running.host.publish(SenseFrame(2, presence, None))
+        running.join()
+    assert str(running.ended[0]) == "this is a bug: a shard was given tick 3 after tick 1"
