@@ -3,41 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, Final, final
 
 import numpy as np
 
 from bus import wire
+from bus.collector import NEVER, Collector, Route, nowhere
 from bus.counts import Counts, Loss, Reason
-from bus.errors import BarrierError, BusError, WireError, WokenError
+from bus.errors import BusError, WireError, WokenError
 from bus.forms import FORMS, FormName
 from bus.forms.form import HostForm, Wiring
 from bus.keys import plant_key, shard_key
 from bus.partition import Partition
+from bus.roll import Roll
 from bus.specs import StallSpec
 from bus.transport import Alive, Endpoint, Event, Received, Woken
-from bus.wire import Control, DriveFrame, SenseFrame
+from bus.wire import Control, DriveFrame, Report, SenseFrame
 
-NEVER: Final = np.iinfo(np.int64).max
-"""The tick from which a live cell is gone."""
-EARLY_TICKS: Final = 64
-"""How far ahead a frame may be to be kept; nobody in lockstep gets further than one tick."""
-_POLL_S: Final = 0.02
+BATCH: Final = 64
+"""Payloads for which a side sleeps at most before it begins to read them."""
+_POLL_S: Final = 0.01
 """How often to ask for matches, of which no event tells."""
 _STATE_POLL_S: Final = 0.5
-
-
-@final
-class _Slot:
-    """What has come in for one tick."""
-
-    __slots__ = ("drive", "have", "missing")
-
-    def __init__(self, cells: int, have: wire.Mask, missing: int) -> None:
-        self.drive = np.zeros((cells, 2))
-        self.have = have
-        self.missing = missing
 
 
 @final
@@ -74,37 +62,35 @@ class Host:
         stall: StallSpec | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        wiring = Wiring(run, partition, sensors, encoders, message)
         self._endpoint = endpoint
-        self._partition = partition
-        self._encoders = encoders
+        self._lattice = partition.lattice
+        self._shard_of = partition.shard_of
         self._sensors = sensors
+        self._encoders = encoders
         self._stall = StallSpec() if stall is None else stall
         self._clock = clock
-        self._form: HostForm = FORMS[form].host(wiring)
+        self._form: HostForm = FORMS[form].host(Wiring(run, partition, sensors, encoders, message))
         self.counts = Counts()
-        n, units = len(partition.lattice), len(self._form.unit_cells)
-        self._until = np.full(n, NEVER, dtype=np.int64)
-        self._unit_until = np.full(units, NEVER, dtype=np.int64)
-        self._all_live = True
-        self._slots: dict[int, _Slot] = {}
         self._tick = 0
-        self._gone: set[int] = set()
+        self._until = np.full(len(partition.lattice), NEVER, dtype=np.int64)
+        self._all_live = True
         self._losses: list[Loss] = []
-        self._failed: list[wire.Report] = []
+        self._failed: list[Report] = []
         self._shard_counts: dict[int, Counts] = {}
-        self._alive: set[int] = set()
-        self._ready: set[int] = set()
-        self._left: set[int] = set()
-        self._reports = {shard_key(run, s, "report"): s for s in range(partition.count)}
-        self._drive_units = self._form.drive_units
+        self._roll = Roll(self._form, partition.lattice)
+        self._drives = Collector("drive", self._form.blank_drives, self._form.decode_drive, self.counts)
+        self._routes: dict[str, Route] = {
+            key: (self._drives.take, unit) for key, unit in self._form.drive_units.items()
+        }
+        for shard in range(partition.count):
+            self._routes[shard_key(run, shard, "report")] = (self._report, shard)
         self._control = endpoint.publisher(plant_key(run, "control"))
         self._state = endpoint.publisher(plant_key(run, "state"))
-        self._state_asked = -_STATE_POLL_S
+        self._state_asked: float | None = None
         self._state_wanted = False
         self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
         endpoint.subscribe(self._form.drive_expr)
-        endpoint.subscribe(shard_key(run, None, "report"))
+        endpoint.subscribe(shard_key(run, None, "report"), urgent=True)
         endpoint.watch_alive(self._form.alive_expr)
         endpoint.watch_alive(self._form.ready_expr)
         self._alive_key = plant_key(run, "alive")
@@ -113,7 +99,7 @@ class Host:
     # --- the start ------------------------------------------------------------------------------
 
     def barrier(self, deadline_s: float | None = None) -> None:
-        """Waits until every cell is ready and can be heard, then tells all to start.
+        """Waits until every cell is ready and can be sent to, then tells all to start.
 
         Args:
             deadline_s: Wall seconds from now; None: ``stall.start_s``.
@@ -124,52 +110,21 @@ class Host:
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
         deadline = self._clock() + limit
-        waiting = set(range(len(self._sense)))
+        waiting = list(range(len(self._sense)))
         while True:
-            if len(self._ready) == len(self._sense):
-                waiting = {unit for unit in waiting if not self._sense[unit].matched()}
+            everybody = self._roll.complete()
+            if everybody:
+                waiting = [unit for unit in waiting if not self._sense[unit].matched()]
                 if not waiting:
                     break
             left = deadline - self._clock()
             if left <= 0:
-                raise self._missing(limit, waiting)
-            # Tokens come as events, matches must be asked for: they follow the tokens at once.
-            everybody = len(self._ready) == len(self._sense)
+                raise self._roll.missing(limit, waiting)
+            # Tokens come as events, matches must be asked for: they come with the tokens.
             event = self._endpoint.receive(min(left, _POLL_S) if everybody else left)
             if event is not None:
                 self._take(event)
         self.control(Control("start", 0))
-
-    def _missing(self, limit: float, unheard: set[int]) -> BarrierError:
-        units = range(len(self._sense))
-        never = [u for u in units if u not in self._alive and u not in self._left]
-        left = [u for u in units if u not in self._alive and u in self._left]
-        unready = [u for u in units if u in self._alive and u not in self._ready]
-        parts = [
-            f"{verb}: {self._names(who)}"
-            for verb, who in (
-                ("never appeared", never),
-                ("appeared and left again", left),
-                ("appeared but not ready", unready),
-                ("ready but does not hear the plant", [] if never or left or unready else sorted(unheard)),
-            )
-            if who
-        ]
-        return BarrierError(
-            f"not everybody is ready after {limit:g} s; {'; '.join(parts)}",
-            absent=self._cells(never + left),
-            unready=self._cells(unready),
-        )
-
-    def _cells(self, units: Sequence[int]) -> list[tuple[int, int]]:
-        cells = self._partition.lattice.cells
-        return [cells[i] for unit in units for i in self._form.unit_cells[unit]]
-
-    def _names(self, units: Sequence[int], most: int = 12) -> str:
-        cells = self._cells(units)
-        text = " ".join(f"{row},{column}" for row, column in cells[:most])
-        more = f" and {len(cells) - most} more" if len(cells) > most else ""
-        return f"{len(cells)} cell{'s' if len(cells) != 1 else ''} ({text}{more})"
 
     # --- a tick ---------------------------------------------------------------------------------
 
@@ -177,23 +132,21 @@ class Host:
         """Sends every live cell its senses: ``presence`` ``(n, sensors)``, ``encoder_m`` ``(n, 2)`` or None.
 
         Raises:
-            BusError: The frame's shape is not what was agreed.
+            BusError: The frame is not what was agreed.
         """
-        n = len(self._until)
-        if frame.presence.shape != (n, self._sensors) or (frame.encoder_m is None) == self._encoders:
+        shape = (len(self._lattice), self._sensors)
+        if frame.presence.shape != shape or (frame.encoder_m is not None) != self._encoders:
             raise BusError(
-                f"sense frame of tick {frame.tick}: must have presence {(n, self._sensors)} "
-                f"{'and' if self._encoders else 'without'} encoder travel, has {frame.presence.shape}"
+                f"sense frame of tick {frame.tick}: must have presence {shape} "
+                f"{'and' if self._encoders else 'without'} encoder travel, has {frame.presence.shape} "
+                f"{'without' if frame.encoder_m is None else 'and'} encoder travel"
             )
-        payloads = self._form.sense_payloads(frame)
-        if self._all_live:
-            for publisher, payload in zip(self._sense, payloads, strict=True):
+        for publisher, payload, until in zip(
+            self._sense, self._form.sense_payloads(frame), self._drives.until, strict=True
+        ):
+            if until > frame.tick:
                 publisher.put(payload)
-            self.counts.sent += len(payloads)
-            return
-        for unit in np.nonzero(self._unit_until > frame.tick)[0].tolist():
-            self._sense[unit].put(payloads[unit])
-            self.counts.sent += 1
+                self.counts.sent += 1
 
     def gather(self, tick: int) -> tuple[DriveFrame, list[Loss]]:
         """Waits until every live cell's drive for ``tick`` is there, or its cell is given up.
@@ -209,26 +162,24 @@ class Host:
             WokenError: ``endpoint.wake`` was called; the call may be repeated.
         """
         self._tick = tick
-        slot = self._slot(tick)
+        slot = self._drives.slot(tick)
         deadline = self._clock() + self._stall.deadline_s
-        receive, clock = self._endpoint.receive, self._clock
+        receive, take, clock = self._endpoint.receive, self._take, self._clock
         while True:
-            if self._gone or self._failed:
-                self._bury(slot)
+            if self._roll.gone or self._failed:
+                self._bury(slot.have)
             if slot.missing <= 0:
                 break
-            event = receive(max(deadline - clock(), 0.0))
+            event = receive(max(deadline - clock(), 0.0), min(slot.missing, BATCH))
             if event is not None:
-                self._take(event)
+                take(event)
             elif clock() >= deadline:
-                self._give_up(slot)
-        self._tick = tick + 1
-        for over in [t for t in self._slots if t <= tick]:
-            del self._slots[over]
+                self._lose_units(self._drives.missing(tick), "stalled")
+        drive = self._form.join_drives(self._drives.close(tick).values)
         if not self._all_live:
-            slot.drive[self._until <= tick] = 0.0
+            drive[self._until <= tick] = 0.0
         losses, self._losses = self._losses, []
-        return DriveFrame(tick, slot.drive), sorted(losses, key=lambda loss: loss.cell)
+        return DriveFrame(tick, drive), sorted(losses, key=lambda loss: loss.cell)
 
     def retire(self, cells: Iterable[int], tick: int) -> None:
         """Stops waiting for ``cells`` (indices) from ``tick`` on: a scheduled death, which is no loss."""
@@ -250,7 +201,7 @@ class Host:
     def publish_state(self, payload: bytes) -> None:
         """Puts ``payload`` on the plant's state key while somebody listens; asked about twice a second."""
         now = self._clock()
-        if now - self._state_asked >= _STATE_POLL_S:
+        if self._state_asked is None or now - self._state_asked >= _STATE_POLL_S:
             self._state_asked = now
             self._state_wanted = self._state.matched()
         if self._state_wanted:
@@ -268,8 +219,9 @@ class Host:
         """
         self.control(Control("stop", self._tick, (), detail))
         deadline = self._clock() + deadline_s
-        while self._alive and (left := deadline - self._clock()) > 0:
+        while self._roll.alive and (left := deadline - self._clock()) > 0:
             event = self._endpoint.receive(left)
+            # Whoever wakes us wants what is happening already.
             if event is not None and not isinstance(event, Woken):
                 self._take(event)
         return sum(self._shard_counts.values(), self.counts)
@@ -281,108 +233,52 @@ class Host:
     # --- events ---------------------------------------------------------------------------------
 
     def _take(self, event: Event) -> None:
-        if isinstance(event, Received):
-            unit = self._drive_units.get(event.key)
+        if type(event) is Received:
             try:
-                if unit is not None:
-                    self._drive(unit, event.payload)
-                elif event.key in self._reports:
-                    self._report(self._reports[event.key], event.payload)
-                else:
-                    raise WireError("bus", "key", f"{event.key} belongs to no cell of this run")
+                take, part = self._routes.get(event.key, nowhere)
+                take(part, event.payload)
             except WireError as error:
                 self.counts.refuse(error)
-        elif isinstance(event, Alive):
-            self._token(event)
+        elif type(event) is Alive:
+            self._roll.take(event)
         else:
             raise WokenError("the plant was woken while it waited for the cells")
 
-    def _drive(self, unit: int, payload: bytes) -> None:
-        tick, values = self._form.decode_drive(unit, payload)
-        if tick < self._tick or self._unit_until[unit] <= tick:
-            self.counts.late += 1
-            return
-        if tick > self._tick + EARLY_TICKS:
-            raise WireError(
-                "drive", "ahead", f"tick {tick}: must be at most {EARLY_TICKS} ahead of {self._tick}"
-            )
-        slot = self._slots.get(tick) or self._slot(tick)
-        if slot.have[unit]:
-            raise WireError("drive", "duplicate", f"tick {tick} came already")
-        slot.drive[self._form.unit_rows[unit]] = values
-        slot.have[unit] = True
-        slot.missing -= 1
-        self.counts.delivered += 1
-
     def _report(self, shard: int, payload: bytes) -> None:
-        report = wire.decode_report(payload, len(self._until))
+        report = wire.decode_report(payload, len(self._lattice))
         if report.kind == "counts":
             self._shard_counts[shard] = Counts(*report.counts)
             return
-        lattice, shard_of = self._partition.lattice, self._partition.shard_of
-        if not all(cell in lattice and shard_of[lattice.index(cell)] == shard for cell in report.cells):
-            raise WireError("report", "cells", f"must be cells of shard {shard}")
+        for cell in report.cells:
+            if cell not in self._lattice or self._shard_of[self._lattice.index(cell)] != shard:
+                raise WireError("report", "cells", f"must be cells of shard {shard}")
         self._failed.append(report)
-
-    def _token(self, event: Alive) -> None:
-        unit = self._form.alive_units.get(event.key)
-        if unit is not None:
-            if event.present:
-                self._alive.add(unit)
-                self._gone.discard(unit)
-            else:
-                self._alive.discard(unit)
-                self._left.add(unit)
-                self._gone.add(unit)
-            return
-        unit = self._form.ready_units.get(event.key)
-        if unit is not None:
-            (self._ready.add if event.present else self._ready.discard)(unit)
 
     # --- who is still there ---------------------------------------------------------------------
 
-    def _slot(self, tick: int) -> _Slot:
-        slot = self._slots.get(tick)
-        if slot is None:
-            units = len(self._sense)
-            live = units if self._all_live else int(np.count_nonzero(self._unit_until > tick))
-            slot = self._slots[tick] = _Slot(len(self._until), np.zeros(units, dtype=np.bool_), live)
-        return slot
-
-    def _recount(self) -> None:
-        """After a death: who is still waited for, in every open tick."""
-        self._all_live = False
-        self._unit_until = np.array([self._until[cells].max() for cells in self._form.unit_cells])
-        for tick, slot in self._slots.items():
-            slot.missing = int(np.count_nonzero((self._unit_until > tick) & ~slot.have))
-
-    def _bury(self, slot: _Slot) -> None:
+    def _bury(self, have: bytearray) -> None:
         """Gives up the cells whose token went or whose process said that they failed."""
         tick = self._tick
         for report in [r for r in self._failed if r.tick <= tick]:
             self._failed.remove(report)
-            failed = [self._partition.lattice.index(cell) for cell in report.cells]
-            self._lose([i for i in failed if self._until[i] > tick], "failed", report.detail)
+            self._lose([self._lattice.index(cell) for cell in report.cells], "failed", report.detail)
         # A unit whose drive came before its token went is lost at the next tick.
-        gone = [unit for unit in self._gone if not slot.have[unit]]
-        self._gone.difference_update(gone)
-        self._lose_units([unit for unit in gone if self._unit_until[unit] > tick], "token lost")
-
-    def _give_up(self, slot: _Slot) -> None:
-        """Gives up everybody whose drive is not there at the deadline."""
-        late = np.nonzero((self._unit_until > self._tick) & ~slot.have)[0].tolist()
-        self._lose_units(late, "stalled")
+        gone = [unit for unit in self._roll.gone if not have[unit]]
+        self._roll.gone.difference_update(gone)
+        self._lose_units([unit for unit in gone if self._drives.until[unit] > tick], "token lost")
 
     def _lose_units(self, units: list[int], reason: Reason) -> None:
         self.counts.lost += len(units)
-        cells = [int(i) for unit in units for i in self._form.unit_cells[unit] if self._until[i] > self._tick]
-        self._lose(cells, reason)
+        self._lose([int(i) for unit in units for i in self._form.unit_cells[unit]], reason)
 
-    def _lose(self, cells: list[int], reason: Reason, detail: str = "") -> None:
-        if not cells:
-            return
-        self._until[cells] = self._tick
-        self._recount()
-        names = tuple(self._partition.lattice.cells[i] for i in sorted(cells))
-        self.control(Control("lost", self._tick, names, detail or reason))
-        self._losses += [Loss(i, self._tick, reason, detail) for i in cells]
+    def _lose(self, cells: Iterable[int], reason: Reason, detail: str = "") -> None:
+        lost = sorted(i for i in cells if self._until[i] > self._tick)
+        if lost:
+            self.retire(lost, self._tick)
+            names = tuple(self._lattice.cells[i] for i in lost)
+            self.control(Control("lost", self._tick, names, detail or reason))
+            self._losses += [Loss(i, self._tick, reason, detail) for i in lost]
+
+    def _recount(self) -> None:
+        self._all_live = False
+        self._drives.bury([int(self._until[cells].max()) for cells in self._form.unit_cells])

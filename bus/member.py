@@ -9,13 +9,14 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from bus import wire
+from bus.collector import NEVER, Collector, Route, nowhere
 from bus.counts import Counts
 from bus.errors import BarrierError, BusError, HostLostError, WireError, WokenError
 from bus.forms import FORMS, FormName
 from bus.forms.form import MemberForm, Wiring
-from bus.host import EARLY_TICKS, NEVER
+from bus.host import BATCH
 from bus.keys import plant_key, shard_key
-from bus.partition import Partition
+from bus.partition import Index, Partition
 from bus.specs import StallSpec
 from bus.transport import Alive, Endpoint, Event, Received
 from bus.wire import Control, DriveFrame, LinkFrame, Report, SenseFrame
@@ -35,28 +36,6 @@ class Gathered(NamedTuple):
 
     sense: SenseFrame
     links: LinkFrame | None
-
-
-class _Sense:
-    """Sense of one tick, as far as it has come."""
-
-    __slots__ = ("encoder_m", "have", "presence")
-
-    def __init__(self, presence: wire.Mask, encoder_m: wire.Values | None, units: int) -> None:
-        self.presence = presence
-        self.encoder_m = encoder_m
-        self.have = np.zeros(units, dtype=np.bool_)
-
-
-class _Links:
-    """Link frames of one tick, as far as they have come."""
-
-    __slots__ = ("have", "message", "sent")
-
-    def __init__(self, links: int, message: np.dtype[Any], parts: int) -> None:
-        self.sent = np.zeros(links, dtype=np.bool_)
-        self.message = np.zeros(links, dtype=message)
-        self.have = np.zeros(parts, dtype=np.bool_)
 
 
 @final
@@ -100,33 +79,35 @@ class Member:
     ) -> None:
         wiring = Wiring(run, partition, sensors, encoders, message)
         self._endpoint = endpoint
-        self._partition = partition
+        self._lattice = partition.lattice
         self._shard = shard
         self._stall = StallSpec() if stall is None else stall
         self._silence_s = silence_s
         self._clock = clock
-        self._sensors = sensors
-        self._encoders = encoders
         self._message = wiring.message
         self._form: MemberForm = FORMS[form].member(wiring, shard)
         self.counts = Counts()
         self._cells = partition.cells(shard)
-        self._incoming = len(partition.incoming(shard))
-        self._outgoing = len(partition.outgoing(shard))
+        self._outgoing = partition.outgoing(shard)
+        self._tick = 0
         self._until = np.full(len(partition.lattice), NEVER, dtype=np.int64)
         self._all_live = True
-        self._recount()
-        self._tick = 0
-        self._senses: dict[int, _Sense] = {}
-        self._links: dict[int, _Links] = {}
+        self._out_until = self._target_until = [NEVER] * len(self._form.out_keys)
+        self._senses = Collector("sense", self._form.blank_senses, self._form.decode_sense, self.counts)
+        self._links = Collector("link", self._form.blank_links, self._form.decode_link, self.counts)
         self._stop: Control | None = None
         self._plant_seen = False
         self._plant_lost = False
         self._declared: list[str] = []
-        self._control_key = plant_key(run, "control")
         self._plant_key = plant_key(run, "alive")
-        for key in (*self._form.sense_units, *self._form.in_parts, self._control_key):
-            endpoint.subscribe(key)
+        control = plant_key(run, "control")
+        self._routes: dict[str, Route] = {
+            **{key: (self._senses.take, unit) for key, unit in self._form.sense_units.items()},
+            **{key: (self._links.take, part) for key, part in self._form.in_parts.items()},
+            control: (self._take_control, 0),
+        }
+        for key in self._routes:
+            endpoint.subscribe(key, urgent=key == control)
         self._drive = [endpoint.publisher(key) for key in self._form.drive_keys]
         self._out = [endpoint.publisher(key) for key in self._form.out_keys]
         self._report = endpoint.publisher(shard_key(run, shard, "report"))
@@ -191,46 +172,42 @@ class Member:
             WokenError: ``endpoint.wake`` was called; the call may be repeated.
         """
         self._tick = tick
-        sense = self._sense_slot(tick)
-        links = None if self._message is None else self._link_slot(tick - 1)
+        sense = self._senses.slot(tick)
+        # At tick 0 nobody has sent anything.
+        links = None if self._message is None or tick == 0 else self._links.slot(tick - 1)
         deadline = None if self._silence_s is None else self._clock() + self._silence_s
-        receive = self._endpoint.receive
+        receive, take = self._endpoint.receive, self._take
         while True:
+            missing = sense.missing if links is None else sense.missing + links.missing
             if self._stop is not None:
                 return self._stop
             if not self._all_live and not self.live(tick).any():
                 return Control("stop", tick, (), "no cell of this shard takes part any more")
-            if self._complete(sense, links, tick):
-                break
+            if missing <= 0:
+                return self._hand_over(tick)
             if self._plant_lost:
-                raise HostLostError(f"the plant left; waited for tick {tick}")
-            event = receive(None if deadline is None else max(deadline - self._clock(), 0.0))
+                raise HostLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
+            left = None if deadline is None else max(deadline - self._clock(), 0.0)
+            event = receive(left, min(missing, BATCH))
             if event is not None:
-                self._take(event)
-            elif deadline is not None and self._clock() >= deadline:
-                raise HostLostError(f"the plant was silent for {self._silence_s:g} s; waited for tick {tick}")
-        return self._hand_over(sense, links, tick)
+                take(event)
+            elif left == 0:
+                raise HostLostError(
+                    f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
+                )
 
-    def _complete(self, sense: _Sense, links: _Links | None, tick: int) -> bool:
-        if self._all_live:
-            return bool(sense.have.all() and (links is None or tick == 0 or links.have.all()))
-        if not (sense.have | (self._unit_until <= tick)).all():
-            return False
-        return links is None or tick == 0 or bool((links.have | (self._source_until <= tick - 1)).all())
-
-    def _hand_over(self, sense: _Sense, links: _Links | None, tick: int) -> Gathered:
-        for slots in (self._senses, self._links):
-            for over in [t for t in slots if t < tick]:
-                del slots[over]
-        self._senses.pop(tick, None)
-        self._tick = tick + 1
+    def _hand_over(self, tick: int) -> Gathered:
+        presence, encoder_m = self._form.join_senses(self._senses.close(tick).values)
         if not self._all_live:
             gone = ~self.live(tick)
-            sense.presence[gone] = False
-            if sense.encoder_m is not None:
-                sense.encoder_m[gone] = 0.0
-        frame = None if links is None else LinkFrame(tick - 1, links.sent, links.message)
-        return Gathered(SenseFrame(tick, sense.presence, sense.encoder_m), frame)
+            presence[gone] = False
+            if encoder_m is not None:
+                encoder_m[gone] = 0.0
+        sense = SenseFrame(tick, presence, encoder_m)
+        if self._message is None:
+            return Gathered(sense, None)
+        values = self._form.blank_links if tick == 0 else self._links.close(tick - 1).values
+        return Gathered(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
 
     def publish(self, drive: DriveFrame, links: LinkFrame | None) -> None:
         """Sends a tick's messages, then its drives.
@@ -244,18 +221,22 @@ class Member:
         """
         self._check(drive, links)
         tick = drive.tick
-        live = None if self._all_live else self._until
         # Messages first: when the plant has the drives, it has passed the messages on.
         if links is not None and self._out:
-            if live is not None:
-                links = self._without_the_dead(links)
-            for i, payload in enumerate(self._form.link_payloads(links)):
-                if live is None or (self._out_until[i] > tick and self._target_until[i] > tick + 1):
-                    self._out[i].put(payload)
+            if not self._all_live:
+                live = self._until[self._outgoing.source] > tick
+                links = LinkFrame(tick, links.sent & live, links.message)
+            for publisher, payload, source, target in zip(
+                self._out, self._form.link_payloads(links), self._out_until, self._target_until, strict=True
+            ):
+                if source > tick and target > tick + 1:
+                    publisher.put(payload)
                     self.counts.sent += 1
-        for i, payload in enumerate(self._form.drive_payloads(drive)):
-            if live is None or self._unit_until[i] > tick:
-                self._drive[i].put(payload)
+        for publisher, payload, until in zip(
+            self._drive, self._form.drive_payloads(drive), self._senses.until, strict=True
+        ):
+            if until > tick:
+                publisher.put(payload)
                 self.counts.sent += 1
 
     def _check(self, drive: DriveFrame, links: LinkFrame | None) -> None:
@@ -267,7 +248,7 @@ class Member:
             )
         if not np.isfinite(values).all():
             i = int(np.nonzero(~np.isfinite(values).all(axis=1))[0][0])
-            row, column = self._partition.lattice.cells[int(self._cells[i])]
+            row, column = self._lattice.cells[int(self._cells[i])]
             raise BusError(
                 f"drive of cell {row},{column}, tick {drive.tick}: must be finite, is {values[i].tolist()}"
             )
@@ -277,17 +258,13 @@ class Member:
             )
         if links is not None and not (
             links.tick == drive.tick
-            and links.sent.shape == links.message.shape == (self._outgoing,)
+            and links.sent.shape == links.message.shape == (len(self._outgoing),)
             and links.message.dtype == self._message
         ):
             raise BusError(
-                f"links of shard {self._shard}, tick {drive.tick}: must be {self._outgoing} of {self._message}"
+                f"links of shard {self._shard}, tick {drive.tick}: must be {len(self._outgoing)} of {self._message}"
                 f", are {links.message.shape} of {links.message.dtype} of tick {links.tick}"
             )
-
-    def _without_the_dead(self, links: LinkFrame) -> LinkFrame:
-        sources = self._partition.outgoing(self._shard).source
-        return LinkFrame(links.tick, links.sent & (self._until[sources] > links.tick), links.message)
 
     # --- who takes part -------------------------------------------------------------------------
 
@@ -295,7 +272,6 @@ class Member:
         """Nobody waits for ``cells`` (indices in the lattice) from ``tick`` on: a scheduled death."""
         index = np.fromiter(cells, dtype=np.int64)
         self._until[index] = np.minimum(self._until[index], tick)
-        self._all_live = False
         self._recount()
 
     def live(self, tick: int) -> wire.Mask:
@@ -308,7 +284,7 @@ class Member:
         Call it before ``publish`` of that tick. The plant gives them up as failed; the others go on.
         """
         index = sorted(int(i) for i in cells)
-        names = tuple(self._partition.lattice.cells[i] for i in index)
+        names = tuple(self._lattice.cells[i] for i in index)
         self._report.put(wire.encode_report(Report("failed", tick, names, detail)))
         self.counts.sent += 1
         self.retire(index, tick)
@@ -325,31 +301,25 @@ class Member:
         self._declared.clear()
 
     def _recount(self) -> None:
-        form, until = self._form, self._until
+        def last(groups: Iterable[Index]) -> list[int]:
+            return [int(self._until[cells].max()) for cells in groups]
 
-        def last(cells: Iterable[Any]) -> Any:
-            return np.array([until[index].max() for index in cells], dtype=np.int64)
-
-        self._unit_until = last(form.unit_cells)
-        self._source_until = last(form.in_sources)
-        self._out_until = last(form.out_sources)
-        self._target_until = last(form.out_targets)
+        self._all_live = False
+        self._senses.bury(last(self._form.unit_cells))
+        self._links.bury(last(self._form.in_sources))
+        self._out_until = last(self._form.out_sources)
+        self._target_until = last(self._form.out_targets)
 
     # --- events ---------------------------------------------------------------------------------
 
     def _take(self, event: Event) -> None:
-        if isinstance(event, Received):
-            key, payload = event
+        if type(event) is Received:
             try:
-                if (unit := self._form.sense_units.get(key)) is not None:
-                    self._take_sense(unit, payload)
-                elif (part := self._form.in_parts.get(key)) is not None:
-                    self._take_link(part, payload)
-                elif key == self._control_key:
-                    self._take_control(wire.decode_control(payload, len(self._until)))
+                take, part = self._routes.get(event.key, nowhere)
+                take(part, event.payload)
             except WireError as error:
                 self.counts.refuse(error)
-        elif isinstance(event, Alive):
+        elif type(event) is Alive:
             # Somebody else's token is none of ours.
             if event.key == self._plant_key:
                 self._plant_lost = self._plant_seen and not event.present
@@ -357,70 +327,16 @@ class Member:
         else:
             raise WokenError(f"shard {self._shard} was woken while it waited")
 
-    def _take_sense(self, unit: int, payload: bytes) -> None:
-        tick, presence, encoder_m = self._form.decode_sense(unit, payload)
-        if self._timely("sense", tick, self._tick):
-            slot = self._sense_slot(tick)
-            if slot.have[unit]:
-                raise WireError("sense", "duplicate", f"tick {tick} came already")
-            rows = self._form.unit_rows[unit]
-            slot.presence[rows] = presence
-            if slot.encoder_m is not None:
-                slot.encoder_m[rows] = encoder_m
-            slot.have[unit] = True
-            self.counts.delivered += 1
-
-    def _take_link(self, part: int, payload: bytes) -> None:
-        tick, sent, message = self._form.decode_link(part, payload)
-        if self._timely("link", tick, self._tick - 1):
-            slot = self._link_slot(tick)
-            if slot.have[part]:
-                raise WireError("link", "duplicate", f"tick {tick} came already")
-            links = self._form.in_links[part]
-            slot.sent[links] = sent
-            slot.message[links] = message
-            slot.have[part] = True
-            self.counts.delivered += 1
-
-    def _take_control(self, control: Control) -> None:
+    def _take_control(self, _: int, payload: bytes) -> None:
+        control = wire.decode_control(payload, len(self._until))
         if control.kind == "stop":
             self._stop = control
         elif control.kind == "lost":
-            lattice = self._partition.lattice
+            lattice = self._lattice
             if not all(cell in lattice for cell in control.cells):
                 raise WireError("control", "cells", "names a cell that is not in the array")
             # Not from the record's tick on but at once: what they sent before has arrived before this record.
-            self.counts.lost += self._waited_for()
+            waited = len(self._links.missing(self._tick - 1))
             self.retire((lattice.index(cell) for cell in control.cells), 0)
-            self.counts.lost -= self._waited_for()
+            self.counts.lost += waited - len(self._links.missing(self._tick - 1))
         self.counts.delivered += 1
-
-    def _waited_for(self) -> int:
-        slot = self._links.get(self._tick - 1)
-        return (
-            0 if slot is None else int(np.count_nonzero(~slot.have & (self._source_until > self._tick - 1)))
-        )
-
-    def _timely(self, kind: str, tick: int, now: int) -> bool:
-        if tick < now:
-            self.counts.late += 1
-            return False
-        if tick > now + EARLY_TICKS:
-            raise WireError(kind, "ahead", f"tick {tick}: must be at most {EARLY_TICKS} ahead of {now}")
-        return True
-
-    def _sense_slot(self, tick: int) -> _Sense:
-        slot = self._senses.get(tick)
-        if slot is None:
-            n = len(self._cells)
-            encoder_m = np.zeros((n, 2)) if self._encoders else None
-            presence = np.zeros((n, self._sensors), dtype=np.bool_)
-            slot = self._senses[tick] = _Sense(presence, encoder_m, len(self._form.unit_rows))
-        return slot
-
-    def _link_slot(self, tick: int) -> _Links:
-        slot = self._links.get(tick)
-        if slot is None:
-            assert self._message is not None
-            slot = self._links[tick] = _Links(self._incoming, self._message, len(self._form.in_links))
-        return slot

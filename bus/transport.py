@@ -48,6 +48,8 @@ class Endpoint(ABC):
       of the puts. Between different senders there is no order.
     - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
       subscriptions of one endpoint would break that and are refused. An endpoint hears its own puts.
+    - **Patience.** ``receive`` may be told how many payloads it takes to get on: it then lets fewer wait, but
+      never beyond its time, and never behind a token, a ``Woken`` or an urgent subscription's payload.
     - **Bytes.** Payloads arrive as they were put, empty ones included.
     - **Late joiners** get nothing of what was put before they subscribed. Tokens are otherwise: a watcher is
       told of every token that is there when it begins to watch. The same presence may be told twice.
@@ -63,8 +65,12 @@ class Endpoint(ABC):
         """A publisher on one key (no wildcards)."""
 
     @abstractmethod
-    def subscribe(self, key_expr: str) -> None:
+    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
         """Lets everything put on matching keys into the inbox; a second time with the same words is a no-op.
+
+        Args:
+            key_expr: A key, or a pattern: ``*`` is one chunk, ``**`` any number of them.
+            urgent: What comes here makes ``receive`` return whatever it waits for.
 
         Raises:
             TransportError: The expression overlaps another subscription of this endpoint.
@@ -83,8 +89,13 @@ class Endpoint(ABC):
         """Lets the coming and going of matching tokens into the inbox; first, those that are there."""
 
     @abstractmethod
-    def receive(self, timeout_s: float | None) -> Event | None:
-        """The next event, or None after ``timeout_s`` wall seconds (0: at once; None: waits for ever)."""
+    def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
+        """The oldest event in the inbox.
+
+        Args:
+            timeout_s: Wall seconds after which None is returned if there is none; 0: at once; None: never.
+            enough: How many must be there before the wait ends early; see *patience*.
+        """
 
     @abstractmethod
     def wake(self) -> None:

@@ -119,6 +119,11 @@ def pack(tick: int, fields: Mapping[str, object]) -> bytes:
     return _packb({"v": VERSION, "tick": tick, **fields})
 
 
+def layout(*names: str) -> frozenset[str]:
+    """A payload's fields, for ``unpack``: ``names`` and those that every payload has."""
+    return frozenset(("v", "tick", *names))
+
+
 def unpack(kind: str, payload: bytes, limit: int, *names: frozenset[str]) -> tuple[int, dict[str, Any]]:
     """The tick and fields of a payload.
 
@@ -126,7 +131,7 @@ def unpack(kind: str, payload: bytes, limit: int, *names: frozenset[str]) -> tup
         kind: What it is, for the error.
         payload: Any bytes at all.
         limit: Bytes that the values may take; the envelope comes on top.
-        names: The sets of fields allowed; one of them must be there, no more and no less.
+        names: The sets of fields allowed (``layout``); one of them must be there, no more and no less.
 
     Raises:
         WireError: Too long, not MessagePack, not such a map, another version, or no sensible tick.
@@ -134,22 +139,21 @@ def unpack(kind: str, payload: bytes, limit: int, *names: frozenset[str]) -> tup
     if len(payload) > limit + _ENVELOPE:
         raise WireError(kind, "length", f"{len(payload)} bytes: must be at most {limit + _ENVELOPE}")
     try:
-        fields = _unpackb(payload)
+        found = _unpackb(payload)
     except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
         raise WireError(kind, "encoding", f"not MessagePack: {type(error).__name__}") from None
-    if type(fields) is not dict:
-        raise WireError(kind, "type", f"a {type(fields).__name__}: must be a map")
-    found = cast("dict[Any, Any]", fields)
-    version = found.pop("v", None)
-    if type(version) is not int or version != VERSION:
+    if type(found) is not dict:
+        raise WireError(kind, "type", f"a {type(found).__name__}: must be a map")
+    fields = cast("dict[Any, Any]", found)
+    if fields.get("v") != VERSION:
         raise WireError(kind, "version", f"must be {VERSION}")
-    tick = found.pop("tick", None)
+    if fields.keys() not in names:
+        allowed = " or ".join(", ".join(sorted(chosen)) for chosen in names)
+        raise WireError(kind, "fields", f"must be {allowed}")
+    tick = fields["tick"]
     if type(tick) is not int or not 0 <= tick < TICK_LIMIT:
         raise WireError(kind, "tick", f"must be an integer in 0..{TICK_LIMIT - 1}")
-    if found.keys() not in names:
-        allowed = " or ".join(", ".join(("v", "tick", *sorted(chosen))) for chosen in names)
-        raise WireError(kind, "fields", f"must be {allowed}")
-    return tick, found
+    return tick, fields
 
 
 def bits(kind: str, value: object, count: int) -> Mask:
@@ -182,17 +186,14 @@ def floats(kind: str, value: object, rows: int) -> Values:
     return out
 
 
-def maybe_floats(kind: str, value: object, rows: int, there: bool) -> Values | None:
-    """As ``floats`` where there are to be values, else None from nil.
+def nothing(kind: str, name: str, value: object) -> None:
+    """Checks that there is no value.
 
     Raises:
-        WireError: Values where there are none to be, or the other way round.
+        WireError: There is one.
     """
-    if there:
-        return floats(kind, value, rows)
     if value is not None:
-        raise WireError(kind, "type", "encoder_m must be nil: there are no encoders")
-    return None
+        raise WireError(kind, "type", f"{name} must be nil: this run has none")
 
 
 def pair(kind: str, value: object) -> tuple[float, float]:
@@ -238,7 +239,7 @@ def binary(kind: str, value: object, length: int) -> bytes:
 
 
 def messages(kind: str, value: object, count: int, dtype: np.dtype[np.void]) -> Message:
-    """``(count,)`` messages of a protocol from their packed bytes; a copy that may be written.
+    """``(count,)`` messages of a protocol from their packed bytes; a copy, which may be written.
 
     Raises:
         WireError: Another length.
@@ -289,8 +290,8 @@ def encode_control(control: Control) -> bytes:
     )
 
 
-_CONTROL: Final = frozenset(("kind", "cells", "detail"))
-_REPORT: Final = frozenset(("kind", "cells", "detail", "counts"))
+_CONTROL: Final = layout("kind", "cells", "detail")
+_REPORT: Final = layout("kind", "cells", "detail", "counts")
 
 
 def decode_control(payload: bytes, cells: int) -> Control:

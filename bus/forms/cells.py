@@ -8,15 +8,14 @@ from typing import Any, Final, final
 import numpy as np
 
 from bus import wire
-from bus.errors import WireError
 from bus.forms.form import HostForm, MemberForm, Wiring
 from bus.keys import cell_key, cell_link_key
 
-_SENSE: Final = frozenset(("presence", "encoder_m"))
-_DRIVE: Final = frozenset(("drive",))
-_NOTHING: Final = frozenset[str]()
+_SENSE: Final = wire.layout("presence", "encoder_m")
+_DRIVE: Final = wire.layout("drive")
+_NO_MESSAGE: Final = wire.layout()
 _VALUE: Final = 80
-"""Bytes that one named value may take, its name (beyond that counted apart) and msgpack's marks included."""
+"""Bytes that one named value of a payload may take, its name included up to four fifths of that."""
 
 
 @final
@@ -28,7 +27,6 @@ class CellsHost(HostForm):
         self._sensors = wiring.sensors
         self._weights = 1 << np.arange(wiring.sensors)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in range(len(cells)))
-        self.unit_rows = tuple(range(len(cells)))
         self.sense_keys = tuple(cell_key(run, cell, "sense") for cell in cells)
         self.drive_units = {cell_key(run, cell, "drive"): i for i, cell in enumerate(cells)}
         self.alive_units = {cell_key(run, cell, "alive"): i for i, cell in enumerate(cells)}
@@ -36,6 +34,7 @@ class CellsHost(HostForm):
         self.drive_expr = cell_key(run, None, "drive")
         self.alive_expr = cell_key(run, None, "alive")
         self.ready_expr = cell_key(run, None, "ready")
+        self.blank_drives = [(0.0, 0.0)] * len(cells)
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a cell: ``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``."""
@@ -61,6 +60,10 @@ class CellsHost(HostForm):
         tick, fields = wire.unpack("drive", payload, _VALUE, _DRIVE)
         return tick, wire.pair("drive", fields["drive"])
 
+    def join_drives(self, values: list[Any]) -> wire.Values:
+        """``(n, 2)`` from a pair a cell."""
+        return np.array(values, dtype=np.float64)
+
 
 @final
 class CellsMember(MemberForm):
@@ -68,49 +71,53 @@ class CellsMember(MemberForm):
 
     def __init__(self, wiring: Wiring, shard: int) -> None:
         partition, run = wiring.partition, wiring.run
-        lattice = partition.lattice
+        cells = partition.lattice.cells
         mine = partition.cells(shard)
-        names = [lattice.cells[int(i)] for i in mine]
+        names = [cells[int(i)] for i in mine]
         self._sensors = wiring.sensors
         self._encoders = wiring.encoders
         self.alive_keys = tuple(cell_key(run, cell, "alive") for cell in names)
         self.ready_keys = tuple(cell_key(run, cell, "ready") for cell in names)
         self.drive_keys = tuple(cell_key(run, cell, "drive") for cell in names)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in mine)
-        self.unit_rows = tuple(range(len(mine)))
         self.sense_units = {cell_key(run, cell, "sense"): i for i, cell in enumerate(names)}
+        self.blank_senses = [([False] * wiring.sensors, (0.0, 0.0))] * len(names)
         self._message = _MessageMap(wiring.message)
         incoming, outgoing = partition.incoming(shard), partition.outgoing(shard)
         heard = range(0 if wiring.message is None else len(incoming))
         said = range(0 if wiring.message is None else len(outgoing))
         self.in_parts = {
-            cell_link_key(run, lattice.cells[int(incoming.source[i])], int(incoming.source_side[i])): i
-            for i in heard
+            cell_link_key(run, cells[int(incoming.source[i])], int(incoming.source_side[i])): i for i in heard
         }
-        self.in_links = tuple(heard)
         self.in_sources = tuple(incoming.source[i : i + 1] for i in heard)
+        self.blank_links = [self._message.nothing] * len(heard)
         self.out_keys = tuple(
-            cell_link_key(run, lattice.cells[int(outgoing.source[i])], int(outgoing.source_side[i]))
-            for i in said
+            cell_link_key(run, cells[int(outgoing.source[i])], int(outgoing.source_side[i])) for i in said
         )
-        self.out_links = tuple(said)
         self.out_sources = tuple(outgoing.source[i : i + 1] for i in said)
         self.out_targets = tuple(outgoing.target[i : i + 1] for i in said)
 
-    def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any, Any]:  # noqa: ARG002 - all cells alike
-        """Tick, the cell's presence bits, its encoder travel or None."""
+    def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
+        """Tick, and the cell's presence bits with its encoder travel or None."""
         tick, fields = wire.unpack("sense", payload, _VALUE, _SENSE)
         presence = wire.booleans("sense", fields["presence"], self._sensors)
-        travel = fields["encoder_m"]
         if self._encoders:
-            return tick, presence, wire.pair("sense", travel)
-        if travel is not None:
-            raise WireError("sense", "type", "encoder_m must be nil: there are no encoders")
-        return tick, presence, None
+            return tick, (presence, wire.pair("sense", fields["encoder_m"]))
+        wire.nothing("sense", "encoder_m", fields["encoder_m"])
+        return tick, (presence, None)
 
-    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any, Any]:  # noqa: ARG002 - all links alike
-        """Tick, whether there is a message, and its values."""
+    def join_senses(self, values: list[Any]) -> tuple[wire.Mask, wire.Values | None]:
+        """From a pair a cell."""
+        presence = np.array([bits for bits, _ in values], dtype=np.bool_)
+        return presence, np.array([pair for _, pair in values], dtype=np.float64) if self._encoders else None
+
+    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all links alike
+        """Tick, and whether there is a message with its values."""
         return self._message.decode(payload)
+
+    def join_links(self, values: list[Any]) -> tuple[wire.Mask, wire.Message]:
+        """From a pair a link."""
+        return self._message.join(values)
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
@@ -123,31 +130,37 @@ class CellsMember(MemberForm):
 
 @final
 class _MessageMap:
-    """A protocol's messages as maps of their fields."""
+    """A protocol's messages as maps of their fields.
+
+    Attributes:
+        nothing: What stands for no message: not sent, and zero.
+    """
 
     def __init__(self, dtype: np.dtype[Any] | None) -> None:
-        names = () if dtype is None or dtype.names is None else dtype.names
-        self._order = names
-        self._names = frozenset(names)
+        self._dtype = np.dtype([]) if dtype is None else dtype
+        names = self._dtype.names or ()
+        self._names = names
+        self._layout = wire.layout(*names)
         self._limit = sum(_VALUE + 4 * len(name) for name in names)
-        self._readers: tuple[Callable[[object], Any], ...] = (
-            () if dtype is None else tuple(wire.scalar_reader("link", name, dtype[name]) for name in names)
-        )
-        self._zero: tuple[Any, ...] = () if dtype is None else np.zeros((), dtype=dtype).item()
+        self._readers: list[tuple[str, Callable[[object], Any]]] = [
+            (name, wire.scalar_reader("link", name, self._dtype[name])) for name in names
+        ]
+        zero = np.zeros((), dtype=self._dtype)
+        self.nothing: tuple[bool, tuple[Any, ...]] = (False, tuple(zero[name].item() for name in names))
 
     def encode(self, frame: wire.LinkFrame) -> list[bytes]:
-        tick, order = frame.tick, self._order
+        tick, names = frame.tick, self._names
         return [
-            wire.pack(tick, dict(zip(order, values, strict=True)) if sent else {})
+            wire.pack(tick, dict(zip(names, values, strict=True)) if sent else {})
             for sent, values in zip(frame.sent.tolist(), frame.message.tolist(), strict=True)
         ]
 
-    def decode(self, payload: bytes) -> tuple[int, bool, tuple[Any, ...]]:
-        tick, fields = wire.unpack("link", payload, self._limit, self._names, _NOTHING)
-        if not fields:
-            return tick, False, self._zero
-        return (
-            tick,
-            True,
-            tuple(read(fields[name]) for name, read in zip(self._order, self._readers, strict=True)),
-        )
+    def decode(self, payload: bytes) -> tuple[int, tuple[bool, tuple[Any, ...]]]:
+        tick, fields = wire.unpack("link", payload, self._limit, self._layout, _NO_MESSAGE)
+        if len(fields) == len(_NO_MESSAGE):
+            return tick, self.nothing
+        return tick, (True, tuple([read(fields[name]) for name, read in self._readers]))
+
+    def join(self, values: list[Any]) -> tuple[wire.Mask, wire.Message]:
+        sent = np.array([there for there, _ in values], dtype=np.bool_)
+        return sent, np.array([message for _, message in values], dtype=self._dtype)

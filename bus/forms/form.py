@@ -1,6 +1,7 @@
 """What the lockstep asks of a wire form: frames to keys and payloads, and back.
 
-A form cuts the cells into *units*, each with its own keys: a shard in the packed form, a cell in the other.
+A form cuts the cells into *units*, each with its own keys: a shard in the packed form, a cell in the other. It
+cuts a shard's border links into *parts* likewise: a border between two shards, or a single link.
 """
 
 from __future__ import annotations
@@ -13,10 +14,7 @@ import numpy as np
 
 from bus.keys import check_run
 from bus.partition import Index, Partition
-from bus.wire import DriveFrame, LinkFrame, SenseFrame, check_message
-
-Place = int | slice | Index
-"""What selects a unit's rows in an array of cells, or a part's in an array of links."""
+from bus.wire import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
 
 
 @final
@@ -53,14 +51,13 @@ class HostForm(ABC):
 
     Attributes:
         unit_cells: Indices of each unit's cells.
-        unit_rows: What selects each unit's rows in an array of all cells.
         sense_keys: Key of each unit's sense.
         drive_units, alive_units, ready_units: Unit of each such key.
         drive_expr, alive_expr, ready_expr: What to subscribe to and to watch.
+        blank_drives: What stands for each unit that sends none.
     """
 
     unit_cells: tuple[Index, ...]
-    unit_rows: tuple[Place, ...]
     sense_keys: tuple[str, ...]
     drive_units: dict[str, int]
     alive_units: dict[str, int]
@@ -68,6 +65,7 @@ class HostForm(ABC):
     drive_expr: str
     alive_expr: str
     ready_expr: str
+    blank_drives: list[Any]
 
     @abstractmethod
     def sense_payloads(self, frame: SenseFrame) -> list[bytes]:
@@ -75,25 +73,29 @@ class HostForm(ABC):
 
     @abstractmethod
     def decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
-        """Tick and values, to be put in the unit's rows.
+        """Tick and value of a unit's drive.
 
         Raises:
             WireError: Not a drive of this unit.
         """
 
+    @abstractmethod
+    def join_drives(self, values: list[Any]) -> Values:
+        """``(n, 2)`` from a value a unit; may be written."""
+
 
 class MemberForm(ABC):
-    """A shard's side of a form. *Rows* are places in the shard, *links* stretches of its border links.
+    """A shard's side of a form.
 
     Attributes:
         alive_keys, ready_keys, drive_keys: The shard's own keys, one a unit.
         unit_cells: Indices (in the lattice) of each unit's cells.
-        unit_rows: Rows of each unit.
         sense_units: Unit of each sense key.
-        in_parts: Part of each key on which the shard hears its neighbours.
-        in_links: Stretch of the incoming links that each part covers.
+        blank_senses: What stands for each unit that gets none.
+        in_parts: Part of each key on which the shard hears its neighbours, in the order of its incoming links.
         in_sources: Cells of the unit that sends each part.
-        out_keys, out_links: Key and stretch of each part that the shard sends.
+        blank_links: What stands for each part that does not come.
+        out_keys: Key of each part that the shard sends, in the order of its outgoing links.
         out_sources, out_targets: Cells of the units that send and hear each part.
     """
 
@@ -101,31 +103,38 @@ class MemberForm(ABC):
     ready_keys: tuple[str, ...]
     drive_keys: tuple[str, ...]
     unit_cells: tuple[Index, ...]
-    unit_rows: tuple[Place, ...]
     sense_units: dict[str, int]
+    blank_senses: list[Any]
     in_parts: dict[str, int]
-    in_links: tuple[Place, ...]
     in_sources: tuple[Index, ...]
+    blank_links: list[Any]
     out_keys: tuple[str, ...]
-    out_links: tuple[Place, ...]
     out_sources: tuple[Index, ...]
     out_targets: tuple[Index, ...]
 
     @abstractmethod
-    def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any, Any]:
-        """Tick, presence and encoder travel (or None), to be put in the unit's rows.
+    def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:
+        """Tick and value of a unit's sense.
 
         Raises:
             WireError: Not a sense of this unit.
         """
 
     @abstractmethod
-    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any, Any]:
-        """Tick, mask and messages, to be put in the part's stretch of the incoming links.
+    def join_senses(self, values: list[Any]) -> tuple[Mask, Values | None]:
+        """Presence ``(n, sensors)`` and encoder travel ``(n, 2)`` of the shard's cells; may be written."""
+
+    @abstractmethod
+    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:
+        """Tick and value of a part of the incoming links.
 
         Raises:
             WireError: Not a link frame of this part.
         """
+
+    @abstractmethod
+    def join_links(self, values: list[Any]) -> tuple[Mask, Message]:
+        """Mask and messages ``(m,)`` of all incoming links, messages zero where none was sent."""
 
     @abstractmethod
     def drive_payloads(self, frame: DriveFrame) -> list[bytes]:
@@ -136,7 +145,7 @@ class MemberForm(ABC):
         """A payload a part that the shard sends, in their order."""
 
 
-def stretch(index: Index) -> Place:
+def stretch(index: Index) -> slice | Index:
     """The same selection as a slice where it is one: NumPy then copies instead of gathering."""
     if len(index) and int(index[-1]) - int(index[0]) == len(index) - 1:
         return slice(int(index[0]), int(index[-1]) + 1)

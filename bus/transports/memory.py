@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import queue
 import threading
+from collections.abc import Callable
 from typing import final
 
 from bus.errors import TransportError
+from bus.inbox import Inbox
 from bus.keys import intersects
 from bus.transport import Alive, Endpoint, Event, Publisher, Received, Woken
 
@@ -18,7 +19,7 @@ class MemoryBus:
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._endpoints: list[MemoryEndpoint] = []
-        self._routes: dict[str, tuple[MemoryEndpoint, ...]] = {}
+        self._routes: dict[str, tuple[Callable[[Event], None], ...]] = {}
         self._tokens: dict[str, MemoryEndpoint] = {}
 
     def endpoint(self) -> MemoryEndpoint:
@@ -28,12 +29,12 @@ class MemoryBus:
             self._endpoints.append(endpoint)
         return endpoint
 
-    def route(self, key: str) -> tuple[MemoryEndpoint, ...]:
-        """Endpoints that subscribed to ``key``."""
+    def route(self, key: str) -> tuple[Callable[[Event], None], ...]:
+        """Where to put what comes on ``key``: the inboxes of those who subscribed."""
         route = self._routes.get(key)
         if route is None:
             with self._lock:
-                route = tuple(e for e in self._endpoints if e.hears(key))
+                route = tuple(door for e in self._endpoints if (door := e.door(key)) is not None)
                 self._routes[key] = route
         return route
 
@@ -41,13 +42,13 @@ class MemoryBus:
         """Delivers ``payload`` to every subscriber of ``key``."""
         # A copy of the route, not the lock: two senders have no order between them anyway.
         event = Received(key, payload)
-        for endpoint in self.route(key):
-            endpoint.deliver(event)
+        for door in self.route(key):
+            door(event)
 
-    def rerouted(self, endpoint: MemoryEndpoint, key_expr: str) -> None:
-        """Forgets the cached routes after a change of subscriptions."""
+    def subscribe(self, endpoint: MemoryEndpoint, key_expr: str, urgent: bool) -> None:
+        """Lets what comes on matching keys into the endpoint's inbox."""
         with self._lock:
-            endpoint.subscriptions.append(key_expr)
+            endpoint.subscriptions[key_expr] = urgent
             self._routes.clear()
 
     def declare(self, key: str, endpoint: MemoryEndpoint) -> None:
@@ -71,7 +72,7 @@ class MemoryBus:
             endpoint.watches.append(key_expr)
             for key in self._tokens:
                 if intersects(key_expr, key):
-                    endpoint.deliver(Alive(key, True))
+                    endpoint.tell(Alive(key, True))
 
     def leave(self, endpoint: MemoryEndpoint) -> None:
         """Forgets ``endpoint`` and withdraws its tokens."""
@@ -85,7 +86,7 @@ class MemoryBus:
     def _announce(self, event: Alive) -> None:
         for endpoint in self._endpoints:
             if any(intersects(expr, event.key) for expr in endpoint.watches):
-                endpoint.deliver(event)
+                endpoint.tell(event)
 
 
 @final
@@ -113,9 +114,9 @@ class MemoryEndpoint(Endpoint):
 
     def __init__(self, bus: MemoryBus) -> None:
         self._bus = bus
-        self._inbox: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._inbox = Inbox()
         self._closed = False
-        self.subscriptions: list[str] = []
+        self.subscriptions: dict[str, bool] = {}
         self.watches: list[str] = []
 
     def publisher(self, key: str) -> Publisher:
@@ -123,13 +124,13 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         return MemoryPublisher(self._bus, self, key)
 
-    def subscribe(self, key_expr: str) -> None:
+    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
         """Lets everything put on matching keys into the inbox."""
         self.check_open()
         if key_expr in self.subscriptions:
             return
-        check_overlap(key_expr, self.subscriptions)
-        self._bus.rerouted(self, key_expr)
+        check_overlap(key_expr, list(self.subscriptions))
+        self._bus.subscribe(self, key_expr, urgent)
 
     def declare_alive(self, key: str) -> None:
         """Shows a token."""
@@ -146,17 +147,14 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         self._bus.watch(key_expr, self)
 
-    def receive(self, timeout_s: float | None) -> Event | None:
-        """The next event, or None after ``timeout_s``."""
+    def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
+        """The oldest event, or None after ``timeout_s``."""
         self.check_open()
-        try:
-            return self._inbox.get(timeout=timeout_s) if timeout_s != 0 else self._inbox.get_nowait()
-        except queue.Empty:
-            return None
+        return self._inbox.get(timeout_s, enough)
 
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""
-        self._inbox.put(Woken())
+        self._inbox.put_urgent(Woken())
 
     def close(self) -> None:
         """Withdraws everything and leaves."""
@@ -164,13 +162,16 @@ class MemoryEndpoint(Endpoint):
             self._bus.leave(self)
             self._closed = True
 
-    def hears(self, key: str) -> bool:
-        """Whether a subscription matches ``key``."""
-        return any(intersects(expr, key) for expr in self.subscriptions)
+    def door(self, key: str) -> Callable[[Event], None] | None:
+        """Where to put what comes on ``key``; None where no subscription matches."""
+        for expr, urgent in self.subscriptions.items():
+            if intersects(expr, key):
+                return self._inbox.put_urgent if urgent else self._inbox.put
+        return None
 
-    def deliver(self, event: Event) -> None:
-        """Puts an event in the inbox."""
-        self._inbox.put(event)
+    def tell(self, event: Alive) -> None:
+        """Puts news of a token in the inbox."""
+        self._inbox.put_urgent(event)
 
     def check_open(self) -> None:
         """Raises TransportError after ``close``."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 import socket
 import threading
 from collections.abc import Callable
@@ -18,6 +17,7 @@ import zenoh
 from zenoh import handlers  # pyright: ignore[reportMissingModuleSource] - its source is the binary
 
 from bus.errors import TransportError
+from bus.inbox import Inbox
 from bus.transport import Alive, Endpoint, Event, Publisher, Received, Woken
 from bus.transports.memory import check_overlap
 
@@ -29,6 +29,17 @@ _RUNTIME: Final = (
     "(app: (worker_threads: 1), acc: (worker_threads: 1), tx: (worker_threads: 1), "
     "rx: (worker_threads: 1), net: (worker_threads: 1))"
 )
+
+
+_forks = 0
+
+
+def _count_fork() -> None:
+    global _forks  # noqa: PLW0603 - one process, one count
+    _forks += 1
+
+
+os.register_at_fork(after_in_child=_count_fork)
 
 
 def hub_config(listen: str, lease_s: float = LEASE_S) -> zenoh.Config:
@@ -176,9 +187,8 @@ class ZenohPublisher(Publisher):
 class ZenohEndpoint(Endpoint):
     """A Zenoh session; made by ``open_hub`` and ``open_client``.
 
-    Zenoh's receiving threads push samples straight into one queue: measured as fast as Zenoh's own channels
-    for one frame a tick, without a thread a subscriber, and the wait can time out, be woken, and lets signals
-    through.
+    Zenoh's receiving threads put samples straight into the inbox: no thread a subscriber, and unlike the wait
+    on one of Zenoh's channels, this one covers all subscriptions, can time out and lets signals through.
 
     Attributes:
         locator: Where the plant listens.
@@ -189,8 +199,9 @@ class ZenohEndpoint(Endpoint):
         self.locator = locator
         self.session = session
         self._pid = os.getpid()
+        self._forks = _forks
         self._closed = False
-        self._inbox: queue.SimpleQueue[zenoh.Sample | Event] = queue.SimpleQueue()
+        self._inbox = Inbox()
         self._subscribers: dict[str, object] = {}
         self._watchers: list[object] = []
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
@@ -208,14 +219,15 @@ class ZenohEndpoint(Endpoint):
             ),
         )
 
-    def subscribe(self, key_expr: str) -> None:
+    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
         """Lets everything put on matching keys into the inbox."""
         self.check_usable()
         if key_expr in self._subscribers:
             return
         check_overlap(key_expr, list(self._subscribers))
+        put = self._inbox.put_urgent if urgent else self._inbox.put
         self._subscribers[key_expr] = self.session.declare_subscriber(
-            key_expr, handlers.Callback(self._inbox.put, indirect=False)
+            key_expr, handlers.Callback(put, indirect=False)
         )
 
     def declare_alive(self, key: str) -> None:
@@ -236,7 +248,7 @@ class ZenohEndpoint(Endpoint):
     def watch_alive(self, key_expr: str) -> None:
         """Lets the coming and going of matching tokens into the inbox."""
         self.check_usable()
-        put = self._inbox.put
+        put = self._inbox.put_urgent
 
         def tell(sample: zenoh.Sample) -> None:
             put(Alive(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
@@ -247,27 +259,24 @@ class ZenohEndpoint(Endpoint):
             )
         )
 
-    def receive(self, timeout_s: float | None) -> Event | None:
-        """The next event, or None after ``timeout_s``."""
+    def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
+        """The oldest event, or None after ``timeout_s``."""
         self.check_usable()
-        try:
-            item = self._inbox.get(timeout=timeout_s) if timeout_s != 0 else self._inbox.get_nowait()
-        except queue.Empty:
-            return None
+        item = self._inbox.get(timeout_s, enough)
         if type(item) is zenoh.Sample:
             return Received(str(item.key_expr), item.payload.to_bytes())
         return item
 
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""
-        self._inbox.put(Woken())
+        self._inbox.put_urgent(Woken())
 
     def close(self) -> None:
         """Withdraws everything and leaves."""
         if self._closed:
             return
         self._closed = True
-        if os.getpid() != self._pid:
+        if self._forks != _forks:
             return
         # Zenoh's close has been seen to hang; nothing that we started may keep a process from ending.
         closer = threading.Thread(target=self._close, name="zenoh-close", daemon=True)
@@ -284,7 +293,7 @@ class ZenohEndpoint(Endpoint):
         """Raises TransportError after ``close``, and in a process that inherited this session by a fork."""
         if self._closed:
             raise TransportError("this endpoint is closed")
-        if os.getpid() != self._pid:
+        if self._forks != _forks:
             raise TransportError(
                 f"this session was opened in process {self._pid}: a forked process must open its own"
             )

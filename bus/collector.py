@@ -1,0 +1,127 @@
+"""Collects the parts of frames, tick by tick: early ones kept, late ones counted, the dead not waited for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, final
+
+import numpy as np
+
+from bus.counts import Counts
+from bus.errors import WireError
+
+NEVER: Final = int(np.iinfo(np.int64).max)
+"""The tick from which a live cell is gone."""
+EARLY_TICKS: Final = 64
+"""How far ahead a frame may be to be kept; in lockstep nobody gets further than one tick."""
+
+Route = tuple[Callable[[int, bytes], None], int]
+"""What takes the payloads of a key, and which part they are for it."""
+
+
+def _refuse(part: int, payload: bytes) -> None:  # noqa: ARG001 - as every route
+    raise WireError("bus", "key", "no part of this run sends on such a key")
+
+
+nowhere: Final[Route] = (_refuse, 0)
+"""Where payloads on keys outside the run's cells go."""
+
+
+@final
+class Slot:
+    """One tick's frame, as far as it has come.
+
+    Attributes:
+        values: A value a part; its blank where none has come.
+        have: Nonzero for each part that has come.
+        missing: How many live parts have not.
+    """
+
+    __slots__ = ("have", "missing", "values")
+
+    def __init__(self, values: list[Any], missing: int) -> None:
+        self.values = values
+        self.have = bytearray(len(values))
+        self.missing = missing
+
+
+@final
+class Collector:
+    """Frames of one kind that come in parts, each part from one sender.
+
+    Args:
+        kind: Name for errors.
+        blank: What stands for each part that does not come.
+        decode: From a part and its payload to its tick and value; raises WireError.
+        counts: Where to count.
+
+    Attributes:
+        now: The first tick that is not over.
+        until: For each part, the tick from which its sender is gone.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        blank: Sequence[Any],
+        decode: Callable[[int, bytes], tuple[int, Any]],
+        counts: Counts,
+    ) -> None:
+        self.now = 0
+        self.until = [NEVER] * len(blank)
+        self._kind = kind
+        self._blank = list(blank)
+        self._decode = decode
+        self._counts = counts
+        self._slots: dict[int, Slot] = {}
+
+    def take(self, part: int, payload: bytes) -> None:
+        """Keeps the value of a part.
+
+        Raises:
+            WireError: Not such a payload, too far ahead, or the second of its tick.
+        """
+        tick, value = self._decode(part, payload)
+        if tick < self.now or self.until[part] <= tick:
+            self._counts.late += 1
+            return
+        slot = self._slots.get(tick)
+        if slot is None:
+            if tick > self.now + EARLY_TICKS:
+                raise WireError(
+                    self._kind, "ahead", f"tick {tick}: must be at most {EARLY_TICKS} ahead of {self.now}"
+                )
+            slot = self.slot(tick)
+        if slot.have[part]:
+            raise WireError(self._kind, "duplicate", f"tick {tick} came already")
+        slot.values[part] = value
+        slot.have[part] = 1
+        slot.missing -= 1
+        self._counts.delivered += 1
+
+    def slot(self, tick: int) -> Slot:
+        """The frame of ``tick``, begun if it isn't."""
+        slot = self._slots.get(tick)
+        if slot is None:
+            live = sum(1 for until in self.until if until > tick)
+            slot = self._slots[tick] = Slot(self._blank.copy(), live)
+        return slot
+
+    def missing(self, tick: int) -> list[int]:
+        """Live parts of ``tick`` that have not come."""
+        have = self.slot(tick).have
+        return [part for part, until in enumerate(self.until) if until > tick and not have[part]]
+
+    def bury(self, until: list[int]) -> None:
+        """Sets the ticks from which the senders are gone: nobody waits for them."""
+        self.until = until
+        for tick, slot in self._slots.items():
+            slot.missing = len(self.missing(tick))
+
+    def close(self, tick: int) -> Slot:
+        """The frame of ``tick``, which with all before it is over: whatever comes for it now is late."""
+        slot = self.slot(tick)
+        self.now = tick + 1
+        for over in [t for t in self._slots if t <= tick]:
+            del self._slots[over]
+        return slot
