@@ -42,7 +42,8 @@ class Gathered(NamedTuple):
 class Member:
     """Gathers what a shard's cells sense and hear, and publishes what they drive and say.
 
-    Blocking; one thread at a time. It subscribes at once. The endpoint stays the caller's, to close later.
+    Blocking; one thread at a time, but ``publish`` may be called from another while ``gather`` waits for the tick
+    after. It subscribes at once. The endpoint stays the caller's, to close later.
 
     Args:
         endpoint: The endpoint of the shard's process.
@@ -306,7 +307,9 @@ class Member:
 
         self._all_live = False
         self._senses.bury(last(self._form.unit_cells))
-        self._links.bury(last(self._form.in_sources))
+        # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
+        sources, targets = last(self._form.in_sources), last(self._form.in_targets)
+        self._links.bury([min(source, target - 1) for source, target in zip(sources, targets, strict=True)])
         self._out_until = last(self._form.out_sources)
         self._target_until = last(self._form.out_targets)
 

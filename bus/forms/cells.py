@@ -90,6 +90,7 @@ class CellsMember(MemberForm):
             cell_link_key(run, cells[int(incoming.source[i])], int(incoming.source_side[i])): i for i in heard
         }
         self.in_sources = tuple(incoming.source[i : i + 1] for i in heard)
+        self.in_targets = tuple(incoming.target[i : i + 1] for i in heard)
         self.blank_links = [self._message.nothing] * len(heard)
         self.out_keys = tuple(
             cell_link_key(run, cells[int(outgoing.source[i])], int(outgoing.source_side[i])) for i in said

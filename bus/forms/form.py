@@ -93,7 +93,7 @@ class MemberForm(ABC):
         sense_units: Unit of each sense key.
         blank_senses: What stands for each unit that gets none.
         in_parts: Part of each key on which the shard hears its neighbours, in the order of its incoming links.
-        in_sources: Cells of the unit that sends each part.
+        in_sources, in_targets: Cells of the units that send and hear each part.
         blank_links: What stands for each part that does not come.
         out_keys: Key of each part that the shard sends, in the order of its outgoing links.
         out_sources, out_targets: Cells of the units that send and hear each part.
@@ -107,6 +107,7 @@ class MemberForm(ABC):
     blank_senses: list[Any]
     in_parts: dict[str, int]
     in_sources: tuple[Index, ...]
+    in_targets: tuple[Index, ...]
     blank_links: list[Any]
     out_keys: tuple[str, ...]
     out_sources: tuple[Index, ...]

@@ -86,6 +86,7 @@ class PackedMember(MemberForm):
         self._in_counts = tuple(b.stop - b.start for b in incoming)
         self.in_parts = {shard_link_key(run, b.shard, shard): i for i, b in enumerate(incoming)}
         self.in_sources = tuple(partition.cells(b.shard) for b in incoming)
+        self.in_targets = tuple(cells for _ in incoming)
         self.blank_links = [
             (np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=self._message))
             for count in self._in_counts
