@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 QUANTITIES = ("x (m)", "y (m)", "θ (rad)")
+_LEAST_SPAN = 1e-3
+"""No panel shows less than a millimetre or a milliradian: below that a line at rest would look like motion."""
 _POINTS = 6000
 _LABELS = 5
 
@@ -47,6 +49,11 @@ def draw_times(panels: Sequence[Axes], track: Track, *, stacked: bool) -> None:
         axes.grid(visible=True, color="#e3e7ec", lw=0.7)
         axes.set_axisbelow(True)
         axes.margins(x=0)
+        low, high = axes.get_ylim()
+        if high - low < _LEAST_SPAN:
+            middle = 0.5 * (low + high)
+            axes.set_ylim(middle - 0.5 * _LEAST_SPAN, middle + 0.5 * _LEAST_SPAN)
+        axes.ticklabel_format(axis="y", useOffset=False)
         if stacked and column < 2:
             axes.tick_params(labelbottom=False)
         else:

@@ -100,7 +100,8 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     v = wheel_speed[cells]
     x = parcel.y[:2] - centre
     # load shares P [1; X - c]: mean share, and the inverse second moment of the supports (eqs. 11-13)
-    p = np.hstack([np.full((len(cells), 1), 1.0 / len(cells)), r @ np.linalg.pinv(r.T @ r)])
+    p: Floats = np.full((len(cells), 3), 1.0 / len(cells))
+    p[:, 1:] = r @ np.linalg.pinv(r.T @ r)
     shares = p @ np.array([1.0, *x])
     stiffness = mu * weight * v.T @ p[:, 1:]
     offset = mu * weight * v.T @ p[:, 0] - stiffness @ centre
@@ -115,12 +116,13 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     if place is not None:
         _, there = _supports(spec, index, (float(place[0]), float(place[1])))
         inside = bool(np.array_equal(there, cells))
-    rates = np.linalg.eigvals(
-        np.block([[np.zeros((2, 2)), np.eye(2)], [stiffness / mass, -mu * spec.gravity_m_s2 * np.eye(2)]])
-    )
+    motion: Floats = np.zeros((4, 4))
+    motion[:2, 2:] = np.eye(2)
+    motion[2:, :2] = stiffness / mass
+    motion[2:, 2:] = -mu * spec.gravity_m_s2 * np.eye(2)
     inertia = mass / parcel.par[layout.MASS_OVER_INERTIA]
     return ConstantsOfMotion(
-        supports=tuple(array.lattice.cells[i] for i in cells),
+        supports=tuple(array.lattice.cells[int(i)] for i in cells.tolist()),
         loads_n=weight * shares,
         k_s_n_per_m=stiffness,
         f0_n=offset,
@@ -130,7 +132,7 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
         d_n_m_s=damping,
         equilibrium_m=place,
         equilibrium_inside=inside,
-        eigenvalues_per_s=np.sort_complex(rates.astype(np.complex128)),
+        eigenvalues_per_s=np.sort_complex(np.linalg.eigvals(motion).astype(np.complex128)),
         angular_acceleration_rad_s2=torque / float(inertia),
     )
 
@@ -140,4 +142,4 @@ def _equilibrium(stiffness: Floats, offset: Floats) -> Floats | None:
     scale = float(np.max(np.abs(stiffness)))
     if scale == 0.0 or abs(float(np.linalg.det(stiffness / scale))) < 1e-12:
         return None
-    return -np.linalg.solve(stiffness, offset)
+    return np.asarray(-np.linalg.solve(stiffness, offset), dtype=np.float64)
