@@ -6,7 +6,7 @@ import threading
 from typing import Protocol, final
 
 from bus.transport import Endpoint
-from deploy.launch import Crew, WorkerError, describe_exit
+from deploy.launch import Crew, WorkerError
 from deploy.plan import Plan
 from deploy.worker import Order, serve
 
@@ -79,16 +79,9 @@ class WorkerProcesses:
         self._crew.check()
 
     def details(self) -> str:
-        """Tracebacks of the workers that raised, and how the others ended that did not end well."""
+        """Tracebacks of the workers that raised."""
         crew = self._crew
-        failed = [f"{crew.name(failure.worker)}: {failure.detail}" for failure in crew.failures]
-        raised = {failure.worker for failure in crew.failures}
-        ended = [
-            f"{crew.name(worker)}: {describe_exit(status)}"
-            for worker, status in crew.ended.items()
-            if status and worker not in raised
-        ]
-        return "\n".join([*failed, *ended])
+        return "\n".join(f"{crew.name(failure.worker)}: {failure.detail}" for failure in crew.failures)
 
     def close(self, grace_s: float) -> None:
         """End every worker and their parent."""

@@ -136,7 +136,7 @@ class _Run:
         finally:
             self.interruption.waits = lambda: False
             self.wall_s = time.monotonic() - started
-            if self.status == "failed":
+            if self.status == "failed" or ledger.cells_lost:
                 self.detail = "\n".join(text for text in (self.detail, system.explain()) if text)
             self.counts = system.stop(self.reason or "the run is over")
         if process is not None and self.status != "unstable":

@@ -192,7 +192,7 @@ class _Simulation:
             cells=array.lattice.cells,
             positions_m=array.positions_m,
             footprints_m=[footprint(parcel) for parcel in scene.parcels],
-            time_s=np.concatenate(self.times) * 1e-9,
+            time_s=np.concatenate(self.times).astype(np.float64) * 1e-9,
             parcels=np.concatenate(self.states),
             wheel_speeds=plant.wheel_speed,
             events=[event_record(event) for event in self.events],

@@ -43,6 +43,7 @@ class System:
         self._cells: CellsSide | None = None
         self._locator = ""
         self._host: Host | None = None
+        self._running = False
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
         self._processes = WorkerProcesses(plan) if plan.workers else None
@@ -115,33 +116,37 @@ class System:
         )
         self._cells.start(order)
         self._barrier(host, self._endpoint, self._cells)
+        self._running = True
         return host
 
     def _barrier(self, host: Host, endpoint: Endpoint, cells: CellsSide) -> None:
         """The host's barrier, cut short by a worker that fails."""
-        over = threading.Event()
+        over, trouble = threading.Event(), threading.Event()
 
         def watch() -> None:
             while not over.is_set():
                 if cells.trouble(_WATCH_S):
+                    trouble.set()
                     endpoint.wake()
                     return
 
         watcher = threading.Thread(target=watch, name="start-up watch", daemon=True)
         watcher.start()
+        failed: BusError | None = None
         try:
             host.barrier()
-        except BusError:
-            over.set()
-            watcher.join()
-            cells.check()  # why a worker is not there says more than that it is not
-            raise
+        except BusError as error:
+            failed = error
         finally:
             over.set()
             watcher.join()
+        if failed or trouble.is_set():
+            cells.check()  # why a worker is not there says more than that it is not
+        if failed:
+            raise failed
 
     def explain(self) -> str:
-        """What is known of workers that went wrong, several lines, or an empty string."""
+        """Tracebacks of the workers that raised, or an empty string."""
         if self._cells is None:
             return ""
         self._cells.trouble(_WATCH_S)
@@ -157,14 +162,16 @@ class System:
             return None
         self._stopped = True
         counts: Counts | None = None
+        # Cells that wait for the start don't listen for the stop.
+        patience_s = _STOP_S if self._running else 0.0
         try:
             if self._host is not None:
-                counts = self._host.stop(detail, _STOP_S)
+                counts = self._host.stop(detail, patience_s)
         finally:
             try:
                 for side in (self._cells, self._processes):
                     if side is not None:
-                        side.close(_STOP_S if counts is not None else 0.0)
+                        side.close(patience_s)
             finally:
                 if self._endpoint is not None:
                     self._endpoint.close()

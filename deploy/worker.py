@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, final
 from bus.keys import plant_key
 from bus.partition import Partition
 from bus.transport import Alive, Endpoint, Received
+from bus.wire import decode_control
 from deploy.faults.schedule import Deaths, deaths
 
 if TYPE_CHECKING:
@@ -85,7 +86,8 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
         member.retire(dead, tick)
     member.ready()
     ended = asyncio.run(agent.run(cells, member, endpoint))
-    if order.alone and _doomed(order, shard, schedule, ended.ticks) and _next_tick_came(order.run, endpoint):
+    doomed = order.alone and _doomed(order, shard, schedule, ended.ticks)
+    if doomed and _next_tick_came(order.run, len(order.array), endpoint):
         os.kill(os.getpid(), signal.SIGKILL)
     member.close()
 
@@ -122,18 +124,19 @@ def _doomed(order: Order, shard: int, schedule: Deaths, ticks: int) -> bool:
     return dead.issuperset(order.partition.cells(shard).tolist())
 
 
-def _next_tick_came(run: str, endpoint: Endpoint) -> bool:
+def _next_tick_came(run: str, cells: int, endpoint: Endpoint) -> bool:
     """Wait until the plant begins the tick of the crash; False if the run ends instead.
 
     Only then has everything that was sent before arrived: a process that killed itself earlier would take its
     last messages with it, some of the time.
     """
+    control = plant_key(run, "control")
     while True:
         event = endpoint.receive(None)
         if isinstance(event, Received):
             if event.key.endswith("/sense"):
                 return True
-            if event.key == plant_key(run, "control"):
+            if event.key == control and decode_control(event.payload, cells).kind == "stop":
                 return False
         elif isinstance(event, Alive) and event.key == plant_key(run, "alive") and not event.present:
             return False

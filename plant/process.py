@@ -14,7 +14,7 @@ from bus.wire import DriveFrame, SenseFrame
 
 if TYPE_CHECKING:
     from bus.specs import StallSpec
-    from plant.plant import Event, Plant, Sense
+    from plant.plant import Event, LossPolicy, Plant, Sense
 
 Floats = NDArray[np.float64]
 Status = Literal["ok", "failed", "stalled"]
@@ -126,7 +126,8 @@ class PlantProcess:
         self._period_ns = period_ns
         self._duration_ns = duration_ns
         self._schedule = schedule
-        self._policy = stall.policy
+        self._abort = stall.policy == "abort"
+        self._wheels: LossPolicy = "coast" if stall.policy == "abort" else stall.policy
         self._observer = observer
         self._pace = pace
         self._sense = plant.sense()
@@ -147,7 +148,7 @@ class PlantProcess:
             PlantError: The plant could not advance.
             BusError: The bus broke.
         """
-        abort = self._policy == "abort"
+        abort = self._abort
         while self.time_ns < self._duration_ns:
             if abort and self.tick in self._schedule:
                 self._report()
@@ -167,7 +168,7 @@ class PlantProcess:
             died = self._bury(died)
         drives, losses = self._exchange(tick, start_ns, sense, died)
         if losses:
-            if self._policy == "abort":
+            if self._abort:
                 return losses
             self._bury([loss.cell for loss in losses])
         if self._any_lost:
@@ -222,10 +223,9 @@ class PlantProcess:
         rows = list(fresh)
         self._any_lost = True
         self.lost[rows] = True
-        policy = "coast" if self._policy == "abort" else self._policy
-        if policy == "hold":
+        if self._wheels == "hold":
             self._held[rows] = self._drives[rows]
-        self._plant.lose(fresh, policy)
+        self._plant.lose(fresh, self._wheels)
         return fresh
 
     @property

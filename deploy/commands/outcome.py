@@ -24,9 +24,9 @@ def report(outcome: Outcome, *, as_json: bool) -> int:
         from rich.console import Console
 
         summary.print_table(Console())
+    sys.stdout.flush()
+    if outcome.detail:
+        sys.stderr.write(f"{outcome.detail.rstrip()}\n")
     if summary.status != "ok":
-        sys.stdout.flush()
-        if outcome.detail:
-            sys.stderr.write(f"{outcome.detail.rstrip()}\n")
         sys.stderr.write(f"mdms: {summary.status}: {summary.reason or 'no reason is known: this is a bug'}\n")
     return EXIT_STATUS[summary.status]
