@@ -1,0 +1,98 @@
+"""However a scene is cut, carried and encoded, the same happens in it, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from deploy.overrides import Override
+from deploy.plan import Processes, RunOptions, Transport, Wire
+from deploy.run import run
+from deploy.scene import Scene
+from deploy.scene_files import load_scene
+from deploy.summary import Summary
+
+Way = tuple[Processes, Transport, Wire]
+
+WAYS: list[Way] = [
+    (0, "memory", "packed"),
+    (0, "memory", "cells"),
+    (0, "zenoh", "packed"),
+    (0, "zenoh", "cells"),
+    (1, "zenoh", "packed"),
+    (1, "zenoh", "cells"),
+    (2, "zenoh", "packed"),
+    (2, "zenoh", "cells"),
+]
+EACH: list[Way] = [("each", "zenoh", "cells"), ("each", "zenoh", "packed")]
+
+CRASHES = """
+[stall]
+policy = "{policy}"
+[[faults]]
+kind = "crash"
+at_s = 0.0
+cell = [0, 0]
+[[faults]]
+kind = "crash"
+at_s = 0.05
+cell = [1, 2]
+[[faults]]
+kind = "crash"
+at_s = 0.05
+cell = [2, 2]
+[[faults]]
+kind = "crash"
+at_s = 0.1001
+cell = [1, 1]
+"""
+
+
+def _run(scene: Scene, way: Way, output: Path) -> Summary:
+    processes, transport, wire = way
+    options = RunOptions(processes, transport, wire, output=output, picture=False)
+    outcome = run(scene, options, quiet=True)
+    assert outcome.summary.status == "ok", (way, outcome)
+    return outcome.summary
+
+
+def _shortened(name: str, duration_s: float) -> Scene:
+    return load_scene(name, [Override(("duration_s",), duration_s, "--duration")])
+
+
+@pytest.mark.parametrize(
+    ("name", "duration_s", "ways"),
+    [("elliptic", 0.09, WAYS), ("heat", 0.09, WAYS), ("prototype", 0.15, WAYS + EACH)],
+)
+def test_the_digest_depends_neither_on_processes_nor_on_transport_nor_on_wire_form(
+    name: str, duration_s: float, ways: list[Way], tmp_path: Path
+) -> None:
+    scene = _shortened(name, duration_s)
+    digests = {way: _run(scene, way, tmp_path).digest for way in [*ways, ways[0], ways[4]]}
+    assert len(set(digests.values())) == 1, digests
+
+
+def test_the_digest_depends_on_what_happens(tmp_path: Path) -> None:
+    scene = _shortened("prototype", 0.05)
+    other = load_scene(
+        "prototype",
+        [Override(("duration_s",), 0.05, ""), Override(("parcels", 0, "angle_rad"), 0.1500001, "")],
+    )
+    assert _run(scene, WAYS[0], tmp_path).digest != _run(other, WAYS[0], tmp_path).digest
+
+
+@pytest.mark.parametrize("policy", ["coast", "brake", "hold"])
+def test_scheduled_crashes_act_alike_in_shared_workers_and_in_processes_of_their_own(
+    policy: str, small: Callable[[str], Path], tmp_path: Path
+) -> None:
+    scene = load_scene(str(small(CRASHES.format(policy=policy))))
+    ways = [WAYS[0], WAYS[4], WAYS[6], WAYS[7], *EACH]
+    summaries = {way: _run(scene, way, tmp_path) for way in ways}
+    assert len({summary.digest for summary in summaries.values()}) == 1, summaries
+    for summary in summaries.values():
+        assert list(summary.cells_lost) == [(0, 0), (1, 2), (2, 2), (1, 1)]
+        assert [(f["kind"], f["tick"]) for f in summary.faults] == [
+            ("crash", 0), ("crash", 13), ("crash", 13), ("crash", 25)
+        ]  # fmt: skip
