@@ -5,10 +5,11 @@ from __future__ import annotations
 from math import cos, exp, isfinite, sin
 
 from plant.kernels import layout as at
-from plant.kernels.capture import attracts, coincide, edge_motion, edge_of, form_group
+from plant.kernels.capture import capture_crossed, groups_hold, may_capture
+from plant.kernels.changes import apply, log
 from plant.kernels.events import entering, leaving, loading, reach
 from plant.kernels.jit import kernel
-from plant.kernels.loads import drop, plane, release, settle
+from plant.kernels.loads import settle
 from plant.kernels.motion import onto_surfaces, surface_rates
 from plant.kernels.roots import horner
 from plant.kernels.series import taylor
@@ -52,117 +53,6 @@ def slope(g, order, t):
     for k in range(order, 0, -1):
         value = value * t + k * g[k]
     return value
-
-
-@kernel
-def log(events, ctl, time, kind, cell, edge):
-    """Log an event; past the log's end events are counted and not kept."""
-    if ctl[at.N_LOGGED] < events.shape[0]:
-        row = events[ctl[at.N_LOGGED]]
-        row[at.EV_TIME], row[at.EV_KIND], row[at.EV_CELL], row[at.EV_EDGE] = time, kind, cell, edge
-    ctl[at.N_LOGGED] += 1
-
-
-@kernel
-def slot_of(mem, ctl, cell):
-    """Where a cell stands among the members, or -1."""
-    for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.CELL] == cell:
-            return i
-    return -1
-
-
-@kernel
-def apply(found, count, together, mem, share, ctl, time, events, cells, edges, pos, normal, offset, y, c, s):
-    """Apply all events at or before ``together`` as one change of the support set.
-
-    Returns (footprint events, entered): the cells that crossed the footprint's edge are left in ``cells`` and
-    ``edges``; ``entered`` is 1 if all entered, -1 if all left, 0 if mixed or none.
-    """
-    crossed, direction = 0, 0
-    for i in range(count):
-        if found[i, at.EV_TIME] > together:
-            continue
-        kind, cell = int(found[i, at.EV_KIND]), int(found[i, at.EV_CELL])
-        slot = slot_of(mem, ctl, cell)
-        if kind == at.ENTER and slot < 0:
-            slot = ctl[at.N_MEMBERS]
-            ctl[at.N_MEMBERS] += 1
-            mem[slot, at.CELL], mem[slot, at.MARK] = cell, at.ACTIVE
-            share[slot] = 0.0
-        elif kind == at.LEAVE and slot >= 0 and mem[slot, at.MARK] != at.CAPTURED:
-            drop(mem, share, ctl, slot)
-        elif kind == at.UNLOAD and slot >= 0:
-            mem[slot, at.MARK] = at.LIFTED
-        elif kind == at.TOUCH and slot >= 0:
-            mem[slot, at.MARK] = at.ACTIVE
-        elif (
-            kind in (at.FRACTION_ZERO, at.FRACTION_ONE, at.CORNER)
-            and slot >= 0
-            and mem[slot, at.MARK] == at.CAPTURED
-        ):
-            release(mem, share, ctl, mem[slot, at.GROUP], kind == at.FRACTION_ONE)
-            ctl[at.N_CAPTURES] += 1
-        else:
-            continue
-        log(events, ctl, time, kind, cell, int(found[i, at.EV_EDGE]))
-        ctl[at.N_EVENTS] += 1
-        if kind in (at.ENTER, at.LEAVE) and crossed < cells.shape[0]:
-            cells[crossed] = cell
-            edges[crossed] = edge_of(pos, normal, offset, cell, y, c, s)
-            sign = 1 if kind == at.ENTER else -1
-            direction = sign if crossed == 0 or direction == sign else 0
-            crossed += 1
-    return crossed, direction
-
-
-@kernel
-def may_capture(seg, ctl, crossed, direction, cells, edges, pos, normal, y, c, s, capture, before, after):
-    """Whether the cells that just crossed sit on one surface that attracts from both sides."""
-    if crossed == 0 or direction == 0 or ctl[at.N_GROUPS] >= at.MAX_GROUPS or seg[at.RANK] < 2:
-        return False
-    if not coincide(pos, normal, cells, edges, crossed, y, c, s, capture):
-        return False
-    rate, second_before, _, _, _ = edge_motion(
-        pos, normal, cells[0], edges[0], y, c, s, before[0], before[1], before[2]
-    )
-    _, second_after, _, _, _ = edge_motion(
-        pos, normal, cells[0], edges[0], y, c, s, after[0], after[1], after[2]
-    )
-    if direction > 0:
-        return attracts(rate, second_before, second_after, capture)
-    return attracts(rate, second_after, second_before, capture)
-
-
-@kernel
-def groups_hold(pos, mem, share, ctl, y, normal, offset, c, s, capture):
-    """Release groups whose cells no longer lie on their common surface (a pair that drifts apart)."""
-    h = 0
-    while h < ctl[at.N_GROUPS]:
-        low, high = 1e300, -1e300
-        for i in range(ctl[at.N_MEMBERS]):
-            if mem[i, at.MARK] == at.CAPTURED and mem[i, at.GROUP] == h:
-                px, py = pos[mem[i, at.CELL], 0] - y[0], pos[mem[i, at.CELL], 1] - y[1]
-                qx, qy = c * px + s * py, -s * px + c * py
-                edge = mem[i, at.EDGE]
-                distance = offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy
-                low, high = min(low, distance), max(high, distance)
-        if high - low > 2.0 * capture:
-            release(mem, share, ctl, h, True)
-            ctl[at.N_CAPTURES] += 1
-        else:
-            h += 1
-
-
-@kernel
-def capture_crossed(pos, mem, share, ctl, y, seg, grp, f, cells, edges, loads, crossed):
-    """Capture the cells that just crossed as one group, their shares in proportion to their full loads."""
-    a0, bx, by = plane(seg, grp, f, ctl[at.N_GROUPS])
-    for i in range(crossed):
-        rx, ry = pos[cells[i], 0] - y[0] - seg[at.CX], pos[cells[i], 1] - y[1] - seg[at.CY]
-        loads[i] = a0 + bx * rx + by * ry
-    form_group(mem, share, ctl, cells, edges, loads, crossed)
-    ctl[at.N_CAPTURES] += 1
 
 
 @kernel
@@ -262,7 +152,7 @@ def prepare(surface, parcel, work, now, e, c, s, crossed, direction, events):
             s,
             work.matrix,
             work.reply,
-            work.reply[:, 3],
+            work.reply[3],
             work.f,
             work.scratch,
         )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
+from plant.kernels.loads import plane, release
 
 
 @kernel
@@ -83,3 +84,52 @@ def form_group(mem, share, ctl, cells, edges, loads, count):
         mem[slot, at.GROUP] = group
         share[slot] = max(loads[i], 0.0) / total if total > 0.0 else 1.0 / count
     ctl[at.N_GROUPS] = group + 1
+
+
+@kernel
+def may_capture(seg, ctl, crossed, direction, cells, edges, pos, normal, y, c, s, capture, before, after):
+    """Whether the cells that just crossed sit on one surface that attracts from both sides."""
+    if crossed == 0 or direction == 0 or ctl[at.N_GROUPS] >= at.MAX_GROUPS or seg[at.RANK] < 2:
+        return False
+    if not coincide(pos, normal, cells, edges, crossed, y, c, s, capture):
+        return False
+    rate, second_before, _, _, _ = edge_motion(
+        pos, normal, cells[0], edges[0], y, c, s, before[0], before[1], before[2]
+    )
+    _, second_after, _, _, _ = edge_motion(
+        pos, normal, cells[0], edges[0], y, c, s, after[0], after[1], after[2]
+    )
+    if direction > 0:
+        return attracts(rate, second_before, second_after, capture)
+    return attracts(rate, second_after, second_before, capture)
+
+
+@kernel
+def groups_hold(pos, mem, share, ctl, y, normal, offset, c, s, capture):
+    """Release groups whose cells no longer lie on their common surface (a pair that drifts apart)."""
+    h = 0
+    while h < ctl[at.N_GROUPS]:
+        low, high = 1e300, -1e300
+        for i in range(ctl[at.N_MEMBERS]):
+            if mem[i, at.MARK] == at.CAPTURED and mem[i, at.GROUP] == h:
+                px, py = pos[mem[i, at.CELL], 0] - y[0], pos[mem[i, at.CELL], 1] - y[1]
+                qx, qy = c * px + s * py, -s * px + c * py
+                edge = mem[i, at.EDGE]
+                distance = offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy
+                low, high = min(low, distance), max(high, distance)
+        if high - low > 2.0 * capture:
+            release(mem, share, ctl, h, True)
+            ctl[at.N_CAPTURES] += 1
+        else:
+            h += 1
+
+
+@kernel
+def capture_crossed(pos, mem, share, ctl, y, seg, grp, f, cells, edges, loads, crossed):
+    """Capture the cells that just crossed as one group, their shares in proportion to their full loads."""
+    a0, bx, by = plane(seg, grp, f, ctl[at.N_GROUPS])
+    for i in range(crossed):
+        rx, ry = pos[cells[i], 0] - y[0] - seg[at.CX], pos[cells[i], 1] - y[1] - seg[at.CY]
+        loads[i] = a0 + bx * rx + by * ry
+    form_group(mem, share, ctl, cells, edges, loads, crossed)
+    ctl[at.N_CAPTURES] += 1

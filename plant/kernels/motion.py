@@ -130,7 +130,7 @@ def solve(m, size, rhs, x, scratch):
 def accelerations(seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch):
     """Acceleration now, with the loads ``f`` of captured groups that keep each surface's second rate at zero.
 
-    Fills ``matrix[g, h]`` (second rate of surface g per unit load on h), ``reply[h]`` (acceleration per unit load
+    Fills ``matrix[g, h]`` (second rate of surface g per unit load on h), ``reply[:3, h]`` (acceleration per unit load
     on h) and ``f``. Returns (ax, ay, alpha, conditioning); conditioning is 1 without captured groups.
     """
     kappa = par[at.KAPPA]
@@ -142,18 +142,18 @@ def accelerations(seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch):
     if groups == 0:
         return ax, ay, al, 1.0
     for h in range(groups):
-        reply[h, 0], reply[h, 1], reply[h, 2] = response(seg, grp[h], e, y, kappa, kappa_inertia)
+        reply[0, h], reply[1, h], reply[2, h] = response(seg, grp[h], e, y, kappa, kappa_inertia)
     for g in range(groups):
         _, _, second = surface_rates(grp[g], y, c, s, ax, ay, al)
-        reply[g, 3] = -second
+        reply[3, g] = -second
         for h in range(groups):
-            matrix[g, h] = surface_slope(grp[g], c, s, reply[h, 0], reply[h, 1], reply[h, 2])
-    conditioning = solve(matrix, groups, reply[:, 3], f, scratch)
+            matrix[g, h] = surface_slope(grp[g], c, s, reply[0, h], reply[1, h], reply[2, h])
+    conditioning = solve(matrix, groups, reply[3], f, scratch)
     if conditioning > 0.0:
         for h in range(groups):
-            ax += f[h] * reply[h, 0]
-            ay += f[h] * reply[h, 1]
-            al += f[h] * reply[h, 2]
+            ax += f[h] * reply[0, h]
+            ay += f[h] * reply[1, h]
+            al += f[h] * reply[2, h]
     return ax, ay, al, conditioning
 
 
@@ -165,14 +165,14 @@ def onto_surfaces(grp, groups, y, c, s, matrix, reply, rhs, change, scratch):
         rhs[g] = -rate
     solve(matrix, groups, rhs, change, scratch)
     for h in range(groups):
-        y[at.UX] += change[h] * reply[h, 0]
-        y[at.UY] += change[h] * reply[h, 1]
-        y[at.OMEGA] += change[h] * reply[h, 2]
+        y[at.UX] += change[h] * reply[0, h]
+        y[at.UY] += change[h] * reply[1, h]
+        y[at.OMEGA] += change[h] * reply[2, h]
     for g in range(groups):
         value, _, _ = surface_rates(grp[g], y, c, s, 0.0, 0.0, 0.0)
         rhs[g] = -value
     solve(matrix, groups, rhs, change, scratch)
     for h in range(groups):
-        y[0] += change[h] * reply[h, 0]
-        y[1] += change[h] * reply[h, 1]
-        y[at.THETA] += change[h] * reply[h, 2]
+        y[0] += change[h] * reply[0, h]
+        y[1] += change[h] * reply[1, h]
+        y[at.THETA] += change[h] * reply[2, h]

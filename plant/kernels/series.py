@@ -124,13 +124,13 @@ def hold_surfaces(grp, groups, ser, k, ax, ay, al, matrix, reply, f, scratch):
     for g in range(groups):
         second = grp[g, at.A_C] * ser[at.S_C, k + 2] + grp[g, at.A_S] * ser[at.S_S, k + 2]
         second += grp[g, at.A_1] * ser[at.S_E1, k + 2] + grp[g, at.A_2] * ser[at.S_E2, k + 2]
-        reply[g, 3] = -second * up
-    solve(matrix, groups, reply[:, 3], f, scratch)
+        reply[3, g] = -second * up
+    solve(matrix, groups, reply[3], f, scratch)
     for h in range(groups):
         ser[at.S_F + h, k] = f[h]
-        ax += f[h] * reply[h, 0]
-        ay += f[h] * reply[h, 1]
-        al += f[h] * reply[h, 2]
+        ax += f[h] * reply[0, h]
+        ay += f[h] * reply[1, h]
+        al += f[h] * reply[2, h]
     return ax, ay, al
 
 

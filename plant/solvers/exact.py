@@ -101,7 +101,7 @@ def make_work(cells: int, capacity: int) -> Work:
         grp=np.zeros((layout.MAX_GROUPS, layout.GRP_SIZE)),
         ser=np.zeros((layout.SER_ROWS, layout.SER_COLUMNS)),
         matrix=np.zeros((layout.MAX_GROUPS, layout.MAX_GROUPS)),
-        reply=np.zeros((layout.MAX_GROUPS, 4)),
+        reply=np.zeros((4, layout.MAX_GROUPS)),
         f=np.zeros(layout.MAX_GROUPS),
         scratch=np.zeros((3, 4)),
         newton=np.zeros((8, 3)),
