@@ -5,9 +5,12 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
@@ -21,6 +24,11 @@ COMMANDS = {
     "schema": "The JSON Schema of a scene file, for editors.",
 }
 """Every command and its line in the list; command NAME is function NAME of ``deploy.commands.NAME``."""
+
+_ALONE = {"--realtime": "1"}
+"""Options that may stand without a value, and what they mean then."""
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
 _HELP = """A Modular Distributed Manipulator System in software.
 
@@ -51,14 +59,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit status.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    given = _completed(sys.argv[1:] if arguments is None else arguments)
     try:
-        application(given)(given, prog_name="mdms")
+        with _sigterm_as_interrupt():
+            application(given)(given, prog_name="mdms")
     except SystemExit as end:  # typer's way to end, well or with a usage error
         return end.code if isinstance(end.code, int) else int(end.code is not None)
+    except KeyboardInterrupt:
+        typer.echo("mdms: interrupted", err=True)
+        return 130
     except Exception as error:  # noqa: BLE001 - the last place that can say what went wrong
         return _report(error)
     return 0
+
+
+def _completed(arguments: Sequence[str]) -> list[str]:
+    """The arguments, with the value that an option has when it stands alone."""
+    completed = list(arguments)
+    for i, argument in enumerate(arguments):
+        following = arguments[i + 1] if i + 1 < len(arguments) else ""
+        if argument in _ALONE and not _NUMBER.fullmatch(following):
+            completed[i] = f"{argument}={_ALONE[argument]}"
+    return completed
+
+
+@contextmanager
+def _sigterm_as_interrupt() -> Generator[None]:
+    """SIGTERM ends whatever a command does as Ctrl-C would, unless the command handles it itself."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def application(arguments: Sequence[str]) -> typer.Typer:

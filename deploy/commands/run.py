@@ -58,8 +58,8 @@ RealtimeOption = Annotated[
     float | None,
     typer.Option(
         "--realtime",
-        metavar="FACTOR",
-        help="Simulated seconds a second of the wall clock. Default: as fast as it goes.",
+        metavar="[FACTOR]",
+        help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as it goes.",
     ),
 ]
 PlanOption = Annotated[bool, typer.Option("--plan", help="Print what would be started, and exit.")]
