@@ -258,7 +258,10 @@ def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count,
 
 @kernel
 def off_line(seg, par, ser, order, end, found, count, g, p):
-    """A centre of mass that leaves the line (or point) its supports stand on."""
+    """A centre of mass that leaves the line (or point) its supports stand on.
+
+    Looked for at twice the distance at which ``settle`` says that it has left: past rounding, the two agree.
+    """
     for axis in range(2 if seg[at.RANK] == 0 else 1):
         lx, ly = seg[at.LINE_X], seg[at.LINE_Y]
         if seg[at.RANK] == 0:
@@ -266,7 +269,7 @@ def off_line(seg, par, ser, order, end, found, count, g, p):
         for sign in (1.0, -1.0):
             for k in range(order + 1):
                 g[k] = -sign * (lx * ser[at.S_XIX, k] + ly * ser[at.S_XIY, k])
-            g[0] += par[at.ON_LINE]
+            g[0] += 2.0 * par[at.ON_LINE]
             t = crossing(g, order, 0.0, False, end, p)
             if t <= end:
                 count = note(found, count, t, at.LINE, -1, 0)
