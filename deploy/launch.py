@@ -195,10 +195,10 @@ class Crew:
             return
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             for number in (signal.SIGTERM, signal.SIGKILL):
-                if self.wait(grace_s):
-                    break
-                self._channel.send(("signal", (number, self.running)))
-                grace_s = _PATIENCE_S
+                if not self.wait(grace_s):
+                    self._channel.send(("signal", (number, self.running)))
+                    grace_s = _PATIENCE_S
+            self.wait(grace_s)
         self._channel.close()  # the nursery, and whoever is left, end by themselves
         try:
             self._nursery.wait(_PATIENCE_S)
