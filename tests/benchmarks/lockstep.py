@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zenoh
@@ -34,6 +35,14 @@ from bus.wire import Control, DriveFrame, LinkFrame, SenseFrame
 MESSAGE = np.dtype([("u", "<f8")])
 RUN = "benchmark"
 SENSORS = 1
+
+
+@dataclass(frozen=True)
+class Rate:
+    """What a side reached: ticks a wall second, and processor microseconds a tick of all its processes."""
+
+    ticks_per_s: float
+    cpu_us: float
 
 
 @dataclass(frozen=True)
@@ -68,6 +77,7 @@ each worker a process of its own, client of it. A tick: senses (presence bits, e
 messages ("u", float64) over every link that crosses a border, drives back. The bare side is plain Zenoh code
 (FifoChannel, recv, put) that exchanges payloads of the same number and sizes and reads none of them; the lockstep
 side is bus.lockstep with cells that compute nothing. The sides take turns; medians of {repeat} runs of each.
+"cpu" is processor time a tick of all processes together, which a busy machine disturbs less than the rate.
 """
 
 
@@ -104,6 +114,7 @@ def bare_worker(case: Case, shard: int, locator: str) -> None:
         time.sleep(0.01)
     token = session.liveliness().declare_token(f"bare/ready/{shard}")
     links_in, first = len(form.in_parts), True
+    spent = time.process_time()
     while stop.try_recv() is None:
         for _ in drives:
             sense.recv().payload.to_bytes()
@@ -114,12 +125,13 @@ def bare_worker(case: Case, shard: int, locator: str) -> None:
             publisher.put(payload)
         for publisher, payload in zip(drive_puts, drives, strict=True):
             publisher.put(payload)
+    print(time.process_time() - spent)
     del token
     endpoint.close()
 
 
-def bare_rate(case: Case) -> float:
-    """Ticks a second of the bare exchange."""
+def bare_rate(case: Case) -> Rate:
+    """The bare exchange."""
     form = FORMS[case.form].host(case.wiring())
     cells = len(case.partition().lattice)
     senses = form.sense_payloads(
@@ -150,11 +162,12 @@ def bare_rate(case: Case) -> float:
         for _ in senses:
             drives.recv().payload.to_bytes()
 
-    rate = measure(case, lambda _: tick())
-    stop.put(b"")
-    for publisher, payload in zip(puts, senses, strict=True):
-        publisher.put(payload)
-    end_workers(processes)
+    def end() -> None:
+        stop.put(b"")
+        for publisher, payload in zip(puts, senses, strict=True):
+            publisher.put(payload)
+
+    rate = measure(case, lambda _: tick(), processes, end)
     watch.undeclare()
     hub.close()
     return rate
@@ -175,15 +188,17 @@ def lockstep_worker(case: Case, shard: int, locator: str) -> None:
     drive = np.full((rows, 2), 0.1)
     sent, message = np.ones(links, dtype=np.bool_), np.full(links, 0.1).view(MESSAGE)
     tick = 0
+    spent = time.process_time()
     while not isinstance(member.gather(tick), Control):
         member.publish(DriveFrame(tick, drive), LinkFrame(tick, sent, message))
         tick += 1
+    print(time.process_time() - spent)
     member.close()
     endpoint.close()
 
 
-def lockstep_rate(case: Case) -> float:
-    """Ticks a second of the lockstep."""
+def lockstep_rate(case: Case) -> Rate:
+    """The lockstep."""
     hub = open_hub()
     partition = case.partition()
     host = Host(hub, partition, case.form, run=RUN, sensors=SENSORS, encoders=True, message=MESSAGE)
@@ -198,48 +213,47 @@ def lockstep_rate(case: Case) -> float:
         if losses:
             raise SystemExit(f"a worker was lost: {losses[0]}")
 
-    rate = measure(case, tick)
-    host.stop()
+    rate = measure(case, tick, processes, lambda: host.control(Control("stop", 0)))
     host.close()
-    end_workers(processes)
     hub.close()
     return rate
 
 
 # --- both ---------------------------------------------------------------------------------------------
 
-SIDES: dict[str, Callable[[Case], float]] = {"bare": bare_rate, "lockstep": lockstep_rate}
+SIDES: dict[str, Callable[[Case], Rate]] = {"bare": bare_rate, "lockstep": lockstep_rate}
 WORKERS = {"bare": bare_worker, "lockstep": lockstep_worker}
 
 
-def measure(case: Case, tick: Callable[[int], None]) -> float:
-    """Ticks a second, after a tenth of them to warm up."""
+def measure(
+    case: Case, tick: Callable[[int], None], workers: list[subprocess.Popen[str]], end: Callable[[], None]
+) -> Rate:
+    """Runs the ticks, after a tenth of them to warm up; then ends the workers and adds up what they spent."""
     warm = case.ticks // 10
+    spent = time.process_time()
     for k in range(warm):
         tick(k)
     start = time.perf_counter()
     for k in range(warm, warm + case.ticks):
         tick(k)
-    return case.ticks / (time.perf_counter() - start)
+    wall = time.perf_counter() - start
+    spent = time.process_time() - spent
+    end()
+    spent += sum(float(worker.communicate(timeout=10)[0]) for worker in workers)
+    return Rate(case.ticks / wall, 1e6 * spent / (warm + case.ticks))
 
 
-def start_workers(side: str, case: Case, locator: str) -> list[subprocess.Popen[bytes]]:
+def start_workers(side: str, case: Case, locator: str) -> list[subprocess.Popen[str]]:
     """A process a shard, from a command line: nothing is inherited."""
     order = json.dumps({"side": side, "case": asdict(case), "locator": locator})
     return [
-        subprocess.Popen([sys.executable, __file__, "--worker", order, "--shard", str(shard)])
+        subprocess.Popen(
+            [sys.executable, __file__, "--worker", order, "--shard", str(shard)],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         for shard in range(case.workers)
     ]
-
-
-def end_workers(processes: list[subprocess.Popen[bytes]]) -> None:
-    """Waits for them, and ends those that do not end."""
-    for process in processes:
-        try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def main() -> None:
@@ -256,27 +270,35 @@ def main() -> None:
         return
     rows = [run_case(case, options.repeat) for case in (CASES[i] for i in options.case or range(len(CASES)))]
     if options.json:
-        print(json.dumps(rows))
+        print(json.dumps(rows, default=asdict))
         return
     print(METHOD.format(repeat=options.repeat))
-    print(f"{'case':34}" + "".join(f"{side + ', ticks/s':>20}" for side in SIDES) + f"{'ratio':>9}  target")
+    head = "".join(f"{side + ', ticks/s':>20}{'cpu, us':>9}" for side in SIDES)
+    print(f"{'case':32}{head}{'ratio':>8}{'cpu':>6}  target")
     for row in rows:
-        rates = "".join(f"{row[side]:20.0f}" for side in SIDES)
+        rates = "".join(f"{row[side].ticks_per_s:20.0f}{row[side].cpu_us:9.0f}" for side in SIDES)
         target = "-" if row["target"] is None else f">= {row['target']:.2f}"
-        print(f"{row['case']:34}{rates}{row['ratio']:9.2f}  {target}")
+        print(f"{row['case']:32}{rates}{row['ratio']:8.2f}{row['cpu_ratio']:6.2f}  {target}")
 
 
-def run_case(case: Case, repeat: int) -> dict[str, object]:
-    """Median rates of every side, and the last's ratio to the first."""
-    rates: dict[str, list[float]] = {side: [] for side in SIDES}
+def run_case(case: Case, repeat: int) -> dict[str, Any]:
+    """Median rates of every side, and the last's ratios to the first."""
+    rates: dict[str, list[Rate]] = {side: [] for side in SIDES}
     for _ in range(repeat):
         for side, rate in SIDES.items():
             rates[side].append(rate(case))
-    medians = {side: statistics.median(values) for side, values in rates.items()}
+    medians = {
+        side: Rate(
+            statistics.median(r.ticks_per_s for r in values), statistics.median(r.cpu_us for r in values)
+        )
+        for side, values in rates.items()
+    }
+    bare, lockstep = medians["bare"], medians["lockstep"]
     return {
         "case": case.title,
         **medians,
-        "ratio": medians["lockstep"] / medians["bare"],
+        "ratio": lockstep.ticks_per_s / bare.ticks_per_s,
+        "cpu_ratio": bare.cpu_us / lockstep.cpu_us,
         "target": case.target,
     }
 
