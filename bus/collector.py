@@ -69,6 +69,7 @@ class Collector:
     ) -> None:
         self.now = 0
         self.until = [NEVER] * len(blank)
+        self._deaths = False
         self._kind = kind
         self._blank = list(blank)
         self._decode = decode
@@ -103,7 +104,7 @@ class Collector:
         """The frame of ``tick``, begun if it isn't."""
         slot = self._slots.get(tick)
         if slot is None:
-            live = sum(1 for until in self.until if until > tick)
+            live = sum(until > tick for until in self.until) if self._deaths else len(self.until)
             slot = self._slots[tick] = Slot(self._blank.copy(), live)
         return slot
 
@@ -115,6 +116,7 @@ class Collector:
     def bury(self, until: list[int]) -> None:
         """Sets the ticks from which the senders are gone: nobody waits for them."""
         self.until = until
+        self._deaths = True
         for tick, slot in self._slots.items():
             slot.missing = len(self.missing(tick))
 

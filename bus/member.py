@@ -22,6 +22,8 @@ from bus.transport import Alive, Endpoint, Event, Received
 from bus.wire import Control, DriveFrame, LinkFrame, Report, SenseFrame
 
 _POLL_S: Final = 0.01
+_F8: Final = np.dtype(np.float64)
+_all = np.logical_and.reduce
 
 
 class Gathered(NamedTuple):
@@ -89,6 +91,7 @@ class Member:
         self._form: MemberForm = FORMS[form].member(wiring, shard)
         self.counts = Counts()
         self._cells = partition.cells(shard)
+        self._shape = (len(self._cells), 2)
         self._outgoing = partition.outgoing(shard)
         self._tick = 0
         self._until = np.full(len(partition.lattice), NEVER, dtype=np.int64)
@@ -242,12 +245,12 @@ class Member:
 
     def _check(self, drive: DriveFrame, links: LinkFrame | None) -> None:
         values = drive.drive
-        if values.shape != (len(self._cells), 2) or values.dtype != np.float64:
+        if values.shape != self._shape or values.dtype != _F8:
             raise BusError(
-                f"drive of shard {self._shard}, tick {drive.tick}: must be float64 {(len(self._cells), 2)}, "
+                f"drive of shard {self._shard}, tick {drive.tick}: must be float64 {self._shape}, "
                 f"is {values.dtype} {values.shape}"
             )
-        if not np.isfinite(values).all():
+        if not _all(np.isfinite(values), axis=None):
             i = int(np.nonzero(~np.isfinite(values).all(axis=1))[0][0])
             row, column = self._lattice.cells[int(self._cells[i])]
             raise BusError(

@@ -1,37 +1,20 @@
-"""Frames, and the MessagePack envelope that carries them: bounded, typed, versioned.
-
-What a key promises is checked field by field: every payload becomes values or a ``WireError``, whoever
-wrote it. The layout of each payload belongs to the two wire forms (``bus.forms``).
-"""
+"""What goes over the bus: frames, which the two wire forms lay out as payloads, and records, alike in both."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final, Literal, cast, final
 
-import msgpack  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
-from numpy.typing import NDArray
 
+from bus.codec import TICK_LIMIT, Mask, Message, Values, layout, packer, unpack
 from bus.errors import WireError
 
-VERSION: Final = 1
-"""Version of every payload; another is refused."""
-TICK_LIMIT: Final = 2**62
-_ENVELOPE: Final = 64
-"""Bytes that the version, the tick and the names around the values may take."""
 TEXT_LIMIT: Final = 4096
 """Longest text in a control record or report, characters."""
 _MESSAGE_LIMIT: Final = 4096
 _MESSAGE_FIELDS: Final = 64
-
-_packb = cast("Callable[[object], bytes]", cast("Any", msgpack).packb)
-_unpackb = cast("Callable[[bytes], object]", cast("Any", msgpack).unpackb)
-
-Values = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Message = NDArray[np.void]
 
 
 @final
@@ -114,178 +97,9 @@ def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
     return packed
 
 
-def pack(tick: int, fields: Mapping[str, object]) -> bytes:
-    """One payload: a map of the version, the tick and ``fields``."""
-    return _packb({"v": VERSION, "tick": tick, **fields})
-
-
-def layout(*names: str) -> frozenset[str]:
-    """A payload's fields, for ``unpack``: ``names`` and those that every payload has."""
-    return frozenset(("v", "tick", *names))
-
-
-def unpack(kind: str, payload: bytes, limit: int, *names: frozenset[str]) -> tuple[int, dict[str, Any]]:
-    """The tick and fields of a payload.
-
-    Args:
-        kind: What it is, for the error.
-        payload: Any bytes at all.
-        limit: Bytes that the values may take; the envelope comes on top.
-        names: The sets of fields allowed (``layout``); one of them must be there, no more and no less.
-
-    Raises:
-        WireError: Too long, not MessagePack, not such a map, another version, or no sensible tick.
-    """
-    if len(payload) > limit + _ENVELOPE:
-        raise WireError(kind, "length", f"{len(payload)} bytes: must be at most {limit + _ENVELOPE}")
-    try:
-        found = _unpackb(payload)
-    except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
-        raise WireError(kind, "encoding", f"not MessagePack: {type(error).__name__}") from None
-    if type(found) is not dict:
-        raise WireError(kind, "type", f"a {type(found).__name__}: must be a map")
-    fields = cast("dict[Any, Any]", found)
-    if fields.get("v") != VERSION:
-        raise WireError(kind, "version", f"must be {VERSION}")
-    if fields.keys() not in names:
-        allowed = " or ".join(", ".join(sorted(chosen)) for chosen in names)
-        raise WireError(kind, "fields", f"must be {allowed}")
-    tick = fields["tick"]
-    if type(tick) is not int or not 0 <= tick < TICK_LIMIT:
-        raise WireError(kind, "tick", f"must be an integer in 0..{TICK_LIMIT - 1}")
-    return tick, fields
-
-
-def bits(kind: str, value: object, count: int) -> Mask:
-    """``count`` booleans from the bytes that ``bits_bytes`` made.
-
-    Raises:
-        WireError: Not that many bytes, or a bit set beyond the last.
-    """
-    data = binary(kind, value, (count + 7) // 8)
-    out = np.unpackbits(np.frombuffer(data, dtype=np.uint8), bitorder="little")
-    if out[count:].any():
-        raise WireError(kind, "bits", f"bits are set beyond the last of {count}")
-    return out[:count].view(np.bool_)
-
-
-def bits_bytes(mask: Mask) -> bytes:
-    """Booleans, eight a byte, the first in the lowest bit."""
-    return np.packbits(mask, axis=None, bitorder="little").tobytes()
-
-
-def floats(kind: str, value: object, rows: int) -> Values:
-    """``(rows, 2)`` finite little-endian float64.
-
-    Raises:
-        WireError: Another length, or a value that is not finite.
-    """
-    out = np.frombuffer(binary(kind, value, rows * 16), dtype="<f8").reshape(rows, 2)
-    if not np.isfinite(out).all():
-        raise WireError(kind, "finite", "every value must be finite")
-    return out
-
-
-def nothing(kind: str, name: str, value: object) -> None:
-    """Checks that there is no value.
-
-    Raises:
-        WireError: There is one.
-    """
-    if value is not None:
-        raise WireError(kind, "type", f"{name} must be nil: this run has none")
-
-
-def pair(kind: str, value: object) -> tuple[float, float]:
-    """Two finite numbers from a list of two.
-
-    Raises:
-        WireError: Not a list of two finite numbers.
-    """
-    if type(value) is not list or len(cast("list[object]", value)) != 2:
-        raise WireError(kind, "type", "must be a list of two numbers")
-    first, second = cast("list[Any]", value)
-    if type(first) not in (float, int) or type(second) not in (float, int):
-        raise WireError(kind, "type", "must be a list of two numbers")
-    a, b = float(first), float(second)
-    # Only a finite number minus itself is zero.
-    if a - a != 0.0 or b - b != 0.0:
-        raise WireError(kind, "finite", "every value must be finite")
-    return a, b
-
-
-def booleans(kind: str, value: object, count: int) -> list[bool]:
-    """A list of ``count`` booleans.
-
-    Raises:
-        WireError: Something else.
-    """
-    if type(value) is list:
-        items = cast("list[object]", value)
-        if len(items) == count and all(type(item) is bool for item in items):
-            return cast("list[bool]", items)
-    raise WireError(kind, "type", f"must be a list of {count} booleans")
-
-
-def binary(kind: str, value: object, length: int) -> bytes:
-    """``length`` bytes.
-
-    Raises:
-        WireError: Something else.
-    """
-    if type(value) is not bytes or len(value) != length:
-        raise WireError(kind, "size", f"must be {length} bytes")
-    return value
-
-
-def messages(kind: str, value: object, count: int, dtype: np.dtype[np.void]) -> Message:
-    """``(count,)`` messages of a protocol from their packed bytes; a copy, which may be written.
-
-    Raises:
-        WireError: Another length.
-    """
-    return np.frombuffer(binary(kind, value, count * dtype.itemsize), dtype=dtype).copy()
-
-
-def scalar_reader(kind: str, name: str, dtype: np.dtype[Any]) -> Callable[[object], Any]:
-    """What reads one field of a message: a function from any value to the Python value that its type holds.
-
-    The function raises WireError for a value of another type or out of range.
-    """
-
-    def read_bool(value: object) -> bool:
-        if type(value) is not bool:
-            raise WireError(kind, "type", f"{name} must be a boolean")
-        return value
-
-    def read_int(value: object) -> int:
-        if type(value) is not int:
-            raise WireError(kind, "type", f"{name} must be an integer")
-        if not lowest <= value <= highest:
-            raise WireError(kind, "range", f"{name} must be in {lowest}..{highest}")
-        return value
-
-    def read_float(value: object) -> float:
-        if type(value) is not float and type(value) is not int:
-            raise WireError(kind, "type", f"{name} must be a number")
-        number = float(cast("float", value))
-        # Infinities and NaN are a protocol's own affair; a finite value must not become one by rounding.
-        if highest < abs(number) < np.inf:
-            raise WireError(kind, "range", f"{name} does not fit {dtype}")
-        return number
-
-    if dtype.kind == "b":
-        return read_bool
-    if dtype.kind == "f":
-        highest = float(np.finfo(dtype).max)
-        return read_float
-    lowest, highest = int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)
-    return read_int
-
-
 def encode_control(control: Control) -> bytes:
     """The payload of a control record."""
-    return pack(
+    return packer()(
         control.tick, {"kind": control.kind, "cells": control.cells, "detail": control.detail[:TEXT_LIMIT]}
     )
 
@@ -309,7 +123,7 @@ def decode_control(payload: bytes, cells: int) -> Control:
 
 def encode_report(report: Report) -> bytes:
     """The payload of a report."""
-    return pack(
+    return packer()(
         report.tick,
         {
             "kind": report.kind,

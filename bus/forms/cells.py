@@ -7,13 +7,13 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from bus import wire
+from bus import codec, wire
 from bus.forms.form import HostForm, MemberForm, Wiring
 from bus.keys import cell_key, cell_link_key
 
-_SENSE: Final = wire.layout("presence", "encoder_m")
-_DRIVE: Final = wire.layout("drive")
-_NO_MESSAGE: Final = wire.layout()
+_SENSE: Final = codec.layout("presence", "encoder_m")
+_DRIVE: Final = codec.layout("drive")
+_NO_MESSAGE: Final = codec.layout()
 _VALUE: Final = 80
 """Bytes that one named value of a payload may take, its name included up to four fifths of that."""
 
@@ -23,6 +23,7 @@ class CellsHost(HostForm):
     """The plant's side: a unit is a cell."""
 
     def __init__(self, wiring: Wiring) -> None:
+        self._pack = codec.packer()
         cells, run = wiring.partition.lattice.cells, wiring.run
         self._sensors = wiring.sensors
         self._weights = 1 << np.arange(wiring.sensors)
@@ -41,7 +42,7 @@ class CellsHost(HostForm):
         tick = frame.tick
         if frame.encoder_m is not None:
             return [
-                wire.pack(tick, {"presence": presence, "encoder_m": travel})
+                self._pack(tick, {"presence": presence, "encoder_m": travel})
                 for presence, travel in zip(frame.presence.tolist(), frame.encoder_m.tolist(), strict=True)
             ]
         # Without encoders all cells that sense alike get the same bytes: encode each pattern once.
@@ -51,16 +52,16 @@ class CellsHost(HostForm):
             payload = made.get(code)
             if payload is None:
                 presence = [bool(code >> i & 1) for i in range(self._sensors)]
-                payload = made[code] = wire.pack(tick, {"presence": presence, "encoder_m": None})
+                payload = made[code] = self._pack(tick, {"presence": presence, "encoder_m": None})
             payloads.append(payload)
         return payloads
 
     def decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
         """Tick and the cell's two drives."""
-        tick, fields = wire.unpack("drive", payload, _VALUE, _DRIVE)
-        return tick, wire.pair("drive", fields["drive"])
+        tick, fields = codec.unpack("drive", payload, _VALUE, _DRIVE)
+        return tick, codec.pair("drive", fields["drive"])
 
-    def join_drives(self, values: list[Any]) -> wire.Values:
+    def join_drives(self, values: list[Any]) -> codec.Values:
         """``(n, 2)`` from a pair a cell."""
         return np.array(values, dtype=np.float64)
 
@@ -70,6 +71,7 @@ class CellsMember(MemberForm):
     """A shard's side: a unit a cell, a part a link."""
 
     def __init__(self, wiring: Wiring, shard: int) -> None:
+        self._pack = codec.packer()
         partition, run = wiring.partition, wiring.run
         cells = partition.lattice.cells
         mine = partition.cells(shard)
@@ -100,14 +102,14 @@ class CellsMember(MemberForm):
 
     def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
         """Tick, and the cell's presence bits with its encoder travel or None."""
-        tick, fields = wire.unpack("sense", payload, _VALUE, _SENSE)
-        presence = wire.booleans("sense", fields["presence"], self._sensors)
+        tick, fields = codec.unpack("sense", payload, _VALUE, _SENSE)
+        presence = codec.booleans("sense", fields["presence"], self._sensors)
         if self._encoders:
-            return tick, (presence, wire.pair("sense", fields["encoder_m"]))
-        wire.nothing("sense", "encoder_m", fields["encoder_m"])
+            return tick, (presence, codec.pair("sense", fields["encoder_m"]))
+        codec.nothing("sense", "encoder_m", fields["encoder_m"])
         return tick, (presence, None)
 
-    def join_senses(self, values: list[Any]) -> tuple[wire.Mask, wire.Values | None]:
+    def join_senses(self, values: list[Any]) -> tuple[codec.Mask, codec.Values | None]:
         """From a pair a cell."""
         presence = np.array([bits for bits, _ in values], dtype=np.bool_)
         return presence, np.array([pair for _, pair in values], dtype=np.float64) if self._encoders else None
@@ -116,13 +118,13 @@ class CellsMember(MemberForm):
         """Tick, and whether there is a message with its values."""
         return self._message.decode(payload)
 
-    def join_links(self, values: list[Any]) -> tuple[wire.Mask, wire.Message]:
+    def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
         """From a pair a link."""
         return self._message.join(values)
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
-        return [wire.pack(frame.tick, {"drive": pair}) for pair in frame.drive.tolist()]
+        return [self._pack(frame.tick, {"drive": pair}) for pair in frame.drive.tolist()]
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a link: the message's fields by name, none where nothing was sent."""
@@ -138,13 +140,14 @@ class _MessageMap:
     """
 
     def __init__(self, dtype: np.dtype[Any] | None) -> None:
+        self._pack = codec.packer()
         self._dtype = np.dtype([]) if dtype is None else dtype
         names = self._dtype.names or ()
         self._names = names
-        self._layout = wire.layout(*names)
+        self._layout = codec.layout(*names)
         self._limit = sum(_VALUE + 4 * len(name) for name in names)
         self._readers: list[tuple[str, Callable[[object], Any]]] = [
-            (name, wire.scalar_reader("link", name, self._dtype[name])) for name in names
+            (name, codec.scalar_reader("link", name, self._dtype[name])) for name in names
         ]
         zero = np.zeros((), dtype=self._dtype)
         self.nothing: tuple[bool, tuple[Any, ...]] = (False, tuple(zero[name].item() for name in names))
@@ -152,16 +155,16 @@ class _MessageMap:
     def encode(self, frame: wire.LinkFrame) -> list[bytes]:
         tick, names = frame.tick, self._names
         return [
-            wire.pack(tick, dict(zip(names, values, strict=True)) if sent else {})
+            self._pack(tick, dict(zip(names, values, strict=True)) if sent else {})
             for sent, values in zip(frame.sent.tolist(), frame.message.tolist(), strict=True)
         ]
 
     def decode(self, payload: bytes) -> tuple[int, tuple[bool, tuple[Any, ...]]]:
-        tick, fields = wire.unpack("link", payload, self._limit, self._layout, _NO_MESSAGE)
+        tick, fields = codec.unpack("link", payload, self._limit, self._layout, _NO_MESSAGE)
         if len(fields) == len(_NO_MESSAGE):
             return tick, self.nothing
         return tick, (True, tuple([read(fields[name]) for name, read in self._readers]))
 
-    def join(self, values: list[Any]) -> tuple[wire.Mask, wire.Message]:
+    def join(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
         sent = np.array([there for there, _ in values], dtype=np.bool_)
         return sent, np.array([message for _, message in values], dtype=self._dtype)
