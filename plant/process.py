@@ -131,6 +131,7 @@ class PlantProcess:
         self._observer = observer
         self._pace = pace
         self._sense = plant.sense()
+        self._state = plant.state
         n = len(self._sense.presence)
         self._drives: Floats = np.zeros((n, 2))
         self._held: Floats = np.zeros((n, 2))
@@ -175,11 +176,11 @@ class PlantProcess:
             drives = np.where(self.lost[:, None], self._held, drives)
         self._drives = drives
         until_ns = min(start_ns + self._period_ns, self._duration_ns)
-        before, wheel_speed = plant.state, plant.wheel_speed
+        before, wheel_speed = self._state, plant.wheel_speed
         self._sense, events = plant.advance(drives, until_ns)
-        self.tick, self.time_ns = tick + 1, until_ns
+        self.tick, self.time_ns, self._state = tick + 1, until_ns, plant.state
         self._over = TickRecord(
-            tick, start_ns, until_ns, sense, wheel_speed, before, drives, plant.state, events, died, losses
+            tick, start_ns, until_ns, sense, wheel_speed, before, drives, self._state, events, died, losses
         )
         return losses
 
