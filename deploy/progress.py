@@ -45,13 +45,12 @@ class Progress:
                 self._task = self._bar.add_task("", total=duration_ns * 1e-9, facts="")
                 self._show = self._redraw
                 self._every_s = _TERMINAL_S
-        self._last = (0, time.monotonic())
-        self._next = self._last[1] + self._every_s
+        self._last: tuple[int, float] | None = None
+        self._next = 0.0
 
     def __enter__(self) -> Self:
         if self._bar is not None:
             self._bar.start()
-        self._last = (0, time.monotonic())
         return self
 
     def __exit__(
@@ -67,10 +66,10 @@ class Progress:
         now = time.monotonic()
         if now < self._next:
             return
-        before, then = self._last
-        self._last = (ticks, now)
+        last, self._last = self._last, (ticks, now)
         self._next = now + self._every_s
-        self._show(time_ns, (ticks - before) / (now - then))
+        if last is not None:
+            self._show(time_ns, (ticks - last[0]) / (now - last[1]))
 
     def say(self, line: str) -> None:
         """Put a line above the bar."""

@@ -143,21 +143,17 @@ def print_plan(made: Plan, *, as_json: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, title=f"{made.scene}: {made.transport}, wire form {made.wire}")
-    table.add_column("name", style="cyan", no_wrap=True)
-    for column in ("role", "where", "cells", "listens", "connects", "ready when"):
-        table.add_column(column, overflow="fold")
+    console = Console(highlight=False)
+    plant, first = made.processes[0], made.processes[1]
+    console.print(f"[bold]{made.scene}[/bold]  {made.transport}, wire form {made.wire}")
+    table = Table.grid(padding=(0, 2))
     for process in made.processes:
-        table.add_row(
-            process.name,
-            process.role,
-            process.where,
-            _span(process.cells),
-            process.listen or "",
-            process.connect or "",
-            process.ready,
-        )
-    Console().print(table)
+        table.add_row(f"[cyan]{process.name}[/cyan]", process.where, _span(process.cells))
+    console.print(table)
+    if plant.listen is not None:
+        console.print(f"The plant listens on {plant.listen}; the others connect to it.", soft_wrap=True)
+    console.print(f"Cells are ready when: {first.ready}.", soft_wrap=True)
+    console.print(f"The run begins when: {plant.ready}.", soft_wrap=True)
 
 
 def _span(cells: tuple[tuple[int, int], ...]) -> str:
