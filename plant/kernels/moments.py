@@ -53,7 +53,8 @@ def invert_symmetric(xx, xy, yy, count, on_line, seg):
         seg[at.RANK] = 0
         return
     determinant = xx * yy - xy * xy
-    if determinant > large * zero:
+    # on a slanting line the two products cancel to rounding, not to zero
+    if determinant > large * max(zero, 1e-12 * large):
         seg[at.PXX], seg[at.PXY], seg[at.PYY] = yy / determinant, -xy / determinant, xx / determinant
         seg[at.RANK] = 2
         return
@@ -118,30 +119,39 @@ def load_moments(pos, grip, mem, ctl, y, seg):
 
 
 @kernel
+def add_load(g, load, w, vx, vy, bx, by, rx, ry):
+    """Add what a load at (rx, ry), on a wheel of grip ``w``, contributes to a group's moments."""
+    g[at.S_SUM] += load
+    g[at.S_RX] += load * rx
+    g[at.S_RY] += load * ry
+    pull = load * w
+    g[at.S_W] += pull
+    g[at.S_WRX] += pull * rx
+    g[at.S_WRY] += pull * ry
+    g[at.S_WRR] += pull * (rx * rx + ry * ry)
+    g[at.S_VX] += pull * vx
+    g[at.S_VY] += pull * vy
+    g[at.S_RV] += pull * (rx * vy - ry * vx)
+    g[at.S_BX] += pull * bx
+    g[at.S_BY] += pull * by
+    g[at.S_RB] += pull * (rx * by - ry * bx)
+
+
+@kernel
 def group_moments(pos, steady, decay, grip, mem, share, ctl, y, seg, grp):
-    """What a unit load on each captured group contributes, about the centroid of the active supports."""
-    for h in range(ctl[at.N_GROUPS]):
+    """What a unit load on each captured group contributes, and what its cells carry whatever its fraction."""
+    for h in range(at.MAX_GROUPS + 1):
         for k in range(at.GRP_SIZE):
             grp[h, k] = 0.0
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.MARK] != at.CAPTURED:
             continue
-        h, cell, s = mem[i, at.GROUP], mem[i, at.CELL], share[i]
-        w = s * grip[cell]
+        cell = mem[i, at.CELL]
         rx = pos[cell, 0] - y[0] - seg[at.CX]
         ry = pos[cell, 1] - y[1] - seg[at.CY]
-        grp[h, at.S_RX] += s * rx
-        grp[h, at.S_RY] += s * ry
-        grp[h, at.S_W] += w
-        grp[h, at.S_WRX] += w * rx
-        grp[h, at.S_WRY] += w * ry
-        grp[h, at.S_WRR] += w * (rx * rx + ry * ry)
-        grp[h, at.S_VX] += w * steady[cell, 0]
-        grp[h, at.S_VY] += w * steady[cell, 1]
-        grp[h, at.S_RV] += w * (rx * steady[cell, 1] - ry * steady[cell, 0])
-        grp[h, at.S_BX] += w * decay[cell, 0]
-        grp[h, at.S_BY] += w * decay[cell, 1]
-        grp[h, at.S_RB] += w * (rx * decay[cell, 1] - ry * decay[cell, 0])
+        w, vx, vy, bx, by = grip[cell], steady[cell, 0], steady[cell, 1], decay[cell, 0], decay[cell, 1]
+        add_load(grp[mem[i, at.GROUP]], share[i, at.SHARE], w, vx, vy, bx, by, rx, ry)
+        add_load(grp[at.FIXED], share[i, at.BASE], w, vx, vy, bx, by, rx, ry)
 
 
 @kernel
