@@ -5,11 +5,11 @@ from __future__ import annotations
 from math import cos, exp, isfinite, sin
 
 from plant.kernels import layout as at
-from plant.kernels.capture import capture_crossed, groups_hold, may_capture
+from plant.kernels.capture import groups_hold, try_capture
 from plant.kernels.changes import apply, log
 from plant.kernels.events import entering, leaving, loading, reach
 from plant.kernels.jit import kernel
-from plant.kernels.loads import settle
+from plant.kernels.loads import settled
 from plant.kernels.motion import onto_surfaces, surface_rates
 from plant.kernels.roots import horner
 from plant.kernels.series import taylor
@@ -66,151 +66,34 @@ def drifted(grp, groups, y, c, s, zero):
 
 
 @kernel
-def settled(surface, parcel, work, e, c, s):
-    """``settle`` on the bundles that ``advance`` is given."""
-    return settle(
-        surface.pos,
-        surface.steady,
-        surface.decay,
-        surface.grip,
-        parcel.normal,
-        parcel.offset,
-        parcel.mem,
-        parcel.share,
-        parcel.ctl,
-        parcel.y,
-        parcel.par,
-        e,
-        c,
-        s,
-        work.seg,
-        work.grp,
-        work.matrix,
-        work.reply,
-        work.f,
-        work.scratch,
-        work.newton,
-    )
-
-
-@kernel
-def prepare(surface, parcel, work, now, e, c, s, crossed, direction, events):
-    """Loads, captured groups and accelerations at the start of a step. Returns the parcel's status."""
-    ctl, y, par = parcel.ctl, parcel.y, parcel.par
+def prepare(surface, parcel, work, now, e, crossed, events):
+    """Captured groups, loads and accelerations at the start of a step. Returns the parcel's status."""
+    ctl, y = parcel.ctl, parcel.y
+    c, s = cos(y[at.THETA]), sin(y[at.THETA])
     if ctl[at.N_GROUPS] > 0:
-        groups_hold(
-            surface.pos, parcel.mem, parcel.share, ctl, y, parcel.normal, parcel.offset, c, s, par[at.CAPTURE]
-        )
-    status, ax, ay, al = settled(surface, parcel, work, e, c, s)
-    if status != at.MOVING:
-        return status
-    if crossed > 0:
-        after = work.after
-        after[0], after[1], after[2] = ax, ay, al
-        if may_capture(
-            work.seg,
-            ctl,
-            crossed,
-            direction,
-            work.cells,
-            work.edges,
-            surface.pos,
-            parcel.normal,
-            y,
-            c,
-            s,
-            par[at.CAPTURE],
-            work.before,
-            after,
-        ):
-            capture_crossed(
-                surface.pos,
-                parcel.mem,
-                parcel.share,
-                ctl,
-                y,
-                work.seg,
-                work.grp,
-                work.f,
-                work.cells,
-                work.edges,
-                work.loads,
-                crossed,
-            )
-            log(events, ctl, now, at.CAPTURE_BEGINS, work.cells[0], work.edges[0])
-            status, ax, ay, al = settled(surface, parcel, work, e, c, s)
-    if (
-        status == at.MOVING
-        and ctl[at.N_GROUPS] > 0
-        and drifted(work.grp, ctl[at.N_GROUPS], y, c, s, par[at.ON_SURFACE])
-    ):
-        onto_surfaces(
-            work.grp,
-            ctl[at.N_GROUPS],
-            y,
-            c,
-            s,
-            work.matrix,
-            work.reply,
-            work.reply[3],
-            work.f,
-            work.scratch,
-        )
-        status, ax, ay, al = settled(surface, parcel, work, e, cos(y[at.THETA]), sin(y[at.THETA]))
+        groups_hold(surface, parcel, c, s)
+    if crossed > 0 and try_capture(surface, parcel, work, e, c, s, crossed):
+        log(events, ctl, now, at.CAPTURE_BEGINS, work.cells[0], work.edges[0])
+    status = settled(surface, parcel, work, e, c, s)
+    groups = ctl[at.N_GROUPS]
+    if status == at.MOVING and groups > 0 and drifted(work.grp, groups, y, c, s, parcel.par[at.ON_SURFACE]):
+        onto_surfaces(work.grp, groups, y, c, s, work.matrix, work.reply, work.reply[3], work.f, work.scratch)
+        status = settled(surface, parcel, work, e, cos(y[at.THETA]), sin(y[at.THETA]))
     return status
 
 
 @kernel
 def search(surface, parcel, work, order):
     """All events of the step that may be its earliest. Returns (how many, time of the earliest or 1)."""
-    mem, ctl, y, par, ser, found = parcel.mem, parcel.ctl, parcel.y, parcel.par, work.ser, work.found
+    mem, ctl, ser, found = parcel.mem, parcel.ctl, work.ser, work.found
     far, turn = reach(ser, order)
-    count, end = leaving(
-        surface.pos,
-        parcel.normal,
-        parcel.offset,
-        mem,
-        ctl,
-        y,
-        par,
-        ser,
-        order,
-        far,
-        turn,
-        1.0,
-        found,
-        0,
-        work.g,
-        work.p,
-    )
+    count, end = leaving(surface, parcel, work, order, far, turn, 1.0, 0)
     for i in range(ctl[at.N_MEMBERS]):
         work.where[mem[i, at.CELL]] = 1
-    count, end = entering(
-        surface.pos,
-        surface.grid,
-        parcel.vertices,
-        parcel.normal,
-        parcel.offset,
-        work.where,
-        y,
-        par,
-        ser,
-        order,
-        far,
-        turn,
-        par[at.RADIUS],
-        end,
-        found,
-        count,
-        work.g,
-        work.p,
-        work.q,
-    )
+    count, end = entering(surface, parcel, work, order, far, turn, end, count)
     for i in range(ctl[at.N_MEMBERS]):
         work.where[mem[i, at.CELL]] = 0
-    count, end = loading(
-        surface.pos, mem, parcel.share, ctl, y, par, work.seg, ser, order, end, found, count, work.g, work.p
-    )
+    count, end = loading(surface, parcel, work, order, end, count)
     earliest = 1.0
     for i in range(count):
         earliest = min(earliest, found[i, at.EV_TIME])
@@ -218,14 +101,19 @@ def search(surface, parcel, work, order):
 
 
 @kernel
-def move(ser, order, y, t, step, state, before):
-    """Take the state to unit time ``t``; keep the accelerations there (before any event) in ``before``."""
+def move(work, order, y, t, step):
+    """Take the state to unit time ``t``; keep accelerations and loads there, before any event, in ``work.before``."""
+    ser, before, seg = work.ser, work.before, work.seg
     before[0] = slope(ser[at.S_UX], order, t) / step
     before[1] = slope(ser[at.S_UY], order, t) / step
     before[2] = slope(ser[at.S_OM], order, t) / step
-    sample(ser, order, y, t, state)
+    before[3] = horner(ser[at.S_A0], order, t)
+    before[4] = horner(ser[at.S_BX_], order, t)
+    before[5] = horner(ser[at.S_BY_], order, t)
+    before[6], before[7] = y[0] + seg[at.CX], y[1] + seg[at.CY]
+    sample(ser, order, y, t, work.state)
     for k in range(6):
-        y[k] = state[k]
+        y[k] = work.state[k]
 
 
 @kernel
@@ -255,19 +143,15 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
     """
     y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
-    now, sampled, used, crossed, direction = 0.0, 0, 0, 0, 0
+    now, sampled, used, crossed = 0.0, 0, 0, 0
     ctl[at.N_LOGGED] = 0
     if span == 0.0:
-        ctl[at.STATUS] = prepare(
-            surface, parcel, work, 0.0, 1.0, cos(y[at.THETA]), sin(y[at.THETA]), 0, 0, events
-        )
+        ctl[at.STATUS] = prepare(surface, parcel, work, 0.0, 1.0, 0, events)
     while now < span and ctl[at.STATUS] == at.MOVING:
         e = exp(-par[at.RATE] * now) if par[at.RATE] > 0.0 else 0.0
         if e < DECAYED:
             e = 0.0
-        status = prepare(
-            surface, parcel, work, now, e, cos(y[at.THETA]), sin(y[at.THETA]), crossed, direction, events
-        )
+        status = prepare(surface, parcel, work, now, e, crossed, events)
         crossed = 0
         if status != at.MOVING:
             ctl[at.STATUS] = status
@@ -299,7 +183,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         while sampled < times.shape[0] and times[sampled] <= ends_at:
             sample(ser, order, y, (times[sampled] - now) / step, out[sampled])
             sampled += 1
-        move(ser, order, y, earliest, step, work.state, work.before)
+        move(work, order, y, earliest, step)
         if not finite(y) or (ends_at == now and count == 0):
             ctl[at.STATUS] = at.NOT_FINITE
             break
@@ -307,25 +191,11 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         if count > 0:
             # events that rounding can't tell apart happen together
             together = earliest * (1.0 + 1e-13) + 1e-15
-            crossed, direction = apply(
-                work.found,
-                count,
-                together,
-                parcel.mem,
-                parcel.share,
-                ctl,
-                now,
-                events,
-                work.cells,
-                work.edges,
-                surface.pos,
-                parcel.normal,
-                parcel.offset,
-                y,
-                cos(y[at.THETA]),
-                sin(y[at.THETA]),
+            crossed = apply(
+                surface, parcel, work, count, together, now, events, cos(y[at.THETA]), sin(y[at.THETA])
             )
             used += 1
+            ctl[at.N_CHANGES] += 1
             if used > budget:
                 ctl[at.STATUS] = at.TOO_MANY_EVENTS
                 ctl[at.CULPRIT] = int(work.found[0, at.EV_CELL])

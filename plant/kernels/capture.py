@@ -2,20 +2,25 @@
 
 A parcel that settles at an orientation where the support set changes crosses the same surface ever faster. Once the
 amplitude of that motion falls below ``capture_m``, the cells on the surface are captured: they carry the fraction of
-their load that keeps the surface's second rate at zero, and the parcel moves along the surface. Cells whose
-surfaces coincide are captured as one group.
+their load that keeps the surface's second rate at zero, and the parcel moves along the surface. Cells that reach their
+edges at one instant form one group with one fraction; so does a cell whose surface has merged with a group's.
 """
 
 from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.loads import plane, release
+from plant.kernels.loads import FRACTION_ZERO, excess, plane, release
+from plant.kernels.moments import segment
+from plant.kernels.motion import accelerations, surfaces
+
+INDEPENDENT = 1e-6
+"""Surfaces whose response to captured loads is closer to singular than this count as one."""
 
 
 @kernel
 def edge_of(pos, normal, offset, cell, y, c, s):
-    """The edge on whose line a cell lies nearest."""
+    """The edge on whose line a cell lies nearest, and its distance from that line."""
     px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
     qx, qy = c * px + s * py, -s * px + c * py
     nearest, least = 0, 1e300
@@ -23,113 +28,222 @@ def edge_of(pos, normal, offset, cell, y, c, s):
         distance = abs(offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy)
         if distance < least:
             nearest, least = edge, distance
-    return nearest
+    return nearest, least
 
 
 @kernel
-def edge_motion(pos, normal, cell, edge, y, c, s, ax, ay, al):
-    """Rate and second rate of a cell's distance inside an edge, for the accelerations given."""
+def edge_motion(pos, normal, cell, edge, y, c, s, a):
+    """Rate and second rate of a cell's distance inside an edge, for the accelerations ``a`` (3,)."""
     nx = c * normal[edge, 0] - s * normal[edge, 1]
     ny = s * normal[edge, 0] + c * normal[edge, 1]
     rx, ry = y[0] - pos[cell, 0], y[1] - pos[cell, 1]
     om = y[at.OMEGA]
     along, across = nx * rx + ny * ry, -ny * rx + nx * ry
     rate = nx * y[at.UX] + ny * y[at.UY] + om * across
-    second = nx * ax + ny * ay + al * across - om * om * along
+    second = nx * a[0] + ny * a[1] + a[2] * across - om * om * along
     second += 2.0 * om * (-ny * y[at.UX] + nx * y[at.UY])
-    return rate, second, across, nx, ny
+    return rate, second
 
 
 @kernel
-def attracts(rate, off, on, capture):
-    """True where the surface draws the parcel in from both sides and the motion about it is below ``capture``."""
-    if not (off > 0.0 > on):
-        return False
-    return rate * rate < 2.0 * capture * min(off, -on)
-
-
-@kernel
-def coincide(pos, normal, cells, edges, count, y, c, s, capture):
-    """True where the cells' surfaces turn alike about the centre of mass and have parallel or opposite normals.
-
-    Opposite normals are the pair of a symmetric scene: their distances are equal while the centre of mass lies
-    midway, and only then do they reach their edges together.
-    """
-    _, _, across0, nx0, ny0 = edge_motion(pos, normal, cells[0], edges[0], y, c, s, 0.0, 0.0, 0.0)
-    for i in range(1, count):
-        _, _, across, nx, ny = edge_motion(pos, normal, cells[i], edges[i], y, c, s, 0.0, 0.0, 0.0)
-        if abs(across - across0) > capture or abs(nx * ny0 - ny * nx0) > 1e-9:
+def small(surface, parcel, work, crossed, c, s):
+    """Whether every cell that crossed moves about its surface by less than ``capture_m``, as far as one side tells."""
+    bound = 2.0 * parcel.par[at.CAPTURE]
+    for i in range(crossed):
+        rate, second = edge_motion(
+            surface.pos, parcel.normal, work.cells[i], work.edges[i], parcel.y, c, s, work.before
+        )
+        if rate * rate >= bound * abs(second):
             return False
     return True
 
 
 @kernel
-def form_group(mem, share, ctl, cells, edges, loads, count):
-    """Capture the cells as a new group, each with a share in proportion to the load it would carry."""
-    total = 0.0
-    for i in range(count):
-        total += max(loads[i], 0.0)
-    group = ctl[at.N_GROUPS]
-    for i in range(count):
+def attracts(surface, parcel, work, crossed, c, s):
+    """Whether every surface crossed draws the parcel in from both sides, its motion smaller than ``capture_m``."""
+    bound = 2.0 * parcel.par[at.CAPTURE]
+    for i in range(crossed):
+        cell, edge, sign = work.cells[i], work.edges[i], work.signs[i]
+        rate, before = edge_motion(surface.pos, parcel.normal, cell, edge, parcel.y, c, s, work.before)
+        rate, after = edge_motion(surface.pos, parcel.normal, cell, edge, parcel.y, c, s, work.after)
+        if not (sign * before > 0.0 > sign * after) or rate * rate >= bound * min(abs(before), abs(after)):
+            return False
+    return True
+
+
+@kernel
+def evaluate(surface, parcel, work, e, c, s):
+    """Accelerations into ``work.after`` with the marks as they stand, whatever the fractions; their conditioning."""
+    ctl, y, par = parcel.ctl, parcel.y, parcel.par
+    segment(
+        surface.pos,
+        surface.steady,
+        surface.decay,
+        surface.grip,
+        parcel.mem,
+        parcel.share,
+        ctl,
+        y,
+        par,
+        work.seg,
+        work.grp,
+    )
+    if work.seg[at.N_ACTIVE] == 0 or work.seg[at.RANK] < 2:
+        return 0.0
+    if ctl[at.N_GROUPS] > 0:
+        surfaces(surface.pos, parcel.normal, parcel.offset, parcel.mem, parcel.share, ctl, y, work.grp)
+    ax, ay, al, conditioning = accelerations(
+        work.seg, work.grp, ctl, y, par, e, c, s, work.matrix, work.reply, work.f, work.scratch
+    )
+    work.after[0], work.after[1], work.after[2] = ax, ay, al
+    return conditioning
+
+
+@kernel
+def fractions_fit(surface, parcel, work):
+    """Whether every captured cell carries between nothing and its full load."""
+    mem, ctl, seg = parcel.mem, parcel.ctl, work.seg
+    a0, bx, by = plane(seg, work.grp, work.f, ctl[at.N_GROUPS])
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] == at.CAPTURED:
+            amount, _ = excess(surface.pos, mem, parcel.share, parcel.y, seg, work.f, a0, bx, by, i)
+            if amount > FRACTION_ZERO:
+                return False
+    return True
+
+
+@kernel
+def mark_captured(surface, parcel, work, crossed, group):
+    """Captures the cells that crossed into ``group``, with shares in proportion to their full loads.
+
+    Where some entered and others left at once, those that left start from the load they had and give it up as the
+    fraction grows. Where all left, the fraction is that of being inside, as if they had entered.
+    """
+    pos, y, mem, share, ctl, seg, before = (
+        surface.pos,
+        parcel.y,
+        parcel.mem,
+        parcel.share,
+        parcel.ctl,
+        work.seg,
+        work.before,
+    )
+    a0, bx, by = plane(seg, work.grp, work.f, ctl[at.N_GROUPS])
+    mixed = False
+    for i in range(1, crossed):
+        mixed = mixed or work.signs[i] != work.signs[0]
+    for i in range(crossed):
+        cell = work.cells[i]
         slot = -1
         for j in range(ctl[at.N_MEMBERS]):
-            if mem[j, at.CELL] == cells[i]:
+            if mem[j, at.CELL] == cell:
                 slot = j
         if slot < 0:
             slot = ctl[at.N_MEMBERS]
             ctl[at.N_MEMBERS] += 1
-            mem[slot, at.CELL] = cells[i]
-        mem[slot, at.MARK] = at.CAPTURED
-        mem[slot, at.EDGE] = edges[i]
-        mem[slot, at.GROUP] = group
-        share[slot] = max(loads[i], 0.0) / total if total > 0.0 else 1.0 / count
-    ctl[at.N_GROUPS] = group + 1
+            mem[slot, at.CELL] = cell
+        mem[slot, at.MARK], mem[slot, at.EDGE], mem[slot, at.GROUP] = at.CAPTURED, work.edges[i], group
+        if mixed and work.signs[i] < 0:
+            rx, ry = pos[cell, 0] - before[6], pos[cell, 1] - before[7]
+            load = max(before[3] + before[4] * rx + before[5] * ry, 1e-6 * a0)
+            share[slot, at.SHARE], share[slot, at.BASE] = -load, load
+        else:
+            rx, ry = pos[cell, 0] - y[0] - seg[at.CX], pos[cell, 1] - y[1] - seg[at.CY]
+            share[slot, at.SHARE], share[slot, at.BASE] = max(a0 + bx * rx + by * ry, 1e-6 * a0), 0.0
+    ctl[at.N_GROUPS] = max(ctl[at.N_GROUPS], group + 1)
+    total = 0.0
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] == at.CAPTURED and mem[i, at.GROUP] == group:
+            if not mixed:
+                # full loads anew for all: the group may have had members before
+                rx, ry = (
+                    pos[mem[i, at.CELL], 0] - y[0] - seg[at.CX],
+                    pos[mem[i, at.CELL], 1] - y[1] - seg[at.CY],
+                )
+                share[i, at.SHARE] = max(a0 + bx * rx + by * ry, 1e-6 * a0)
+            total += abs(share[i, at.SHARE])
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] == at.CAPTURED and mem[i, at.GROUP] == group:
+            share[i, at.SHARE] /= total
 
 
 @kernel
-def may_capture(seg, ctl, crossed, direction, cells, edges, pos, normal, y, c, s, capture, before, after):
-    """Whether the cells that just crossed sit on one surface that attracts from both sides."""
-    if crossed == 0 or direction == 0 or ctl[at.N_GROUPS] >= at.MAX_GROUPS or seg[at.RANK] < 2:
-        return False
-    if not coincide(pos, normal, cells, edges, crossed, y, c, s, capture):
-        return False
-    rate, second_before, _, _, _ = edge_motion(
-        pos, normal, cells[0], edges[0], y, c, s, before[0], before[1], before[2]
-    )
-    _, second_after, _, _, _ = edge_motion(
-        pos, normal, cells[0], edges[0], y, c, s, after[0], after[1], after[2]
-    )
-    if direction > 0:
-        return attracts(rate, second_before, second_after, capture)
-    return attracts(rate, second_after, second_before, capture)
+def may_join(work, mem, share, ctl, crossed, group):
+    """Whether the cells that crossed may join a group: both all load as their fraction grows."""
+    for i in range(1, crossed):
+        if work.signs[i] != work.signs[0]:
+            return False
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] == at.CAPTURED and mem[i, at.GROUP] == group and share[i, at.SHARE] < 0.0:
+            return False
+    return True
 
 
 @kernel
-def groups_hold(pos, mem, share, ctl, y, normal, offset, c, s, capture):
+def keep(parcel, work):
+    """Remember the members, to be able to go back."""
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        for k in range(4):
+            work.kept[i, k] = parcel.mem[i, k]
+        work.kept_share[i, 0], work.kept_share[i, 1] = parcel.share[i, 0], parcel.share[i, 1]
+    return parcel.ctl[at.N_MEMBERS], parcel.ctl[at.N_GROUPS]
+
+
+@kernel
+def restore(parcel, work, members, groups):
+    """Go back to the members remembered."""
+    for i in range(members):
+        for k in range(4):
+            parcel.mem[i, k] = work.kept[i, k]
+        parcel.share[i, 0], parcel.share[i, 1] = work.kept_share[i, 0], work.kept_share[i, 1]
+    parcel.ctl[at.N_MEMBERS], parcel.ctl[at.N_GROUPS] = members, groups
+
+
+@kernel
+def try_capture(surface, parcel, work, e, c, s, crossed):
+    """Capture the cells that just crossed, where their surface attracts from both sides. Returns whether it does.
+
+    As a group of their own where their surface is independent of those captured already, else with the group
+    whose surface theirs has merged with; only where all fractions then lie in [0, 1].
+    """
+    ctl = parcel.ctl
+    if not small(surface, parcel, work, crossed, c, s):
+        return False
+    members, groups = keep(parcel, work)
+    if evaluate(surface, parcel, work, e, c, s) == 0.0:
+        return False
+    if not attracts(surface, parcel, work, crossed, c, s):
+        return False
+    for group in range(groups, -1, -1):
+        if group == at.MAX_GROUPS:
+            continue
+        if group < groups and not may_join(work, parcel.mem, parcel.share, ctl, crossed, group):
+            continue
+        mark_captured(surface, parcel, work, crossed, group)
+        if evaluate(surface, parcel, work, e, c, s) > INDEPENDENT and fractions_fit(surface, parcel, work):
+            ctl[at.N_CAPTURES] += 1
+            return True
+        restore(parcel, work, members, groups)
+        evaluate(surface, parcel, work, e, c, s)
+    return False
+
+
+@kernel
+def groups_hold(surface, parcel, c, s):
     """Release groups whose cells no longer lie on their common surface (a pair that drifts apart)."""
+    mem, ctl, y = parcel.mem, parcel.ctl, parcel.y
     h = 0
     while h < ctl[at.N_GROUPS]:
         low, high = 1e300, -1e300
         for i in range(ctl[at.N_MEMBERS]):
             if mem[i, at.MARK] == at.CAPTURED and mem[i, at.GROUP] == h:
-                px, py = pos[mem[i, at.CELL], 0] - y[0], pos[mem[i, at.CELL], 1] - y[1]
+                px, py = surface.pos[mem[i, at.CELL], 0] - y[0], surface.pos[mem[i, at.CELL], 1] - y[1]
                 qx, qy = c * px + s * py, -s * px + c * py
                 edge = mem[i, at.EDGE]
-                distance = offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy
+                distance = parcel.offset[edge] - parcel.normal[edge, 0] * qx - parcel.normal[edge, 1] * qy
                 low, high = min(low, distance), max(high, distance)
-        if high - low > 2.0 * capture:
-            release(mem, share, ctl, h, True)
+        if high - low > 2.0 * parcel.par[at.CAPTURE]:
+            release(mem, parcel.share, ctl, h, True)
             ctl[at.N_CAPTURES] += 1
         else:
             h += 1
-
-
-@kernel
-def capture_crossed(pos, mem, share, ctl, y, seg, grp, f, cells, edges, loads, crossed):
-    """Capture the cells that just crossed as one group, their shares in proportion to their full loads."""
-    a0, bx, by = plane(seg, grp, f, ctl[at.N_GROUPS])
-    for i in range(crossed):
-        rx, ry = pos[cells[i], 0] - y[0] - seg[at.CX], pos[cells[i], 1] - y[1] - seg[at.CY]
-        loads[i] = a0 + bx * rx + by * ry
-    form_group(mem, share, ctl, cells, edges, loads, crossed)
-    ctl[at.N_CAPTURES] += 1

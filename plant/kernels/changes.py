@@ -27,23 +27,34 @@ def slot_of(mem, ctl, cell):
 
 
 @kernel
-def apply(found, count, together, mem, share, ctl, time, events, cells, edges, pos, normal, offset, y, c, s):
-    """Apply all events at or before ``together`` as one change of the support set.
+def apply(surface, parcel, work, count, together, time, events, c, s):
+    """Apply all events at or before ``together``, or too near to tell apart, as one change of the support set.
 
-    Returns (footprint events, entered): the cells that crossed the footprint's edge are left in ``cells`` and
-    ``edges``; ``entered`` is 1 if all entered, -1 if all left, 0 if mixed or none.
+    Returns how many cells crossed the footprint's edge; they are left in ``work.cells``, with their edges in
+    ``work.edges`` and +1 (entered) or -1 (left) in ``work.signs``.
     """
-    crossed, direction = 0, 0
+    found, cells, edges, mem, share, ctl = (
+        work.found,
+        work.cells,
+        work.edges,
+        parcel.mem,
+        parcel.share,
+        parcel.ctl,
+    )
+    crossed = 0
     for i in range(count):
-        if found[i, at.EV_TIME] > together:
-            continue
         kind, cell = int(found[i, at.EV_KIND]), int(found[i, at.EV_CELL])
+        edge, distance = 0, 1.0
+        if kind in (at.ENTER, at.LEAVE):
+            edge, distance = edge_of(surface.pos, parcel.normal, parcel.offset, cell, parcel.y, c, s)
+        if found[i, at.EV_TIME] > together and distance > parcel.par[at.ON_SURFACE]:
+            continue
         slot = slot_of(mem, ctl, cell)
         if kind == at.ENTER and slot < 0:
             slot = ctl[at.N_MEMBERS]
             ctl[at.N_MEMBERS] += 1
             mem[slot, at.CELL], mem[slot, at.MARK] = cell, at.ACTIVE
-            share[slot] = 0.0
+            share[slot, at.SHARE] = share[slot, at.BASE] = 0.0
         elif kind == at.LEAVE and slot >= 0 and mem[slot, at.MARK] != at.CAPTURED:
             drop(mem, share, ctl, slot)
         elif kind == at.UNLOAD and slot >= 0:
@@ -63,8 +74,7 @@ def apply(found, count, together, mem, share, ctl, time, events, cells, edges, p
         ctl[at.N_EVENTS] += 1
         if kind in (at.ENTER, at.LEAVE) and crossed < cells.shape[0]:
             cells[crossed] = cell
-            edges[crossed] = edge_of(pos, normal, offset, cell, y, c, s)
-            sign = 1 if kind == at.ENTER else -1
-            direction = sign if crossed == 0 or direction == sign else 0
+            edges[crossed] = edge
+            work.signs[crossed] = 1 if kind == at.ENTER else -1
             crossed += 1
-    return crossed, direction
+    return crossed

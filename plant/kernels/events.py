@@ -11,8 +11,8 @@ from plant.kernels.jit import kernel
 from plant.kernels.loads import LOAD_ZERO
 from plant.kernels.roots import NONE, deflate, first_crossing, horner
 
-SLACK = 1.0 + 1e-9
-"""How far past the earliest event so far others are still looked for: those that fall together with it."""
+SLACK = 1e-6
+"""How far past the earliest event so far, in unit time, others are still looked for: they may fall together."""
 
 
 @kernel
@@ -110,9 +110,18 @@ def reach(ser, order):
 
 
 @kernel
-def leaving(pos, normal, offset, mem, ctl, y, par, ser, order, far, turn, end, found, count, g, p):
+def leaving(surface, parcel, work, order, far, turn, end, count):
     """Cells that leave the footprint. A captured cell leaves by an edge other than the one it sits on."""
-    zero = par[at.ON_SURFACE]
+    pos, normal, offset, mem, ctl, y = (
+        surface.pos,
+        parcel.normal,
+        parcel.offset,
+        parcel.mem,
+        parcel.ctl,
+        parcel.y,
+    )
+    ser, found, g, p = work.ser, work.found, work.g, work.p
+    zero = parcel.par[at.ON_SURFACE]
     c, s = ser[at.S_C, 0], ser[at.S_S, 0]
     for i in range(ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
@@ -129,34 +138,17 @@ def leaving(pos, normal, offset, mem, ctl, y, par, ser, order, far, turn, end, f
             if t <= end:
                 kind = at.CORNER if mem[i, at.MARK] == at.CAPTURED else at.LEAVE
                 count = note(found, count, t, kind, cell, edge)
-                end = min(end, t * SLACK)
+                end = min(end, t + SLACK)
     return count, end
 
 
 @kernel
-def entering(
-    pos,
-    grid,
-    vertices,
-    normal,
-    offset,
-    where,
-    y,
-    par,
-    ser,
-    order,
-    far,
-    turn,
-    radius,
-    end,
-    found,
-    count,
-    g,
-    p,
-    start,
-):
+def entering(surface, parcel, work, order, far, turn, end, count):
     """Cells that enter the footprint: only those in the box that the footprint can reach are looked at."""
-    zero = par[at.ON_SURFACE]
+    pos, grid, where = surface.pos, surface.grid, work.where
+    vertices, normal, offset, y, par = parcel.vertices, parcel.normal, parcel.offset, parcel.y, parcel.par
+    ser, found, g, p, start = work.ser, work.found, work.g, work.p, work.q
+    zero, radius = par[at.ON_SURFACE], par[at.RADIUS]
     c, s = ser[at.S_C, 0], ser[at.S_S, 0]
     low_x = high_x = low_y = high_y = 0.0
     for v in range(vertices.shape[0]):
@@ -190,13 +182,15 @@ def entering(
             t, edge = entry(ser, order, normal, offset, px, py, zero, end, g, p, start)
             if t <= end:
                 count = note(found, count, t, at.ENTER, cell, edge)
-                end = min(end, t * SLACK)
+                end = min(end, t + SLACK)
     return count, end
 
 
 @kernel
-def loading(pos, mem, share, ctl, y, par, seg, ser, order, end, found, count, g, p):
+def loading(surface, parcel, work, order, end, count):
     """Loads that vanish, lifted cells that touch again, fractions that reach 0 or 1, a line of supports left."""
+    pos, mem, share, ctl, y, par = surface.pos, parcel.mem, parcel.share, parcel.ctl, parcel.y, parcel.par
+    seg, ser, found, g, p = work.seg, work.ser, work.found, work.g, work.p
     if ser[at.S_A0, 0] <= 0.0:
         return count, end
     zero = LOAD_ZERO * ser[at.S_A0, 0]
@@ -220,7 +214,7 @@ def loading(pos, mem, share, ctl, y, par, seg, ser, order, end, found, count, g,
         t = crossing(g, order, zero, mark == at.LIFTED, end, p)
         if t <= end:
             count = note(found, count, t, at.UNLOAD if mark == at.ACTIVE else at.TOUCH, cell, 0)
-            end = min(end, t * SLACK)
+            end = min(end, t + SLACK)
     if ctl[at.N_GROUPS] > 0:
         count, end = fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p)
     if seg[at.RANK] < 2:
@@ -230,29 +224,23 @@ def loading(pos, mem, share, ctl, y, par, seg, ser, order, end, found, count, g,
 
 @kernel
 def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p):
-    """Captured cells whose share of the load reaches nothing or all of it."""
+    """Captured cells whose load reaches nothing or all of it: their group's fraction reaches 0 or 1."""
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.MARK] != at.CAPTURED:
             continue
-        cell, h = mem[i, at.CELL], mem[i, at.GROUP]
+        cell, h, s = mem[i, at.CELL], mem[i, at.GROUP], share[i, at.SHARE]
         rx, ry = pos[cell, 0] - y[0] - seg[at.CX], pos[cell, 1] - y[1] - seg[at.CY]
-        for k in range(order + 1):
-            g[k] = ser[at.S_F + h, k]
-        t = crossing(g, order, zero, False, end, p)
-        if t <= end:
-            count = note(found, count, t, at.FRACTION_ZERO, cell, h)
-            end = min(end, t * SLACK)
-        for k in range(order + 1):
-            g[k] = (
-                ser[at.S_A0, k]
-                + ser[at.S_BX_, k] * rx
-                + ser[at.S_BY_, k] * ry
-                - share[i] * ser[at.S_F + h, k]
-            )
-        t = crossing(g, order, zero, False, end, p)
-        if t <= end:
-            count = note(found, count, t, at.FRACTION_ONE, cell, h)
-            end = min(end, t * SLACK)
+        for full in range(2):
+            for k in range(order + 1):
+                g[k] = s * ser[at.S_F + h, k]
+                if full == 1:
+                    g[k] = ser[at.S_A0, k] + ser[at.S_BX_, k] * rx + ser[at.S_BY_, k] * ry - g[k]
+            g[0] += share[i, at.BASE] if full == 0 else -share[i, at.BASE]
+            t = crossing(g, order, zero, False, end, p)
+            if t <= end:
+                complete = (full == 1) == (s > 0.0)
+                count = note(found, count, t, at.FRACTION_ONE if complete else at.FRACTION_ZERO, cell, h)
+                end = min(end, t + SLACK)
     return count, end
 
 
@@ -273,5 +261,5 @@ def off_line(seg, par, ser, order, end, found, count, g, p):
             t = crossing(g, order, 0.0, False, end, p)
             if t <= end:
                 count = note(found, count, t, at.LINE, -1, 0)
-                end = min(end, t * SLACK)
+                end = min(end, t + SLACK)
     return count, end

@@ -31,15 +31,19 @@ PAR_SIZE: Final = 12
 # ── y: float64 state of one parcel
 X, Y, THETA, UX, UY, OMEGA = range(6)
 
-# ── mem: int32 (capacity, 4), the cells under the parcel
+# ── mem: int32 (capacity, 4), the cells under the parcel; share: float64 (capacity, 2), loads of the captured ones
+# over the weight: share[i, BASE] + share[i, SHARE] f of its group (SHARE < 0 for a cell that unloads as f grows)
+SHARE, BASE = range(2)
 CELL, MARK, EDGE, GROUP = range(4)
 ACTIVE: Final = 0  # carries load
 LIFTED: Final = 1  # under the parcel, but the plane of the springs is above it
 CAPTURED: Final = 2  # sits on the edge and carries a fraction (sliding mode)
 
 # ── ctl: int64 counters and flags of one parcel
-N_MEMBERS, N_GROUPS, STATUS, N_EVENTS, N_STEPS, TIP_A, TIP_B, N_LOGGED, N_CAPTURES, CULPRIT = range(10)
-CTL_SIZE: Final = 10
+N_MEMBERS, N_GROUPS, STATUS, N_EVENTS, N_STEPS, TIP_A, TIP_B, N_LOGGED, N_CAPTURES, CULPRIT, N_CHANGES = (
+    range(11)
+)
+CTL_SIZE: Final = 11
 
 # ── statuses
 MOVING: Final = 0
@@ -61,11 +65,14 @@ K0X, K0Y, K1XX, K1XY, K1YX, K1YY, T0, T1X, T1Y = range(9)
 DRIVEN: Final = 36  # 1 where every wheel under the parcel is driven
 SEG_SIZE: Final = 37
 
-# ── grp: float64 (MAX_GROUPS, .), what a unit load on a captured group adds
+# ── grp: float64 (MAX_GROUPS + 1, .), what a unit load on a captured group adds
 S_RX, S_RY, S_W, S_WRX, S_WRY, S_WRR, S_VX, S_VY, S_RV, S_BX, S_BY, S_RB = range(12)
 # its surface: sigma = B + A_C cos + A_S sin + A_1 E1 + A_2 E2, see series.taylor
 B, A_C, A_S, A_1, A_2 = range(12, 17)
-GRP_SIZE: Final = 17
+S_SUM: Final = 17
+GRP_SIZE: Final = 18
+FIXED: Final = MAX_GROUPS
+"""Row of the loads that captured cells carry whatever their group's fraction."""
 
 # ── ser: float64 (rows, MAX_ORDER + 4), Taylor coefficients
 (

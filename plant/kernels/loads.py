@@ -12,6 +12,10 @@ from plant.kernels.jit import kernel
 from plant.kernels.moments import segment
 from plant.kernels.motion import accelerations, solve, surfaces
 
+FRACTION_ZERO = 1e-9
+"""How far a captured cell's load may lie outside [0, full], over the mean load, before its group is released."""
+SINGULAR = 1e-9
+"""Captured groups whose loads can't be told apart better than this are one too many."""
 LOAD_ZERO = 1e-12
 """A share of the mean load that rounding can't tell from none."""
 
@@ -108,16 +112,27 @@ def gradient(pos, mem, ctl, y, length, ox, oy, z, w, hessian, slope):
 
 
 @kernel
+def remaining(seg, grp, f, groups):
+    """Share of the weight, and its moment about the centroid, that captured cells leave to the active supports."""
+    total, mx, my = 1.0, -seg[at.CX], -seg[at.CY]
+    if groups > 0:
+        total -= grp[at.FIXED, at.S_SUM]
+        mx -= grp[at.FIXED, at.S_RX]
+        my -= grp[at.FIXED, at.S_RY]
+    for h in range(groups):
+        total -= f[h] * grp[h, at.S_SUM]
+        mx -= f[h] * grp[h, at.S_RX]
+        my -= f[h] * grp[h, at.S_RY]
+    return total, mx, my
+
+
+@kernel
 def contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton):
     """Mark every cell under the parcel as carrying load or lifted, at the minimum of ``potential``."""
     z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
     hessian = newton[5:8]
     length, ox, oy = par[at.PITCH], seg[at.CX], seg[at.CY]
-    total, mx, my = 1.0, -ox, -oy
-    for h in range(ctl[at.N_GROUPS]):
-        total -= f[h]
-        mx -= f[h] * grp[h, at.S_RX]
-        my -= f[h] * grp[h, at.S_RY]
+    total, mx, my = remaining(seg, grp, f, ctl[at.N_GROUPS])
     w[0], w[1], w[2] = total, mx / length, my / length
     z[0], z[1], z[2] = 1.0 / ctl[at.N_MEMBERS], 0.0, 0.0
     value = potential(pos, mem, ctl, y, length, ox, oy, z, w)
@@ -158,11 +173,7 @@ def contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton):
 @kernel
 def plane(seg, grp, f, groups):
     """The springs' plane now: load share ``a0 + b . r`` of a cell at r from the centroid."""
-    total, mx, my = 1.0, -seg[at.CX], -seg[at.CY]
-    for h in range(groups):
-        total -= f[h]
-        mx -= f[h] * grp[h, at.S_RX]
-        my -= f[h] * grp[h, at.S_RY]
+    total, mx, my = remaining(seg, grp, f, groups)
     return total / seg[at.N_ACTIVE], seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
 
 
@@ -194,19 +205,23 @@ def drop(mem, share, ctl, i):
     last = ctl[at.N_MEMBERS] - 1
     for k in range(mem.shape[1]):
         mem[i, k] = mem[last, k]
-    share[i] = share[last]
+    share[i, at.SHARE], share[i, at.BASE] = share[last, at.SHARE], share[last, at.BASE]
     ctl[at.N_MEMBERS] = last
 
 
 @kernel
-def release(mem, share, ctl, group, inside):
-    """End a captured group: its cells carry their full load again, or leave the footprint."""
+def release(mem, share, ctl, group, complete):
+    """End a captured group: ``complete`` where its fraction reached one, else its cells go back to where they were.
+
+    Cells that load as the fraction grows are then inside the footprint, those that unload are outside; or the other
+    way round.
+    """
     i = 0
     while i < ctl[at.N_MEMBERS]:
         if mem[i, at.MARK] == at.CAPTURED:
             if mem[i, at.GROUP] == group:
                 mem[i, at.MARK] = at.ACTIVE
-                if not inside:
+                if (share[i, at.SHARE] > 0.0) != complete:
                     drop(mem, share, ctl, i)
                     continue
             elif mem[i, at.GROUP] > group:
@@ -216,98 +231,103 @@ def release(mem, share, ctl, group, inside):
 
 
 @kernel
+def excess(pos, mem, share, y, seg, f, a0, bx, by, i):
+    """How far a captured cell's load lies outside [0, full], over the mean load, and which end of the fraction that is.
+
+    Returns (excess below nothing or above full, whichever is larger; True where the group's fraction exceeds one).
+    """
+    rx = pos[mem[i, at.CELL], 0] - y[0] - seg[at.CX]
+    ry = pos[mem[i, at.CELL], 1] - y[1] - seg[at.CY]
+    load = share[i, at.BASE] + share[i, at.SHARE] * f[mem[i, at.GROUP]]
+    below, above = -load / a0, (load - (a0 + bx * rx + by * ry)) / a0
+    loads_up = share[i, at.SHARE] > 0.0
+    if below > above:
+        return below, not loads_up
+    return above, loads_up
+
+
+@kernel
 def release_one_outside(pos, mem, share, ctl, y, seg, f, a0, bx, by):
     """Release the captured group whose fraction is farthest outside [0, 1]. Returns True where there was one."""
-    worst, which, inside = LOAD_ZERO, -1, False
+    worst, which, complete = FRACTION_ZERO, -1, False
     for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] != at.CAPTURED:
-            continue
-        h = mem[i, at.GROUP]
-        rx = pos[mem[i, at.CELL], 0] - y[0] - seg[at.CX]
-        ry = pos[mem[i, at.CELL], 1] - y[1] - seg[at.CY]
-        full = a0 + bx * rx + by * ry
-        load = share[i] * f[h]
-        if -load / a0 > worst:
-            worst, which, inside = -load / a0, h, False
-        if (load - full) / a0 > worst:
-            worst, which, inside = (load - full) / a0, h, True
+        if mem[i, at.MARK] == at.CAPTURED:
+            amount, end = excess(pos, mem, share, y, seg, f, a0, bx, by, i)
+            if amount > worst:
+                worst, which, complete = amount, mem[i, at.GROUP], end
     if which >= 0:
-        release(mem, share, ctl, which, inside)
+        release(mem, share, ctl, which, complete)
         return True
     return False
 
 
 @kernel
-def settle(
-    pos,
-    steady,
-    decay,
-    grip,
-    normal,
-    offset,
-    mem,
-    share,
-    ctl,
-    y,
-    par,
-    e,
-    c,
-    s,
-    seg,
-    grp,
-    matrix,
-    reply,
-    f,
-    scratch,
-    newton,
-):
+def release_all(mem, share, ctl):
+    """End all captured groups: their cells carry load like any other."""
+    while ctl[at.N_GROUPS] > 0:
+        release(mem, share, ctl, 0, True)
+
+
+@kernel
+def stands(surface, parcel, work):
+    """Whether supports that span no plane carry the parcel. Returns (tipped, off their line)."""
+    seg, ctl, y = work.seg, parcel.ctl, parcel.y
+    distance, a, b = outside_hull(surface.pos, parcel.mem, ctl, y)
+    if distance > parcel.par[at.ON_LINE]:
+        ctl[at.TIP_A], ctl[at.TIP_B] = a, b
+        return True, False
+    off = abs(seg[at.LINE_X] * seg[at.CX] + seg[at.LINE_Y] * seg[at.CY])
+    if seg[at.RANK] == 0:
+        off = (seg[at.CX] * seg[at.CX] + seg[at.CY] * seg[at.CY]) ** 0.5
+    return False, off > parcel.par[at.ON_LINE]
+
+
+@kernel
+def settled(surface, parcel, work, e, c, s):
     """Find the loads at this instant: constants, marks, captured fractions, accelerations.
 
-    Returns (status, ax, ay, alpha); with status TIPPED the edge is in ``ctl[TIP_A]``, ``ctl[TIP_B]``.
+    Tries what stands first; where a load would pull, solves the contact problem; where a captured fraction leaves
+    [0, 1], releases that group; until nothing changes. Returns the status; with TIPPED the edge is in ``ctl``.
     """
+    pos, mem, share, ctl, y, par = surface.pos, parcel.mem, parcel.share, parcel.ctl, parcel.y, parcel.par
+    seg, grp, f = work.seg, work.grp, work.f
     for attempt in range(40):
         if ctl[at.N_MEMBERS] == 0:
             ctl[at.TIP_A] = ctl[at.TIP_B] = -1
-            return at.TIPPED, 0.0, 0.0, 0.0
-        segment(pos, steady, decay, grip, mem, share, ctl, y, par, seg, grp)
+            return at.TIPPED
+        segment(pos, surface.steady, surface.decay, surface.grip, mem, share, ctl, y, par, seg, grp)
         if seg[at.N_ACTIVE] == 0 or (seg[at.RANK] < 2 and ctl[at.N_GROUPS] > 0):
-            while ctl[at.N_GROUPS] > 0:
-                release(mem, share, ctl, 0, True)
+            release_all(mem, share, ctl)
             for i in range(ctl[at.N_MEMBERS]):
                 mem[i, at.MARK] = at.ACTIVE
-            segment(pos, steady, decay, grip, mem, share, ctl, y, par, seg, grp)
-        distance, a, b = -1.0, 0, 0
+            segment(pos, surface.steady, surface.decay, surface.grip, mem, share, ctl, y, par, seg, grp)
         if seg[at.RANK] < 2:
-            distance, a, b = outside_hull(pos, mem, ctl, y)
-            if distance > par[at.ON_LINE]:
-                ctl[at.TIP_A], ctl[at.TIP_B] = a, b
-                return at.TIPPED, 0.0, 0.0, 0.0
-            off = abs(seg[at.LINE_X] * seg[at.CX] + seg[at.LINE_Y] * seg[at.CY])
-            if seg[at.RANK] == 0:
-                off = (seg[at.CX] * seg[at.CX] + seg[at.CY] * seg[at.CY]) ** 0.5
-            if off > par[at.ON_LINE]:
-                contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton)
+            tipped, off_line = stands(surface, parcel, work)
+            if tipped:
+                return at.TIPPED
+            if off_line:
+                contact(pos, mem, ctl, y, par, seg, grp, f, work.scratch, work.newton)
                 continue
         if ctl[at.N_GROUPS] > 0:
-            surfaces(pos, normal, offset, mem, share, ctl, y, grp)
-        ax, ay, al, conditioning = accelerations(seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch)
-        if ctl[at.N_GROUPS] > 0 and conditioning < 1e-9:
+            surfaces(pos, parcel.normal, parcel.offset, mem, share, ctl, y, grp)
+        _, _, _, conditioning = accelerations(
+            seg, grp, ctl, y, par, e, c, s, work.matrix, work.reply, f, work.scratch
+        )
+        if ctl[at.N_GROUPS] > 0 and conditioning < SINGULAR:
             release(mem, share, ctl, ctl[at.N_GROUPS] - 1, True)
             continue
         a0, bx, by = plane(seg, grp, f, ctl[at.N_GROUPS])
         if violated(pos, mem, ctl, y, par, seg, a0, bx, by):
             if seg[at.RANK] == 2:
-                distance, a, b = outside_hull(pos, mem, ctl, y)
-                if distance > par[at.ON_LINE]:
-                    ctl[at.TIP_A], ctl[at.TIP_B] = a, b
-                    return at.TIPPED, 0.0, 0.0, 0.0
+                tipped, _ = stands(surface, parcel, work)
+                if tipped:
+                    return at.TIPPED
             if attempt >= 20:
-                while ctl[at.N_GROUPS] > 0:
-                    release(mem, share, ctl, 0, True)
-            contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton)
+                release_all(mem, share, ctl)
+            contact(pos, mem, ctl, y, par, seg, grp, f, work.scratch, work.newton)
             continue
         if ctl[at.N_GROUPS] > 0 and release_one_outside(pos, mem, share, ctl, y, seg, f, a0, bx, by):
             ctl[at.N_CAPTURES] += 1
             continue
-        return at.MOVING, ax, ay, al
-    return at.NO_LOADS, 0.0, 0.0, 0.0
+        return at.MOVING
+    return at.NO_LOADS

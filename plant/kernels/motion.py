@@ -40,7 +40,7 @@ def combine(dx, dy, turn, s0, s1x, s1y, c2, xix, xiy, y, kappa, kappa_inertia):
 @kernel
 def response(seg, g, e, y, kappa, kappa_inertia):
     """Acceleration that one unit of load on a captured group adds (the active supports give way to it)."""
-    da = -1.0 / seg[at.N_ACTIVE]
+    da = -g[at.S_SUM] / seg[at.N_ACTIVE]
     dbx = -(seg[at.PXX] * g[at.S_RX] + seg[at.PXY] * g[at.S_RY])
     dby = -(seg[at.PXY] * g[at.S_RX] + seg[at.PYY] * g[at.S_RY])
     ax, ay, al = traction(seg, da, dbx, dby, e, y, kappa, kappa_inertia)
@@ -60,7 +60,7 @@ def surfaces(pos, normal, offset, mem, share, ctl, y, grp):
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.MARK] != at.CAPTURED:
             continue
-        h, cell, edge, s = mem[i, at.GROUP], mem[i, at.CELL], mem[i, at.EDGE], share[i]
+        h, cell, edge, s = mem[i, at.GROUP], mem[i, at.CELL], mem[i, at.EDGE], share[i, at.SHARE]
         px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
         nx, ny = normal[edge, 0], normal[edge, 1]
         grp[h, at.B] += s * offset[edge]
@@ -141,6 +141,8 @@ def accelerations(seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch):
     groups = ctl[at.N_GROUPS]
     if groups == 0:
         return ax, ay, al, 1.0
+    bx, by, bl = response(seg, grp[at.FIXED], e, y, kappa, kappa_inertia)
+    ax, ay, al = ax + bx, ay + by, al + bl
     for h in range(groups):
         reply[0, h], reply[1, h], reply[2, h] = response(seg, grp[h], e, y, kappa, kappa_inertia)
     for g in range(groups):

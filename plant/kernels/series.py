@@ -22,6 +22,14 @@ def product(ser, a, b, k):
 
 
 @kernel
+def captured_load(groups, h, ser, k):
+    """Coefficient k of the load on captured group h, and its row; after the last group the constant loads' own."""
+    if h < groups:
+        return ser[at.S_F + h, k], h
+    return (1.0 if groups > 0 and k == 0 else 0.0), at.FIXED
+
+
+@kernel
 def linear_terms(seg, grp, groups, motors, ser, k):
     """Coefficient k of everything linear in the loads: D, T and, where wheels coast, S0, S1; and C2."""
     a0, bx, by = ser[at.S_A0, k], ser[at.S_BX_, k], ser[at.S_BY_, k]
@@ -33,8 +41,8 @@ def linear_terms(seg, grp, groups, motors, ser, k):
     ser[at.S_S1X, k] = a0 * seg[at.W1X] + bx * seg[at.W2XX] + by * seg[at.W2XY]
     ser[at.S_S1Y, k] = a0 * seg[at.W1Y] + bx * seg[at.W2XY] + by * seg[at.W2YY]
     ser[at.S_C2, k] = a0 * seg[at.G0] + bx * seg[at.G1X] + by * seg[at.G1Y]
-    for h in range(groups):
-        f = ser[at.S_F + h, k]
+    for h in range(groups + 1):
+        f, h = captured_load(groups, h, ser, k)
         ser[at.S_DX, k] += f * grp[h, at.S_VX]
         ser[at.S_DY, k] += f * grp[h, at.S_VY]
         ser[at.S_T, k] += f * grp[h, at.S_RV]
@@ -47,8 +55,8 @@ def linear_terms(seg, grp, groups, motors, ser, k):
         ser[at.S_DBX, k] = a0 * seg[d + at.K0X] + bx * seg[d + at.K1XX] + by * seg[d + at.K1XY]
         ser[at.S_DBY, k] = a0 * seg[d + at.K0Y] + bx * seg[d + at.K1YX] + by * seg[d + at.K1YY]
         ser[at.S_TB, k] = a0 * seg[d + at.T0] + bx * seg[d + at.T1X] + by * seg[d + at.T1Y]
-        for h in range(groups):
-            f = ser[at.S_F + h, k]
+        for h in range(groups + 1):
+            f, h = captured_load(groups, h, ser, k)
             ser[at.S_DBX, k] += f * grp[h, at.S_BX]
             ser[at.S_DBY, k] += f * grp[h, at.S_BY]
             ser[at.S_TB, k] += f * grp[h, at.S_RB]
@@ -62,9 +70,9 @@ def load_plane(seg, grp, groups, ser, k):
     """Coefficient k of the plane ``a0 + b . r`` of the active supports' loads."""
     mx, my = ser[at.S_XIX, k], ser[at.S_XIY, k]
     total = 1.0 if k == 0 else 0.0
-    for h in range(groups):
-        f = ser[at.S_F + h, k]
-        total -= f
+    for h in range(groups + 1):
+        f, h = captured_load(groups, h, ser, k)
+        total -= f * grp[h, at.S_SUM]
         mx -= f * grp[h, at.S_RX]
         my -= f * grp[h, at.S_RY]
     ser[at.S_A0, k] = total / seg[at.N_ACTIVE]

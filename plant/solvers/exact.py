@@ -21,8 +21,10 @@ from plant.kernels import layout
 from plant.specs import ParcelSpec, SolverSpec
 from plant.wheels import Floats, WheelMotion
 
-EVENTS_PER_SECOND = 50_000
-"""Events of one parcel and simulated second beyond which its motion counts as unstable."""
+EVENTS_PER_SECOND = 4_000
+"""Changes of one parcel's supports in a simulated second beyond which its motion counts as unstable, ..."""
+EVENTS_PER_MEMBER = 20
+"""... plus this many for every cell that fits under it."""
 LOG_CAPACITY = 4096
 """Events of one parcel kept per call; more are counted but not listed."""
 
@@ -68,7 +70,9 @@ class Work(NamedTuple):
     q: Floats
     cells: NDArray[np.int64]
     edges: NDArray[np.int64]
-    loads: Floats
+    signs: NDArray[np.int64]
+    kept: NDArray[np.int32]
+    kept_share: Floats
     before: Floats
     after: Floats
     state: Floats
@@ -98,7 +102,7 @@ def make_work(cells: int, capacity: int) -> Work:
     return Work(
         where=np.zeros(cells, dtype=np.int8),
         seg=np.zeros(layout.SEG_SIZE),
-        grp=np.zeros((layout.MAX_GROUPS, layout.GRP_SIZE)),
+        grp=np.zeros((layout.MAX_GROUPS + 1, layout.GRP_SIZE)),
         ser=np.zeros((layout.SER_ROWS, layout.SER_COLUMNS)),
         matrix=np.zeros((layout.MAX_GROUPS, layout.MAX_GROUPS)),
         reply=np.zeros((4, layout.MAX_GROUPS)),
@@ -111,8 +115,10 @@ def make_work(cells: int, capacity: int) -> Work:
         q=np.zeros(layout.SER_COLUMNS),
         cells=np.zeros(found, dtype=np.int64),
         edges=np.zeros(found, dtype=np.int64),
-        loads=np.zeros(found),
-        before=np.zeros(3),
+        signs=np.zeros(found, dtype=np.int64),
+        kept=np.zeros((capacity, 4), dtype=np.int32),
+        kept_share=np.zeros((capacity, 2)),
+        before=np.zeros(8),
         after=np.zeros(3),
         state=np.zeros(6),
     )
@@ -156,7 +162,7 @@ def make_parcel(spec: ParcelSpec, array: CellArray, kappa: float, rate: float, s
         par=par,
         y=np.array([*spec.position_m, spec.angle_rad, *spec.velocity_m_s, spec.angular_velocity_rad_s]),
         mem=np.zeros((capacity, 4), dtype=np.int32),
-        share=np.zeros(capacity),
+        share=np.zeros((capacity, 2)),
         ctl=np.zeros(layout.CTL_SIZE, dtype=np.int64),
     )
 
@@ -186,6 +192,7 @@ class Exact:
         self._still: Floats = np.zeros((len(array), 2))
         self._reach = float(np.max(np.hypot(array.sensors_m[:, 0], array.sensors_m[:, 1])))
         self._log: Floats = np.zeros((LOG_CAPACITY, 4))
+        self._allowed = [self._refill(parcel) for parcel in self.parcels]
         for parcel in self.parcels:
             self._find_members(parcel)
 
@@ -198,6 +205,11 @@ class Exact:
         under = np.flatnonzero(depth >= -parcel.par[layout.ON_SURFACE])
         parcel.mem[: len(under), layout.CELL] = under
         parcel.ctl[layout.N_MEMBERS] = len(under)
+
+    @staticmethod
+    def _refill(parcel: Parcel) -> float:
+        """Changes allowed for every simulated second."""
+        return float(EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem))
 
     def stand(self, index: int, grip: Floats) -> bool:
         """Find a parcel's loads at its start. False where its supports can't carry it."""
@@ -215,8 +227,13 @@ class Exact:
         """
         parcel = self.parcels[index]
         surface = Surface(self._array.positions_m, self._array.grid, motion.steady, motion.decay, grip)
-        budget = int(EVENTS_PER_SECOND * max(1.0, span_s))
-        moved = self._entry.advance(surface, parcel, self._work, span_s, budget, times_s, out, self._log)
+        # a bucket that fills with simulated time and holds one second's worth, so that chatter spread over many
+        # short calls is bounded like chatter in a long one
+        rate = self._refill(parcel)
+        budget = min(self._allowed[index], rate) + rate * span_s
+        changes = int(parcel.ctl[layout.N_CHANGES])
+        moved = self._entry.advance(surface, parcel, self._work, span_s, int(budget), times_s, out, self._log)
+        self._allowed[index] = budget - (int(parcel.ctl[layout.N_CHANGES]) - changes)
         logged = min(int(parcel.ctl[layout.N_LOGGED]), LOG_CAPACITY)
         if not logged:
             return float(moved), []
