@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InputError
+from deploy.overview import FILE_NAME as PICTURE
+from deploy.overview import draw_overview
 from deploy.recording_format import Header
+from deploy.summary import FILE_NAME as SUMMARY
 from deploy.summary import ParcelOutcome
 from plant.geometry import centroid
 from plant.specs import ParcelSpec
@@ -61,7 +64,19 @@ def output_folder(scene: Scene, wanted: Path | None) -> Path:
         except OSError as error:
             raise InputError(f"output {folder}: can't be made: {error.strerror or error}") from None
         else:
-            return folder
+            return _without_last_run(folder)
+
+
+def _without_last_run(folder: Path) -> Path:
+    """Remove the summary and picture of a run before, which would pass for this one's if it is cut short."""
+    for name in (SUMMARY, PICTURE):
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"output {folder}: can't replace {name} there: {error.strerror or error}"
+            ) from None
+    return folder
 
 
 def header(run: str, scene: Scene, array: CellArray) -> Header:
@@ -101,12 +116,10 @@ def draw(run: Recording | Track, folder: Path) -> None:
     Raises:
         DeployError: It can't be written.
     """
-    from deploy.overview import FILE_NAME, draw_overview
-
-    draft = folder / f".{FILE_NAME}.draft"
+    draft = folder / f".{PICTURE}.draft"
     try:
         draw_overview(run, draft)
-        draft.replace(folder / FILE_NAME)
+        draft.replace(folder / PICTURE)
     finally:
         draft.unlink(missing_ok=True)
 

@@ -179,8 +179,9 @@ class _Simulation:
         digest = Digest(b"simulate " + self.scene.canonical())
         nothing = np.zeros((0, 1), dtype=np.bool_)
         none: Floats = np.zeros((0, 2))
-        for tick, state in enumerate(np.concatenate(self.states)):
-            digest.tick(tick, nothing, none, state)
+        states: Floats = np.concatenate(self.states)
+        for tick in range(len(states)):
+            digest.tick(tick, nothing, none, states[tick])
         return digest.hexdigest
 
     def _track(self, plant: Plant, digest: str | None) -> Track:

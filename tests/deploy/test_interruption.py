@@ -1,0 +1,78 @@
+"""Signals are taken where that leaves nothing half done."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+
+import pytest
+
+from deploy.interruption import Interrupted, Interruption
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+
+
+def _send(number: signal.Signals) -> None:
+    os.kill(os.getpid(), number)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_is_noted_and_raised_at_the_next_check(number: signal.Signals) -> None:
+    interruption = Interruption()
+    with interruption.watching():
+        interruption.check()
+        _send(number)
+        assert interruption.requested
+        with pytest.raises(Interrupted):
+            interruption.check()
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_raises_at_once_where_that_is_allowed(number: signal.Signals) -> None:
+    interruption = Interruption()
+    with interruption.watching():
+        with pytest.raises(Interrupted), interruption.allowed():
+            _send(number)
+            pytest.fail("the signal must have raised")  # pragma: no cover
+        _send(number)  # a second one disturbs nobody
+
+
+def test_a_signal_raises_at_once_while_the_run_waits() -> None:
+    interruption = Interruption()
+    interruption.waits = lambda: True
+    with interruption.watching(), pytest.raises(Interrupted):
+        _send(signal.SIGINT)
+
+
+def test_a_signal_that_came_before_raises_on_the_way_in() -> None:
+    interruption = Interruption()
+    with interruption.watching():
+        _send(signal.SIGINT)
+        with pytest.raises(Interrupted), interruption.allowed():
+            pytest.fail("must not be entered")  # pragma: no cover
+
+
+def test_an_interruption_is_no_exception_that_others_catch() -> None:
+    assert not issubclass(Interrupted, Exception)
+
+
+def test_handlers_are_put_back() -> None:
+    before = [signal.getsignal(number) for number in SIGNALS]
+    with Interruption().watching():
+        assert [signal.getsignal(number) for number in SIGNALS] != before
+    assert [signal.getsignal(number) for number in SIGNALS] == before
+
+
+def test_other_threads_leave_signals_alone() -> None:
+    seen: list[bool] = []
+
+    def look() -> None:
+        before = signal.getsignal(signal.SIGINT)
+        with Interruption().watching():
+            seen.append(signal.getsignal(signal.SIGINT) is before)
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    thread.join()
+    assert seen == [True]

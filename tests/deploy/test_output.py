@@ -1,0 +1,66 @@
+"""Names, folders and headers of what a run leaves behind."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bus.keys import check_run
+from deploy.errors import InputError
+from deploy.output import footprint, header, output_folder, run_name, versions
+from deploy.scene_files import load_scene, scene_text
+from plant.array import CellArray
+from plant.specs import ParcelSpec
+
+
+@pytest.mark.parametrize("name", ["elliptic", "./a b/c d.toml", "/x/ä.toml", "-.toml", "x" * 300])
+def test_a_run_of_any_scene_gets_a_name_that_can_stand_in_a_key(name: str) -> None:
+    scene = load_scene("elliptic").named(name)
+    assert check_run(run_name(scene, "0123abcd"))
+
+
+def test_the_default_folder_is_new_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = load_scene("elliptic")
+    folders = [output_folder(scene, None) for _ in range(3)]
+    assert len(set(folders)) == 3
+    assert all(re.fullmatch(r"runs/elliptic-\d{8}-\d{6}(-\d)?", str(folder)) for folder in folders)
+
+
+def test_a_folder_used_again_loses_the_summary_and_the_picture_of_the_run_before(tmp_path: Path) -> None:
+    for name in ("summary.json", "overview.png", "notes.txt"):
+        (tmp_path / name).write_text("old")
+    assert output_folder(load_scene("elliptic"), tmp_path) == tmp_path
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_file_in_the_place_of_the_folder_is_bad_input(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for folder, why in (
+        ("file", "is a file, must be a folder"),
+        ("file/out", "can't be made: Not a directory"),
+    ):
+        with pytest.raises(InputError, match=f"^output .*: {why}$"):
+            output_folder(load_scene("elliptic"), tmp_path / folder)
+
+
+def test_the_header_has_the_whole_scene_and_where_everything_is(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(scene_text("prototype"))
+    scene = load_scene(str(path))
+    array = CellArray(scene.array)
+    made = header("r", scene, array)
+    assert made["cells"][:3] == [[0, 0], [0, 1], [0, 3]]
+    assert np.array_equal(made["positions_m"], array.positions_m)
+    assert made["footprints_m"] == [[[-0.25, -0.2], [0.25, -0.2], [0.25, 0.2], [-0.25, 0.2]]]
+    assert made["scene"]["duration_s"] == 10.0
+    assert {"python", "numpy", "numba", "eclipse-zenoh"} <= set(made["versions"])
+    assert made["versions"] == versions()
+
+
+def test_a_footprint_is_about_the_centre_of_mass() -> None:
+    parcel = ParcelSpec(size_m=(0.4, 0.2), mass_kg=1.0, position_m=(0.0, 0.0), centre_of_mass_m=(0.1, 0.0))
+    assert footprint(parcel)[0].tolist() == pytest.approx([-0.3, -0.1])
