@@ -24,7 +24,9 @@ _F8: Final = np.dtype("<f8")
 _U1: Final = np.dtype("u1")
 
 _Packer = cast("Callable[[], Any]", cast("Any", msgpack).Packer)
-_unpackb = cast("Callable[[bytes], object]", cast("Any", msgpack).unpackb)
+# Says more than is known: what comes out is looked at before it counts as such a map.
+_unpackb = cast("Callable[[bytes], dict[str, Any]]", cast("Any", msgpack).unpackb)
+_NOT_MESSAGEPACK: Final = (ValueError, TypeError, OverflowError, msgpack.UnpackException)
 _all = np.logical_and.reduce
 
 Values = NDArray[np.float64]
@@ -45,40 +47,50 @@ def packer() -> Pack:
 
 
 def layout(*names: str) -> frozenset[str]:
-    """A payload's fields, for ``unpack``: ``names`` and those that every payload has."""
+    """A payload's fields, for ``reader``: ``names`` and those that every payload has."""
     return frozenset(("v", "tick", *names))
 
 
-def unpack(kind: str, payload: bytes, limit: int, *names: frozenset[str]) -> tuple[int, dict[str, Any]]:
-    """The tick and fields of a payload.
+def reader(kind: str, limit: int, *layouts: frozenset[str]) -> Callable[[bytes], tuple[int, dict[str, Any]]]:
+    """What reads payloads of one kind: a function from any bytes to the tick and the fields.
+
+    The function raises WireError for bytes that are too many, not MessagePack, no such map, of another version,
+    or without a sensible tick.
 
     Args:
         kind: What it is, for the error.
-        payload: Any bytes at all.
         limit: Bytes that the values may take; the envelope comes on top.
-        names: The sets of fields allowed (``layout``); one of them must be there, no more and no less.
-
-    Raises:
-        WireError: Too long, not MessagePack, not such a map, another version, or no sensible tick.
+        layouts: The sets of fields allowed (``layout``): one of them, no more and no less.
     """
-    if len(payload) > limit + _ENVELOPE:
-        raise WireError(kind, "length", f"{len(payload)} bytes: must be at most {limit + _ENVELOPE}")
-    try:
-        found = _unpackb(payload)
-    except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
-        raise WireError(kind, "encoding", f"not MessagePack: {type(error).__name__}") from None
+    longest = limit + _ENVELOPE
+
+    def read(payload: bytes) -> tuple[int, dict[str, Any]]:
+        if len(payload) > longest:
+            raise WireError(kind, "length", f"{len(payload)} bytes: must be at most {longest}")
+        try:
+            fields = _unpackb(payload)
+        except _NOT_MESSAGEPACK as error:
+            raise WireError(kind, "encoding", f"not MessagePack: {type(error).__name__}") from None
+        if type(fields) is dict and fields.get("v") == VERSION and fields.keys() in layouts:
+            tick = fields["tick"]
+            if type(tick) is int and 0 <= tick < TICK_LIMIT:
+                return tick, fields
+        raise _wrong(kind, fields, layouts)
+
+    return read
+
+
+def _wrong(kind: str, found: object, layouts: tuple[frozenset[str], ...]) -> WireError:
+    """What is wrong with a payload that is MessagePack."""
     if type(found) is not dict:
-        raise WireError(kind, "type", f"a {type(found).__name__}: must be a map")
+        return WireError(kind, "type", f"a {type(found).__name__}: must be a map")
     fields = cast("dict[Any, Any]", found)
     if fields.get("v") != VERSION:
-        raise WireError(kind, "version", f"must be {VERSION}")
-    if fields.keys() not in names:
-        allowed = " or ".join(", ".join(sorted(chosen)) for chosen in names)
-        raise WireError(kind, "fields", f"must be {allowed}")
-    tick = fields["tick"]
-    if type(tick) is not int or not 0 <= tick < TICK_LIMIT:
-        raise WireError(kind, "tick", f"must be an integer in 0..{TICK_LIMIT - 1}")
-    return tick, fields
+        return WireError(kind, "version", f"must be {VERSION}")
+    if fields.keys() not in layouts:
+        allowed = " or ".join(", ".join(sorted(names)) for names in layouts)
+        return WireError(kind, "fields", f"must be {allowed}")
+    return WireError(kind, "tick", f"must be an integer in 0..{TICK_LIMIT - 1}")
 
 
 def bits(kind: str, value: object, count: int) -> Mask:

@@ -15,17 +15,6 @@ NEVER: Final = int(np.iinfo(np.int64).max)
 EARLY_TICKS: Final = 64
 """How far ahead a frame may be to be kept; in lockstep nobody gets further than one tick."""
 
-Route = tuple[Callable[[int, bytes], None], int]
-"""What takes the payloads of a key, and which part they are for it."""
-
-
-def _refuse(part: int, payload: bytes) -> None:  # noqa: ARG001 - as every route
-    raise WireError("bus", "key", "no part of this run sends on such a key")
-
-
-nowhere: Final[Route] = (_refuse, 0)
-"""Where payloads on keys outside the run's cells go."""
-
 
 @final
 class Slot:
@@ -124,6 +113,8 @@ class Collector:
         """The frame of ``tick``, which with all before it is over: whatever comes for it now is late."""
         slot = self.slot(tick)
         self.now = tick + 1
-        for over in [t for t in self._slots if t <= tick]:
-            del self._slots[over]
+        del self._slots[tick]
+        if self._slots:
+            for over in [t for t in self._slots if t < tick]:
+                del self._slots[over]
         return slot

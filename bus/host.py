@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable
 from typing import Any, Final, final
@@ -9,8 +10,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from bus import wire
-from bus.collector import NEVER, Collector, Route, nowhere
+from bus.collector import NEVER, Collector
 from bus.counts import Counts, Loss, Reason
+from bus.dispatch import Dispatcher
 from bus.errors import BusError, WireError, WokenError
 from bus.forms import FORMS, FormName
 from bus.forms.form import HostForm, Wiring
@@ -18,11 +20,9 @@ from bus.keys import plant_key, shard_key
 from bus.partition import Partition
 from bus.roll import Roll
 from bus.specs import StallSpec
-from bus.transport import Alive, Endpoint, Event, Received, Woken
+from bus.transport import Endpoint
 from bus.wire import Control, DriveFrame, Report, SenseFrame
 
-BATCH: Final = 64
-"""Payloads for which a side sleeps at most before it begins to read them."""
 _POLL_S: Final = 0.01
 """How often to ask for matches, of which no event tells."""
 _STATE_POLL_S: Final = 0.5
@@ -79,11 +79,11 @@ class Host:
         self._shard_counts: dict[int, Counts] = {}
         self._roll = Roll(self._form, partition.lattice)
         self._drives = Collector("drive", self._form.blank_drives, self._form.decode_drive, self.counts)
-        self._routes: dict[str, Route] = {
-            key: (self._drives.take, unit) for key, unit in self._form.drive_units.items()
-        }
+        self._inbox = Dispatcher(endpoint, self.counts, self._roll.take)
+        for key, unit in self._form.drive_units.items():
+            self._inbox.routes[key] = (self._drives.take, unit)
         for shard in range(partition.count):
-            self._routes[shard_key(run, shard, "report")] = (self._report, shard)
+            self._inbox.routes[shard_key(run, shard, "report")] = (self._report, shard)
         self._control = endpoint.publisher(plant_key(run, "control"))
         self._state = endpoint.publisher(plant_key(run, "state"))
         self._state_asked: float | None = None
@@ -121,9 +121,7 @@ class Host:
             if left <= 0:
                 raise self._roll.missing(limit, waiting)
             # Tokens come as events, matches must be asked for: they come with the tokens.
-            event = self._endpoint.receive(min(left, _POLL_S) if everybody else left)
-            if event is not None:
-                self._take(event)
+            self._inbox.read(min(left, _POLL_S) if everybody else left)
         self.control(Control("start", 0))
 
     # --- a tick ---------------------------------------------------------------------------------
@@ -164,16 +162,13 @@ class Host:
         self._tick = tick
         slot = self._drives.slot(tick)
         deadline = self._clock() + self._stall.deadline_s
-        receive, take, clock = self._endpoint.receive, self._take, self._clock
+        read, clock = self._inbox.read, self._clock
         while True:
             if self._roll.gone or self._failed:
                 self._bury(slot.have)
             if slot.missing <= 0:
                 break
-            event = receive(max(deadline - clock(), 0.0), min(slot.missing, BATCH))
-            if event is not None:
-                take(event)
-            elif clock() >= deadline:
+            if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
                 self._lose_units(self._drives.missing(tick), "stalled")
         drive = self._form.join_drives(self._drives.close(tick).values)
         if not self._all_live:
@@ -220,10 +215,9 @@ class Host:
         self.control(Control("stop", self._tick, (), detail))
         deadline = self._clock() + deadline_s
         while self._roll.alive and (left := deadline - self._clock()) > 0:
-            event = self._endpoint.receive(left)
             # Whoever wakes us wants what is happening already.
-            if event is not None and not isinstance(event, Woken):
-                self._take(event)
+            with contextlib.suppress(WokenError):
+                self._inbox.read(left)
         return sum(self._shard_counts.values(), self.counts)
 
     def close(self) -> None:
@@ -231,18 +225,6 @@ class Host:
         self._endpoint.withdraw(self._alive_key)
 
     # --- events ---------------------------------------------------------------------------------
-
-    def _take(self, event: Event) -> None:
-        if type(event) is Received:
-            try:
-                take, part = self._routes.get(event.key, nowhere)
-                take(part, event.payload)
-            except WireError as error:
-                self.counts.refuse(error)
-        elif type(event) is Alive:
-            self._roll.take(event)
-        else:
-            raise WokenError("the plant was woken while it waited for the cells")
 
     def _report(self, shard: int, payload: bytes) -> None:
         report = wire.decode_report(payload, len(self._lattice))

@@ -49,15 +49,28 @@ class Inbox:
         """The oldest item, once there are ``enough`` or an urgent one.
 
         Args:
-            timeout_s: Wall seconds after which one item will do, and None is returned if there is none.
+            timeout_s: Wall seconds after which any item will do, and None if there is none. 0: at once.
+                None: never.
             enough: At least 1.
         """
+        if len(self._items) < enough and timeout_s != 0 and not (self._items and self._urgent):
+            self._sleep(timeout_s, enough)
+        return self._pop() if self._items else None
+
+    def get_all(self, timeout_s: float | None, enough: int) -> list[Any]:
+        """As ``get``, but all that is there, oldest first."""
         items = self._items
         if len(items) < enough and timeout_s != 0 and not (items and self._urgent):
             self._sleep(timeout_s, enough)
-        if not items:
-            return None
-        item = items.popleft()
+        there = range(len(items))
+        if self._urgent:
+            return [self._pop() for _ in there]
+        # An urgent item is counted before it is put: none of these can be one.
+        take = items.popleft
+        return [take() for _ in there]
+
+    def _pop(self) -> Any:
+        item = self._items.popleft()
         if type(item) is _Urgent:
             self._urgent.pop()
             return item.item

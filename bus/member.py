@@ -9,16 +9,16 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from bus import wire
-from bus.collector import NEVER, Collector, Route, nowhere
+from bus.collector import NEVER, Collector
 from bus.counts import Counts
-from bus.errors import BarrierError, BusError, HostLostError, WireError, WokenError
+from bus.dispatch import Dispatcher
+from bus.errors import BarrierError, BusError, HostLostError, WireError
 from bus.forms import FORMS, FormName
 from bus.forms.form import MemberForm, Wiring
-from bus.host import BATCH
 from bus.keys import plant_key, shard_key
 from bus.partition import Index, Partition
 from bus.specs import StallSpec
-from bus.transport import Alive, Endpoint, Event, Received
+from bus.transport import Alive, Endpoint, Publisher
 from bus.wire import Control, DriveFrame, LinkFrame, Report, SenseFrame
 
 _POLL_S: Final = 0.01
@@ -105,12 +105,13 @@ class Member:
         self._declared: list[str] = []
         self._plant_key = plant_key(run, "alive")
         control = plant_key(run, "control")
-        self._routes: dict[str, Route] = {
+        self._inbox = Dispatcher(endpoint, self.counts, self._take_token)
+        self._inbox.routes = {
             **{key: (self._senses.take, unit) for key, unit in self._form.sense_units.items()},
             **{key: (self._links.take, part) for key, part in self._form.in_parts.items()},
             control: (self._take_control, 0),
         }
-        for key in self._routes:
+        for key in self._inbox.routes:
             endpoint.subscribe(key, urgent=key == control)
         self._drive = [endpoint.publisher(key) for key in self._form.drive_keys]
         self._out = [endpoint.publisher(key) for key in self._form.out_keys]
@@ -146,9 +147,7 @@ class Member:
                 why = f"nobody listens to {keys}" if self._plant_seen else "the plant does not answer"
                 raise BarrierError(f"shard {self._shard} is not ready after {limit:g} s: {why}")
             # No event tells of a match.
-            event = self._endpoint.receive(min(left, _POLL_S))
-            if event is not None:
-                self._take(event)
+            self._inbox.read(min(left, _POLL_S))
             if self._plant_lost:
                 raise HostLostError("the plant left before the run began")
         self._show(self._form.ready_keys)
@@ -180,7 +179,7 @@ class Member:
         # At tick 0 nobody has sent anything.
         links = None if self._message is None or tick == 0 else self._links.slot(tick - 1)
         deadline = None if self._silence_s is None else self._clock() + self._silence_s
-        receive, take = self._endpoint.receive, self._take
+        read = self._inbox.read
         while True:
             missing = sense.missing if links is None else sense.missing + links.missing
             if self._stop is not None:
@@ -192,10 +191,7 @@ class Member:
             if self._plant_lost:
                 raise HostLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = None if deadline is None else max(deadline - self._clock(), 0.0)
-            event = receive(left, min(missing, BATCH))
-            if event is not None:
-                take(event)
-            elif left == 0:
+            if not read(left, missing) and left == 0:
                 raise HostLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
@@ -225,23 +221,28 @@ class Member:
         """
         self._check(drive, links)
         tick = drive.tick
-        # Messages first: when the plant has the drives, it has passed the messages on.
+        # Messages first: when the plant has the drives, it has passed the messages on. All payloads before the
+        # first put, so that they leave together.
+        puts: list[tuple[Publisher, bytes]] = []
         if links is not None and self._out:
             if not self._all_live:
                 live = self._until[self._outgoing.source] > tick
                 links = LinkFrame(tick, links.sent & live, links.message)
-            for publisher, payload, source, target in zip(
-                self._out, self._form.link_payloads(links), self._out_until, self._target_until, strict=True
-            ):
-                if source > tick and target > tick + 1:
-                    publisher.put(payload)
-                    self.counts.sent += 1
-        for publisher, payload, until in zip(
-            self._drive, self._form.drive_payloads(drive), self._senses.until, strict=True
-        ):
-            if until > tick:
-                publisher.put(payload)
-                self.counts.sent += 1
+            puts += zip(self._out, self._form.link_payloads(links), strict=True)
+        puts += zip(self._drive, self._form.drive_payloads(drive), strict=True)
+        if not self._all_live:
+            spoken = (*self._spoken(tick), *(until > tick for until in self._senses.until))
+            puts = [put for put, live in zip(puts, spoken, strict=True) if live]
+        for publisher, payload in puts:
+            publisher.put(payload)
+        self.counts.sent += len(puts)
+
+    def _spoken(self, tick: int) -> list[bool]:
+        """Which parts of the outgoing links have somebody to send them, and somebody to read them a tick later."""
+        return [
+            source > tick and target > tick + 1
+            for source, target in zip(self._out_until, self._target_until, strict=True)
+        ]
 
     def _check(self, drive: DriveFrame, links: LinkFrame | None) -> None:
         values = drive.drive
@@ -318,20 +319,11 @@ class Member:
 
     # --- events ---------------------------------------------------------------------------------
 
-    def _take(self, event: Event) -> None:
-        if type(event) is Received:
-            try:
-                take, part = self._routes.get(event.key, nowhere)
-                take(part, event.payload)
-            except WireError as error:
-                self.counts.refuse(error)
-        elif type(event) is Alive:
-            # Somebody else's token is none of ours.
-            if event.key == self._plant_key:
-                self._plant_lost = self._plant_seen and not event.present
-                self._plant_seen = self._plant_seen or event.present
-        else:
-            raise WokenError(f"shard {self._shard} was woken while it waited")
+    def _take_token(self, event: Alive) -> None:
+        # Somebody else's token is none of ours.
+        if event.key == self._plant_key:
+            self._plant_lost = self._plant_seen and not event.present
+            self._plant_seen = self._plant_seen or event.present
 
     def _take_control(self, _: int, payload: bytes) -> None:
         control = wire.decode_control(payload, len(self._until))

@@ -98,6 +98,10 @@ class Endpoint(ABC):
         """
 
     @abstractmethod
+    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+        """As ``receive``, but all that is in the inbox, oldest first; empty after ``timeout_s``."""
+
+    @abstractmethod
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""
 

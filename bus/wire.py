@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, cast, final
 
 import numpy as np
 
-from bus.codec import TICK_LIMIT, Mask, Message, Values, layout, packer, unpack
+from bus.codec import TICK_LIMIT, Mask, Message, Values, layout, packer, reader
 from bus.errors import WireError
 
 TEXT_LIMIT: Final = 4096
@@ -114,7 +114,7 @@ def decode_control(payload: bytes, cells: int) -> Control:
     Raises:
         WireError: Anything else.
     """
-    tick, fields = unpack("control", payload, _text_limit(cells), _CONTROL)
+    tick, fields = reader("control", _text_limit(cells), _CONTROL)(payload)
     kind = fields["kind"]
     if kind not in ("start", "lost", "stop"):
         raise WireError("control", "kind", "must be start, lost or stop")
@@ -140,7 +140,7 @@ def decode_report(payload: bytes, cells: int) -> Report:
     Raises:
         WireError: Anything else.
     """
-    tick, fields = unpack("report", payload, _text_limit(cells), _REPORT)
+    tick, fields = reader("report", _text_limit(cells), _REPORT)(payload)
     kind = fields["kind"]
     if kind not in ("failed", "counts"):
         raise WireError("report", "kind", "must be failed or counts")

@@ -17,6 +17,9 @@ _NO_MESSAGE: Final = codec.layout()
 _VALUE: Final = 80
 """Bytes that one named value of a payload may take, its name included up to four fifths of that."""
 
+_read_sense = codec.reader("sense", _VALUE, _SENSE)
+_read_drive = codec.reader("drive", _VALUE, _DRIVE)
+
 
 @final
 class CellsHost(HostForm):
@@ -58,7 +61,7 @@ class CellsHost(HostForm):
 
     def decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
         """Tick and the cell's two drives."""
-        tick, fields = codec.unpack("drive", payload, _VALUE, _DRIVE)
+        tick, fields = _read_drive(payload)
         return tick, codec.pair("drive", fields["drive"])
 
     def join_drives(self, values: list[Any]) -> codec.Values:
@@ -102,7 +105,7 @@ class CellsMember(MemberForm):
 
     def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
         """Tick, and the cell's presence bits with its encoder travel or None."""
-        tick, fields = codec.unpack("sense", payload, _VALUE, _SENSE)
+        tick, fields = _read_sense(payload)
         presence = codec.booleans("sense", fields["presence"], self._sensors)
         if self._encoders:
             return tick, (presence, codec.pair("sense", fields["encoder_m"]))
@@ -144,8 +147,8 @@ class _MessageMap:
         self._dtype = np.dtype([]) if dtype is None else dtype
         names = self._dtype.names or ()
         self._names = names
-        self._layout = codec.layout(*names)
-        self._limit = sum(_VALUE + 4 * len(name) for name in names)
+        limit = sum(_VALUE + 4 * len(name) for name in names)
+        self._read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
         self._readers: list[tuple[str, Callable[[object], Any]]] = [
             (name, codec.scalar_reader("link", name, self._dtype[name])) for name in names
         ]
@@ -160,7 +163,7 @@ class _MessageMap:
         ]
 
     def decode(self, payload: bytes) -> tuple[int, tuple[bool, tuple[Any, ...]]]:
-        tick, fields = codec.unpack("link", payload, self._limit, self._layout, _NO_MESSAGE)
+        tick, fields = self._read(payload)
         if len(fields) == len(_NO_MESSAGE):
             return tick, self.nothing
         return tick, (True, tuple([read(fields[name]) for name, read in self._readers]))

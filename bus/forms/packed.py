@@ -34,6 +34,7 @@ class PackedHost(HostForm):
         self.alive_expr = shard_key(run, None, "alive")
         self.ready_expr = shard_key(run, None, "ready")
         self.blank_drives = [0.0] * partition.count
+        self._read_drive = [codec.reader("drive", len(cells) * 16, _DRIVE) for cells in self.unit_cells]
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a shard."""
@@ -51,9 +52,8 @@ class PackedHost(HostForm):
 
     def decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
         """Tick and ``(cells, 2)`` drives of a shard."""
-        rows = len(self.unit_cells[unit])
-        tick, fields = codec.unpack("drive", payload, rows * 16, _DRIVE)
-        return tick, codec.floats("drive", fields["drive"], rows)
+        tick, fields = self._read_drive[unit](payload)
+        return tick, codec.floats("drive", fields["drive"], len(self.unit_cells[unit]))
 
     def join_drives(self, values: list[Any]) -> codec.Values:
         """``(n, 2)`` from an array a shard."""
@@ -82,6 +82,7 @@ class PackedMember(MemberForm):
         self.unit_cells = (cells,)
         self.sense_units = {shard_key(run, shard, "sense"): 0}
         self.blank_senses = [None]
+        self._read_sense = codec.reader("sense", self._rows * (wiring.sensors + 16), _SENSE)
         self._message = np.dtype([]) if wiring.message is None else wiring.message
         self._zero = np.zeros((), dtype=self._message)
         incoming = () if wiring.message is None else partition.incoming_borders(shard)
@@ -95,6 +96,9 @@ class PackedMember(MemberForm):
             (np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=self._message))
             for count in self._in_counts
         ]
+        self._read_link = [
+            codec.reader("link", count * (1 + self._message.itemsize), _LINK) for count in self._in_counts
+        ]
         self._out_links = tuple(slice(b.start, b.stop) for b in outgoing)
         self.out_keys = tuple(shard_link_key(run, shard, b.shard) for b in outgoing)
         self.out_sources = tuple(cells for _ in outgoing)
@@ -102,9 +106,9 @@ class PackedMember(MemberForm):
 
     def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
         """Tick, and ``(n, sensors)`` presence with ``(n, 2)`` encoder travel or None."""
-        count = self._rows * self._sensors
-        tick, fields = codec.unpack("sense", payload, count // 8 + self._rows * 16, _SENSE)
-        presence = codec.bits("sense", fields["presence"], count).reshape(self._rows, self._sensors)
+        tick, fields = self._read_sense(payload)
+        presence = codec.bits("sense", fields["presence"], self._rows * self._sensors)
+        presence = presence.reshape(self._rows, self._sensors)
         if self._encoders:
             return tick, (presence, codec.floats("sense", fields["encoder_m"], self._rows))
         codec.nothing("sense", "encoder_m", fields["encoder_m"])
@@ -117,7 +121,7 @@ class PackedMember(MemberForm):
     def decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:
         """Tick, and ``(m,)`` mask with ``(m,)`` messages, zero where none was sent."""
         count = self._in_counts[part]
-        tick, fields = codec.unpack("link", payload, count // 8 + count * self._message.itemsize, _LINK)
+        tick, fields = self._read_link[part](payload)
         sent = codec.bits("link", fields["sent"], count)
         message = codec.messages("link", fields["message"], count, self._message)
         if not sent.all():

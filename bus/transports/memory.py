@@ -152,6 +152,11 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         return self._inbox.get(timeout_s, enough)
 
+    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+        """All events, oldest first."""
+        self.check_open()
+        return self._inbox.get_all(timeout_s, enough)
+
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""
         self._inbox.put_urgent(Woken())

@@ -180,6 +180,13 @@ def _free_port() -> int:
         return cast("int", probe.getsockname()[1])
 
 
+_Sample = zenoh.Sample
+
+
+def _received(sample: zenoh.Sample) -> Received:
+    return Received(str(sample.key_expr), sample.payload.to_bytes())
+
+
 @final
 class ZenohPublisher(Publisher):
     """Puts on one key: blocking, reliable, batched."""
@@ -285,9 +292,13 @@ class ZenohEndpoint(Endpoint):
         """The oldest event, or None after ``timeout_s``."""
         self.check_usable()
         item = self._inbox.get(timeout_s, enough)
-        if type(item) is zenoh.Sample:
-            return Received(str(item.key_expr), item.payload.to_bytes())
-        return item
+        return _received(item) if type(item) is _Sample else item
+
+    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+        """All events, oldest first."""
+        self.check_usable()
+        items = self._inbox.get_all(timeout_s, enough)
+        return [_received(item) if type(item) is _Sample else item for item in items]
 
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""
@@ -313,9 +324,10 @@ class ZenohEndpoint(Endpoint):
 
     def check_usable(self) -> None:
         """Raises TransportError after ``close``, and in a process that inherited this session by a fork."""
+        if not self._closed and self._forks == _forks:
+            return
         if self._closed:
             raise TransportError("this endpoint is closed")
-        if self._forks != _forks:
-            raise TransportError(
-                f"this session was opened in process {self._pid}: a forked process must open its own"
-            )
+        raise TransportError(
+            f"this session was opened in process {self._pid}: a forked process must open its own"
+        )
