@@ -190,6 +190,9 @@ def taylor(seg, grp, ctl, y, par, e, c, s, tmax, matrix, reply, f, scratch, ser)
         ser[at.S_EXP, n] = -rate * ser[at.S_EXP, k] / n
         angle_terms(ser, k)
         size = max(abs(ser[at.S_X, n]), abs(ser[at.S_Y, n]), radius * abs(ser[at.S_TH, n]))
+        # a parcel that turns steadily has a short angle series, but events are read from sine and cosine
+        size = max(size, radius * abs(ser[at.S_C, n]), radius * abs(ser[at.S_S, n]))
+        size = max(size, abs(ser[at.S_E1, n]), abs(ser[at.S_E2, n]))
         size += memory * max(abs(ser[at.S_UX, n]), abs(ser[at.S_UY, n]), radius * abs(ser[at.S_OM, n]))
         power *= tmax
         previous, last = last, size
