@@ -239,11 +239,13 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
     Raises:
         PlantError: The plant refuses the scene.
     """
-    from plant.kernels.cache import is_warm
+    from plant.kernels.cache import folder, is_warm
     from plant.plant import Plant
 
     if not is_warm():
-        warn("compiling the solver (once) ...")
+        _, lasting = folder()
+        once = "once" if lasting else "every time: the cache folder can't be written, see NUMBA_CACHE_DIR"
+        warn(f"compiling the solver ({once}) ...")
     return Plant(scene.plant_spec())
 
 

@@ -7,6 +7,7 @@ numba, and the processor. Any change makes another folder; nothing is ever looke
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import hashlib
 import os
@@ -57,23 +58,24 @@ def processor() -> str:
 
 @cache
 def folder() -> tuple[Path, bool]:
-    """The folder of this set of kernels, created; and whether it will outlive this process's user session.
+    """The folder of this set of kernels, created; and whether later runs will find it again.
 
-    Falls back to the system's temporary folder where the user's cache can't be written.
+    ``NUMBA_CACHE_DIR`` where that is set, else the user's cache; a temporary folder where that can't be written.
     """
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    name = key()
-    for root, lasting in ((Path(base), True), (Path(tempfile.gettempdir()) / f"mdms-{os.getuid()}", False)):
-        path = root / "mdms" / "kernels" / name
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            os.utime(path)
-            if os.access(path, os.W_OK):
-                _prune(path)
-                return path, lasting
-        except OSError:
-            continue
-    return Path(tempfile.mkdtemp(prefix="mdms-kernels-")), False
+    home = (
+        os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    )
+    path = Path(home) / "mdms" / "kernels" / key()
+    with contextlib.suppress(OSError):
+        path.mkdir(parents=True, exist_ok=True)
+        os.utime(path)
+        with tempfile.TemporaryFile(dir=path):
+            _prune(path)
+        return path, True
+    # a fresh folder of our own: compiled code must not be read from where others can write
+    temporary = Path(tempfile.mkdtemp(prefix="mdms-kernels-"))
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return temporary, False
 
 
 def _prune(current: Path) -> None:
