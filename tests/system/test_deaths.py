@@ -158,3 +158,15 @@ def test_under_abort_a_lost_worker_ends_the_run_and_the_last_line_says_what_and_
         f"mdms: {outcome}: cells 2,1 2,2 2,3 2,4 2,5 3,1 and 3 more lost in"
     )
     assert load(running.output).status == outcome
+
+
+def test_a_firmware_that_never_returns_does_not_keep_a_run_in_one_process_from_ending(
+    mdms: Start, small: Small, tmp_path: Path
+) -> None:
+    (tmp_path / "faulty.py").write_text(FIRMWARE.replace('if "{when}" == "raise":', "while True:"))
+    running = mdms(
+        "run", small(), "--processes", "0", "--json", "--no-picture", "--set", "stall.deadline_s=0.2",
+        "--set", f'cells.firmware="{tmp_path / "faulty.py"}"', "--set", "cells.parameters={}",
+    )  # fmt: skip
+    status, stdout, _ = running.end()
+    assert (status, len(summary_of(stdout)["cells_lost"])) == (0, 12)
