@@ -101,13 +101,13 @@ def evaluate(surface, parcel, work, e, c, s):
 
 @kernel
 def fractions_fit(surface, parcel, work):
-    """Whether every captured cell carries between nothing and its full load."""
+    """Whether every captured cell carries between nothing and its full load, closer than where it would be released."""
     mem, ctl, seg = parcel.mem, parcel.ctl, work.seg
     a0, bx, by = plane(seg, work.grp, work.f, ctl[at.N_GROUPS])
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.MARK] == at.CAPTURED:
             amount, _ = excess(surface.pos, mem, parcel.share, parcel.y, seg, work.f, a0, bx, by, i)
-            if amount > FRACTION_ZERO:
+            if amount > 0.25 * FRACTION_ZERO:
                 return False
     return True
 

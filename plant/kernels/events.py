@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.loads import LOAD_ZERO
+from plant.kernels.loads import FRACTION_ZERO, LOAD_ZERO
 from plant.kernels.roots import NONE, deflate, first_crossing, horner
 
 SLACK = 1e-6
@@ -188,7 +188,11 @@ def entering(surface, parcel, work, order, far, turn, end, count):
 
 @kernel
 def loading(surface, parcel, work, order, end, count):
-    """Loads that vanish, lifted cells that touch again, fractions that reach 0 or 1, a line of supports left."""
+    """Loads that vanish, lifted cells that touch again, fractions that reach 0 or 1, a line of supports left.
+
+    A load must pass zero by twice what ``settled`` calls rounding, either way: one that hovers about zero, like that
+    of a parcel come to rest, changes nothing.
+    """
     pos, mem, share, ctl, y, par = surface.pos, parcel.mem, parcel.share, parcel.ctl, parcel.y, parcel.par
     seg, ser, found, g, p = work.seg, work.ser, work.found, work.g, work.p
     if ser[at.S_A0, 0] <= 0.0:
@@ -204,27 +208,32 @@ def loading(surface, parcel, work, order, end, count):
             continue
         rx, ry = pos[cell, 0] - y[0] - seg[at.CX], pos[cell, 1] - y[1] - seg[at.CY]
         now = ser[at.S_A0, 0] + ser[at.S_BX_, 0] * rx + ser[at.S_BY_, 0] * ry
-        bound = (swing0 + swing * (rx * rx + ry * ry) ** 0.5) * end * 1.000001 + zero
+        bound = (swing0 + swing * (rx * rx + ry * ry) ** 0.5) * end * 1.000001 + 2.0 * zero
         if abs(now) > bound:
             continue
         if mark == at.LIFTED and seg[at.RANK] < 2:
             continue
         for k in range(order + 1):
             g[k] = ser[at.S_A0, k] + ser[at.S_BX_, k] * rx + ser[at.S_BY_, k] * ry
-        t = crossing(g, order, zero, mark == at.LIFTED, end, p)
+        g[0] += -2.0 * zero if mark == at.LIFTED else 2.0 * zero
+        t = crossing(g, order, 0.0, mark == at.LIFTED, end, p)
         if t <= end:
             count = note(found, count, t, at.UNLOAD if mark == at.ACTIVE else at.TOUCH, cell, 0)
             end = min(end, t + SLACK)
     if ctl[at.N_GROUPS] > 0:
-        count, end = fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p)
+        count, end = fractions(pos, mem, share, ctl, y, seg, ser, order, end, found, count, g, p)
     if seg[at.RANK] < 2:
         count, end = off_line(seg, par, ser, order, end, found, count, g, p)
     return count, end
 
 
 @kernel
-def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count, g, p):
-    """Captured cells whose load reaches nothing or all of it: their group's fraction reaches 0 or 1."""
+def fractions(pos, mem, share, ctl, y, seg, ser, order, end, found, count, g, p):
+    """Captured cells whose load reaches nothing or all of it: their group's fraction reaches 0 or 1.
+
+    They must pass it by more than a capture allows, or a fraction at its end would be captured and released in turn.
+    """
+    zero = FRACTION_ZERO * ser[at.S_A0, 0]
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.MARK] != at.CAPTURED:
             continue
@@ -235,8 +244,8 @@ def fractions(pos, mem, share, ctl, y, seg, ser, order, zero, end, found, count,
                 g[k] = s * ser[at.S_F + h, k]
                 if full == 1:
                     g[k] = ser[at.S_A0, k] + ser[at.S_BX_, k] * rx + ser[at.S_BY_, k] * ry - g[k]
-            g[0] += share[i, at.BASE] if full == 0 else -share[i, at.BASE]
-            t = crossing(g, order, zero, False, end, p)
+            g[0] += (share[i, at.BASE] if full == 0 else -share[i, at.BASE]) + zero
+            t = crossing(g, order, 0.0, False, end, p)
             if t <= end:
                 complete = (full == 1) == (s > 0.0)
                 count = note(found, count, t, at.FRACTION_ONE if complete else at.FRACTION_ZERO, cell, h)
