@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 _STOP_S = 2.0
 """Wall time that the cells get to leave when they are told to stop."""
+
+_LEAVE_S = 0.5
+"""The least that they get from leaving the bus to their end."""
 
 _WATCH_S = 0.05
 """How often the barrier's watch looks whether it is still needed."""
@@ -163,15 +167,15 @@ class System:
         self._stopped = True
         counts: Counts | None = None
         # Cells that wait for the start don't listen for the stop.
-        patience_s = _STOP_S if self._running else 0.0
+        deadline = time.monotonic() + (_STOP_S if self._running else 0.0)
         try:
             if self._host is not None:
-                counts = self._host.stop(detail, patience_s)
+                counts = self._host.stop(detail, deadline - time.monotonic())
         finally:
             try:
                 for side in (self._cells, self._processes):
                     if side is not None:
-                        side.close(patience_s)
+                        side.close(max(deadline - time.monotonic(), _LEAVE_S) if self._running else 0.0)
             finally:
                 if self._endpoint is not None:
                     self._endpoint.close()

@@ -34,6 +34,8 @@ class Faulty(CellFirmware):
         place, tick = state
         speed = (0.1, 0.0)
         if place == (1, 1) and tick == 7:
+            while "{when}" == "hang":
+                pass
             if "{when}" == "raise":
                 raise ZeroDivisionError("on purpose")
             if "{when}" == "nan":
@@ -163,7 +165,7 @@ def test_under_abort_a_lost_worker_ends_the_run_and_the_last_line_says_what_and_
 def test_a_firmware_that_never_returns_does_not_keep_a_run_in_one_process_from_ending(
     mdms: Start, small: Small, tmp_path: Path
 ) -> None:
-    (tmp_path / "faulty.py").write_text(FIRMWARE.replace('if "{when}" == "raise":', "while True:"))
+    (tmp_path / "faulty.py").write_text(FIRMWARE.replace("{when}", "hang"))
     running = mdms(
         "run", small(), "--processes", "0", "--json", "--no-picture", "--set", "stall.deadline_s=0.2",
         "--set", f'cells.firmware="{tmp_path / "faulty.py"}"', "--set", "cells.parameters={}",
