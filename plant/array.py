@@ -19,7 +19,7 @@ class CellArray:
         lattice: which cells exist, in row-major order.
         pitch_m: distance of neighbouring cells.
         positions_m: ``(n, 2)`` cell centres.
-        grid: ``(rows, columns)`` int32, index of each cell or -1.
+        grid: ``(rows, columns)`` int64, index of each cell or -1.
         origin_m: centre of cell (0, 0), whether it exists or not.
         sensors_m: ``(s, 2)`` presence sensors relative to a cell's centre.
     """
@@ -36,8 +36,8 @@ class CellArray:
         self.positions_m: NDArray[np.float64] = np.empty((len(self.lattice), 2))
         self.positions_m[:, 0] = 0.5 * (2 * columns - (spec.columns - 1)) * spec.pitch_m
         self.positions_m[:, 1] = 0.5 * (2 * rows - (spec.rows - 1)) * spec.pitch_m
-        self.grid: NDArray[np.int32] = np.full((spec.rows, spec.columns), -1, dtype=np.int32)
-        self.grid[rows, columns] = np.arange(len(self.lattice), dtype=np.int32)
+        self.grid: NDArray[np.int64] = np.full((spec.rows, spec.columns), -1, dtype=np.int64)
+        self.grid[rows, columns] = np.arange(len(self.lattice), dtype=np.int64)
         self.sensors_m: NDArray[np.float64] = np.array(spec.sensors_m, dtype=np.float64).reshape(-1, 2)
 
     def __len__(self) -> int:

@@ -294,7 +294,7 @@ class Plant:
         self.status[i] = ParcelStatus(state, time_s, detail)
         return Event(time_s, state, i, cells, place, detail)
 
-    def _inner(self, mem: NDArray[np.int32], ctl: NDArray[np.int64]) -> Floats:
+    def _inner(self, mem: NDArray[np.int64], ctl: NDArray[np.int64]) -> Floats:
         """A point on the side of the supports: their mean."""
         members = mem[: ctl[layout.N_MEMBERS], layout.CELL]
         return self.array.positions_m[members].mean(axis=0)

@@ -66,13 +66,13 @@ def drifted(grp, groups, y, c, s, zero):
 
 
 @kernel
-def prepare(surface, parcel, work, now, e, crossed, events):
+def prepare(surface, parcel, work, now, e, events):
     """Captured groups, loads and accelerations at the start of a step. Returns the parcel's status."""
     ctl, y = parcel.ctl, parcel.y
     c, s = cos(y[at.THETA]), sin(y[at.THETA])
     if ctl[at.N_GROUPS] > 0:
         groups_hold(surface, parcel, c, s)
-    if crossed > 0 and try_capture(surface, parcel, work, e, c, s, crossed):
+    if ctl[at.N_CROSSED] > 0 and try_capture(surface, parcel, work, e, c, s):
         log(events, ctl, now, at.CAPTURE_BEGINS, work.cells[0], work.edges[0])
     status = settled(surface, parcel, work, e, c, s)
     groups = ctl[at.N_GROUPS]
@@ -87,7 +87,7 @@ def search(surface, parcel, work, order):
     """All events of the step that may be its earliest. Returns (how many, time of the earliest or 1)."""
     mem, ctl, ser, found = parcel.mem, parcel.ctl, work.ser, work.found
     far, turn = reach(ser, order)
-    count, end = leaving(surface, parcel, work, order, far, turn, 1.0, 0)
+    count, end = leaving(surface, parcel, work, order, far, turn, 1.0, at.ZERO)
     for i in range(ctl[at.N_MEMBERS]):
         work.where[mem[i, at.CELL]] = 1
     count, end = entering(surface, parcel, work, order, far, turn, end, count)
@@ -143,16 +143,16 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
     """
     y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
-    now, sampled, used, crossed = 0.0, 0, 0, 0
-    ctl[at.N_LOGGED] = 0
+    now, sampled, used = 0.0, 0, 0
+    ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = 0
     if span == 0.0:
-        ctl[at.STATUS] = prepare(surface, parcel, work, 0.0, 1.0, 0, events)
+        ctl[at.STATUS] = prepare(surface, parcel, work, 0.0, 1.0, events)
     while now < span and ctl[at.STATUS] == at.MOVING:
         e = exp(-par[at.RATE] * now) if par[at.RATE] > 0.0 else 0.0
         if e < DECAYED:
             e = 0.0
-        status = prepare(surface, parcel, work, now, e, crossed, events)
-        crossed = 0
+        status = prepare(surface, parcel, work, now, e, events)
+        ctl[at.N_CROSSED] = 0
         if status != at.MOVING:
             ctl[at.STATUS] = status
             if status == at.TIPPED:
@@ -191,9 +191,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         if count > 0:
             # events that rounding can't tell apart happen together
             together = earliest * (1.0 + 1e-13) + 1e-15
-            crossed = apply(
-                surface, parcel, work, count, together, now, events, cos(y[at.THETA]), sin(y[at.THETA])
-            )
+            apply(surface, parcel, work, count, together, now, events, cos(y[at.THETA]), sin(y[at.THETA]))
             used += 1
             ctl[at.N_CHANGES] += 1
             if used > budget:

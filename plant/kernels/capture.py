@@ -46,10 +46,10 @@ def edge_motion(pos, normal, cell, edge, y, c, s, a):
 
 
 @kernel
-def small(surface, parcel, work, crossed, c, s):
+def small(surface, parcel, work, c, s):
     """Whether every cell that crossed moves about its surface by less than ``capture_m``, as far as one side tells."""
     bound = 2.0 * parcel.par[at.CAPTURE]
-    for i in range(crossed):
+    for i in range(parcel.ctl[at.N_CROSSED]):
         rate, second = edge_motion(
             surface.pos, parcel.normal, work.cells[i], work.edges[i], parcel.y, c, s, work.before
         )
@@ -59,10 +59,10 @@ def small(surface, parcel, work, crossed, c, s):
 
 
 @kernel
-def attracts(surface, parcel, work, crossed, c, s):
+def attracts(surface, parcel, work, c, s):
     """Whether every surface crossed draws the parcel in from both sides, its motion smaller than ``capture_m``."""
     bound = 2.0 * parcel.par[at.CAPTURE]
-    for i in range(crossed):
+    for i in range(parcel.ctl[at.N_CROSSED]):
         cell, edge, sign = work.cells[i], work.edges[i], work.signs[i]
         rate, before = edge_motion(surface.pos, parcel.normal, cell, edge, parcel.y, c, s, work.before)
         rate, after = edge_motion(surface.pos, parcel.normal, cell, edge, parcel.y, c, s, work.after)
@@ -113,7 +113,7 @@ def fractions_fit(surface, parcel, work):
 
 
 @kernel
-def mark_captured(surface, parcel, work, crossed, group):
+def mark_captured(surface, parcel, work, group):
     """Captures the cells that crossed into ``group``, with shares in proportion to their full loads.
 
     Where some entered and others left at once, those that left start from the load they had and give it up as the
@@ -130,9 +130,9 @@ def mark_captured(surface, parcel, work, crossed, group):
     )
     a0, bx, by = plane(seg, work.grp, work.f, ctl[at.N_GROUPS])
     mixed = False
-    for i in range(1, crossed):
+    for i in range(1, parcel.ctl[at.N_CROSSED]):
         mixed = mixed or work.signs[i] != work.signs[0]
-    for i in range(crossed):
+    for i in range(parcel.ctl[at.N_CROSSED]):
         cell = work.cells[i]
         slot = -1
         for j in range(ctl[at.N_MEMBERS]):
@@ -168,9 +168,10 @@ def mark_captured(surface, parcel, work, crossed, group):
 
 
 @kernel
-def may_join(work, mem, share, ctl, crossed, group):
+def may_join(parcel, work, group):
     """Whether the cells that crossed may join a group: both all load as their fraction grows."""
-    for i in range(1, crossed):
+    mem, share, ctl = parcel.mem, parcel.share, parcel.ctl
+    for i in range(1, parcel.ctl[at.N_CROSSED]):
         if work.signs[i] != work.signs[0]:
             return False
     for i in range(ctl[at.N_MEMBERS]):
@@ -200,26 +201,26 @@ def restore(parcel, work, members, groups):
 
 
 @kernel
-def try_capture(surface, parcel, work, e, c, s, crossed):
+def try_capture(surface, parcel, work, e, c, s):
     """Capture the cells that just crossed, where their surface attracts from both sides. Returns whether it does.
 
     As a group of their own where their surface is independent of those captured already, else with the group
     whose surface theirs has merged with; only where all fractions then lie in [0, 1].
     """
     ctl = parcel.ctl
-    if not small(surface, parcel, work, crossed, c, s):
+    if not small(surface, parcel, work, c, s):
         return False
     members, groups = keep(parcel, work)
     if evaluate(surface, parcel, work, e, c, s) == 0.0:
         return False
-    if not attracts(surface, parcel, work, crossed, c, s):
+    if not attracts(surface, parcel, work, c, s):
         return False
     for group in range(groups, -1, -1):
         if group == at.MAX_GROUPS:
             continue
-        if group < groups and not may_join(work, parcel.mem, parcel.share, ctl, crossed, group):
+        if group < groups and not may_join(parcel, work, group):
             continue
-        mark_captured(surface, parcel, work, crossed, group)
+        mark_captured(surface, parcel, work, group)
         if evaluate(surface, parcel, work, e, c, s) > INDEPENDENT and fractions_fit(surface, parcel, work):
             ctl[at.N_CAPTURES] += 1
             return True
@@ -232,7 +233,7 @@ def try_capture(surface, parcel, work, e, c, s, crossed):
 def groups_hold(surface, parcel, c, s):
     """Release groups whose cells no longer lie on their common surface (a pair that drifts apart)."""
     mem, ctl, y = parcel.mem, parcel.ctl, parcel.y
-    h = 0
+    h = at.ZERO
     while h < ctl[at.N_GROUPS]:
         low, high = 1e300, -1e300
         for i in range(ctl[at.N_MEMBERS]):
@@ -243,7 +244,7 @@ def groups_hold(surface, parcel, c, s):
                 distance = parcel.offset[edge] - parcel.normal[edge, 0] * qx - parcel.normal[edge, 1] * qy
                 low, high = min(low, distance), max(high, distance)
         if high - low > 2.0 * parcel.par[at.CAPTURE]:
-            release(mem, parcel.share, ctl, h, True)
+            release(mem, parcel.share, ctl, h, at.COMPLETE)
             ctl[at.N_CAPTURES] += 1
         else:
             h += 1

@@ -30,7 +30,7 @@ def slot_of(mem, ctl, cell):
 def apply(surface, parcel, work, count, together, time, events, c, s):
     """Apply all events at or before ``together``, or too near to tell apart, as one change of the support set.
 
-    Returns how many cells crossed the footprint's edge; they are left in ``work.cells``, with their edges in
+    The cells that crossed the footprint's edge are counted in ``ctl`` and left in ``work.cells``, with their edges in
     ``work.edges`` and +1 (entered) or -1 (left) in ``work.signs``.
     """
     found, cells, edges, mem, share, ctl = (
@@ -41,10 +41,10 @@ def apply(surface, parcel, work, count, together, time, events, c, s):
         parcel.share,
         parcel.ctl,
     )
-    crossed = 0
+    crossed = at.ZERO
     for i in range(count):
         kind, cell = int(found[i, at.EV_KIND]), int(found[i, at.EV_CELL])
-        edge, distance = 0, 1.0
+        edge, distance = at.ZERO, 1.0
         if kind in (at.ENTER, at.LEAVE):
             edge, distance = edge_of(surface.pos, parcel.normal, parcel.offset, cell, parcel.y, c, s)
         if found[i, at.EV_TIME] > together and distance > parcel.par[at.ON_SURFACE]:
@@ -77,4 +77,4 @@ def apply(surface, parcel, work, count, together, time, events, c, s):
             edges[crossed] = edge
             work.signs[crossed] = 1 if kind == at.ENTER else -1
             crossed += 1
-    return crossed
+    ctl[at.N_CROSSED] = crossed

@@ -25,20 +25,26 @@ def edge_polynomial(ser, order, nx, ny, offset, px, py, g):
 
 
 @kernel
-def crossing(g, order, zero, upward, end, p):
-    """Earliest crossing in the direction asked; 0.0 where the motion just after the start is on the far side."""
-    degree, sign = order, 1
+def crossing(g, order, zero, end, p):
+    """Earliest fall of ``g`` below zero; 0.0 where the motion just after the start is below already."""
+    degree = order
     if abs(g[0]) <= zero:
         degree, sign = deflate(g, order, zero)
         if sign == 0:
             return NONE
-        if (sign > 0) == upward:
-            # just past the surface already: only a later return could cross again, and that is the other direction
+        if sign < 0:
             return 0.0
-    elif (g[0] > 0.0) == upward:
-        # on the far side by more than rounding: the crossing was at the start
+    elif g[0] < 0.0:
+        # below by more than rounding: the crossing was at the start
         return 0.0
-    return first_crossing(g, degree, upward, end, p)
+    return first_crossing(g, degree, end, p)
+
+
+@kernel
+def negate(g, order):
+    """Turn ``g`` over, to look for a rise as a fall."""
+    for k in range(order + 1):
+        g[k] = -g[k]
 
 
 @kernel
@@ -66,7 +72,8 @@ def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
             if sign > 0:
                 continue
             violated = True
-            root = first_crossing(g, degree, True, 1.0, p)
+            negate(g, degree)
+            root = first_crossing(g, degree, 1.0, p)
             if root == NONE or t + root > end:
                 return NONE, edge
             if t + root >= latest:
@@ -134,7 +141,7 @@ def leaving(surface, parcel, work, order, far, turn, end, count):
             if offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy > bound:
                 continue
             edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
-            t = crossing(g, order, zero, False, end, p)
+            t = crossing(g, order, zero, end, p)
             if t <= end:
                 kind = at.CORNER if mem[i, at.MARK] == at.CAPTURED else at.LEAVE
                 count = note(found, count, t, kind, cell, edge)
@@ -215,10 +222,12 @@ def loading(surface, parcel, work, order, end, count):
             continue
         for k in range(order + 1):
             g[k] = ser[at.S_A0, k] + ser[at.S_BX_, k] * rx + ser[at.S_BY_, k] * ry
-        g[0] += -2.0 * zero if mark == at.LIFTED else 2.0 * zero
-        t = crossing(g, order, 0.0, mark == at.LIFTED, end, p)
+        if mark == at.LIFTED:
+            negate(g, order)
+        g[0] += 2.0 * zero
+        t = crossing(g, order, 0.0, end, p)
         if t <= end:
-            count = note(found, count, t, at.UNLOAD if mark == at.ACTIVE else at.TOUCH, cell, 0)
+            count = note(found, count, t, at.UNLOAD if mark == at.ACTIVE else at.TOUCH, cell, at.ZERO)
             end = min(end, t + SLACK)
     if ctl[at.N_GROUPS] > 0:
         count, end = fractions(pos, mem, share, ctl, y, seg, ser, order, end, found, count, g, p)
@@ -245,7 +254,7 @@ def fractions(pos, mem, share, ctl, y, seg, ser, order, end, found, count, g, p)
                 if full == 1:
                     g[k] = ser[at.S_A0, k] + ser[at.S_BX_, k] * rx + ser[at.S_BY_, k] * ry - g[k]
             g[0] += (share[i, at.BASE] if full == 0 else -share[i, at.BASE]) + zero
-            t = crossing(g, order, 0.0, False, end, p)
+            t = crossing(g, order, 0.0, end, p)
             if t <= end:
                 complete = (full == 1) == (s > 0.0)
                 count = note(found, count, t, at.FRACTION_ONE if complete else at.FRACTION_ZERO, cell, h)
@@ -267,8 +276,8 @@ def off_line(seg, par, ser, order, end, found, count, g, p):
             for k in range(order + 1):
                 g[k] = -sign * (lx * ser[at.S_XIX, k] + ly * ser[at.S_XIY, k])
             g[0] += 2.0 * par[at.ON_LINE]
-            t = crossing(g, order, 0.0, False, end, p)
+            t = crossing(g, order, 0.0, end, p)
             if t <= end:
-                count = note(found, count, t, at.LINE, -1, 0)
+                count = note(found, count, t, at.LINE, at.NO_CELL, at.ZERO)
                 end = min(end, t + SLACK)
     return count, end

@@ -8,6 +8,13 @@ from __future__ import annotations
 
 from typing import Final
 
+ZERO: Final = 0
+"""Where a count starts. A number or truth value written out in a kernel is a type of its own to the compiler, which
+compiles what is called with it once more; a named one is not."""
+NO_CELL: Final = -1
+COMPLETE: Final = True
+UNDONE: Final = False
+
 MAX_ORDER: Final = 22
 """Highest Taylor order of a step."""
 MAX_GROUPS: Final = 3
@@ -31,7 +38,7 @@ PAR_SIZE: Final = 12
 # ── y: float64 state of one parcel
 X, Y, THETA, UX, UY, OMEGA = range(6)
 
-# ── mem: int32 (capacity, 4), the cells under the parcel; share: float64 (capacity, 2), loads of the captured ones
+# ── mem: int64 (capacity, 4), the cells under the parcel; share: float64 (capacity, 2), loads of the captured ones
 # over the weight: share[i, BASE] + share[i, SHARE] f of its group (SHARE < 0 for a cell that unloads as f grows)
 SHARE, BASE = range(2)
 CELL, MARK, EDGE, GROUP = range(4)
@@ -40,10 +47,9 @@ LIFTED: Final = 1  # under the parcel, but the plane of the springs is above it
 CAPTURED: Final = 2  # sits on the edge and carries a fraction (sliding mode)
 
 # ── ctl: int64 counters and flags of one parcel
-N_MEMBERS, N_GROUPS, STATUS, N_EVENTS, N_STEPS, TIP_A, TIP_B, N_LOGGED, N_CAPTURES, CULPRIT, N_CHANGES = (
-    range(11)
-)
-CTL_SIZE: Final = 11
+N_MEMBERS, N_GROUPS, STATUS, N_EVENTS, N_STEPS, TIP_A, TIP_B, N_LOGGED, N_CAPTURES = range(9)
+CULPRIT, N_CHANGES, N_CROSSED = range(9, 12)
+CTL_SIZE: Final = 12
 
 # ── statuses
 MOVING: Final = 0

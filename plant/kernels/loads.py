@@ -146,7 +146,7 @@ def contact(pos, mem, ctl, y, par, seg, grp, f, scratch, newton):
         for i in range(3):
             hessian[i, i] += ridge
             trial[i] = -slope[i]
-        solve(hessian, 3, trial, step, scratch)
+        solve(hessian, hessian.shape[0], trial, step, scratch)
         descent = slope[0] * step[0] + slope[1] * step[1] + slope[2] * step[2]
         t = 1.0
         improved = False
@@ -216,7 +216,7 @@ def release(mem, share, ctl, group, complete):
     Cells that load as the fraction grows are then inside the footprint, those that unload are outside; or the other
     way round.
     """
-    i = 0
+    i = at.ZERO
     while i < ctl[at.N_MEMBERS]:
         if mem[i, at.MARK] == at.CAPTURED:
             if mem[i, at.GROUP] == group:
@@ -249,7 +249,7 @@ def excess(pos, mem, share, y, seg, f, a0, bx, by, i):
 @kernel
 def release_one_outside(pos, mem, share, ctl, y, seg, f, a0, bx, by):
     """Release the captured group whose fraction is farthest outside [0, 1]. Returns True where there was one."""
-    worst, which, complete = FRACTION_ZERO, -1, False
+    worst, which, complete = FRACTION_ZERO, at.NO_CELL, at.UNDONE
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.MARK] == at.CAPTURED:
             amount, end = excess(pos, mem, share, y, seg, f, a0, bx, by, i)
@@ -265,7 +265,7 @@ def release_one_outside(pos, mem, share, ctl, y, seg, f, a0, bx, by):
 def release_all(mem, share, ctl):
     """End all captured groups: their cells carry load like any other."""
     while ctl[at.N_GROUPS] > 0:
-        release(mem, share, ctl, 0, True)
+        release(mem, share, ctl, ctl[at.N_GROUPS] - 1, at.COMPLETE)
 
 
 @kernel
@@ -314,7 +314,7 @@ def settled(surface, parcel, work, e, c, s):
             seg, grp, ctl, y, par, e, c, s, work.matrix, work.reply, f, work.scratch
         )
         if ctl[at.N_GROUPS] > 0 and conditioning < SINGULAR:
-            release(mem, share, ctl, ctl[at.N_GROUPS] - 1, True)
+            release(mem, share, ctl, ctl[at.N_GROUPS] - 1, at.COMPLETE)
             continue
         a0, bx, by = plane(seg, grp, f, ctl[at.N_GROUPS])
         if violated(pos, mem, ctl, y, par, seg, a0, bx, by):

@@ -14,7 +14,7 @@ from plant.kernels.jit import kernel
 @kernel
 def centre_and_plane(pos, mem, ctl, y, par, seg):
     """Number, centroid and inverse second moment of the active supports, with its rank."""
-    count = 0
+    count = at.ZERO
     cx, cy = 0.0, 0.0
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.MARK] == at.ACTIVE:

@@ -71,13 +71,12 @@ def polish(p, order):
 
 
 @kernel
-def first_crossing(g, order, upward, end, p):
-    """Earliest ``t`` in ``(0, end]`` where ``g`` changes sign in the direction asked, or ``NONE``.
+def first_crossing(g, order, end, p):
+    """Earliest ``t`` in ``(0, end]`` where ``g`` changes from not negative to negative, or ``NONE``.
 
     Args:
         g: coefficients in unit time; a root at 0 must have been divided out (see ``deflate``).
         order: degree of ``g``.
-        upward: True for a change from negative to not negative, False for the opposite.
         end: search no further than this (0 < end <= 1).
         p: work space for one polynomial.
     """
@@ -98,8 +97,7 @@ def first_crossing(g, order, upward, end, p):
             last = 0.0
             for k in range(order, -1, -1):
                 last += p[k]
-            crosses = (p[0] < 0.0 <= last) if upward else (p[0] >= 0.0 > last)
-            if crosses:
+            if p[0] >= 0.0 > last:
                 t = start + width * (polish(p, order) if monotone else 0.5)
                 return t if t <= end else NONE
         start += width

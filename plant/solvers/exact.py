@@ -33,7 +33,7 @@ class Surface(NamedTuple):
     """The cells and their wheels, as the kernels read them."""
 
     pos: Floats
-    grid: NDArray[np.int32]
+    grid: NDArray[np.int64]
     steady: Floats
     decay: Floats
     grip: Floats
@@ -47,7 +47,7 @@ class Parcel(NamedTuple):
     offset: Floats
     par: Floats
     y: Floats
-    mem: NDArray[np.int32]
+    mem: NDArray[np.int64]
     share: Floats
     ctl: NDArray[np.int64]
 
@@ -71,7 +71,7 @@ class Work(NamedTuple):
     cells: NDArray[np.int64]
     edges: NDArray[np.int64]
     signs: NDArray[np.int64]
-    kept: NDArray[np.int32]
+    kept: NDArray[np.int64]
     kept_share: Floats
     before: Floats
     after: Floats
@@ -116,7 +116,7 @@ def make_work(cells: int, capacity: int) -> Work:
         cells=np.zeros(found, dtype=np.int64),
         edges=np.zeros(found, dtype=np.int64),
         signs=np.zeros(found, dtype=np.int64),
-        kept=np.zeros((capacity, 4), dtype=np.int32),
+        kept=np.zeros((capacity, 4), dtype=np.int64),
         kept_share=np.zeros((capacity, 2)),
         before=np.zeros(8),
         after=np.zeros(3),
@@ -161,7 +161,7 @@ def make_parcel(spec: ParcelSpec, array: CellArray, kappa: float, rate: float, s
         offset=np.ascontiguousarray(offset),
         par=par,
         y=np.array([*spec.position_m, spec.angle_rad, *spec.velocity_m_s, spec.angular_velocity_rad_s]),
-        mem=np.zeros((capacity, 4), dtype=np.int32),
+        mem=np.zeros((capacity, 4), dtype=np.int64),
         share=np.zeros((capacity, 2)),
         ctl=np.zeros(layout.CTL_SIZE, dtype=np.int64),
     )
