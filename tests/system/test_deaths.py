@@ -56,20 +56,21 @@ def _faulty(when: str, policy: str, small: Small, folder: Path, processes: Proce
     return run(scene, RunOptions(processes, output=folder / "out", picture=False), quiet=True)
 
 
-@pytest.mark.parametrize("processes", WAYS)
 @pytest.mark.parametrize(
     ("when", "words"), [("raise", "ZeroDivisionError: on purpose"), ("nan", "not finite")]
 )
 def test_a_cell_whose_firmware_fails_counts_as_crashed_and_the_run_goes_on(
-    when: str, words: str, processes: Processes, small: Small, tmp_path: Path
+    when: str, words: str, small: Small, tmp_path: Path
 ) -> None:
-    summary = _faulty(when, "coast", small, tmp_path, processes).summary
-    (fault,) = summary.faults
-    assert summary.status == "ok"
-    assert list(summary.cells_lost) == [(1, 1)]
-    assert (fault["kind"], fault["cell"], fault["tick"]) == ("failed", [1, 1], 7)
-    assert words in fault["detail"]
-    assert load(tmp_path / "out").faults[0]["detail"] == fault["detail"]
+    summaries = [_faulty(when, "coast", small, tmp_path, processes).summary for processes in (0, 2, "each")]
+    for summary in summaries:
+        (fault,) = summary.faults
+        assert summary.status == "ok"
+        assert list(summary.cells_lost) == [(1, 1)]
+        assert (fault["kind"], fault["cell"], fault["tick"]) == ("failed", [1, 1], 7)
+        assert words in fault["detail"]
+    assert len({summary.digest for summary in summaries}) == 1
+    assert load(tmp_path / "out").faults[0]["detail"] == summaries[-1].faults[0]["detail"]
 
 
 @pytest.mark.parametrize("processes", WAYS)
@@ -112,6 +113,7 @@ def test_a_scheduled_crash_kills_the_process_of_its_cell_alone(mdms: Start, smal
     victim = running.worker("cell 2,3")
     running.wait_for(lambda: victim not in running.children(), "the process of cell 2,3 had died")
     assert running.children() == before - {victim}
+    running.wait_for(lambda: bool(load(running.output).faults), "the crash was recorded")
     running.process.send_signal(signal.SIGINT)
     running.end()
     (fault,) = load(running.output).faults

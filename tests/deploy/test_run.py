@@ -1,0 +1,161 @@
+"""The whole system in one process: what a run returns and leaves behind."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.commands.outcome import EXIT_STATUS
+from deploy.errors import DeployError
+from deploy.overrides import Override
+from deploy.plan import RunOptions
+from deploy.recording import Recorder
+from deploy.replay import load
+from deploy.run import Outcome, pacer, run
+from deploy.scene import Scene
+from deploy.scene_files import load_scene
+from plant.errors import PlantError, PlantUnstable
+from plant.plant import Plant
+
+
+def _scene(duration_s: float = 0.1, **values: object) -> Scene:
+    overrides = [Override((key,), value, "") for key, value in values.items()]
+    return load_scene("prototype", [Override(("duration_s",), duration_s, ""), *overrides])
+
+
+def _run(scene: Scene, output: Path, **options: Any) -> Outcome:
+    return run(scene, RunOptions(0, "memory", output=output, picture=False, **options), quiet=True)
+
+
+def test_the_json_object_has_what_programs_rely_on(tmp_path: Path) -> None:
+    found = json.loads(_run(_scene(), tmp_path).summary.to_json())
+    assert set(found) >= {
+        "status", "scene", "seed", "duration_s", "cells", "processes", "transport", "solver", "ticks", "wall_s",
+        "startup_s", "ticks_per_s", "realtime_factor", "parcels", "support_changes", "messages", "faults",
+        "cells_lost", "digest", "output",
+    }  # fmt: skip
+    assert (found["status"], found["scene"], found["cells"], found["ticks"]) == ("ok", "prototype", 18, 25)
+    assert set(found["messages"]) >= {"sent", "delivered", "lost", "late"}
+    assert set(found["parcels"][0]) >= {
+        "position_m", "angle_rad", "velocity_m_s", "angular_velocity_rad_s", "state", "time_s"
+    }  # fmt: skip
+    assert found == json.loads((tmp_path / "summary.json").read_text())
+
+
+def test_the_recording_begins_with_the_scene_and_ends_as_the_summary_does(tmp_path: Path) -> None:
+    scene = _scene()
+    summary = _run(scene, tmp_path).summary
+    recording = load(tmp_path)
+    assert recording.status == "ok"
+    assert recording.digest == summary.digest
+    assert recording.tick.tolist() == list(range(26))
+    assert recording.time_ns[-1] == 100_000_000
+    assert recording.parcels[0, 0].tolist() == [-0.19, 0.02, 0.15, 0.0, 0.0, 0.0]
+    assert recording.parcels[-1, 0, :2].tolist() == list(summary.parcels[0].position_m)
+    assert recording.header["scene"]["duration_s"] == 0.1
+    assert not np.any(recording.wheel_speeds[0])
+    assert np.any(recording.wheel_speeds[-1])
+
+
+def test_motion_that_cannot_be_followed_is_unstable_and_exits_with_3(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    advance = Plant.advance
+
+    def runs_away(plant: Plant, drives: Any, until_ns: int) -> Any:
+        if plant.time_ns >= 40_960_000:
+            raise PlantUnstable("parcel 0 at t = 0.041 s: the motion is no longer finite")
+        return advance(plant, drives, until_ns)
+
+    monkeypatch.setattr(Plant, "advance", runs_away)
+    summary = _run(_scene(), tmp_path).summary
+    assert (summary.status, EXIT_STATUS[summary.status], summary.ticks) == ("unstable", 3, 10)
+    assert summary.reason == "parcel 0 at t = 0.041 s: the motion is no longer finite (tick 10)"
+    recording = load(tmp_path)
+    assert (recording.status, recording.digest) == ("unstable", summary.digest)
+
+
+def test_a_plant_that_refuses_the_scene_starts_nothing(tmp_path: Path) -> None:
+    parcel = {"size_m": [0.5, 0.4], "mass_kg": 3.0, "position_m": [9.0, 9.0]}
+    with pytest.raises(PlantError, match="off the array"):
+        _run(_scene(parcels=[parcel]), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_that_breaks_fails_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tick = Recorder.tick
+
+    def full(recorder: Recorder, number: int, *more: Any) -> None:
+        if number == 5:
+            raise DeployError("can't write the recording: No space left on device")
+        tick(recorder, number, *more)
+
+    monkeypatch.setattr(Recorder, "tick", full)
+    summary = _run(_scene(), tmp_path).summary
+    assert summary.status == "failed"
+    assert summary.reason == "can't write the recording: No space left on device"
+
+
+def test_an_unforeseen_error_still_ends_everything_and_closes_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(plant: Plant, drives: Any, until_ns: int) -> Any:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(Plant, "advance", broken)
+    threads = set(threading.enumerate())
+    with pytest.raises(ZeroDivisionError):
+        _run(_scene(), tmp_path)
+    assert set(threading.enumerate()) <= threads
+    assert load(tmp_path).status == "failed"
+
+
+def test_a_run_leaves_no_thread_behind(tmp_path: Path) -> None:
+    threads = set(threading.enumerate())
+    _run(_scene(), tmp_path)
+    assert set(threading.enumerate()) <= threads
+
+
+def test_a_run_works_in_any_thread(tmp_path: Path) -> None:
+    statuses: list[str] = []
+    thread = threading.Thread(target=lambda: statuses.append(_run(_scene(), tmp_path).summary.status))
+    thread.start()
+    thread.join(60.0)
+    assert statuses == ["ok"]
+
+
+def test_a_run_keeps_pace_with_the_wall_clock(tmp_path: Path) -> None:
+    assert _run(_scene(0.2), tmp_path, realtime=2.0).summary.wall_s >= 0.098  # the last tick begins there
+
+
+def test_pacing_counts_from_the_first_tick_and_makes_up_for_a_late_one() -> None:
+    pace = pacer(10.0)
+    pace(0)
+    begun = time.monotonic()
+    pace(1_000_000_000)
+    assert 0.09 < time.monotonic() - begun < 5.0
+    begun = time.monotonic()
+    pace(500_000_000)  # long due: no wait
+    assert time.monotonic() - begun < 0.05
+
+
+def test_the_picture_is_drawn_from_the_recording(tmp_path: Path) -> None:
+    outcome = run(_scene(0.02), RunOptions(0, "memory", output=tmp_path), quiet=True)
+    assert outcome.summary.status == "ok"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "overview.png",
+        "recording.mcap",
+        "summary.json",
+    ]
+    assert (tmp_path / "overview.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_quiet_says_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    _run(_scene(0.02), tmp_path)
+    assert capfd.readouterr() == ("", "")
