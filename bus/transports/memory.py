@@ -105,6 +105,7 @@ class MemoryPublisher(Publisher):
 
     def matched(self) -> bool:
         """Whether somebody subscribed to the key."""
+        self._endpoint.check_open()
         return bool(self._bus.route(self._key))
 
 

@@ -1,0 +1,196 @@
+"""What the tests of the bus share: transports, a clock that obeys, and small arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bus.forms import FormName
+from bus.lattice import Lattice
+from bus.lockstep import Host, Member
+from bus.partition import Partition
+from bus.specs import StallSpec
+from bus.transport import Alive, Endpoint, Event, Publisher, Received
+from bus.transports.memory import MemoryBus
+from bus.transports.zenoh import open_client, open_hub
+from bus.wire import DriveFrame, LinkFrame, SenseFrame
+
+MESSAGE = np.dtype([("u", "<f8"), ("hops", "<u2")])
+SENSORS = 2
+
+
+class Network:
+    """Endpoints of one transport: the first is the plant's, the others are cells'."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._bus = MemoryBus()
+        self._endpoints: list[Endpoint] = []
+        self._locator = ""
+
+    def endpoint(self) -> Endpoint:
+        endpoint: Endpoint
+        if self.name == "memory":
+            endpoint = self._bus.endpoint()
+        elif not self._endpoints:
+            hub = open_hub()
+            self._locator = hub.locator
+            endpoint = hub
+        else:
+            endpoint = open_client(self._locator)
+        self._endpoints.append(endpoint)
+        return endpoint
+
+    def close(self) -> None:
+        for endpoint in reversed(self._endpoints):
+            endpoint.close()
+
+
+class FakeClock:
+    """Wall time that passes only where somebody waits for it."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class ClockedEndpoint(Endpoint):
+    """An endpoint whose waits take no time: when nothing is there, the clock jumps to their end."""
+
+    def __init__(self, inner: Endpoint, clock: FakeClock) -> None:
+        self._inner = inner
+        self._clock = clock
+
+    def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
+        events = self.receive_all(timeout_s, enough)
+        assert len(events) <= 1
+        return events[0] if events else None
+
+    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+        events = self._inner.receive_all(0)
+        if not events:
+            assert timeout_s is not None, "waits for ever for what never comes"
+            self._clock.now += timeout_s
+        return events
+
+    def publisher(self, key: str) -> Publisher:
+        return self._inner.publisher(key)
+
+    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
+        self._inner.subscribe(key_expr, urgent=urgent)
+
+    def declare_alive(self, key: str) -> None:
+        self._inner.declare_alive(key)
+
+    def withdraw(self, key: str) -> None:
+        self._inner.withdraw(key)
+
+    def watch_alive(self, key_expr: str) -> None:
+        self._inner.watch_alive(key_expr)
+
+    def wake(self) -> None:
+        self._inner.wake()
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+@dataclass
+class System:
+    """A host and its members on one network, all in this thread once they have started."""
+
+    network: Network
+    partition: Partition
+    form: FormName
+    message: np.dtype[Any] | None = None
+    encoders: bool = False
+    stall: StallSpec = field(default_factory=StallSpec)
+    clock: FakeClock | None = None
+
+    def __post_init__(self) -> None:
+        self.endpoint = self._clocked(self.network.endpoint())
+        self.host = Host(self.endpoint, self.partition, self.form, **self._agreed())
+        self.member_endpoints = [self._clocked(self.network.endpoint()) for _ in range(self.partition.count)]
+        self.members = [
+            Member(endpoint, self.partition, shard, self.form, **self._agreed())
+            for shard, endpoint in enumerate(self.member_endpoints)
+        ]
+
+    def _clocked(self, endpoint: Endpoint) -> Endpoint:
+        return endpoint if self.clock is None else ClockedEndpoint(endpoint, self.clock)
+
+    def _agreed(self) -> dict[str, Any]:
+        agreed: dict[str, Any] = {
+            "run": "test",
+            "sensors": SENSORS,
+            "encoders": self.encoders,
+            "message": self.message,
+            "stall": self.stall,
+        }
+        if self.clock is not None:
+            agreed["clock"] = self.clock
+        return agreed
+
+    def start(self) -> System:
+        with ThreadPoolExecutor(max_workers=max(len(self.members), 1)) as pool:
+            waiting = [pool.submit(member.ready, 10.0) for member in self.members]
+            self.host.barrier(10.0)
+            for future in waiting:
+                future.result()
+        return self
+
+    def sense(self, tick: int) -> SenseFrame:
+        """A frame whose every value tells its tick and cell."""
+        n = len(self.partition.lattice)
+        bits = (np.arange(n * SENSORS).reshape(n, SENSORS) * 7 + tick) % 3 == 0
+        travel = (tick + np.arange(n * 2).reshape(n, 2) / 3.0) if self.encoders else None
+        return SenseFrame(tick, bits, travel)
+
+    def drive(self, shard: int, tick: int) -> DriveFrame:
+        cells = self.partition.cells(shard)
+        return DriveFrame(tick, np.stack([cells + tick / 7.0, -1.0 / (cells + tick + 1.0)], axis=1))
+
+    def links(self, shard: int, tick: int) -> LinkFrame | None:
+        """A message that tells its link, over two links of three."""
+        if self.message is None:
+            return None
+        out = self.partition.outgoing(shard)
+        message = np.zeros(len(out), dtype=self.message)
+        message["u"] = (out.source * 4 + out.source_side) / 3.0 + tick
+        message["hops"] = out.source + tick
+        return LinkFrame(tick, (out.source + out.source_side + tick) % 3 != 0, message)
+
+
+def grid(rows: int, columns: int) -> Lattice:
+    """A full rectangle of cells."""
+    return Lattice((r, c) for r in range(rows) for c in range(columns))
+
+
+def drain(endpoint: Endpoint, until: Callable[[list[Event]], bool], timeout_s: float = 5.0) -> list[Event]:
+    """Events up to the one that satisfies ``until``; fails after ``timeout_s`` of silence."""
+    events: list[Event] = []
+    while not until(events):
+        event = endpoint.receive(timeout_s)
+        assert event is not None, f"nothing came after {events[-3:]}"
+        events.append(event)
+    return events
+
+
+def payloads(events: list[Event]) -> list[bytes]:
+    return [event.payload for event in events if isinstance(event, Received)]
+
+
+def tokens(events: list[Event]) -> list[tuple[str, bool]]:
+    return [(event.key, event.present) for event in events if isinstance(event, Alive)]
+
+
+def settle(publisher: Publisher, endpoint: Endpoint) -> None:
+    """Waits until ``publisher`` is matched; events that ``endpoint`` gets meanwhile would be lost, so none may come."""
+    while not publisher.matched():
+        assert endpoint.receive(0.005) is None

@@ -1,0 +1,243 @@
+"""Every transport keeps the promises of ``bus.transport.Endpoint``."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from bus.errors import TransportError
+from bus.transport import Alive, Received, Woken
+from tests.bus.support import Network, drain, payloads, settle, tokens
+
+
+def test_a_payload_arrives_as_it_was_put_with_its_key(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.subscribe("t/a")
+    publisher = plant.publisher("t/a")
+    settle(publisher, cell)
+    sent = [b"", b"\x00\xff", bytes(range(256)) * 400]
+    for payload in sent:
+        publisher.put(payload)
+    events = drain(cell, lambda events: len(events) == 3)
+    assert events == [Received("t/a", payload) for payload in sent]
+
+
+def test_puts_of_one_endpoint_arrive_in_order_over_all_its_keys_each_once(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.subscribe("t/*/x")
+    publishers = [plant.publisher(f"t/{i}/x") for i in range(5)]
+    for publisher in publishers:
+        settle(publisher, cell)
+    sent = [(f"t/{i % 5}/x", str(i).encode()) for i in range(2000)]
+    for i, (_, payload) in enumerate(sent):
+        publishers[i % 5].put(payload)
+    events = drain(cell, lambda events: len(events) == len(sent))
+    assert [(e.key, e.payload) for e in events if isinstance(e, Received)] == sent
+    assert cell.receive(0.05) is None
+
+
+def test_clients_hear_each_other_through_the_plant(network: Network) -> None:
+    network.endpoint()
+    one, other = network.endpoint(), network.endpoint()
+    other.subscribe("t/a")
+    publisher = one.publisher("t/a")
+    settle(publisher, other)
+    publisher.put(b"hello")
+    assert other.receive(5.0) == Received("t/a", b"hello")
+
+
+def test_every_subscriber_gets_a_copy_the_sender_included(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.subscribe("t/**")
+    cell.subscribe("t/a")
+    publisher = cell.publisher("t/a")
+    settle(publisher, cell)
+    publisher.put(b"1")
+    assert cell.receive(5.0) == Received("t/a", b"1")
+    while (event := plant.receive(0.5)) is None:  # The plant's subscription may have been the later one.
+        publisher.put(b"1")
+    assert event == Received("t/a", b"1")
+
+
+def test_late_joiners_get_nothing_of_what_was_put_before(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    publisher = plant.publisher("t/a")
+    publisher.put(b"before")
+    cell.subscribe("t/a")
+    settle(publisher, cell)
+    publisher.put(b"after")
+    assert cell.receive(5.0) == Received("t/a", b"after")
+
+
+def test_a_publisher_is_unmatched_until_somebody_subscribes(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    publisher = plant.publisher("t/a")
+    assert not publisher.matched()
+    cell.subscribe("t/b")
+    assert cell.receive(0.05) is None
+    assert not publisher.matched()
+    cell.subscribe("t/a")
+    settle(publisher, cell)
+    assert publisher.matched()
+
+
+def test_overlapping_subscriptions_are_refused_and_equal_ones_are_one(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.subscribe("t/*/x")
+    cell.subscribe("t/*/x")
+    with pytest.raises(TransportError, match=r"t/1/x: overlaps t/\*/x"):
+        cell.subscribe("t/1/x")
+    publisher = plant.publisher("t/1/x")
+    settle(publisher, cell)
+    publisher.put(b"once")
+    assert cell.receive(5.0) == Received("t/1/x", b"once")
+    assert cell.receive(0.05) is None
+
+
+def test_a_watcher_is_told_of_tokens_that_are_there_come_and_go(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.declare_alive("t/1/alive")
+    plant.watch_alive("t/*/alive")
+    drain(plant, lambda events: ("t/1/alive", True) in tokens(events))
+    cell.declare_alive("t/2/alive")
+    drain(plant, lambda events: ("t/2/alive", True) in tokens(events))
+    cell.withdraw("t/1/alive")
+    events = drain(plant, lambda events: ("t/1/alive", False) in tokens(events))
+    assert ("t/2/alive", False) not in tokens(events)
+
+
+def test_closing_an_endpoint_withdraws_its_tokens(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.watch_alive("t/*")
+    cell.declare_alive("t/a")
+    drain(plant, lambda events: ("t/a", True) in tokens(events))
+    cell.close()
+    drain(plant, lambda events: ("t/a", False) in tokens(events))
+
+
+def test_what_was_put_arrives_before_the_news_that_the_token_went(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.subscribe("t/data")
+    plant.watch_alive("t/alive")
+    cell.declare_alive("t/alive")
+    publisher = cell.publisher("t/data")
+    drain(plant, lambda events: ("t/alive", True) in tokens(events))
+    while not publisher.matched():
+        assert cell.receive(0.005) is None
+    for i in range(500):
+        publisher.put(str(i).encode())
+    cell.withdraw("t/alive")
+    events = drain(plant, lambda events: ("t/alive", False) in tokens(events))
+    assert payloads(events) == [str(i).encode() for i in range(500)]
+
+
+def test_withdrawing_a_token_that_was_never_declared_is_harmless_and_declaring_twice_is_not(
+    network: Network,
+) -> None:
+    endpoint = network.endpoint()
+    endpoint.withdraw("t/never")
+    endpoint.declare_alive("t/a")
+    with pytest.raises(TransportError, match="t/a is declared already"):
+        endpoint.declare_alive("t/a")
+
+
+def test_receive_returns_none_when_the_time_is_up(network: Network) -> None:
+    endpoint = network.endpoint()
+    assert endpoint.receive(0) is None
+    start = time.monotonic()
+    assert endpoint.receive(0.05) is None
+    assert endpoint.receive_all(0.05) == []
+    assert 0.09 < time.monotonic() - start < 2.0
+
+
+def test_wake_ends_a_wait_from_another_thread(network: Network) -> None:
+    endpoint = network.endpoint()
+    waker = threading.Timer(0.05, endpoint.wake)
+    waker.start()
+    assert endpoint.receive(None, enough=100) == Woken()
+    waker.join()
+
+
+def test_wake_before_a_wait_is_not_lost(network: Network) -> None:
+    endpoint = network.endpoint()
+    endpoint.wake()
+    assert endpoint.receive(5.0) == Woken()
+
+
+def test_a_patient_wait_ends_with_enough_payloads_with_a_token_or_with_its_time(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.subscribe("t/data")
+    plant.subscribe("t/urgent", urgent=True)
+    plant.watch_alive("t/alive")
+    data, urgent = cell.publisher("t/data"), cell.publisher("t/urgent")
+    while not (data.matched() and urgent.matched()):
+        assert cell.receive(0.005) is None
+
+    data.put(b"1")
+    data.put(b"2")
+    assert payloads(plant.receive_all(5.0, enough=2)) == [b"1", b"2"]
+
+    data.put(b"3")
+    urgent.put(b"4")
+    assert payloads(plant.receive_all(5.0, enough=100)) == [b"3", b"4"]
+
+    data.put(b"5")
+    cell.declare_alive("t/alive")
+    assert plant.receive_all(5.0, enough=100) == [Received("t/data", b"5"), Alive("t/alive", True)]
+
+    data.put(b"6")
+    assert plant.receive_all(0.2, enough=100) == [Received("t/data", b"6")]
+
+
+def test_receive_takes_one_at_a_time_and_leaves_the_rest(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.subscribe("t/a")
+    publisher = cell.publisher("t/a")
+    while not publisher.matched():
+        assert cell.receive(0.005) is None
+    for payload in (b"1", b"2", b"3"):
+        publisher.put(payload)
+    assert [plant.receive(5.0, enough=3 - i) for i in range(3)] == [
+        Received("t/a", payload) for payload in (b"1", b"2", b"3")
+    ]
+
+
+def test_closing_twice_is_harmless_and_a_closed_endpoint_says_so(network: Network) -> None:
+    endpoint = network.endpoint()
+    publisher = endpoint.publisher("t/a")
+    endpoint.close()
+    endpoint.close()
+    for use in (
+        lambda: publisher.put(b""),
+        publisher.matched,
+        lambda: endpoint.publisher("t/b"),
+        lambda: endpoint.subscribe("t/b"),
+        lambda: endpoint.declare_alive("t/b"),
+        lambda: endpoint.watch_alive("t/b"),
+        lambda: endpoint.receive(0),
+    ):
+        with pytest.raises(TransportError, match="closed"):
+            use()
+
+
+def test_threads_may_put_while_another_waits(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.subscribe("t/*")
+    publishers = [cell.publisher(f"t/{i}") for i in range(4)]
+    for publisher in publishers:
+        while not publisher.matched():
+            assert cell.receive(0.005) is None
+    threads = [
+        threading.Thread(target=lambda p=publisher: [p.put(str(i).encode()) for i in range(300)])
+        for publisher in publishers
+    ]
+    for thread in threads:
+        thread.start()
+    events = drain(plant, lambda events: len(events) == 1200)
+    for thread in threads:
+        thread.join()
+    for i in range(4):
+        mine = [e.payload for e in events if isinstance(e, Received) and e.key == f"t/{i}"]
+        assert mine == [str(n).encode() for n in range(300)]

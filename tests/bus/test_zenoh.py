@@ -1,0 +1,139 @@
+"""What is particular to the Zenoh transport: ports, processes, forks, signals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bus.errors import TransportError
+from bus.transport import Alive
+from bus.transports.zenoh import client_config, hub_config, open_client, open_hub
+from tests.bus.support import drain, tokens
+
+_CELL = """
+import sys, time
+sys.path.insert(0, sys.argv[1])
+from bus.transports.zenoh import open_client
+endpoint = open_client(sys.argv[2])
+endpoint.declare_alive("t/alive")
+endpoint.receive(None)
+"""
+
+
+def test_a_port_in_use_is_one_clear_line() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        listen = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(TransportError) as caught:
+            open_hub(listen)
+    assert str(caught.value) == f"listen on {listen}: the port is in use"
+
+
+def test_two_hubs_without_a_port_get_two() -> None:
+    one, other = open_hub(), open_hub()
+    try:
+        assert one.locator != other.locator
+        assert one.locator.startswith("tcp/127.0.0.1:")
+    finally:
+        one.close()
+        other.close()
+
+
+def test_an_endpoint_that_makes_no_sense_is_one_clear_line() -> None:
+    with pytest.raises(TransportError) as caught:
+        open_hub("nonsense")
+    assert "nonsense" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_connecting_where_nobody_listens_fails_in_its_time() -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        connect = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    start = time.monotonic()
+    with pytest.raises(TransportError, match=f"connect to {connect}: nobody answers"):
+        open_client(connect, timeout_s=0.3)
+    assert time.monotonic() - start < 5.0
+
+
+def test_nobody_joins_by_accident() -> None:
+    for config in (hub_config("tcp/127.0.0.1:7447"), client_config("tcp/127.0.0.1:7447")):
+        assert config.get_json("scouting/multicast/enabled") == "false"
+        assert config.get_json("scouting/gossip/enabled") == "false"
+
+
+def test_a_killed_process_loses_its_token_at_once() -> None:
+    hub = open_hub()
+    root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))  # noqa: PTH100, PTH120
+    cell = subprocess.Popen([sys.executable, "-c", _CELL, root, hub.locator])
+    try:
+        hub.watch_alive("t/alive")
+        drain(hub, lambda events: ("t/alive", True) in tokens(events), timeout_s=20.0)
+        start = time.monotonic()
+        cell.send_signal(signal.SIGKILL)
+        assert hub.receive(10.0) == Alive("t/alive", False)
+        assert time.monotonic() - start < 1.0
+    finally:
+        cell.kill()
+        cell.wait()
+        hub.close()
+
+
+def test_a_forked_process_may_not_use_the_session_it_inherited() -> None:
+    hub = open_hub()
+    publisher = hub.publisher("t/a")
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        said = b""
+        try:
+            publisher.put(b"")
+        except TransportError as error:
+            said = str(error).encode()
+        os.write(write, said)
+        os._exit(0)
+    os.close(write)
+    os.waitpid(child, 0)
+    said = os.read(read, 1000).decode()
+    os.close(read)
+    hub.close()
+    assert "a forked process must open its own" in said
+
+
+def test_a_signal_handler_runs_while_the_main_thread_waits() -> None:
+    class Interrupted(Exception):
+        pass
+
+    def handler(number: int, frame: object) -> None:
+        raise Interrupted
+
+    hub = open_hub()
+    before = signal.signal(signal.SIGALRM, handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        with pytest.raises(Interrupted):
+            hub.receive(None, enough=10)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+        hub.close()
+
+
+def test_sessions_close_fast() -> None:
+    hub = open_hub()
+    clients = [open_client(hub.locator) for _ in range(4)]
+    for i, client in enumerate(clients):
+        client.subscribe("t/*")
+        client.declare_alive(f"t/alive/{i}")
+    start = time.monotonic()
+    for client in clients:
+        client.close()
+    hub.close()
+    assert time.monotonic() - start < 1.5
