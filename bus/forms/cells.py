@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import struct
 from typing import Any, Final, final
 
 import numpy as np
@@ -19,6 +20,12 @@ _VALUE: Final = 80
 
 _read_sense = codec.reader("sense", _VALUE, _SENSE)
 _read_drive = codec.reader("drive", _VALUE, _DRIVE)
+_PAIR: Final = struct.Struct("<2d")
+
+
+def _pairs(values: list[bytes]) -> codec.Values:
+    """``(n, 2)`` from packed pairs; may be written."""
+    return np.frombuffer(bytearray().join(values)).reshape(len(values), 2)
 
 
 @final
@@ -38,7 +45,7 @@ class CellsHost(HostForm):
         self.drive_expr = cell_key(run, None, "drive")
         self.alive_expr = cell_key(run, None, "alive")
         self.ready_expr = cell_key(run, None, "ready")
-        self.blank_drives = [(0.0, 0.0)] * len(cells)
+        self.blank_drives = [bytes(_PAIR.size)] * len(cells)
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a cell: ``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``."""
@@ -62,11 +69,11 @@ class CellsHost(HostForm):
     def decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
         """Tick and the cell's two drives."""
         tick, fields = _read_drive(payload)
-        return tick, codec.pair("drive", fields["drive"])
+        return tick, _PAIR.pack(*codec.pair("drive", fields["drive"]))
 
     def join_drives(self, values: list[Any]) -> codec.Values:
         """``(n, 2)`` from a pair a cell."""
-        return np.array(values, dtype=np.float64)
+        return _pairs(values)
 
 
 @final
@@ -86,7 +93,7 @@ class CellsMember(MemberForm):
         self.drive_keys = tuple(cell_key(run, cell, "drive") for cell in names)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in mine)
         self.sense_units = {cell_key(run, cell, "sense"): i for i, cell in enumerate(names)}
-        self.blank_senses = [([False] * wiring.sensors, (0.0, 0.0))] * len(names)
+        self.blank_senses = [(bytes(wiring.sensors), bytes(_PAIR.size))] * len(names)
         self._message = _MessageMap(wiring.message)
         incoming, outgoing = partition.incoming(shard), partition.outgoing(shard)
         heard = range(0 if wiring.message is None else len(incoming))
@@ -106,20 +113,21 @@ class CellsMember(MemberForm):
     def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
         """Tick, and the cell's presence bits with its encoder travel or None."""
         tick, fields = _read_sense(payload)
-        presence = codec.booleans("sense", fields["presence"], self._sensors)
+        presence = bytes(codec.booleans("sense", fields["presence"], self._sensors))
         if self._encoders:
-            return tick, (presence, codec.pair("sense", fields["encoder_m"]))
+            return tick, (presence, _PAIR.pack(*codec.pair("sense", fields["encoder_m"])))
         codec.nothing("sense", "encoder_m", fields["encoder_m"])
         return tick, (presence, None)
 
     def join_senses(self, values: list[Any]) -> tuple[codec.Mask, codec.Values | None]:
         """From a pair a cell."""
-        presence = np.array([bits for bits, _ in values], dtype=np.bool_)
-        return presence, np.array([pair for _, pair in values], dtype=np.float64) if self._encoders else None
+        bits = bytearray().join([presence for presence, _ in values])
+        presence = np.frombuffer(bits, np.bool_).reshape(len(values), self._sensors)
+        return presence, _pairs([pair for _, pair in values]) if self._encoders else None
 
-    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all links alike
+    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:
         """Tick, and whether there is a message with its values."""
-        return self._message.decode(payload)
+        return self._message.decode(part, payload)
 
     def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
         """From a pair a link."""
@@ -127,7 +135,8 @@ class CellsMember(MemberForm):
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
-        return [self._pack(frame.tick, {"drive": pair}) for pair in frame.drive.tolist()]
+        tick, pack = frame.tick, self._pack
+        return [pack(tick, {"drive": pair}) for pair in _PAIR.iter_unpack(frame.drive.tobytes())]
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a link: the message's fields by name, none where nothing was sent."""
@@ -136,38 +145,50 @@ class CellsMember(MemberForm):
 
 @final
 class _MessageMap:
-    """A protocol's messages as maps of their fields.
+    """A protocol's messages as maps of their fields; between map and array they go as packed bytes.
 
     Attributes:
         nothing: What stands for no message: not sent, and zero.
     """
 
     def __init__(self, dtype: np.dtype[Any] | None) -> None:
-        self._pack = codec.packer()
+        self._pack_map = codec.packer()
         self._dtype = np.dtype([]) if dtype is None else dtype
         names = self._dtype.names or ()
         self._names = names
+        fields = [self._dtype[name] for name in names]
+        self._struct = struct.Struct(
+            "<" + "".join("?" if field.kind == "b" else field.char for field in fields)
+        )
+        self._types = [{"b": bool, "f": float}.get(field.kind, int) for field in fields]
+        self._readers = [codec.scalar_reader("link", *pair) for pair in zip(names, fields, strict=True)]
         limit = sum(_VALUE + 4 * len(name) for name in names)
         self._read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
-        self._readers: list[tuple[str, Callable[[object], Any]]] = [
-            (name, codec.scalar_reader("link", name, self._dtype[name])) for name in names
-        ]
-        zero = np.zeros((), dtype=self._dtype)
-        self.nothing: tuple[bool, tuple[Any, ...]] = (False, tuple(zero[name].item() for name in names))
+        self.nothing: tuple[bool, bytes] = (False, bytes(self._dtype.itemsize))
 
     def encode(self, frame: wire.LinkFrame) -> list[bytes]:
-        tick, names = frame.tick, self._names
+        tick, names, pack = frame.tick, self._names, self._pack_map
+        if not names:
+            return []
         return [
-            self._pack(tick, dict(zip(names, values, strict=True)) if sent else {})
-            for sent, values in zip(frame.sent.tolist(), frame.message.tolist(), strict=True)
+            pack(tick, dict(zip(names, values, strict=True)) if sent else {})
+            for sent, values in zip(
+                frame.sent.tobytes(), self._struct.iter_unpack(frame.message.tobytes()), strict=True
+            )
         ]
 
-    def decode(self, payload: bytes) -> tuple[int, tuple[bool, tuple[Any, ...]]]:
+    def decode(self, part: int, payload: bytes) -> tuple[int, tuple[bool, bytes]]:  # noqa: ARG002 - all links alike
         tick, fields = self._read(payload)
         if len(fields) == len(_NO_MESSAGE):
             return tick, self.nothing
-        return tick, (True, tuple([read(fields[name]) for name, read in self._readers]))
+        values = [fields[name] for name in self._names]
+        if [type(value) for value in values] == self._types:
+            with contextlib.suppress(struct.error, OverflowError):  # The readers know what is wrong.
+                return tick, (True, self._struct.pack(*values))
+        read = [reader(value) for reader, value in zip(self._readers, values, strict=True)]
+        return tick, (True, self._struct.pack(*read))
 
-    def join(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
-        sent = np.array([there for there, _ in values], dtype=np.bool_)
-        return sent, np.array([message for _, message in values], dtype=self._dtype)
+    def join(self, values: list[tuple[bool, bytes]]) -> tuple[codec.Mask, codec.Message]:
+        sent = np.frombuffer(bytearray([there for there, _ in values]), np.bool_)
+        message = bytearray().join([message for _, message in values])
+        return sent, np.frombuffer(message, self._dtype)
