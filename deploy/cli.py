@@ -93,7 +93,8 @@ def _sigterm_as_interrupt() -> Generator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        if signal.getsignal(signal.SIGTERM) is signal.default_int_handler:
+            signal.signal(signal.SIGTERM, before)
 
 
 def application(arguments: Sequence[str]) -> typer.Typer:

@@ -39,8 +39,13 @@ class Interruption:
         self._allowed = False
 
     @contextmanager
-    def watching(self) -> Generator[None]:
-        """Handle the two signals in here."""
+    def watching(self, *, last: bool = False) -> Generator[None]:
+        """Handle the two signals in here.
+
+        Args:
+            last: The process ends after this: once a signal has come, further ones are ignored for good, so
+                that an impatient second Ctrl-C does not spoil the end.
+        """
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -49,7 +54,7 @@ class Interruption:
             yield
         finally:
             for number, handler in before.items():
-                signal.signal(number, handler)
+                signal.signal(number, signal.SIG_IGN if last and self.requested else handler)
 
     @contextmanager
     def allowed(self) -> Generator[None]:

@@ -45,7 +45,13 @@ class Outcome:
     detail: str = ""
 
 
-def run(scene: Scene, options: RunOptions | None = None, *, quiet: bool = False) -> Outcome:
+def run(
+    scene: Scene,
+    options: RunOptions | None = None,
+    *,
+    quiet: bool = False,
+    interruption: Interruption | None = None,
+) -> Outcome:
     """Run the whole system once.
 
     Once the cells are started, whatever ends the run is told by the outcome's status and reason. However this
@@ -55,13 +61,14 @@ def run(scene: Scene, options: RunOptions | None = None, *, quiet: bool = False)
         scene: What to run.
         options: How to run it.
         quiet: Show no progress and no warnings on stderr.
+        interruption: The caller's, where it watches for signals itself.
 
     Raises:
         InputError: Bad input; nothing was started.
         PlantError: The plant refuses the scene; nothing was started.
         Interrupted: SIGINT or SIGTERM came before the run had a recording.
     """
-    interruption = Interruption()
+    interruption = interruption or Interruption()
     with interruption.watching():
         return _Run(scene, options or RunOptions(), interruption, quiet=quiet).go()
 

@@ -35,7 +35,12 @@ SLICE = 1_000
 
 
 def simulate(
-    scene: Scene, *, output: Path | None = None, picture: bool = True, quiet: bool = False
+    scene: Scene,
+    *,
+    output: Path | None = None,
+    picture: bool = True,
+    quiet: bool = False,
+    interruption: Interruption | None = None,
 ) -> Outcome:
     """Simulate a scene without cells: every wheel runs at the field's speed from the start.
 
@@ -48,13 +53,14 @@ def simulate(
         output: Folder for summary and picture; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
         quiet: Show no progress and no warnings on stderr.
+        interruption: The caller's, where it watches for signals itself.
 
     Raises:
         InputError: The scene's firmware has no field to simulate.
         PlantError: The plant refuses the scene.
         Interrupted: SIGINT or SIGTERM came before the simulation began.
     """
-    interruption = Interruption()
+    interruption = interruption or Interruption()
     with interruption.watching():
         return _Simulation(scene, interruption, quiet=quiet).go(output, picture=picture)
 

@@ -109,17 +109,19 @@ def run(
 
 def _run(scene: Scene, options: RunOptions, *, as_json: bool, quiet: bool) -> int:
     from deploy.commands.outcome import report
-    from deploy.interruption import Interrupted
+    from deploy.interruption import Interrupted, Interruption
     from deploy.run import run as run_scene
 
-    try:
-        # What a firmware prints in this process is no part of what the command prints.
-        with contextlib.redirect_stdout(sys.stderr):
-            outcome = run_scene(scene, options, quiet=quiet)
-    except Interrupted as interrupted:
-        sys.stderr.write("mdms: interrupted before the run began\n")
-        return interrupted.exit_code
-    return report(outcome, as_json=as_json)
+    interruption = Interruption()
+    with interruption.watching(last=True):
+        try:
+            # What a firmware prints in this process is no part of what the command prints.
+            with contextlib.redirect_stdout(sys.stderr):
+                outcome = run_scene(scene, options, quiet=quiet, interruption=interruption)
+        except Interrupted as interrupted:
+            sys.stderr.write("mdms: interrupted before the run began\n")
+            return interrupted.exit_code
+        return report(outcome, as_json=as_json)
 
 
 def parse_processes(text: str | None) -> Processes | None:

@@ -39,13 +39,17 @@ def simulate(
     import sys
 
     from deploy.commands.outcome import report
-    from deploy.interruption import Interrupted
+    from deploy.interruption import Interrupted, Interruption
     from deploy.simulate import simulate as simulate_scene
 
     found = load_scene(scene, sets, seed, duration, solver, tolerance)
-    try:
-        outcome = simulate_scene(found, output=output, picture=picture, quiet=quiet)
-    except Interrupted as interrupted:
-        sys.stderr.write("mdms: interrupted before the simulation began\n")
-        raise typer.Exit(interrupted.exit_code) from None
-    raise typer.Exit(report(outcome, as_json=as_json))
+    interruption = Interruption()
+    with interruption.watching(last=True):
+        try:
+            outcome = simulate_scene(
+                found, output=output, picture=picture, quiet=quiet, interruption=interruption
+            )
+        except Interrupted as interrupted:
+            sys.stderr.write("mdms: interrupted before the simulation began\n")
+            raise typer.Exit(interrupted.exit_code) from None
+        raise typer.Exit(report(outcome, as_json=as_json))

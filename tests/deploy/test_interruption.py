@@ -70,6 +70,19 @@ def test_handlers_are_put_back() -> None:
     assert [signal.getsignal(number) for number in SIGNALS] == before
 
 
+def test_after_the_last_interruption_further_signals_are_ignored() -> None:
+    before = [signal.getsignal(number) for number in SIGNALS]
+    interruption = Interruption()
+    try:
+        with interruption.watching(last=True):
+            _send(signal.SIGINT)
+        for number in SIGNALS:
+            _send(number)  # neither raises nor ends this process
+    finally:
+        for number, handler in zip(SIGNALS, before, strict=True):
+            signal.signal(number, handler)
+
+
 def test_other_threads_leave_signals_alone() -> None:
     seen: list[bool] = []
 
