@@ -7,7 +7,7 @@ from math import cos, exp, isfinite, sin
 from plant.kernels import layout as at
 from plant.kernels.capture import groups_hold, try_capture
 from plant.kernels.changes import apply, log
-from plant.kernels.events import entering, leaving, loading, reach
+from plant.kernels.events import bend, entering, leaving, loading
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settled
 from plant.kernels.motion import onto_surfaces, surface_rates
@@ -19,6 +19,8 @@ UNIT_TIME = (
     *(at.S_A0, at.S_BX_, at.S_BY_, at.S_XIX, at.S_XIY),
 )
 """The series that events are read from."""
+LOOK_AHEAD = 2.0
+"""How far a step looks, over the mean time between events."""
 DECAYED = 1e-22
 """A motor transient this small moves nothing any more."""
 
@@ -86,11 +88,11 @@ def prepare(surface, parcel, work, now, e, events):
 def search(surface, parcel, work, order):
     """All events of the step that may be its earliest. Returns (how many, time of the earliest or 1)."""
     mem, ctl, ser, found = parcel.mem, parcel.ctl, work.ser, work.found
-    far, turn = reach(ser, order)
-    count, end = leaving(surface, parcel, work, order, far, turn, 1.0, at.ZERO)
+    centre, lever = bend(ser, order)
+    count, end = leaving(surface, parcel, work, order, centre, lever, 1.0, at.ZERO)
     for i in range(ctl[at.N_MEMBERS]):
         work.where[mem[i, at.CELL]] = 1
-    count, end = entering(surface, parcel, work, order, far, turn, end, count)
+    count, end = entering(surface, parcel, work, order, centre, lever, end, count)
     for i in range(ctl[at.N_MEMBERS]):
         work.where[mem[i, at.CELL]] = 0
     count, end = loading(surface, parcel, work, order, end, count)
@@ -158,6 +160,8 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             if status == at.TIPPED:
                 log(events, ctl, now, at.TIP, ctl[at.TIP_A], ctl[at.TIP_B])
             break
+        # looking much farther than the next event costs order and finds roots that are thrown away
+        ahead = min(span - now, LOOK_AHEAD * par[at.GAP])
         order, step = taylor(
             work.seg,
             work.grp,
@@ -167,7 +171,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             e,
             cos(y[at.THETA]),
             sin(y[at.THETA]),
-            span - now,
+            ahead,
             work.matrix,
             work.reply,
             work.f,
@@ -183,6 +187,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         while sampled < times.shape[0] and times[sampled] <= ends_at:
             sample(ser, order, y, (times[sampled] - now) / step, out[sampled])
             sampled += 1
+        par[at.GAP] += 0.3 * (earliest * step - par[at.GAP]) if count > 0 else par[at.GAP]
         move(work, order, y, earliest, step)
         if not finite(y) or (ends_at == now and count == 0):
             ctl[at.STATUS] = at.NOT_FINITE

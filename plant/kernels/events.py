@@ -117,8 +117,34 @@ def reach(ser, order):
 
 
 @kernel
-def leaving(surface, parcel, work, order, far, turn, end, count):
-    """Cells that leave the footprint. A captured cell leaves by an edge other than the one it sits on."""
+def bend(ser, order):
+    """Bounds on how far an edge's distance to a cell departs from its tangent within the unit step.
+
+    Returns (for a cell at the centre of mass, more for every metre from it): all terms of ``edge_polynomial`` of
+    degree two and up, whatever the edge.
+    """
+    centre, lever = 0.0, 0.0
+    for k in range(2, order + 1):
+        centre += (ser[at.S_E1, k] * ser[at.S_E1, k] + ser[at.S_E2, k] * ser[at.S_E2, k]) ** 0.5
+        lever += (ser[at.S_C, k] * ser[at.S_C, k] + ser[at.S_S, k] * ser[at.S_S, k]) ** 0.5
+    return centre, lever
+
+
+@kernel
+def tangent(ser, nx, ny, offset, px, py):
+    """Distance inside an edge of the cell at (px, py) from ``X0``, and its rate, at the start of the step."""
+    along, across = nx * px + ny * py, nx * py - ny * px
+    value = offset - along * ser[at.S_C, 0] - across * ser[at.S_S, 0]
+    rate = -along * ser[at.S_C, 1] - across * ser[at.S_S, 1] + nx * ser[at.S_E1, 1] + ny * ser[at.S_E2, 1]
+    return value, rate
+
+
+@kernel
+def leaving(surface, parcel, work, order, centre, lever, end, count):
+    """Cells that leave the footprint; ``centre`` and ``lever`` are those of ``bend``.
+
+    A captured cell leaves by an edge other than the one it sits on.
+    """
     pos, normal, offset, mem, ctl, y = (
         surface.pos,
         parcel.normal,
@@ -129,16 +155,15 @@ def leaving(surface, parcel, work, order, far, turn, end, count):
     )
     ser, found, g, p = work.ser, work.found, work.g, work.p
     zero = parcel.par[at.ON_SURFACE]
-    c, s = ser[at.S_C, 0], ser[at.S_S, 0]
     for i in range(ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
         px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
-        bound = (far + turn * (px * px + py * py) ** 0.5) * end * 1.000001 + zero
-        qx, qy = c * px + s * py, -s * px + c * py
+        curve = (centre + lever * (px * px + py * py) ** 0.5) * 1.000001
         for edge in range(offset.shape[0]):
             if mem[i, at.MARK] == at.CAPTURED and mem[i, at.EDGE] == edge:
                 continue
-            if offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy > bound:
+            value, rate = tangent(ser, normal[edge, 0], normal[edge, 1], offset[edge], px, py)
+            if value + min(0.0, rate * end) - curve * end * end > zero:
                 continue
             edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
             t = crossing(g, order, zero, end, p)
@@ -150,7 +175,7 @@ def leaving(surface, parcel, work, order, far, turn, end, count):
 
 
 @kernel
-def entering(surface, parcel, work, order, far, turn, end, count):
+def entering(surface, parcel, work, order, centre, lever, end, count):
     """Cells that enter the footprint: only those in the box that the footprint can reach are looked at."""
     pos, grid, where = surface.pos, surface.grid, work.where
     vertices, normal, offset, y, par = parcel.vertices, parcel.normal, parcel.offset, parcel.y, parcel.par
@@ -163,6 +188,7 @@ def entering(surface, parcel, work, order, far, turn, end, count):
         vy = s * vertices[v, 0] + c * vertices[v, 1]
         low_x, high_x = min(low_x, vx), max(high_x, vx)
         low_y, high_y = min(low_y, vy), max(high_y, vy)
+    far, turn = reach(ser, order)
     swept = (far + turn * radius) * end * 1.000001 + zero
     pitch = par[at.PITCH]
     left, below = y[0] - par[at.ORIGIN_X], y[1] - par[at.ORIGIN_Y]
@@ -177,11 +203,11 @@ def entering(surface, parcel, work, order, far, turn, end, count):
             if cell < 0 or where[cell] != 0:
                 continue
             px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
-            bound = (far + turn * (px * px + py * py) ** 0.5) * end * 1.000001 + zero
-            qx, qy = c * px + s * py, -s * px + c * py
+            curve = (centre + lever * (px * px + py * py) ** 0.5) * 1.000001
             near = True
             for edge in range(offset.shape[0]):
-                if offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy < -bound:
+                value, rate = tangent(ser, normal[edge, 0], normal[edge, 1], offset[edge], px, py)
+                if value + max(0.0, rate * end) + curve * end * end < -zero:
                     near = False
                     break
             if not near:

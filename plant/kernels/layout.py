@@ -33,7 +33,8 @@ ORIGIN_Y: Final = 8
 ON_SURFACE: Final = 9  # a distance that rounding can't tell from zero, m
 ON_LINE: Final = 10  # how far off a line of supports a centre of mass still stands, m
 MEMORY: Final = 11  # how long an error in velocity lasts, s
-PAR_SIZE: Final = 12
+GAP: Final = 12  # mean time between events of late, s (changes as the parcel moves)
+PAR_SIZE: Final = 13
 
 # ── y: float64 state of one parcel
 X, Y, THETA, UX, UY, OMEGA = range(6)

@@ -14,6 +14,9 @@ NONE = 2.0
 """Returned where there is no crossing: past the unit interval."""
 NARROWEST = 2.0**-36
 """An interval this small that still can't be decided holds a double root to rounding: a touch, not a crossing."""
+ROUNDING = 1e-15
+"""Values below this share of the coefficients' sum are rounding; an interval of such values is halved no further, or
+a root of high multiplicity would be looked for at every point of its neighbourhood."""
 
 
 @kernel
@@ -81,6 +84,10 @@ def first_crossing(g, order, end, p):
         p: work space for one polynomial.
     """
     start, width = 0.0, 1.0
+    above = g[0] >= 0.0
+    floor = 0.0
+    for k in range(order + 1):
+        floor += ROUNDING * abs(g[k])
     while start < end:
         restrict(g, order, start, width, p)
         rest, curvature = 0.0, 0.0
@@ -89,17 +96,21 @@ def first_crossing(g, order, end, p):
             rest += size
             if k > 1:
                 curvature += k * size
+        last = p[0]
         if abs(p[0]) <= rest:
             monotone = abs(p[1]) > curvature
-            if not monotone and width > NARROWEST:
+            if not monotone and width > NARROWEST and abs(p[0]) + rest > floor:
                 width *= 0.5
                 continue
-            last = 0.0
-            for k in range(order, -1, -1):
+            for k in range(1, order + 1):
                 last += p[k]
-            if p[0] >= 0.0 > last:
+            if above and p[0] >= 0.0 > last:
                 t = start + width * (polish(p, order) if monotone else 0.5)
                 return t if t <= end else NONE
+        if above and last < 0.0:
+            # the sign changed between the last interval's end and this one's start: equal but for rounding
+            return start
+        above = last >= 0.0
         start += width
         while width < 1.0 and (start / (2.0 * width)) % 1.0 == 0.0:
             width *= 2.0

@@ -153,6 +153,7 @@ def make_parcel(spec: ParcelSpec, array: CellArray, kappa: float, rate: float, s
     par[layout.ON_SURFACE] = 32.0 * np.finfo(np.float64).eps * far
     par[layout.ON_LINE] = 1e-8 * array.pitch_m
     par[layout.MEMORY] = min(1.0 / kappa, 10.0)
+    par[layout.GAP] = par[layout.MEMORY]
     across = math.ceil(2.0 * radius / array.pitch_m) + 2
     capacity = min(len(array), across * across) + 1
     return Parcel(
