@@ -6,7 +6,7 @@ wrote it. These run for every payload of every tick, hence the plain code and th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Final, cast
 
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
@@ -31,18 +31,14 @@ _NOT_MESSAGEPACK: Final = (ValueError, TypeError, OverflowError, msgpack.UnpackE
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Message = NDArray[np.void]
-Pack = Callable[[int, Mapping[str, object]], bytes]
+Pack = Callable[[dict[str, object]], bytes]
+Read = Callable[[bytes], tuple[int, dict[str, Any]]]
 
 
 def packer() -> Pack:
-    """What makes payloads, for one thread at a time: maps of the version, the tick and the fields given."""
+    """What makes payloads of maps, which must begin with ``v`` and ``tick``; for one thread at a time."""
     # A packer brings a buffer of 256 kB: one for all payloads, not one for each.
-    pack_map = cast("Callable[[object], bytes]", _Packer().pack)
-
-    def pack(tick: int, fields: Mapping[str, object]) -> bytes:
-        return pack_map({"v": VERSION, "tick": tick, **fields})
-
-    return pack
+    return cast("Pack", _Packer().pack)
 
 
 def layout(*names: str) -> frozenset[str]:
@@ -50,7 +46,7 @@ def layout(*names: str) -> frozenset[str]:
     return frozenset(("v", "tick", *names))
 
 
-def reader(kind: str, limit: int, *layouts: frozenset[str]) -> Callable[[bytes], tuple[int, dict[str, Any]]]:
+def reader(kind: str, limit: int, *layouts: frozenset[str]) -> Read:
     """What reads payloads of one kind: a function from any bytes to the tick and the fields.
 
     The function raises WireError for bytes that are too many, not MessagePack, no such map, of another version,

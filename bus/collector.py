@@ -110,10 +110,13 @@ class Collector:
             slot.missing = len(self.missing(tick))
 
     def close(self, tick: int) -> Slot:
-        """The frame of ``tick``, which with all before it is over: whatever comes for it now is late."""
-        slot = self.slot(tick)
+        """The frame of ``tick``, which with all before it is over: whatever comes for it now is late.
+
+        Args:
+            tick: One whose ``slot`` has been asked for.
+        """
+        slot = self._slots.pop(tick)
         self.now = tick + 1
-        del self._slots[tick]
         if self._slots:
             for over in [t for t in self._slots if t < tick]:
                 del self._slots[over]

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, cast, final
 
 import numpy as np
 
-from bus.codec import TICK_LIMIT, Mask, Message, Values, layout, packer, reader
+from bus.codec import TICK_LIMIT, VERSION, Mask, Message, Values, layout, packer, reader
 from bus.errors import WireError
 
 TEXT_LIMIT: Final = 4096
@@ -100,7 +100,13 @@ def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
 def encode_control(control: Control) -> bytes:
     """The payload of a control record."""
     return packer()(
-        control.tick, {"kind": control.kind, "cells": control.cells, "detail": control.detail[:TEXT_LIMIT]}
+        {
+            "v": VERSION,
+            "tick": control.tick,
+            "kind": control.kind,
+            "cells": control.cells,
+            "detail": control.detail[:TEXT_LIMIT],
+        }
     )
 
 
@@ -124,8 +130,9 @@ def decode_control(payload: bytes, cells: int) -> Control:
 def encode_report(report: Report) -> bytes:
     """The payload of a report."""
     return packer()(
-        report.tick,
         {
+            "v": VERSION,
+            "tick": report.tick,
             "kind": report.kind,
             "cells": report.cells,
             "detail": report.detail[:TEXT_LIMIT],

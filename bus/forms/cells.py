@@ -1,31 +1,27 @@
-"""The form of one key a cell and link: maps that any tool reads, for cells in processes of their own."""
+"""The form of one key a cell and link: maps that any tool reads, for cells in processes of their own.
+
+Between map and array the values go as packed bytes. Where every cell is a process, each of these lines runs on
+cold caches every tick: hence few calls.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import struct
-from typing import Any, Final, final
+from typing import Any, Final, cast, final
 
 import numpy as np
 
 from bus import codec, wire
-from bus.forms.form import HostForm, MemberForm, Wiring
+from bus.forms.form import Decode, HostForm, MemberForm, Wiring
 from bus.keys import cell_key, cell_link_key
 
-_SENSE: Final = codec.layout("presence", "encoder_m")
-_DRIVE: Final = codec.layout("drive")
-_NO_MESSAGE: Final = codec.layout()
 _VALUE: Final = 80
 """Bytes that one named value of a payload may take, its name included up to four fifths of that."""
-
-_read_sense = codec.reader("sense", _VALUE, _SENSE)
-_read_drive = codec.reader("drive", _VALUE, _DRIVE)
 _PAIR: Final = struct.Struct("<2d")
+_NO_MESSAGE: Final = codec.layout()
 
-
-def _pairs(values: list[bytes]) -> codec.Values:
-    """``(n, 2)`` from packed pairs; may be written."""
-    return np.frombuffer(bytearray().join(values)).reshape(len(values), 2)
+_read_sense = codec.reader("sense", _VALUE, codec.layout("presence", "encoder_m"))
+_read_drive = codec.reader("drive", _VALUE, codec.layout("drive"))
 
 
 @final
@@ -33,8 +29,8 @@ class CellsHost(HostForm):
     """The plant's side: a unit is a cell."""
 
     def __init__(self, wiring: Wiring) -> None:
-        self._pack = codec.packer()
         cells, run = wiring.partition.lattice.cells, wiring.run
+        self._pack = codec.packer()
         self._sensors = wiring.sensors
         self._weights = 1 << np.arange(wiring.sensors)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in range(len(cells)))
@@ -45,14 +41,15 @@ class CellsHost(HostForm):
         self.drive_expr = cell_key(run, None, "drive")
         self.alive_expr = cell_key(run, None, "alive")
         self.ready_expr = cell_key(run, None, "ready")
+        self.decode_drive = _decode_drive
         self.blank_drives = [bytes(_PAIR.size)] * len(cells)
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a cell: ``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``."""
-        tick = frame.tick
+        tick, pack = frame.tick, self._pack
         if frame.encoder_m is not None:
             return [
-                self._pack(tick, {"presence": presence, "encoder_m": travel})
+                pack({"v": codec.VERSION, "tick": tick, "presence": presence, "encoder_m": travel})
                 for presence, travel in zip(frame.presence.tolist(), frame.encoder_m.tolist(), strict=True)
             ]
         # Without encoders all cells that sense alike get the same bytes: encode each pattern once.
@@ -62,18 +59,19 @@ class CellsHost(HostForm):
             payload = made.get(code)
             if payload is None:
                 presence = [bool(code >> i & 1) for i in range(self._sensors)]
-                payload = made[code] = self._pack(tick, {"presence": presence, "encoder_m": None})
+                payload = pack({"v": codec.VERSION, "tick": tick, "presence": presence, "encoder_m": None})
+                made[code] = payload
             payloads.append(payload)
         return payloads
 
-    def decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
-        """Tick and the cell's two drives."""
-        tick, fields = _read_drive(payload)
-        return tick, _PAIR.pack(*codec.pair("drive", fields["drive"]))
-
     def join_drives(self, values: list[Any]) -> codec.Values:
-        """``(n, 2)`` from a pair a cell."""
-        return _pairs(values)
+        """``(n, 2)`` from a packed pair a cell."""
+        return np.frombuffer(bytearray().join(values)).reshape(len(values), 2)
+
+
+def _decode_drive(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
+    tick, fields = _read_drive(payload)
+    return tick, _PAIR.pack(*codec.pair("drive", fields["drive"]))
 
 
 @final
@@ -81,20 +79,21 @@ class CellsMember(MemberForm):
     """A shard's side: a unit a cell, a part a link."""
 
     def __init__(self, wiring: Wiring, shard: int) -> None:
-        self._pack = codec.packer()
         partition, run = wiring.partition, wiring.run
         cells = partition.lattice.cells
         mine = partition.cells(shard)
         names = [cells[int(i)] for i in mine]
-        self._sensors = wiring.sensors
+        self._pack = codec.packer()
+        self._rows = len(names)
         self._encoders = wiring.encoders
         self.alive_keys = tuple(cell_key(run, cell, "alive") for cell in names)
         self.ready_keys = tuple(cell_key(run, cell, "ready") for cell in names)
         self.drive_keys = tuple(cell_key(run, cell, "drive") for cell in names)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in mine)
         self.sense_units = {cell_key(run, cell, "sense"): i for i, cell in enumerate(names)}
+        self.decode_sense = _sense_decoder(wiring.sensors, wiring.encoders)
         self.blank_senses = [(bytes(wiring.sensors), bytes(_PAIR.size))] * len(names)
-        self._message = _MessageMap(wiring.message)
+        message = np.dtype([]) if wiring.message is None else wiring.message
         incoming, outgoing = partition.incoming(shard), partition.outgoing(shard)
         heard = range(0 if wiring.message is None else len(incoming))
         said = range(0 if wiring.message is None else len(outgoing))
@@ -103,92 +102,94 @@ class CellsMember(MemberForm):
         }
         self.in_sources = tuple(incoming.source[i : i + 1] for i in heard)
         self.in_targets = tuple(incoming.target[i : i + 1] for i in heard)
-        self.blank_links = [self._message.nothing] * len(heard)
+        self.decode_link = _link_decoder(message)
+        self.blank_links = [(0, bytes(message.itemsize))] * len(heard)
+        self._message = message
+        self._names = message.names or ()
+        self._struct = _struct(message)
         self.out_keys = tuple(
             cell_link_key(run, cells[int(outgoing.source[i])], int(outgoing.source_side[i])) for i in said
         )
         self.out_sources = tuple(outgoing.source[i : i + 1] for i in said)
         self.out_targets = tuple(outgoing.target[i : i + 1] for i in said)
 
-    def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - all cells alike
-        """Tick, and the cell's presence bits with its encoder travel or None."""
-        tick, fields = _read_sense(payload)
-        presence = bytes(codec.booleans("sense", fields["presence"], self._sensors))
-        if self._encoders:
-            return tick, (presence, _PAIR.pack(*codec.pair("sense", fields["encoder_m"])))
-        codec.nothing("sense", "encoder_m", fields["encoder_m"])
-        return tick, (presence, None)
-
     def join_senses(self, values: list[Any]) -> tuple[codec.Mask, codec.Values | None]:
-        """From a pair a cell."""
-        bits = bytearray().join([presence for presence, _ in values])
-        presence = np.frombuffer(bits, np.bool_).reshape(len(values), self._sensors)
-        return presence, _pairs([pair for _, pair in values]) if self._encoders else None
-
-    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:
-        """Tick, and whether there is a message with its values."""
-        return self._message.decode(part, payload)
+        """From the presence bytes and the packed travel of each cell."""
+        bits, travel = zip(*values, strict=True)
+        presence = np.frombuffer(bytearray().join(bits), np.bool_).reshape(self._rows, -1)
+        if not self._encoders:
+            return presence, None
+        return presence, np.frombuffer(bytearray().join(travel)).reshape(self._rows, 2)
 
     def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
-        """From a pair a link."""
-        return self._message.join(values)
+        """From whether there was a message, and its packed fields, of each link."""
+        sent, message = zip(*values, strict=True) if values else ((), ())
+        return np.frombuffer(bytearray(sent), np.bool_), np.frombuffer(
+            bytearray().join(message), self._message
+        )
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
         tick, pack = frame.tick, self._pack
-        return [pack(tick, {"drive": pair}) for pair in _PAIR.iter_unpack(frame.drive.tobytes())]
+        return [
+            pack({"v": codec.VERSION, "tick": tick, "drive": pair})
+            for pair in _PAIR.iter_unpack(frame.drive.tobytes())
+        ]
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a link: the message's fields by name, none where nothing was sent."""
-        return self._message.encode(frame)
-
-
-@final
-class _MessageMap:
-    """A protocol's messages as maps of their fields; between map and array they go as packed bytes.
-
-    Attributes:
-        nothing: What stands for no message: not sent, and zero.
-    """
-
-    def __init__(self, dtype: np.dtype[Any] | None) -> None:
-        self._pack_map = codec.packer()
-        self._dtype = np.dtype([]) if dtype is None else dtype
-        names = self._dtype.names or ()
-        self._names = names
-        fields = [self._dtype[name] for name in names]
-        self._struct = struct.Struct(
-            "<" + "".join("?" if field.kind == "b" else field.char for field in fields)
-        )
-        self._types = [{"b": bool, "f": float}.get(field.kind, int) for field in fields]
-        self._readers = [codec.scalar_reader("link", *pair) for pair in zip(names, fields, strict=True)]
-        limit = sum(_VALUE + 4 * len(name) for name in names)
-        self._read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
-        self.nothing: tuple[bool, bytes] = (False, bytes(self._dtype.itemsize))
-
-    def encode(self, frame: wire.LinkFrame) -> list[bytes]:
-        tick, names, pack = frame.tick, self._names, self._pack_map
-        if not names:
-            return []
+        tick, names, pack = frame.tick, self._names, self._pack
+        fields = self._struct.iter_unpack(frame.message.tobytes())
         return [
-            pack(tick, dict(zip(names, values, strict=True)) if sent else {})
-            for sent, values in zip(
-                frame.sent.tobytes(), self._struct.iter_unpack(frame.message.tobytes()), strict=True
+            pack(
+                {"v": codec.VERSION, "tick": tick, **(dict(zip(names, values, strict=True)) if sent else {})}
             )
+            for sent, values in zip(frame.sent.tobytes(), fields, strict=True)
         ]
 
-    def decode(self, part: int, payload: bytes) -> tuple[int, tuple[bool, bytes]]:  # noqa: ARG002 - all links alike
-        tick, fields = self._read(payload)
-        if len(fields) == len(_NO_MESSAGE):
-            return tick, self.nothing
-        values = [fields[name] for name in self._names]
-        if [type(value) for value in values] == self._types:
-            with contextlib.suppress(struct.error, OverflowError):  # The readers know what is wrong.
-                return tick, (True, self._struct.pack(*values))
-        read = [reader(value) for reader, value in zip(self._readers, values, strict=True)]
-        return tick, (True, self._struct.pack(*read))
 
-    def join(self, values: list[tuple[bool, bytes]]) -> tuple[codec.Mask, codec.Message]:
-        sent = np.frombuffer(bytearray([there for there, _ in values]), np.bool_)
-        message = bytearray().join([message for _, message in values])
-        return sent, np.frombuffer(message, self._dtype)
+def _sense_decoder(sensors: int, encoders: bool) -> Decode:
+    """From a sense payload to its tick, the presence as bytes and the travel as a packed pair."""
+
+    def decode(unit: int, payload: bytes) -> tuple[int, tuple[bytes, bytes]]:  # noqa: ARG001 - all cells alike
+        tick, fields = _read_sense(payload)
+        presence = bytes(codec.booleans("sense", fields["presence"], sensors))
+        if encoders:
+            return tick, (presence, _PAIR.pack(*codec.pair("sense", fields["encoder_m"])))
+        codec.nothing("sense", "encoder_m", fields["encoder_m"])
+        return tick, (presence, b"")
+
+    return decode
+
+
+def _link_decoder(message: np.dtype[Any]) -> Decode:
+    """From a link payload to its tick, 1 or 0 for sent or not, and the message's packed fields."""
+    names = message.names or ()
+    packed = _struct(message)
+    kinds = tuple({"b": bool, "f": float}.get(message[name].kind, int) for name in names)
+    readers = [codec.scalar_reader("link", name, message[name]) for name in names]
+    limit = sum(_VALUE + 4 * len(name) for name in names)
+    read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
+    nothing = (0, bytes(message.itemsize))
+
+    def decode(part: int, payload: bytes) -> tuple[int, tuple[int, bytes]]:  # noqa: ARG001 - all links alike
+        tick, fields = read(payload)
+        if len(fields) == len(_NO_MESSAGE):
+            return tick, nothing
+        values = tuple(map(fields.__getitem__, names))
+        if tuple(map(type, values)) == kinds:
+            try:
+                return tick, (1, packed.pack(*values))
+            except (struct.error, OverflowError):
+                pass  # The readers say what is wrong.
+        return tick, (1, packed.pack(*[reader(value) for reader, value in zip(readers, values, strict=True)]))
+
+    return decode
+
+
+def _struct(message: np.dtype[Any]) -> struct.Struct:
+    """The layout of a message, for the struct module."""
+    fields = [message[name] for name in message.names or ()]
+    return struct.Struct(
+        "<" + "".join("?" if field.kind == "b" else cast("str", field.char) for field in fields)
+    )

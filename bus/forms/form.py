@@ -7,6 +7,7 @@ cuts a shard's border links into *parts* likewise: a border between two shards, 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -15,6 +16,8 @@ import numpy as np
 from bus.keys import check_run
 from bus.partition import Index, Partition
 from bus.wire import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
+
+Decode = Callable[[int, bytes], tuple[int, Any]]
 
 
 @final
@@ -55,6 +58,7 @@ class HostForm(ABC):
         drive_units, alive_units, ready_units: Unit of each such key.
         drive_expr, alive_expr, ready_expr: What to subscribe to and to watch.
         blank_drives: What stands for each unit that sends none.
+        decode_drive: From a unit and any payload to the tick and value of its drive, or WireError.
     """
 
     unit_cells: tuple[Index, ...]
@@ -66,18 +70,11 @@ class HostForm(ABC):
     alive_expr: str
     ready_expr: str
     blank_drives: list[Any]
+    decode_drive: Decode
 
     @abstractmethod
     def sense_payloads(self, frame: SenseFrame) -> list[bytes]:
         """A payload a unit, in their order."""
-
-    @abstractmethod
-    def decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
-        """Tick and value of a unit's drive.
-
-        Raises:
-            WireError: Not a drive of this unit.
-        """
 
     @abstractmethod
     def join_drives(self, values: list[Any]) -> Values:
@@ -92,9 +89,11 @@ class MemberForm(ABC):
         unit_cells: Indices (in the lattice) of each unit's cells.
         sense_units: Unit of each sense key.
         blank_senses: What stands for each unit that gets none.
+        decode_sense: From a unit and any payload to the tick and value of its sense, or WireError.
         in_parts: Part of each key on which the shard hears its neighbours, in the order of its incoming links.
         in_sources, in_targets: Cells of the units that send and hear each part.
         blank_links: What stands for each part that does not come.
+        decode_link: From a part and any payload to the tick and value of its frame, or WireError.
         out_keys: Key of each part that the shard sends, in the order of its outgoing links.
         out_sources, out_targets: Cells of the units that send and hear each part.
     """
@@ -105,33 +104,19 @@ class MemberForm(ABC):
     unit_cells: tuple[Index, ...]
     sense_units: dict[str, int]
     blank_senses: list[Any]
+    decode_sense: Decode
     in_parts: dict[str, int]
     in_sources: tuple[Index, ...]
     in_targets: tuple[Index, ...]
     blank_links: list[Any]
+    decode_link: Decode
     out_keys: tuple[str, ...]
     out_sources: tuple[Index, ...]
     out_targets: tuple[Index, ...]
 
     @abstractmethod
-    def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:
-        """Tick and value of a unit's sense.
-
-        Raises:
-            WireError: Not a sense of this unit.
-        """
-
-    @abstractmethod
     def join_senses(self, values: list[Any]) -> tuple[Mask, Values | None]:
         """Presence ``(n, sensors)`` and encoder travel ``(n, 2)`` of the shard's cells; may be written."""
-
-    @abstractmethod
-    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:
-        """Tick and value of a part of the incoming links.
-
-        Raises:
-            WireError: Not a link frame of this part.
-        """
 
     @abstractmethod
     def join_links(self, values: list[Any]) -> tuple[Mask, Message]:

@@ -33,6 +33,7 @@ class PackedHost(HostForm):
         self.drive_expr = shard_key(run, None, "drive")
         self.alive_expr = shard_key(run, None, "alive")
         self.ready_expr = shard_key(run, None, "ready")
+        self.decode_drive = self._decode_drive
         self.blank_drives = [0.0] * partition.count
         self._read_drive = [codec.reader("drive", len(cells) * 16, _DRIVE) for cells in self.unit_cells]
 
@@ -41,16 +42,17 @@ class PackedHost(HostForm):
         encoder_m = frame.encoder_m
         return [
             self._pack(
-                frame.tick,
                 {
+                    "v": codec.VERSION,
+                    "tick": frame.tick,
                     "presence": codec.bits_bytes(frame.presence[rows]),
                     "encoder_m": None if encoder_m is None else encoder_m[rows].tobytes(),
-                },
+                }
             )
             for rows in self._rows
         ]
 
-    def decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
+    def _decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
         """Tick and ``(cells, 2)`` drives of a shard."""
         tick, fields = self._read_drive[unit](payload)
         return tick, codec.floats("drive", fields["drive"], len(self.unit_cells[unit]))
@@ -81,6 +83,8 @@ class PackedMember(MemberForm):
         self.drive_keys = (shard_key(run, shard, "drive"),)
         self.unit_cells = (cells,)
         self.sense_units = {shard_key(run, shard, "sense"): 0}
+        self.decode_sense = self._decode_sense
+        self.decode_link = self._decode_link
         self.blank_senses = [None]
         self._read_sense = codec.reader("sense", self._rows * (wiring.sensors + 16), _SENSE)
         self._message = np.dtype([]) if wiring.message is None else wiring.message
@@ -104,7 +108,7 @@ class PackedMember(MemberForm):
         self.out_sources = tuple(cells for _ in outgoing)
         self.out_targets = tuple(partition.cells(b.shard) for b in outgoing)
 
-    def decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
+    def _decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
         """Tick, and ``(n, sensors)`` presence with ``(n, 2)`` encoder travel or None."""
         tick, fields = self._read_sense(payload)
         presence = codec.bits("sense", fields["presence"], self._rows * self._sensors)
@@ -118,7 +122,7 @@ class PackedMember(MemberForm):
         """Those of the one unit."""
         return values[0]
 
-    def decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:
+    def _decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:
         """Tick, and ``(m,)`` mask with ``(m,)`` messages, zero where none was sent."""
         count = self._in_counts[part]
         tick, fields = self._read_link[part](payload)
@@ -138,14 +142,18 @@ class PackedMember(MemberForm):
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """One payload."""
-        return [self._pack(frame.tick, {"drive": frame.drive.tobytes()})]
+        return [self._pack({"v": codec.VERSION, "tick": frame.tick, "drive": frame.drive.tobytes()})]
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a border."""
         return [
             self._pack(
-                frame.tick,
-                {"sent": codec.bits_bytes(frame.sent[links]), "message": frame.message[links].tobytes()},
+                {
+                    "v": codec.VERSION,
+                    "tick": frame.tick,
+                    "sent": codec.bits_bytes(frame.sent[links]),
+                    "message": frame.message[links].tobytes(),
+                }
             )
             for links in self._out_links
         ]

@@ -45,7 +45,7 @@ def _count_fork() -> None:
 os.register_at_fork(after_in_child=_count_fork)
 
 
-def _from_foreign_thread(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
+def _keep_thread_state(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
     """``put``, made cheap to call from Zenoh's own threads.
 
     CPython gives a thread that it did not start a new state, and that state new memory pages, for every call into
@@ -183,10 +183,6 @@ def _free_port() -> int:
 _Sample = zenoh.Sample
 
 
-def _received(sample: zenoh.Sample) -> Received:
-    return Received(str(sample.key_expr), sample.payload.to_bytes())
-
-
 @final
 class ZenohPublisher(Publisher):
     """Puts on one key: blocking, reliable, batched."""
@@ -194,11 +190,13 @@ class ZenohPublisher(Publisher):
     def __init__(self, endpoint: ZenohEndpoint, publisher: zenoh.Publisher) -> None:
         self._endpoint = endpoint
         self._publisher = publisher
+        self._forks = _forks
         self._put = cast("Callable[[bytes], None]", cast("Any", publisher).put)
 
     def put(self, payload: bytes) -> None:
         """Sends ``payload`` to every subscriber of the key."""
-        self._endpoint.check_usable()
+        if self._endpoint.closed or _forks != self._forks:
+            self._endpoint.check_usable()
         try:
             self._put(payload)
         except zenoh.ZError as error:
@@ -221,6 +219,7 @@ class ZenohEndpoint(Endpoint):
 
     Attributes:
         locator: Where the plant listens.
+        closed: Whether ``close`` was called.
         session: The session, for what Zenoh has beyond an endpoint.
     """
 
@@ -229,7 +228,7 @@ class ZenohEndpoint(Endpoint):
         self.session = session
         self._pid = os.getpid()
         self._forks = _forks
-        self._closed = False
+        self.closed = False
         self._inbox = Inbox()
         self._subscribers: dict[str, object] = {}
         self._watchers: list[object] = []
@@ -254,7 +253,7 @@ class ZenohEndpoint(Endpoint):
         if key_expr in self._subscribers:
             return
         check_overlap(key_expr, list(self._subscribers))
-        put = _from_foreign_thread(self._inbox.put_urgent if urgent else self._inbox.put)
+        put = _keep_thread_state(self._inbox.put_urgent if urgent else self._inbox.put)
         self._subscribers[key_expr] = self.session.declare_subscriber(
             key_expr, handlers.Callback(put, indirect=False)
         )
@@ -292,13 +291,15 @@ class ZenohEndpoint(Endpoint):
         """The oldest event, or None after ``timeout_s``."""
         self.check_usable()
         item = self._inbox.get(timeout_s, enough)
-        return _received(item) if type(item) is _Sample else item
+        return Received(str(item.key_expr), item.payload.to_bytes()) if type(item) is _Sample else item
 
     def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """All events, oldest first."""
         self.check_usable()
-        items = self._inbox.get_all(timeout_s, enough)
-        return [_received(item) if type(item) is _Sample else item for item in items]
+        return [
+            Received(str(item.key_expr), item.payload.to_bytes()) if type(item) is _Sample else item
+            for item in self._inbox.get_all(timeout_s, enough)
+        ]
 
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""
@@ -306,9 +307,9 @@ class ZenohEndpoint(Endpoint):
 
     def close(self) -> None:
         """Withdraws everything and leaves."""
-        if self._closed:
+        if self.closed:
             return
-        self._closed = True
+        self.closed = True
         if self._forks != _forks:
             return
         # Zenoh's close has been seen to hang; nothing that we started may keep a process from ending.
@@ -324,9 +325,9 @@ class ZenohEndpoint(Endpoint):
 
     def check_usable(self) -> None:
         """Raises TransportError after ``close``, and in a process that inherited this session by a fork."""
-        if not self._closed and self._forks == _forks:
+        if not self.closed and self._forks == _forks:
             return
-        if self._closed:
+        if self.closed:
             raise TransportError("this endpoint is closed")
         raise TransportError(
             f"this session was opened in process {self._pid}: a forked process must open its own"
