@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,7 @@ class Sense:
     encoder_m: Floats | None
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(NamedTuple):
     """Something that happened in the plant.
 
     Attributes:
@@ -270,10 +268,12 @@ class Plant:
         return events
 
     def _event(self, i: int, start: float, raw: RawEvent) -> Event:
-        x, y = self._solver.parcels[i].y[:2]
-        cells = (self.array.lattice.cells[raw.cell],) if raw.cell >= 0 else ()
-        place = self.array.positions_m[raw.cell] if raw.cell >= 0 else (x, y)
-        return Event(start + raw.after_s, _KINDS[raw.kind], i, cells, (float(place[0]), float(place[1])))
+        cell = int(raw.cell)
+        if cell < 0:
+            x, y = self._solver.parcels[i].y[:2].tolist()
+            return Event(start + raw.after_s, _KINDS[int(raw.kind)], i, (), (x, y))
+        x, y = self.array.positions_m[cell].tolist()
+        return Event(start + raw.after_s, _KINDS[int(raw.kind)], i, (self.array.lattice.cells[cell],), (x, y))
 
     def _tip(self, i: int, time_s: float) -> Event:
         """Name the edge a parcel tips about; off the array where nothing lies beyond it."""

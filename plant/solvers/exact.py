@@ -9,7 +9,6 @@ the unilateral normal forces, ``capture`` for chatter.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -78,10 +77,8 @@ class Work(NamedTuple):
     state: Floats
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class RawEvent:
-    """An event as the kernel logs it.
+class RawEvent(NamedTuple):
+    """An event as the kernel logs it, all in float64.
 
     Attributes:
         after_s: seconds after the start of the call.
@@ -91,9 +88,9 @@ class RawEvent:
     """
 
     after_s: float
-    kind: int
-    cell: int
-    other: int
+    kind: float
+    cell: float
+    other: float
 
 
 def make_work(cells: int, capacity: int) -> Work:
@@ -238,10 +235,7 @@ class Exact:
         logged = min(int(parcel.ctl[layout.N_LOGGED]), LOG_CAPACITY)
         if not logged:
             return float(moved), []
-        rows = self._log[:logged].tolist()
-        return float(moved), [
-            RawEvent(time, int(kind), int(cell), int(edge)) for time, kind, cell, edge in rows
-        ]
+        return float(moved), [RawEvent(*row) for row in self._log[:logged].tolist()]
 
     def presence(self, bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under every parcel."""
