@@ -208,7 +208,8 @@ class Plant:
         start_ns, before = self._now_ns, self.state
         events = self._move(drives, until_ns, self._none, None)
         after = self.state
-        self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
+        if self._may_rest(after):
+            self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
         events.extend(self._meetings(after, until_ns * 1e-9))
         return self.sense(), events
 
@@ -309,6 +310,15 @@ class Plant:
         if status == layout.NO_LOADS:
             raise PlantUnstable(f"{where}: no set of loads balances the parcel; this is a bug")
         raise PlantUnstable(f"{where}: the motion is no longer finite")
+
+    def _may_rest(self, state: Floats) -> bool:
+        """Whether ``status`` may change: some parcel is slow, or at rest so far. Spares the rest of the work."""
+        for (_, _, _, vx, vy, omega), radius, status in zip(
+            state.tolist(), self._radius.tolist(), self.status, strict=True
+        ):
+            if status.state == "at_rest" or max(abs(vx), abs(vy), abs(omega) * radius) < REST_SPEED_M_S:
+                return True
+        return False
 
     def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:
         """Update ``status`` from the states ``(T, parcels, 6)`` at the instants ``(T,)``."""

@@ -32,7 +32,7 @@ class Motors:
     def command(self, drives: Floats) -> WheelMotion:
         """Motion towards the no-load speed of the voltages ``(n, 2)``."""
         limit = self._spec.supply_v
-        steady = self._spec.speed_per_volt_m_s * np.clip(drives, -limit, limit)
+        steady = self._spec.speed_per_volt_m_s * np.minimum(np.maximum(drives, -limit), limit)
         return WheelMotion(steady, self._speed - steady, 1.0 / self._spec.time_constant_s)
 
     def elapse(self, motion: WheelMotion, span_s: float) -> None:
