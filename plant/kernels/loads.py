@@ -21,12 +21,14 @@ LOAD_ZERO = 1e-12
 
 
 @kernel
-def outside_hull(pos, mem, ctl, y):
+def outside_hull(pos, mem, ctl, y, pitch):
     """How far the centre of mass lies outside the convex hull of the cells under the parcel, and by which edge.
 
     Returns (distance in m, negative inside; cell, cell) with the two supports of the edge it is farthest outside
-    of. Gift wrapping: only called when a load would be negative or the supports don't span a plane.
+    of. Gift wrapping: only called when a load would be negative or the supports don't span a plane. Cells lie on a
+    lattice, so that any triangle of them has at least half a pitch squared: less is rounding, and a line.
     """
+    straight = 0.5 * pitch * pitch
     count = ctl[at.N_MEMBERS]
     first = 0
     for i in range(1, count):
@@ -44,7 +46,8 @@ def outside_hull(pos, mem, ctl, y):
             if dx == 0.0 and dy == 0.0:
                 continue
             cross = fx * dy - fy * dx
-            if following < 0 or cross < 0.0 or (cross == 0.0 and dx * dx + dy * dy > fx * fx + fy * fy):
+            farther = abs(cross) < straight and dx * dx + dy * dy > fx * fx + fy * fy
+            if following < 0 or cross <= -straight or farther:
                 following, fx, fy = i, dx, dy
         if following < 0:
             return (ax * ax + ay * ay) ** 0.5, edge_a, edge_b
@@ -272,7 +275,7 @@ def release_all(mem, share, ctl):
 def stands(surface, parcel, work):
     """Whether supports that span no plane carry the parcel. Returns (tipped, off their line)."""
     seg, ctl, y = work.seg, parcel.ctl, parcel.y
-    distance, a, b = outside_hull(surface.pos, parcel.mem, ctl, y)
+    distance, a, b = outside_hull(surface.pos, parcel.mem, ctl, y, parcel.par[at.PITCH])
     if distance > parcel.par[at.ON_LINE]:
         ctl[at.TIP_A], ctl[at.TIP_B] = a, b
         return True, False
