@@ -7,7 +7,7 @@ cold caches every tick: hence few calls.
 from __future__ import annotations
 
 import struct
-from typing import Any, Final, cast, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -18,6 +18,11 @@ from bus.keys import cell_key, cell_link_key
 _VALUE: Final = 80
 """Bytes that one named value of a payload may take, its name included up to four fifths of that."""
 _PAIR: Final = struct.Struct("<2d")
+_LETTERS: Final = {
+    "b1": "?", "i1": "b", "i2": "h", "i4": "i", "i8": "q", "u1": "B", "u2": "H", "u4": "I", "u8": "Q",
+    "f2": "e", "f4": "f", "f8": "d",
+}  # fmt: skip
+"""The struct module's letter for each kind of field and its size."""
 _NO_MESSAGE: Final = codec.layout()
 
 _read_sense = codec.reader("sense", _VALUE, codec.layout("presence", "encoder_m"))
@@ -188,8 +193,6 @@ def _link_decoder(message: np.dtype[Any]) -> Decode:
 
 
 def _struct(message: np.dtype[Any]) -> struct.Struct:
-    """The layout of a message, for the struct module."""
+    """The layout of a message, for the struct module, whose letters mean other sizes than NumPy's."""
     fields = [message[name] for name in message.names or ()]
-    return struct.Struct(
-        "<" + "".join("?" if field.kind == "b" else cast("str", field.char) for field in fields)
-    )
+    return struct.Struct("<" + "".join(_LETTERS[field.kind + str(field.itemsize)] for field in fields))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -138,11 +137,10 @@ class System:
         return agreed
 
     def start(self) -> System:
-        with ThreadPoolExecutor(max_workers=max(len(self.members), 1)) as pool:
-            waiting = [pool.submit(member.ready, 10.0) for member in self.members]
-            self.host.barrier(10.0)
-            for future in waiting:
-                future.result()
+        # Everybody subscribed as it was made, so that each is ready without waiting for the next.
+        for member in self.members:
+            member.ready(10.0)
+        self.host.barrier(10.0)
         return self
 
     def sense(self, tick: int) -> SenseFrame:
