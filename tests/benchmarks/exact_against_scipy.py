@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import itertools
 import json
 import statistics
@@ -38,9 +39,10 @@ TARGET = 50.0
 LOOK_EVERY_S = 0.002
 """The longest step that can't jump over the stays of a few milliseconds in this scene."""
 LOOK_AT_S = 2.0
+RUNS_A_TURN = 10
 
 METHOD = """\
-The scene elliptic, 10 s, tolerance 1e-12. Both sides in one process, warm, in turn, {repeat} runs each: medians of
+The scene elliptic, 10 s, tolerance 1e-12. Both sides in one process, warm, in {turns} turns of {runs} runs: medians of
 processor time, without building the plant and without compiling. "sampled": with the state at every control period.
   exact: Plant.trajectory with constant wheel speeds.
   SciPy {scipy}: solve_ivp, DOP853, rtol = atol = 1e-12. Right-hand side (from constants computed once a support set)
@@ -130,7 +132,7 @@ class Problem:
 class Side(Protocol):
     """One way through the scene."""
 
-    def prepare(self) -> None:
+    def prepare(self, runs: int) -> None:
         """What is not measured."""
 
     def go(self, times_s: Floats | None) -> tuple[int, Floats]:
@@ -143,16 +145,17 @@ class ExactSide:
 
     def __init__(self, problem: Problem, tolerance: float = TOLERANCE) -> None:
         self.problem, self.tolerance = problem, tolerance
-        self.plant = problem.plant(tolerance)
+        self.plants: list[Plant] = []
 
-    def prepare(self) -> None:
-        self.plant = self.problem.plant(self.tolerance)
+    def prepare(self, runs: int) -> None:
+        self.plants = [self.problem.plant(self.tolerance) for _ in range(runs)]
 
     def go(self, times_s: Floats | None) -> tuple[int, Floats]:
         scene = self.problem.scene
         sample_ns = scene.duration_ns if times_s is None else scene.cells.period_ns
-        course = self.plant.trajectory(self.problem.speeds, scene.duration_ns, sample_ns)
-        return self.plant.support_changes, course.state[1:, 0]
+        plant = self.plants.pop()
+        course = plant.trajectory(self.problem.speeds, scene.duration_ns, sample_ns)
+        return plant.support_changes, course.state[1:, 0]
 
 
 class SciPySide:
@@ -166,7 +169,7 @@ class SciPySide:
         self.end_s = problem.scene.duration_s
         self.functions, self.events, self.max_step = functions, events, max_step
 
-    def prepare(self) -> None:
+    def prepare(self, runs: int) -> None:
         pass
 
     def go(self, times_s: Floats | None) -> tuple[int, Floats]:
@@ -181,20 +184,32 @@ class SciPySide:
         )
 
 
-def measure(sides: dict[str, Side], times_s: Floats, repeat: int) -> dict[tuple[str, bool], float]:
-    """Median processor time of every side, without and with samples; the sides take turns."""
+def measure(sides: dict[str, Side], times_s: Floats, turns: int) -> dict[tuple[str, bool], float]:
+    """Median processor time of every side, without and with samples; the sides take turns of several runs."""
     spent: dict[tuple[str, bool], list[float]] = {}
-    for turn in range(repeat + 1):
+    for turn in range(turns + 1):
         for (title, side), sampled in itertools.product(sides.items(), (False, True)):
-            side.prepare()
-            begun = time.process_time()
-            side.go(times_s if sampled else None)
+            runs = several(side, times_s if sampled else None)
             if turn > 0:  # the first turn warms up
-                spent.setdefault((title, sampled), []).append(time.process_time() - begun)
+                spent.setdefault((title, sampled), []).extend(runs)
     return {key: statistics.median(values) for key, values in spent.items()}
 
 
-def compare(repeat: int) -> list[Row]:
+def several(side: Side, times_s: Floats | None) -> list[float]:
+    """Processor time of each of several runs in a row; no garbage is collected meanwhile, as ``timeit`` has it."""
+    side.prepare(RUNS_A_TURN)
+    gc.collect()
+    gc.disable()
+    spent: list[float] = []
+    for _ in range(RUNS_A_TURN):
+        begun = time.process_time()
+        side.go(times_s)
+        spent.append(time.process_time() - begun)
+    gc.enable()
+    return spent
+
+
+def compare(turns: int) -> list[Row]:
     """All rows; the exact solver's is the first, then the two forms of SciPy's, then the check."""
     problem = Problem.bundled()
     functions = Functions.of(problem.scene.plant_spec(), problem.speeds)
@@ -204,12 +219,14 @@ def compare(repeat: int) -> list[Row]:
         "SciPy, each": SciPySide(problem, functions, "each"),
     }
     check: dict[str, Side] = {"SciPy, each, every 2 ms": SciPySide(problem, functions, "each", LOOK_EVERY_S)}
-    median = measure(forms, problem.times_s, repeat) | measure(check, problem.times_s, 1)
-    reference = ExactSide(problem, REFERENCE_TOLERANCE).go(problem.times_s)[1]
+    median = measure(forms, problem.times_s, turns) | measure(check, problem.times_s, 1)
+    exact = ExactSide(problem, REFERENCE_TOLERANCE)
+    exact.prepare(1)
+    reference = exact.go(problem.times_s)[1]
     plain_s, sampled_s = median["exact", False], median["exact", True]
     rows: list[Row] = []
     for title, side in (forms | check).items():
-        side.prepare()
+        side.prepare(1)
         crossings, states = side.go(problem.times_s)
         plain, sampled = median[title, False], median[title, True]
         errors = problem.errors(states, reference)
@@ -219,15 +236,16 @@ def compare(repeat: int) -> list[Row]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeat", type=int, default=15, help="runs of each side")
+    parser.add_argument("--turns", type=int, default=4, help=f"of {RUNS_A_TURN} runs, for each side")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    rows = compare(options.repeat)
+    rows = compare(options.turns)
     ratio = min(row.ratio for row in rows[1:3])
     if options.json:
         print(json.dumps({"rows": [asdict(row) for row in rows], "ratio": ratio, "target": TARGET}))
         return
-    print(METHOD.format(repeat=options.repeat, scipy=scipy.__version__, numba=numba.__version__))
+    versions = {"scipy": scipy.__version__, "numba": numba.__version__}
+    print(METHOD.format(turns=options.turns, runs=RUNS_A_TURN, **versions))
     head = ("end only", "ratio", "sampled", "ratio", "crossings", "error, m", "at 2 s, m", "at 2 s, rad")
     print(f"{'':24}" + "".join(f"{word:>12}" for word in head))
     for row in rows:
