@@ -23,6 +23,8 @@ LOOK_AHEAD = 2.0
 """How far a step looks, over the mean time between events."""
 DECAYED = 1e-22
 """A motor transient this small moves nothing any more."""
+SHORTEST = 1e-7
+"""Never look less far than this, s: many events at one instant would shrink the look to nothing, and time stand still."""
 
 
 @kernel
@@ -188,6 +190,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             sample(ser, order, y, (times[sampled] - now) / step, out[sampled])
             sampled += 1
         par[at.GAP] += 0.3 * (earliest * step - par[at.GAP]) if count > 0 else par[at.GAP]
+        par[at.GAP] = max(par[at.GAP], SHORTEST)
         move(work, order, y, earliest, step)
         if not finite(y) or (ends_at == now and count == 0):
             ctl[at.STATUS] = at.NOT_FINITE
