@@ -38,12 +38,6 @@ def test_the_readme_lists_the_bundled_scenes() -> None:
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == set(bundled_names())
 
 
-def test_every_file_that_the_readme_says_to_run_is_there() -> None:
-    scripts = set(re.findall(r"python (tests/\S+\.py)", README))
-    assert scripts
-    assert [script for script in sorted(scripts) if not (ROOT / script).is_file()] == []
-
-
 def test_the_readme_s_firmware_passes_a_parcel_on_to_the_next_cell(tmp_path: Path) -> None:
     code = re.search(r"```python\n(.*?)```", README, re.DOTALL)
     assert code is not None
