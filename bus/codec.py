@@ -18,6 +18,8 @@ from bus.errors import WireError
 VERSION: Final = 1
 """Version of every payload; another is refused."""
 TICK_LIMIT: Final = 2**62
+_NUMBERS: Final[frozenset[type]] = frozenset((int, float))
+_BOOLEANS: Final[frozenset[type]] = frozenset((bool,))
 _ENVELOPE: Final = 64
 """Bytes that the version, the tick and the names around the values may take."""
 _F8: Final = np.dtype("<f8")
@@ -111,10 +113,12 @@ def floats(kind: str, value: object, rows: int) -> Values:
     Raises:
         WireError: Another length, or a value that is not finite.
     """
-    flat = np.frombuffer(bytearray(binary(kind, value, rows * 16)), _F8)
-    if not all_finite(flat):
+    if type(value) is not bytes or len(value) != rows * 16:
+        raise WireError(kind, "size", f"must be {rows * 16} bytes")
+    found: Values = np.ndarray((rows, 2), _F8, bytearray(value))
+    if not all_finite(found):
         raise WireError(kind, "finite", "every value must be finite")
-    return flat.reshape(rows, 2)
+    return found
 
 
 def all_finite(values: Values) -> bool:
@@ -133,22 +137,30 @@ def nothing(kind: str, name: str, value: object) -> None:
         raise WireError(kind, "type", f"{name} must be nil: this run has none")
 
 
+def check_finite(kind: str, first: float, second: float) -> None:
+    """Checks two numbers.
+
+    Raises:
+        WireError: One is infinite or NaN.
+    """
+    # Only a finite number minus itself is zero.
+    if first - first != 0.0 or second - second != 0.0:
+        raise WireError(kind, "finite", "every value must be finite")
+
+
 def pair(kind: str, value: object) -> tuple[float, float]:
     """Two finite numbers from a list of two.
 
     Raises:
         WireError: Not a list of two finite numbers.
     """
-    if type(value) is not list or len(cast("list[object]", value)) != 2:
-        raise WireError(kind, "type", "must be a list of two numbers")
-    first, second = cast("list[Any]", value)
-    if type(first) not in (float, int) or type(second) not in (float, int):
-        raise WireError(kind, "type", "must be a list of two numbers")
-    a, b = float(first), float(second)
-    # Only a finite number minus itself is zero.
-    if a - a != 0.0 or b - b != 0.0:
-        raise WireError(kind, "finite", "every value must be finite")
-    return a, b
+    if type(value) is list:
+        items = cast("list[Any]", value)
+        if len(items) == 2 and _NUMBERS.issuperset(map(type, items)):
+            first, second = float(items[0]), float(items[1])
+            check_finite(kind, first, second)
+            return first, second
+    raise WireError(kind, "type", "must be a list of two numbers")
 
 
 def booleans(kind: str, value: object, count: int) -> list[bool]:
@@ -159,7 +171,7 @@ def booleans(kind: str, value: object, count: int) -> list[bool]:
     """
     if type(value) is list:
         items = cast("list[object]", value)
-        if len(items) == count and all(type(item) is bool for item in items):
+        if len(items) == count and _BOOLEANS.issuperset(map(type, items)):
             return cast("list[bool]", items)
     raise WireError(kind, "type", f"must be a list of {count} booleans")
 

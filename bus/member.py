@@ -9,7 +9,6 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from bus import wire
-from bus.codec import all_finite
 from bus.collector import NEVER, Collector
 from bus.counts import Counts
 from bus.dispatch import Dispatcher
@@ -230,7 +229,10 @@ class Member:
                 live = self._until[self._outgoing.source] > tick
                 links = LinkFrame(tick, links.sent & live, links.message)
             puts += zip(self._out, self._form.link_payloads(links), strict=True)
-        puts += zip(self._drive, self._form.drive_payloads(drive), strict=True)
+        try:
+            puts += zip(self._drive, self._form.drive_payloads(drive), strict=True)
+        except WireError:
+            raise self._not_finite(drive) from None
         if not self._all_live:
             spoken = (*self._spoken(tick), *(until > tick for until in self._senses.until))
             puts = [put for put, live in zip(puts, spoken, strict=True) if live]
@@ -252,12 +254,6 @@ class Member:
                 f"drive of shard {self._shard}, tick {drive.tick}: must be float64 {self._shape}, "
                 f"is {values.dtype} {values.shape}"
             )
-        if not all_finite(values):
-            i = int(np.nonzero(~np.isfinite(values).all(axis=1))[0][0])
-            row, column = self._lattice.cells[int(self._cells[i])]
-            raise BusError(
-                f"drive of cell {row},{column}, tick {drive.tick}: must be finite, is {values[i].tolist()}"
-            )
         if (links is None) != (self._message is None):
             raise BusError(
                 f"links of shard {self._shard}: the firmware {'has' if links is None else 'has no'} messages"
@@ -271,6 +267,13 @@ class Member:
                 f"links of shard {self._shard}, tick {drive.tick}: must be {len(self._outgoing)} of {self._message}"
                 f", are {links.message.shape} of {links.message.dtype} of tick {links.tick}"
             )
+
+    def _not_finite(self, frame: DriveFrame) -> BusError:
+        i = int(np.nonzero(~np.isfinite(frame.drive).all(axis=1))[0][0])
+        row, column = self._lattice.cells[int(self._cells[i])]
+        return BusError(
+            f"drive of cell {row},{column}, tick {frame.tick}: must be finite, is {frame.drive[i].tolist()}"
+        )
 
     def _is_agreed(self, dtype: np.dtype[Any]) -> bool:
         # Comparing structured types takes long, and it is the same object every tick.

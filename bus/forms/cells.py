@@ -71,7 +71,7 @@ class CellsHost(HostForm):
 
     def join_drives(self, values: list[Any]) -> codec.Values:
         """``(n, 2)`` from a packed pair a cell."""
-        return np.frombuffer(bytearray().join(values)).reshape(len(values), 2)
+        return np.ndarray((len(values), 2), np.float64, bytearray().join(values))
 
 
 def _decode_drive(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
@@ -90,6 +90,7 @@ class CellsMember(MemberForm):
         names = [cells[int(i)] for i in mine]
         self._pack = codec.packer()
         self._rows = len(names)
+        self._sensors = wiring.sensors
         self._encoders = wiring.encoders
         self.alive_keys = tuple(cell_key(run, cell, "alive") for cell in names)
         self.ready_keys = tuple(cell_key(run, cell, "ready") for cell in names)
@@ -121,10 +122,10 @@ class CellsMember(MemberForm):
     def join_senses(self, values: list[Any]) -> tuple[codec.Mask, codec.Values | None]:
         """From the presence bytes and the packed travel of each cell."""
         bits, travel = zip(*values, strict=True)
-        presence = np.frombuffer(bytearray().join(bits), np.bool_).reshape(self._rows, -1)
+        presence = np.ndarray((self._rows, self._sensors), np.bool_, bytearray().join(bits))
         if not self._encoders:
             return presence, None
-        return presence, np.frombuffer(bytearray().join(travel)).reshape(self._rows, 2)
+        return presence, np.ndarray((self._rows, 2), np.float64, bytearray().join(travel))
 
     def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
         """From whether there was a message, and its packed fields, of each link."""
@@ -136,10 +137,11 @@ class CellsMember(MemberForm):
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
         tick, pack = frame.tick, self._pack
-        return [
-            pack({"v": codec.VERSION, "tick": tick, "drive": pair})
-            for pair in _PAIR.iter_unpack(frame.drive.tobytes())
-        ]
+        payloads: list[bytes] = []
+        for pair in _PAIR.iter_unpack(frame.drive.tobytes()):
+            codec.check_finite("drive", *pair)
+            payloads.append(pack({"v": codec.VERSION, "tick": tick, "drive": pair}))
+        return payloads
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a link: the message's fields by name, none where nothing was sent."""

@@ -124,7 +124,11 @@ class MemberForm(ABC):
 
     @abstractmethod
     def drive_payloads(self, frame: DriveFrame) -> list[bytes]:
-        """A payload a unit, in their order."""
+        """A payload a unit, in their order.
+
+        Raises:
+            WireError: A drive is not finite.
+        """
 
     @abstractmethod
     def link_payloads(self, frame: LinkFrame) -> list[bytes]:

@@ -7,6 +7,7 @@ from typing import Any, Final, cast, final
 import numpy as np
 
 from bus import codec, wire
+from bus.errors import WireError
 from bus.forms.form import HostForm, MemberForm, Wiring, stretch
 from bus.keys import shard_key, shard_link_key
 
@@ -86,6 +87,8 @@ class PackedMember(MemberForm):
         self.decode_sense = self._decode_sense
         self.decode_link = self._decode_link
         self.blank_senses = [None]
+        self._last_bits = bytes((self._rows * wiring.sensors + 7) // 8)
+        self._last_presence = np.zeros((self._rows, wiring.sensors), dtype=np.bool_)
         self._read_sense = codec.reader("sense", self._rows * (wiring.sensors + 16), _SENSE)
         self._message = np.dtype([]) if wiring.message is None else wiring.message
         self._zero = np.zeros((), dtype=self._message)
@@ -111,8 +114,11 @@ class PackedMember(MemberForm):
     def _decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
         """Tick, and ``(n, sensors)`` presence with ``(n, 2)`` encoder travel or None."""
         tick, fields = self._read_sense(payload)
-        presence = codec.bits("sense", fields["presence"], self._rows * self._sensors)
-        presence = presence.reshape(self._rows, self._sensors)
+        # Sensors change rarely: bytes that are the same as in the tick before need no reading.
+        if fields["presence"] != self._last_bits:
+            bits = codec.bits("sense", fields["presence"], self._rows * self._sensors)
+            self._last_bits, self._last_presence = fields["presence"], bits.reshape(self._rows, self._sensors)
+        presence = self._last_presence.copy()
         if self._encoders:
             return tick, (presence, codec.floats("sense", fields["encoder_m"], self._rows))
         codec.nothing("sense", "encoder_m", fields["encoder_m"])
@@ -142,6 +148,8 @@ class PackedMember(MemberForm):
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """One payload."""
+        if not codec.all_finite(frame.drive):
+            raise WireError("drive", "finite", "every value must be finite")
         return [self._pack({"v": codec.VERSION, "tick": frame.tick, "drive": frame.drive.tobytes()})]
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:

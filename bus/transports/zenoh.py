@@ -45,8 +45,14 @@ def _count_fork() -> None:
 os.register_at_fork(after_in_child=_count_fork)
 
 
-def _keep_thread_state(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
-    """``put``, made cheap to call from Zenoh's own threads.
+_Item = tuple[str | None, zenoh.Sample]
+"""A sample in the inbox, with its key where that is known beforehand."""
+_NEWS: Final[frozenset[type]] = frozenset((Alive, Woken))
+"""What else is in the inbox."""
+
+
+def _taker(key: str | None, put: Callable[[_Item], None]) -> Callable[[zenoh.Sample], None]:
+    """What Zenoh's own threads call with a sample on ``key`` (None: on any), made cheap for them.
 
     CPython gives a thread that it did not start a new state, and that state new memory pages, for every call into
     Python: a page fault and about 40 µs a sample. One hold that is never released lets the thread keep the
@@ -59,7 +65,7 @@ def _keep_thread_state(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.S
         if thread not in _held:
             _held.add(thread)
             hold()
-        put(sample)
+        put((key, sample))
 
     return call
 
@@ -180,7 +186,9 @@ def _free_port() -> int:
         return cast("int", probe.getsockname()[1])
 
 
-_Sample = zenoh.Sample
+def _received(item: _Item) -> Received:
+    key, sample = item
+    return Received(key or str(sample.key_expr), sample.payload.to_bytes())
 
 
 @final
@@ -253,7 +261,9 @@ class ZenohEndpoint(Endpoint):
         if key_expr in self._subscribers:
             return
         check_overlap(key_expr, list(self._subscribers))
-        put = _keep_thread_state(self._inbox.put_urgent if urgent else self._inbox.put)
+        # Where only one key can match, nobody need ask the sample for it.
+        key = None if "*" in key_expr else key_expr
+        put = _taker(key, self._inbox.put_urgent if urgent else self._inbox.put)
         self._subscribers[key_expr] = self.session.declare_subscriber(
             key_expr, handlers.Callback(put, indirect=False)
         )
@@ -291,15 +301,13 @@ class ZenohEndpoint(Endpoint):
         """The oldest event, or None after ``timeout_s``."""
         self.check_usable()
         item = self._inbox.get(timeout_s, enough)
-        return Received(str(item.key_expr), item.payload.to_bytes()) if type(item) is _Sample else item
+        return item if type(item) in _NEWS else _received(item)
 
     def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """All events, oldest first."""
         self.check_usable()
-        return [
-            Received(str(item.key_expr), item.payload.to_bytes()) if type(item) is _Sample else item
-            for item in self._inbox.get_all(timeout_s, enough)
-        ]
+        items = self._inbox.get_all(timeout_s, enough)
+        return [item if type(item) in _NEWS else _received(item) for item in items]
 
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""
