@@ -20,9 +20,13 @@ def _until_started(crew: Crew, workers: int) -> None:
         crew.poll(1.0)
 
 
-def _gone(pid: int) -> bool:
+def _state(pid: int) -> str:
     stat = Path(f"/proc/{pid}/stat")
-    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"
+    return stat.read_text().rpartition(")")[2].split()[0] if stat.exists() else "gone"
+
+
+def _gone(pid: int) -> bool:
+    return _state(pid) in ("gone", "Z")
 
 
 def test_a_worker_ends_when_its_order_returns() -> None:
@@ -79,6 +83,9 @@ def test_a_stopped_worker_is_killed_in_the_end() -> None:
     _until_started(crew, 1)
     pid = crew.pids[0]
     os.kill(pid, signal.SIGSTOP)
+    deadline = time.monotonic() + 10.0
+    while _state(pid) != "T" and time.monotonic() < deadline:
+        crew.poll(0.01)  # a signal sent before it has stopped would be served first
     crew.close()
     assert crew.ended == {0: -signal.SIGKILL}
     assert _gone(pid)
