@@ -24,7 +24,15 @@ LOOK_AHEAD = 2.0
 DECAYED = 1e-22
 """A motor transient this small moves nothing any more."""
 SHORTEST = 1e-7
-"""Never look less far than this, s: many events at one instant would shrink the look to nothing, and time stand still."""
+"""Never look less far than this, s: many events at one instant would shrink the look, and time, to nothing."""
+INSTANT = 1e-9
+"""Changes that follow each other faster than this, s, ..."""
+CROWD = 60
+"""... so many times in a row, and four for every cell under the parcel, chase each other on the spot: cells on several
+edges at once that no set settles. The set then stands for ``dwell`` seconds whatever happens: chatter of the amplitude
+that ``capture_m`` allows."""
+AFTER_DWELL = 4
+"""Changes in a row after which it stands for that long again, unless time has moved on."""
 
 
 @kernel
@@ -130,6 +138,13 @@ def finite(y):
 
 
 @kernel
+def dwell(ser, par):
+    """How long any surface can be overrun before it is missed by more than ``capture_m``, s (series in seconds)."""
+    pull = abs(ser[at.S_UX, 1]) + abs(ser[at.S_UY, 1]) + par[at.RADIUS] * abs(ser[at.S_OM, 1])
+    return max((2.0 * par[at.CAPTURE] / (pull + 1e-300)) ** 0.5, SHORTEST)
+
+
+@kernel
 def advance(surface, parcel, work, span, budget, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
 
@@ -147,7 +162,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
     """
     y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
-    now, sampled, used = 0.0, 0, 0
+    now, sampled, used, instant = 0.0, 0, 0, 0
     ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = 0
     if span == 0.0:
         ctl[at.STATUS] = prepare(surface, parcel, work, 0.0, 1.0, events)
@@ -163,7 +178,9 @@ def advance(surface, parcel, work, span, budget, times, out, events):
                 log(events, ctl, now, at.TIP, ctl[at.TIP_A], ctl[at.TIP_B])
             break
         # looking much farther than the next event costs order and finds roots that are thrown away
-        ahead = min(span - now, LOOK_AHEAD * par[at.GAP])
+        crowd = CROWD + 4 * ctl[at.N_MEMBERS]
+        stuck = instant >= crowd
+        ahead = span - now if stuck else min(span - now, LOOK_AHEAD * par[at.GAP])
         order, step = taylor(
             work.seg,
             work.grp,
@@ -181,8 +198,14 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             ser,
         )
         ctl[at.N_STEPS] += 1
+        calm = dwell(ser, par)
         to_unit_time(ser, order, ctl[at.N_GROUPS], step)
-        count, earliest = search(surface, parcel, work, order)
+        if stuck:
+            count, earliest, instant = 0, min(1.0, calm / step), crowd - AFTER_DWELL
+            used += 1
+            ctl[at.N_CHANGES] += 1
+        else:
+            count, earliest = search(surface, parcel, work, order)
         ends_at = now + earliest * step
         if earliest == 1.0 and step == span - now:
             ends_at = span
@@ -200,11 +223,15 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             # events that rounding can't tell apart happen together
             together = earliest * (1.0 + 1e-13) + 1e-15
             apply(surface, parcel, work, count, together, now, events, cos(y[at.THETA]), sin(y[at.THETA]))
-            used += 1
-            ctl[at.N_CHANGES] += 1
-            if used > budget:
-                ctl[at.STATUS] = at.TOO_MANY_EVENTS
-                ctl[at.CULPRIT] = int(work.found[0, at.EV_CELL])
+            if earliest * step > INSTANT:
+                instant = 0
+            instant += 1
+            if instant <= crowd - AFTER_DWELL:
+                used += 1
+                ctl[at.N_CHANGES] += 1
+        if used > budget:
+            ctl[at.STATUS] = at.TOO_MANY_EVENTS
+            ctl[at.CULPRIT] = int(work.found[0, at.EV_CELL])
     for i in range(sampled, times.shape[0]):
         for k in range(6):
             out[i, k] = y[k]
