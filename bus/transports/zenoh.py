@@ -301,7 +301,7 @@ class ZenohEndpoint(Endpoint):
         """The oldest event, or None after ``timeout_s``."""
         self.check_usable()
         item = self._inbox.get(timeout_s, enough)
-        return item if type(item) in _NEWS else _received(item)
+        return item if item is None or type(item) in _NEWS else _received(item)
 
     def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """All events, oldest first."""
