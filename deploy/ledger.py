@@ -96,22 +96,28 @@ class Ledger:
 
     def lost(self, losses: Sequence[Loss]) -> None:
         """Note cells that were found lost, and say so: once for those that were lost alike."""
-        alike: dict[tuple[int, str], list[Loss]] = {}
         for loss in losses:
             self._fault(loss.tick, loss.reason.replace(" ", "_"), loss.cell, loss.detail)
-            alike.setdefault((loss.tick, loss.reason), []).append(loss)
-        for group in alike.values():
-            self._warn(f"{self.describe(group)}; wheels: {self._policy}")
+        for line in self._lines(losses):
+            self._warn(f"{line}; wheels: {self._policy}")
 
     def describe(self, losses: Sequence[Loss]) -> str:
-        """Which cells were lost, when, and why, one line; they are of one tick."""
-        names = [self._cells[loss.cell] for loss in losses]
-        named = " ".join(f"{row},{column}" for row, column in names[:6])
-        more = f" and {len(names) - 6} more" if len(names) > 6 else ""
-        first = losses[0]
-        why = _WORDS.get(first.reason) or _last_line(first.detail) or first.reason
-        when = f"tick {first.tick} ({first.tick * self._period_ns * 1e-9:g} s)"
-        return f"cell{'s' if len(names) > 1 else ''} {named}{more} lost in {when}: {why}"
+        """Which cells were lost, when, and why, in one line."""
+        return "; ".join(self._lines(losses))
+
+    def _lines(self, losses: Sequence[Loss]) -> list[str]:
+        """A line for all that were lost alike."""
+        alike: dict[tuple[int, str], list[str]] = {}
+        for loss in losses:
+            row, column = self._cells[loss.cell]
+            why = _WORDS.get(loss.reason) or _last_line(loss.detail) or loss.reason
+            alike.setdefault((loss.tick, why), []).append(f"{row},{column}")
+        lines: list[str] = []
+        for (tick, why), names in alike.items():
+            more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+            cells = f"cell{'s' if len(names) > 1 else ''} {' '.join(names[:6])}{more}"
+            lines.append(f"{cells} lost in tick {tick} ({tick * self._period_ns * 1e-9:g} s): {why}")
+        return lines
 
     def _fault(self, tick: int, kind: str, cell: int, detail: str) -> None:
         place = self._cells[cell]
