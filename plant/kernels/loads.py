@@ -203,6 +203,26 @@ def violated(pos, mem, ctl, y, par, seg, a0, bx, by):
 
 
 @kernel
+def exchange(pos, mem, ctl, y, seg, a0, bx, by):
+    """Turn round the mark that is farthest from what its load says.
+
+    ``contact`` finds the supports to the rounding of its potential, half the digits of a load; loads nearer to zero
+    than that are sorted out here, one by one.
+    """
+    worst, which = 0.0, -1
+    for i in range(ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] != at.CAPTURED:
+            rx = pos[mem[i, at.CELL], 0] - y[0] - seg[at.CX]
+            ry = pos[mem[i, at.CELL], 1] - y[1] - seg[at.CY]
+            n = a0 + bx * rx + by * ry
+            wrong = -n if mem[i, at.MARK] == at.ACTIVE else n
+            if wrong > worst:
+                worst, which = wrong, i
+    if which >= 0:
+        mem[which, at.MARK] = at.LIFTED if mem[which, at.MARK] == at.ACTIVE else at.ACTIVE
+
+
+@kernel
 def drop(mem, share, ctl, i):
     """Take member ``i`` off the list (the last takes its place)."""
     last = ctl[at.N_MEMBERS] - 1
@@ -294,6 +314,7 @@ def settled(surface, parcel, work, e, c, s):
     """
     pos, mem, share, ctl, y, par = surface.pos, parcel.mem, parcel.share, parcel.ctl, parcel.y, parcel.par
     seg, grp, f = work.seg, work.grp, work.f
+    near = False
     for attempt in range(40):
         if ctl[at.N_MEMBERS] == 0:
             ctl[at.TIP_A] = ctl[at.TIP_B] = -1
@@ -327,10 +348,15 @@ def settled(surface, parcel, work, e, c, s):
                     return at.TIPPED
             if attempt >= 20:
                 release_all(mem, share, ctl)
-            contact(pos, mem, ctl, y, par, seg, grp, f, work.scratch, work.newton)
+            if near and attempt % 10 != 9:
+                exchange(pos, mem, ctl, y, seg, a0, bx, by)
+            else:
+                contact(pos, mem, ctl, y, par, seg, grp, f, work.scratch, work.newton)
+                near = True
             continue
         if ctl[at.N_GROUPS] > 0 and release_one_outside(pos, mem, share, ctl, y, seg, f, a0, bx, by):
             ctl[at.N_CAPTURES] += 1
+            near = False
             continue
         return at.MOVING
     return at.NO_LOADS
