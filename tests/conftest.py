@@ -1,0 +1,22 @@
+"""Compile the solver once, before any test: no test's time limit should have to hold a compiler's run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the kernels where this version's are not on disk yet: processes that tests start find them there."""
+    from plant.kernels.cache import is_warm
+
+    if is_warm() or session.config.option.collectonly:
+        return
+    from plant.plant import Plant
+    from plant.specs import ArraySpec, FrictionSpec, ParcelSpec, PlantSpec
+
+    session.config.get_terminal_writer().line("compiling the solver (once) ...")
+    parcel = ParcelSpec(size_m=(0.15, 0.15), mass_kg=1.0, position_m=(0.0, 0.0))
+    friction = FrictionSpec(coefficient_s_per_m=0.2)
+    plant = Plant(PlantSpec(array=ArraySpec(rows=2, columns=2), parcels=(parcel,), friction=friction))
+    plant.advance(np.zeros((4, 2)), 1_000_000)
