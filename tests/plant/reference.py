@@ -114,7 +114,7 @@ class Bench:
         return np.flatnonzero(self.depth(y, self.cells) >= 0.0)
 
     def plane_loads(self, y: Floats, supports: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """Loads of ``supports`` when all are in contact (least norm), and the springs' plane about the centre of mass."""
+        """Loads of ``supports`` when all are in contact (least norm), and their plane about the centre of mass."""
         offset = self.cells[supports] - y[:2]
         a = np.vstack([np.ones(len(supports)), offset.T])
         loads = np.linalg.lstsq(a, np.array([1.0, 0.0, 0.0]), rcond=1e-11)[0]
@@ -188,7 +188,9 @@ class Bench:
         lifted = np.setdiff1d(members, active)
         solver = self._solver(now, y, span, active, 1e-3)
         state = np.isin(np.arange(len(self.cells)), members)
-        spans_plane = np.linalg.matrix_rank(self.cells[active] - self.cells[active].mean(axis=0), tol=1e-9) == 2
+        spans_plane = (
+            np.linalg.matrix_rank(self.cells[active] - self.cells[active].mean(axis=0), tol=1e-9) == 2
+        )
         first = True
         while True:
             begin_t, begin_y = solver.t, solver.y.copy()
@@ -205,7 +207,9 @@ class Bench:
             for t in times:
                 change = self._changed(dense(t), near, state, active, lifted, spans_plane)
                 if change:
-                    return self._locate(begin_t, begin_y, dense, last, t, change, members, active, spans_plane)
+                    return self._locate(
+                        begin_t, begin_y, dense, last, t, change, members, active, spans_plane
+                    )
                 last = t
             if solver.status == "finished":
                 return span, solver.y, members, np.zeros(6)

@@ -122,7 +122,7 @@ def test_edges_tell_how_far_inside_a_point_lies(
 
 def _squares(gap: float) -> tuple[np.ndarray, np.ndarray]:
     square = np.array(geometry.rectangle(1.0, 1.0))
-    return square, square + [1.0 + gap, 0.25]
+    return square, square + np.array([1.0 + gap, 0.25])
 
 
 def test_two_squares_overlap_as_deep_as_they_are_pushed_together() -> None:
@@ -150,7 +150,11 @@ def test_overlap_agrees_with_points_common_to_both(
     first: list[tuple[float, float]], second: list[tuple[float, float]], dx: float, dy: float
 ) -> None:
     a = geometry.counter_clockwise(first) - geometry.counter_clockwise(first).mean(axis=0)
-    b = geometry.counter_clockwise(second) - geometry.counter_clockwise(second).mean(axis=0) + [dx * 4, dy * 4]
+    b = (
+        geometry.counter_clockwise(second)
+        - geometry.counter_clockwise(second).mean(axis=0)
+        + [dx * 4, dy * 4]
+    )
     found = geometry.overlap(a, b)
     mirrored = geometry.overlap(b, a)
     assert (found is None) == (mirrored is None)

@@ -106,9 +106,7 @@ def test_with_stopped_wheels_kinetic_energy_never_rises(coasting: int) -> None:
         inertia_kg_m2=0.09,
     )
     plant = Plant(spec(body))
-    plant.lose(
-        [int(i) for i in np.random.default_rng(1).choice(400, coasting, replace=False)], "coast"
-    )
+    plant.lose([int(i) for i in np.random.default_rng(1).choice(400, coasting, replace=False)], "coast")
     state = plant.trajectory(np.zeros((400, 2)), 2 * SECOND, 1_000_000).state[:, 0]
     energy = _energy(state, 0.045)
     assert np.all(np.diff(energy) <= 1e-15)

@@ -181,7 +181,7 @@ def test_supports_on_a_slanting_row_carry_a_parcel_that_stands_on_the_row() -> N
 
 
 def test_a_row_with_one_cell_beside_it_is_a_plane() -> None:
-    cells = tuple((0, c) for c in range(12)) + ((1, 6),)
+    cells = (*((0, c) for c in range(12)), (1, 6))
     body = parcel(size_m=(1.3, 0.26), position_m=(0.0, -0.049), angle_rad=0.0, centre_of_mass_m=(0.0, 0.0))
     stand = _stand(body, rows=2, columns=12, cells=cells)
     assert stand is not None
@@ -226,6 +226,8 @@ def test_far_from_the_origin_loads_keep_their_digits() -> None:
     near = Plant(spec(parcel(size_m=(0.5, 0.4), position_m=(0.037, 0.021)), rows=8, columns=8))
     far_array = {"rows": 10_000, "columns": 10_000, "cells": cells}
     origin = np.array([(9_980 + 3.5 - 4_999.5) * 0.1, (9_990 + 3.5 - 4_999.5) * 0.1])
-    far = Plant(spec(parcel(size_m=(0.5, 0.4), position_m=tuple(origin + [0.037, 0.021])), **far_array))  # type: ignore[arg-type]
+    far = Plant(
+        spec(parcel(size_m=(0.5, 0.4), position_m=tuple(origin + np.array([0.037, 0.021]))), **far_array)
+    )  # type: ignore[arg-type]
     assert np.array_equal(members(near), members(far))
     assert loads(far)[1] == pytest.approx(loads(near)[1], abs=1e-12)

@@ -101,12 +101,17 @@ def test_a_trajectory_reports_the_meeting_at_a_sample() -> None:
 def test_parcels_that_overlap_at_the_start_are_refused_by_name_depth_and_place() -> None:
     first = parcel(size_m=(0.3, 0.3), position_m=(0.0, 0.0), angle_rad=0.0)
     second = parcel(size_m=(0.3, 0.3), position_m=(0.25, 0.02), angle_rad=0.0)
-    with pytest.raises(PlantError, match=r"parcels\[0\] and parcels\[1\] overlap at the start by 0\.05 m near"):
+    with pytest.raises(
+        PlantError, match=r"parcels\[0\] and parcels\[1\] overlap at the start by 0\.05 m near"
+    ):
         Plant(spec(first, second))
 
 
 def test_parcels_pass_through_each_other_unhindered() -> None:
-    together, alone = _pair(), Plant(spec(parcel(size_m=(0.25, 0.25), position_m=(-0.4, 0.01), angle_rad=0.0)))
+    together, alone = (
+        _pair(),
+        Plant(spec(parcel(size_m=(0.25, 0.25), position_m=(-0.4, 0.01), angle_rad=0.0))),
+    )
     drives = np.full((400, 2), (0.2, 0.0))
     drives[:, 0] *= -np.sign(together.array.positions_m[:, 0])
     together.advance(drives, 4 * SECOND)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def _sturm(p: list[Fraction]) -> list[list[Fraction]]:
 
 def _variations(chain: list[list[Fraction]], t: Fraction) -> int:
     signs = [value > 0 for p in chain if (value := _value(p, t)) != 0]
-    return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
+    return sum(a != b for a, b in pairwise(signs))
 
 
 def crossings(g: Coefficients, end: float = 1.0) -> list[tuple[float, int]]:
@@ -109,11 +110,13 @@ def _shallow(g: Coefficients, start: float, stop: float) -> bool:
 
 
 def _distinct(g: Coefficients, end: float) -> list[tuple[float, int]]:
-    """The crossings of ``g`` without the pairs between which it stays within rounding of zero."""
+    """The crossings of ``g`` without those before which, or the pairs between which, it is zero to rounding."""
     kept: list[tuple[float, int]] = []
     for t, direction in crossings(g, end):
         if kept and (t - kept[-1][0] < 2.0**-33 or _shallow(g, kept[-1][0], t)):
             kept.pop()
+        elif not kept and _shallow(g, 0.0, t):
+            continue  # no sign to change: rounding so far
         else:
             kept.append((t, direction))
     return kept
@@ -220,8 +223,6 @@ def test_the_first_crossing_is_exact_for_clustered_and_multiple_roots(
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=8), st.booleans(), st.floats(0.05, 1.0))
-def test_the_first_crossing_is_exact_for_any_coefficients(
-    g: Coefficients, upward: bool, end: float
-) -> None:
+def test_the_first_crossing_is_exact_for_any_coefficients(g: Coefficients, upward: bool, end: float) -> None:
     if g[0] != 0.0:
         _check(g, upward, end)
