@@ -8,5 +8,5 @@ from plant.kernels import advance as _advance
 from plant.kernels import cache, footprint
 
 with cache.kept_here():
-    advance = njit(cache=True, nogil=True, error_model="numpy")(_advance.advance.py_func)
-    cover = njit(cache=True, nogil=True, error_model="numpy")(footprint.cover.py_func)
+    advance = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(_advance.advance.py_func)
+    cover = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(footprint.cover.py_func)

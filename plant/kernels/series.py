@@ -84,8 +84,15 @@ def load_plane(seg, grp, groups, ser, k):
 def acceleration_terms(seg, par, ser, k):
     """Coefficient k of (ax, ay, alpha)."""
     kappa = par[at.KAPPA]
-    torque = ser[at.S_T, k] - product(ser, at.S_XIX, at.S_DY, k) + product(ser, at.S_XIY, at.S_DX, k)
-    square = product(ser, at.S_XIX, at.S_XIX, k) + product(ser, at.S_XIY, at.S_XIY, k)
+    moment_x = moment_y = xx = yy = 0.0
+    for j in range(k + 1):
+        x, y = ser[at.S_XIX, j], ser[at.S_XIY, j]
+        moment_x += x * ser[at.S_DY, k - j]
+        moment_y += y * ser[at.S_DX, k - j]
+        xx += x * ser[at.S_XIX, k - j]
+        yy += y * ser[at.S_XIY, k - j]
+    torque = ser[at.S_T, k] - moment_x + moment_y
+    square = xx + yy
     if seg[at.DRIVEN] == 1.0:
         ser[at.S_CC, k] = ser[at.S_C2, k] - square
         ax = kappa * (ser[at.S_DX, k] - ser[at.S_UX, k])
@@ -111,10 +118,23 @@ def acceleration_terms(seg, par, ser, k):
 @kernel
 def angle_terms(ser, k):
     """Coefficient k + 1 of cosine, sine and of ``E1``, ``E2`` (k + 1 >= 1; ``Y`` starts at 0)."""
-    ser[at.S_C, k + 1] = -product(ser, at.S_S, at.S_OM, k) / (k + 1)
-    ser[at.S_S, k + 1] = product(ser, at.S_C, at.S_OM, k) / (k + 1)
-    ser[at.S_E1, k + 1] = product(ser, at.S_C, at.S_X, k + 1) + product(ser, at.S_S, at.S_Y, k + 1)
-    ser[at.S_E2, k + 1] = product(ser, at.S_C, at.S_Y, k + 1) - product(ser, at.S_S, at.S_X, k + 1)
+    cosine, sine = 0.0, 0.0
+    for j in range(k + 1):
+        turn = ser[at.S_OM, k - j]
+        cosine -= ser[at.S_S, j] * turn
+        sine += ser[at.S_C, j] * turn
+    ser[at.S_C, k + 1] = cosine / (k + 1)
+    ser[at.S_S, k + 1] = sine / (k + 1)
+    cx = sy = cy = sx = 0.0
+    for j in range(k + 1):
+        x, y = ser[at.S_X, k + 1 - j], ser[at.S_Y, k + 1 - j]
+        c, s = ser[at.S_C, j], ser[at.S_S, j]
+        cx += c * x
+        sy += s * y
+        cy += c * y
+        sx += s * x
+    ser[at.S_E1, k + 1] = cx + sy
+    ser[at.S_E2, k + 1] = cy - sx
 
 
 @kernel
