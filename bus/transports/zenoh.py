@@ -6,11 +6,13 @@ it (``open_client``), and clients hear each other through it. Nobody is found by
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import os
 import socket
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any, Final, cast, final
 
@@ -33,6 +35,7 @@ _RUNTIME: Final = (
 
 
 _forks = 0
+_open_endpoints: weakref.WeakSet[ZenohEndpoint] = weakref.WeakSet()
 _held: set[int] = set()
 """Receiving threads that keep their Python state."""
 
@@ -40,9 +43,17 @@ _held: set[int] = set()
 def _count_fork() -> None:
     global _forks  # noqa: PLW0603 - one process, one count
     _forks += 1
+    _held.clear()  # those threads are not in this process
+
+
+def _close_all() -> None:
+    for endpoint in list(_open_endpoints):
+        endpoint.close()
 
 
 os.register_at_fork(after_in_child=_count_fork)
+# A session that is dropped as the interpreter ends, while samples come in, hangs for ten seconds and then panics.
+atexit.register(_close_all)
 
 
 _Item = tuple[str | None, zenoh.Sample]
@@ -238,6 +249,7 @@ class ZenohEndpoint(Endpoint):
         self._forks = _forks
         self.closed = False
         self._inbox = Inbox()
+        _open_endpoints.add(self)
         self._subscribers: dict[str, object] = {}
         self._watchers: list[object] = []
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
@@ -324,6 +336,9 @@ class ZenohEndpoint(Endpoint):
         closer = threading.Thread(target=self._close, name="zenoh-close", daemon=True)
         closer.start()
         closer.join(CLOSE_S)
+        if closer.is_alive():
+            # Dropping the session would wait for the same again: never drop it.
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.session))
 
     def _close(self) -> None:
         for token in self._tokens.values():

@@ -29,7 +29,7 @@ class Network:
         self.name = name
         self._bus = MemoryBus()
         self._endpoints: list[Endpoint] = []
-        self._locator = ""
+        self.locator = ""
 
     def endpoint(self) -> Endpoint:
         endpoint: Endpoint
@@ -37,10 +37,10 @@ class Network:
             endpoint = self._bus.endpoint()
         elif not self._endpoints:
             hub = open_hub()
-            self._locator = hub.locator
+            self.locator = hub.locator
             endpoint = hub
         else:
-            endpoint = open_client(self._locator)
+            endpoint = open_client(self.locator)
         self._endpoints.append(endpoint)
         return endpoint
 

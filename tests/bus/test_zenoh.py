@@ -8,14 +8,19 @@ import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
+import msgpack
 import pytest
+import zenoh
 
 from bus.errors import TransportError
+from bus.partition import Partition
 from bus.transport import Alive
 from bus.transports.zenoh import client_config, hub_config, open_client, open_hub
-from tests.bus.support import drain, tokens
+from tests.bus.support import Network, System, drain, grid, tokens
 
+ROOT = str(Path(__file__).resolve().parents[2])
 _CELL = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
@@ -71,8 +76,7 @@ def test_nobody_joins_by_accident() -> None:
 
 def test_a_killed_process_loses_its_token_at_once() -> None:
     hub = open_hub()
-    root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))  # noqa: PTH100, PTH120
-    cell = subprocess.Popen([sys.executable, "-c", _CELL, root, hub.locator])
+    cell = subprocess.Popen([sys.executable, "-c", _CELL, ROOT, hub.locator])
     try:
         hub.watch_alive("t/alive")
         drain(hub, lambda events: ("t/alive", True) in tokens(events), timeout_s=20.0)
@@ -80,6 +84,37 @@ def test_a_killed_process_loses_its_token_at_once() -> None:
         cell.send_signal(signal.SIGKILL)
         assert hub.receive(10.0) == Alive("t/alive", False)
         assert time.monotonic() - start < 1.0
+    finally:
+        cell.kill()
+        cell.wait()
+        hub.close()
+
+
+_LISTENER = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from bus.transports.zenoh import open_client
+endpoint = open_client(sys.argv[2])
+endpoint.subscribe("t/flood")
+endpoint.declare_alive("t/alive")
+endpoint.receive(None)
+sys.exit(7)
+"""
+
+
+def test_a_process_that_forgets_to_close_ends_at_once_though_payloads_come_in() -> None:
+    hub = open_hub()
+    flood = hub.publisher("t/flood")
+    cell = subprocess.Popen([sys.executable, "-c", _LISTENER, ROOT, hub.locator])
+    try:
+        hub.watch_alive("t/alive")
+        drain(hub, lambda events: ("t/alive", True) in tokens(events), timeout_s=20.0)
+        start = time.monotonic()
+        while cell.poll() is None and time.monotonic() - start < 8.0:
+            flood.put(b"x" * 100)
+            assert hub.receive(0.0002) in (None, Alive("t/alive", False))
+        assert cell.wait(0.1) == 7
+        assert time.monotonic() - start < 4.0
     finally:
         cell.kill()
         cell.wait()
@@ -124,6 +159,35 @@ def test_a_signal_handler_runs_while_the_main_thread_waits() -> None:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
         hub.close()
+
+
+def test_any_zenoh_tool_can_listen_to_the_drives() -> None:
+    network = Network("zenoh")
+    system = System(network, Partition.each(grid(1, 2)), "cells").start()
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{network.locator}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session:
+        listener = session.declare_subscriber("mdms/*/cell/*/*/drive")
+        heard: dict[str, dict[str, object]] = {}
+        tick = 0
+        while len(heard) < 2:  # the subscription takes its time
+            system.host.publish(system.sense(tick))
+            for shard, member in enumerate(system.members):
+                member.gather(tick)
+                member.publish(system.drive(shard, tick), None)
+            system.host.gather(tick)
+            tick += 1
+            while (sample := listener.try_recv()) is not None:
+                heard[str(sample.key_expr)] = msgpack.unpackb(sample.payload.to_bytes())
+        listener.undeclare()
+    network.close()
+    assert sorted(heard) == ["mdms/test/cell/0/0/drive", "mdms/test/cell/0/1/drive"]
+    for key, fields in heard.items():
+        shard = int(key.split("/")[4])
+        expected = system.drive(shard, fields["tick"]).drive[0].tolist()  # type: ignore[arg-type]
+        assert fields == {"v": 1, "tick": fields["tick"], "drive": expected}
 
 
 def test_sessions_close_fast() -> None:
