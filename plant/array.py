@@ -43,19 +43,21 @@ class CellArray:
     def __len__(self) -> int:
         return len(self.lattice)
 
-    def cells_beyond(self, a: int, b: int, inner_m: NDArray[np.float64]) -> bool:
-        """Whether any cell lies across the edge from cell ``a`` to ``b``, on the side away from ``inner_m`` ``(2,)``.
+    def cells_beyond(self, a: int, b: int, towards_m: NDArray[np.float64]) -> bool:
+        """Whether any cell lies across the edge from cell ``a`` to ``b``, on the side of ``towards_m`` ``(2,)``.
 
-        Looks along the edge's span, widened by half a pitch: the strip onto which a parcel tips.
+        Looks along the edge's span, widened by half a pitch: the strip onto which a parcel tips. With ``a`` equal
+        to ``b`` the edge is a point, and the strip runs from it towards ``towards_m``.
         """
         p, q = self.positions_m[a], self.positions_m[b]
-        along = q - p
+        along = q - p if a != b else np.array([towards_m[1] - p[1], p[0] - towards_m[0]])
         length = float(np.hypot(along[0], along[1]))
         if length == 0.0:
             return False
         along = along / length
+        length = 0.0 if a == b else length
         outward = np.array([along[1], -along[0]])
-        if outward @ (inner_m - p) > 0.0:
+        if outward @ (towards_m - p) < 0.0:
             outward = -outward
         offset = self.positions_m - p
         beyond = offset @ outward > 1e-9 * self.pitch_m

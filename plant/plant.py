@@ -286,19 +286,10 @@ class Plant:
         else:
             cells = tuple(dict.fromkeys((self.array.lattice.cells[a], self.array.lattice.cells[b])))
             named = " and ".join(f"{row},{column}" for row, column in cells)
-            state = (
-                "tipped"
-                if self.array.cells_beyond(a, b, self._inner(parcel.mem, parcel.ctl))
-                else "off_array"
-            )
+            state = "tipped" if self.array.cells_beyond(a, b, parcel.y[:2]) else "off_array"
             detail = f"about the edge from cell {named}" if len(cells) == 2 else f"about cell {named}"
         self.status[i] = ParcelStatus(state, time_s, detail)
         return Event(time_s, state, i, cells, place, detail)
-
-    def _inner(self, mem: NDArray[np.int64], ctl: NDArray[np.int64]) -> Floats:
-        """A point on the side of the supports: their mean."""
-        members = mem[: ctl[layout.N_MEMBERS], layout.CELL]
-        return self.array.positions_m[members].mean(axis=0)
 
     def _unstable(self, i: int, time_s: float, status: int) -> None:
         parcel = self._solver.parcels[i]

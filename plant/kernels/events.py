@@ -52,11 +52,12 @@ def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
     """Earliest time at which a cell outside the footprint is inside every edge. Returns (time, edge).
 
     Leaps from the last of the violated edges' crossings to the next until none is violated, so that no short stay
-    is stepped over.
+    is stepped over. A cell that rests on an edge for the whole step is inside of it, as members on an edge stay
+    members; it doesn't enter by that edge, though.
     """
     t, entered = 0.0, 0
     for _ in range(64):
-        latest, violated = t, False
+        latest, violated, rests = t, False, False
         for edge in range(offset.shape[0]):
             edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
             if t > 0.0:
@@ -67,8 +68,8 @@ def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
             if abs(g[0]) <= zero:
                 degree, sign = deflate(g, order, zero)
                 if sign == 0:
-                    # rests on this edge for the whole step: neither enters nor leaves
-                    return NONE, edge
+                    rests = True
+                    continue
             if sign > 0:
                 continue
             violated = True
@@ -79,7 +80,7 @@ def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
             if t + root >= latest:
                 latest, entered = t + root, edge
         if not violated:
-            return t, entered
+            return (NONE if rests and t == 0.0 else t), entered
         t = latest
     return NONE, entered
 

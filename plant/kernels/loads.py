@@ -55,9 +55,12 @@ def outside_hull(pos, mem, ctl, y, pitch):
         distance = (ay * fx - ax * fy) / size  # outward is to the right of a counter-clockwise edge
         along = -(ax * fx + ay * fy) / size
         if corners == 1 and following == first:
-            # all on one line: the hull is a segment
+            # all on one line: the hull is a segment, left over its side or past one of its ends
             past = max(-along, along - size)
             off = abs(distance)
+            if past > off:
+                end = mem[following if along > 0.0 else here, at.CELL]
+                return (off * off + past * past) ** 0.5, end, end
             return (
                 (off if past <= 0.0 else (off * off + past * past) ** 0.5),
                 mem[here, at.CELL],

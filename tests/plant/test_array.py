@@ -40,28 +40,30 @@ def test_an_arbitrary_layout_keeps_its_place_in_the_whole_grid() -> None:
 
 
 @pytest.mark.parametrize(
-    ("edge", "inner", "beyond"),
+    ("edge", "towards", "beyond"),
     [
-        (((0, 4), (3, 4)), (-1.0, 0.0), False),  # the last column
-        (((0, 3), (3, 3)), (-1.0, 0.0), True),  # the last but one
-        (((0, 3), (3, 3)), (1.9, 0.0), True),  # the same, from the other side
-        (((3, 0), (3, 4)), (0.0, 0.0), False),  # the last row
-        (((0, 1), (1, 0)), (1.0, 1.0), True),  # a diagonal with the corner cell beyond
-        (((1, 4), (3, 2)), (0.0, 0.0), True),  # a diagonal with cells beyond
-        (((3, 4), (3, 4)), (0.0, 0.0), False),  # a point has no far side
+        (((0, 4), (3, 4)), (2.1, 0.0), False),  # the last column
+        (((0, 3), (3, 3)), (1.1, 0.0), True),  # the last but one
+        (((0, 3), (3, 3)), (0.9, 0.0), True),  # the same, to the other side
+        (((3, 0), (3, 4)), (0.0, 1.6), False),  # the last row
+        (((0, 1), (1, 0)), (-1.6, -1.1), True),  # a diagonal with the corner cell beyond
+        (((1, 4), (3, 2)), (1.1, 1.1), True),  # a diagonal with cells beyond
+        (((3, 4), (3, 4)), (2.1, 1.5), False),  # one cell, at the corner
+        (((3, 4), (3, 4)), (1.9, 1.5), True),  # the same, towards its neighbour
+        (((3, 4), (3, 4)), (2.0, 1.5), False),  # nowhere
     ],
 )
 def test_cells_beyond_an_edge_are_told_from_the_arrays_rim(
-    edge: tuple[tuple[int, int], tuple[int, int]], inner: tuple[float, float], beyond: bool
+    edge: tuple[tuple[int, int], tuple[int, int]], towards: tuple[float, float], beyond: bool
 ) -> None:
     array = CellArray(ArraySpec(rows=4, columns=5, pitch_m=1.0))
     a, b = (array.lattice.index(cell) for cell in edge)
-    assert array.cells_beyond(a, b, np.array(inner)) is beyond
-    assert array.cells_beyond(b, a, np.array(inner)) is beyond
+    assert array.cells_beyond(a, b, np.array(towards)) is beyond
+    assert array.cells_beyond(b, a, np.array(towards)) is beyond
 
 
 def test_cells_across_a_hole_count_as_beyond() -> None:
     ring = tuple((r, c) for r in range(1, 4) for c in range(1, 4))
     array = CellArray(ArraySpec(rows=5, columns=5, pitch_m=1.0, missing=ring))
     a, b = array.lattice.index((1, 0)), array.lattice.index((3, 0))
-    assert array.cells_beyond(a, b, np.array([-3.0, 0.0]))
+    assert array.cells_beyond(a, b, np.array([-1.9, 0.0]))
