@@ -387,7 +387,7 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
 ) -> None:
     """Same senses, same messages, same drives whatever the cut, and no loss."""
     system = System(network, Partition.even(grid(2, 3), count), form, message=MESSAGE, encoders=True).start()
-    dead, at = [1, 4], 2
+    dead, at = [1, 5], 2
     for side in (system.host, *system.members):
         side.retire(dead, at)
     gone: set[int] = set()
@@ -419,6 +419,8 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
         whole[dead if tick >= at else []] = 0.0
         assert drive.drive.tolist() == whole.tolist()
     assert system.host.counts.lost == 0
+    # The dead say nothing, and nobody speaks to them.
+    assert [side.counts.late for side in (system.host, *system.members)] == [0] * (1 + count)
 
 
 # --- ends -------------------------------------------------------------------------------------------------------

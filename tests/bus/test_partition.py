@@ -78,6 +78,18 @@ def test_both_ends_of_a_border_order_its_links_alike(partition: Partition) -> No
 
 
 @given(partitions())
+def test_links_ascend_by_the_other_shard_then_the_sending_cell_then_its_side(partition: Partition) -> None:
+    for shard in range(partition.count):
+        for links, other in (
+            (partition.outgoing(shard), partition.outgoing(shard).target),
+            (partition.incoming(shard), partition.incoming(shard).source),
+        ):
+            shards = partition.shard_of[other].tolist()
+            found = list(zip(shards, links.source.tolist(), links.source_side.tolist(), strict=True))
+            assert found == sorted(found)
+
+
+@given(partitions())
 def test_borders_cover_the_links_without_gaps(partition: Partition) -> None:
     for shard in range(partition.count):
         for borders, links in (
