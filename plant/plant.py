@@ -203,6 +203,7 @@ class Plant:
             What the cells sense then, and what happened on the way.
 
         Raises:
+            PlantError: drives for another number of cells, or a time in the past.
             PlantUnstable: the motion of a parcel can't be followed.
         """
         start_ns, before = self._now_ns, self.state
@@ -235,6 +236,13 @@ class Plant:
 
     def _move(self, drives: Floats, until_ns: int, times_s: Floats, samples: Floats | None) -> list[Event]:
         """Advance wheels and every parcel; fill ``samples[1:]`` with the states at ``times_s`` after now."""
+        if np.shape(drives) != (len(self.array), 2):
+            # the kernels don't look: they would read past the end
+            raise PlantError(
+                f"drives have shape {np.shape(drives)}: the array has {len(self.array)} cells of two wheels"
+            )
+        if until_ns < self._now_ns:
+            raise PlantError(f"until_ns = {until_ns} is in the past: it is {self._now_ns} ns already")
         span = (until_ns - self._now_ns) * 1e-9
         start = self._now_ns * 1e-9
         motion = self._wheels.command(np.ascontiguousarray(drives, dtype=np.float64))

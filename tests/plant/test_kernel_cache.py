@@ -1,0 +1,180 @@
+"""The cache of compiled kernels: never stale, found again, and absent where it can't be kept."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from plant.kernels import cache
+from tests.plant.scenes import TICK_NS, study
+
+KERNELS = Path(cache.__file__).parent
+ROOT = KERNELS.parents[1]
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """A copy of all kernel files, with their times."""
+    folder = tmp_path / "kernels"
+    shutil.copytree(KERNELS, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+def _module(folder: Path) -> ModuleType:
+    """The cache module of a copy, afresh."""
+    located = importlib.util.spec_from_file_location("kernel_cache_copy", folder / "cache.py")
+    assert located is not None
+    assert located.loader is not None
+    module = importlib.util.module_from_spec(located)
+    located.loader.exec_module(module)
+    return module
+
+
+def test_the_key_stays_while_nothing_changes(copied: Path) -> None:
+    assert _module(copied).key() == _module(copied).key()
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in KERNELS.glob("*.py")))
+def test_a_change_of_any_kernel_file_changes_the_key(copied: Path, name: str) -> None:
+    before = _module(copied).key()
+    path = copied / name
+    text = path.read_text()
+    path.write_text(text + "\n# a change\n")
+    assert _module(copied).key() != before
+    path.write_text(text)
+    if name != "advance.py":  # the file that holds the cached function counts with its time
+        assert _module(copied).key() == before
+
+
+def test_a_new_kernel_file_and_a_renamed_one_change_the_key(copied: Path) -> None:
+    before = _module(copied).key()
+    (copied / "another.py").write_text("")
+    with_one_more = _module(copied).key()
+    (copied / "another.py").rename(copied / "renamed.py")
+    assert len({before, with_one_more, _module(copied).key()}) == 3
+
+
+def test_a_number_moved_from_one_file_to_the_next_changes_the_key(copied: Path) -> None:
+    """Names and lengths are part of the text: files can't be glued together to the same hash."""
+    (copied / "one.py").write_text("a = 1\n")
+    (copied / "two.py").write_text("b = 2\n")
+    before = _module(copied).key()
+    (copied / "one.py").write_text("a = 1\nb = 2\n")
+    (copied / "two.py").write_text("")
+    assert _module(copied).key() != before
+
+
+@pytest.mark.parametrize("what", ["version", "processor"])
+def test_other_versions_and_processors_have_other_keys(
+    copied: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    module = _module(copied)
+    before = module.key()
+    monkeypatch.setattr(module, what, lambda *_: "another")
+    assert module.key() != before
+
+
+def _fresh(code: str, **environment: str) -> dict[str, object]:
+    """What a new process prints as JSON on its last line."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+SECOND_PROCESS = """
+import json
+from plant.kernels import cache
+warm = cache.is_warm()
+import numpy as np
+from tests.plant.scenes import TICK_NS, study
+plant = study()
+sense, _ = plant.advance(np.zeros((400, 2)), TICK_NS)
+from plant.kernels import entry
+print(json.dumps({
+    "warm": warm,
+    "hits": [sum(kernel.stats.cache_hits.values()) for kernel in (entry.advance, entry.cover)],
+    "misses": [sum(kernel.stats.cache_misses.values()) for kernel in (entry.advance, entry.cover)],
+    "present": int(sense.presence.sum()),
+}))
+"""
+
+
+def _files() -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in cache.folder()[0].rglob("*.nb*")}
+
+
+def test_a_second_process_loads_what_the_first_compiled() -> None:
+    plant = study()
+    sense, _ = plant.advance(np.zeros((400, 2)), TICK_NS)
+    if not cache.folder()[1]:
+        pytest.skip("no cache folder can be written here")
+    before = _files()
+    assert any(name.endswith(".nbi") for name in before)
+    assert cache.is_warm()
+    told = _fresh(SECOND_PROCESS)
+    assert told["warm"] is True
+    assert told["hits"] == [1, 1]
+    assert told["misses"] == [0, 0]
+    assert told["present"] == int(sense.presence.sum())
+    assert _files() == before
+
+
+FOLDER = """
+import json
+from plant.kernels import cache
+path, lasting = cache.folder()
+print(json.dumps({"path": str(path), "exists": path.is_dir(), "lasting": lasting, "warm": cache.is_warm()}))
+"""
+
+
+def test_a_cache_that_cannot_be_written_is_replaced_for_the_process_and_removed_with_it(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    told = _fresh(FOLDER, NUMBA_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path))
+    assert told["lasting"] is False
+    assert told["exists"] is True
+    assert told["warm"] is False
+    assert Path(str(told["path"])).parent == tmp_path
+    assert not Path(str(told["path"])).exists()
+
+
+def test_the_cache_goes_where_the_environment_says(tmp_path: Path) -> None:
+    told = _fresh(FOLDER, NUMBA_CACHE_DIR=str(tmp_path / "numba"), XDG_CACHE_HOME=str(tmp_path / "xdg"))
+    assert str(told["path"]).startswith(str(tmp_path / "numba" / "mdms" / "kernels"))
+    assert told["lasting"] is True
+    environment = {"NUMBA_CACHE_DIR": "", "XDG_CACHE_HOME": str(tmp_path / "xdg")}
+    assert str(_fresh(FOLDER, **environment)["path"]).startswith(str(tmp_path / "xdg" / "mdms" / "kernels"))
+
+
+def test_only_the_latest_of_the_old_folders_are_kept(
+    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    kernels = tmp_path / "mdms" / "kernels"
+    for age in range(20):
+        old = kernels / f"old{age:02}"
+        old.mkdir(parents=True)
+        (old / "kernel.nbi").write_text("")
+        os.utime(old, (1e9 - age, 1e9 - age))
+    module = _module(copied)
+    path, _ = module.folder()
+    kept = sorted(folder.name for folder in kernels.iterdir() if folder != path)
+    assert kept == [f"old{age:02}" for age in range(module.KEPT)]

@@ -1,0 +1,280 @@
+"""Rest, what the cells sense, and what the plant says about itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from plant.errors import PlantError, PlantUnstable
+from plant.plant import Plant
+from plant.specs import MotorsSpec
+from tests.plant.scenes import MU, SECOND, TICK_NS, G, elliptic, members, parcel, spec, study, turned
+
+KAPPA = MU * G
+
+
+def test_a_parcel_at_rest_stays_exactly_at_rest_at_no_cost() -> None:
+    plant = study()
+    before = plant.state
+    _, events = plant.advance(np.zeros((400, 2)), 3600 * SECOND)
+    assert np.array_equal(plant.state, before)
+    assert events == []
+    assert plant.support_changes == 0
+    assert plant._solver.parcels[0].ctl[4] < 100  # steps
+
+
+def test_a_parcel_at_rest_stays_exactly_at_rest_over_many_ticks() -> None:
+    plant = study()
+    before = plant.state
+    for tick in range(1, 500):
+        _, events = plant.advance(np.zeros((400, 2)), tick * TICK_NS)
+        assert events == []
+    assert np.array_equal(plant.state, before)
+    assert plant.status[0].state == "at_rest"
+    assert plant.status[0].time_s <= TICK_NS * 1e-9
+
+
+def test_a_sliding_parcel_is_at_rest_once_it_is_slow_and_stays_slow() -> None:
+    plant = Plant(spec(parcel(position_m=(-0.1, 0.0), velocity_m_s=(0.3, 0.0))))
+    trajectory = plant.trajectory(np.zeros((400, 2)), 10 * SECOND, TICK_NS)
+    status = plant.status[0]
+    assert status.state == "at_rest"
+    # both the speed and what it loses in a second must be below a micrometre
+    expected = np.log(KAPPA * 0.3 / 1e-6) / KAPPA
+    assert status.time_s == pytest.approx(expected, abs=3 * TICK_NS * 1e-9)
+    assert trajectory.state[-1, 0, 3] < 1e-6
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_rest_is_noted_alike_by_ticks_and_by_trajectories(sampled: bool) -> None:
+    plant = Plant(spec(parcel(position_m=(-0.1, 0.0), velocity_m_s=(0.3, 0.0))))
+    drives = np.zeros((400, 2))
+    if sampled:
+        plant.trajectory(drives, 2000 * TICK_NS, TICK_NS)
+    else:
+        for tick in range(1, 2001):
+            plant.advance(drives, tick * TICK_NS)
+    assert plant.status[0].state == "at_rest"
+    assert plant.status[0].time_s == pytest.approx(np.log(KAPPA * 0.3 / 1e-6) / KAPPA, abs=3 * TICK_NS * 1e-9)
+
+
+def test_a_parcel_that_turns_back_is_not_at_rest_for_an_instant() -> None:
+    plant = Plant(spec(parcel(position_m=(0.3, 0.0), angle_rad=0.0)))
+    drives = elliptic(plant)
+    states = []
+    for tick in range(1, 1200):
+        plant.advance(drives, tick * TICK_NS)
+        states.append(plant.status[0].state)
+    speed = np.abs(plant.state[0, 3])
+    assert set(states) == {"moving"}
+    assert speed < 0.1
+
+
+def test_a_resting_parcel_moves_when_its_wheels_do_and_says_since_when() -> None:
+    plant = study()
+    plant.advance(np.zeros((400, 2)), SECOND)
+    assert plant.status[0].state == "at_rest"
+    plant.advance(np.full((400, 2), 0.1), SECOND + TICK_NS)
+    assert (plant.status[0].state, plant.status[0].time_s) == ("moving", 1.0)
+
+
+def test_the_plant_comes_to_rest_in_an_elliptic_field_and_says_so() -> None:
+    plant = Plant(spec(parcel(size_m=(0.68, 0.42))))
+    plant.trajectory(elliptic(plant), 60 * SECOND, TICK_NS)
+    assert plant.status[0].state == "at_rest"
+    assert 10.0 < plant.status[0].time_s < 40.0
+
+
+def _covered(plant: Plant, sensors: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Sensors inside any footprint, by the winding of its corners; those within 1e-9 m of an edge are left out."""
+    points = plant.array.positions_m[:, None, :] + sensors[None]
+    covered = np.zeros(points.shape[:2], dtype=bool)
+    for corners, state in zip(plant.footprints_m, plant.state, strict=True):
+        placed = turned(corners, state[2]) + state[:2]
+        to = placed[None, None] - points[:, :, None]
+        angle = np.arctan2(to[..., 1], to[..., 0])
+        step = np.diff(np.concatenate([angle, angle[..., :1]], axis=-1), axis=-1)
+        covered |= np.abs(((step + np.pi) % (2.0 * np.pi) - np.pi).sum(axis=-1)) > 3.0
+    return covered
+
+
+SENSORS = [(0.0, 0.0), (0.04, 0.04), (-0.04, 0.04), (-0.04, -0.04), (0.04, -0.04)]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+def test_presence_bits_are_the_points_inside_the_footprints(count: int) -> None:
+    draw = np.random.default_rng(count)
+    for _ in range(30):
+        first = parcel(
+            size_m=tuple(draw.uniform(0.3, 0.6, 2)),
+            position_m=tuple(draw.uniform(-0.5, -0.4, 2)),
+            angle_rad=float(draw.uniform(-4.0, 4.0)),
+        )
+        second = parcel(
+            vertices_m=((0.0, 0.0), (0.6, 0.1), (0.4, 0.7)),
+            position_m=tuple(draw.uniform(0.4, 0.5, 2)),
+            angle_rad=float(draw.uniform(-4.0, 4.0)),
+        )
+        holes = tuple((int(r), int(c)) for r, c in {(3, 3), (15, 14), (4, 9)})
+        plant = Plant(spec(first, second, sensors_m=tuple(SENSORS[:count]), missing=holes))
+        sense, _ = plant.advance(draw.normal(size=(len(plant.array), 2)) * 0.2, TICK_NS)
+        assert sense.presence.shape == (397, count)
+        assert sense.encoder_m is None
+        assert np.array_equal(sense.presence, _covered(plant, np.array(SENSORS[:count])))
+
+
+def test_sensors_out_of_their_own_cell_are_looked_at_where_they_are() -> None:
+    far = ((0.35, 0.0), (0.0, -0.72))
+    plant = Plant(spec(parcel(position_m=(0.1, 0.0)), sensors_m=far))
+    assert np.array_equal(plant.sense().presence, _covered(plant, np.array(far)))
+
+
+def test_a_sensor_under_the_very_edge_of_a_parcel_is_covered() -> None:
+    plant = Plant(spec(parcel(size_m=(0.3, 0.3), position_m=(0.0, 0.0), angle_rad=0.0)))
+    presence = plant.sense().presence[:, 0].reshape(20, 20)
+    assert presence.sum() == 16
+    assert np.all(presence[8:12, 8:12])
+
+
+def test_presence_with_a_centred_sensor_is_the_support_set() -> None:
+    plant = study()
+    sense, _ = plant.advance(elliptic(plant), SECOND)
+    assert np.array_equal(np.flatnonzero(sense.presence[:, 0]), members(plant))
+
+
+def test_an_empty_array_of_parcels_senses_nothing() -> None:
+    plant = Plant(spec())
+    sense, events = plant.advance(np.ones((400, 2)), SECOND)
+    assert not sense.presence.any()
+    assert events == []
+    assert plant.state.shape == (0, 6)
+    assert plant.trajectory(np.ones((400, 2)), 2 * SECOND, SECOND).state.shape == (2, 0, 6)
+
+
+def test_encoders_count_what_the_motors_turned_in_closed_form() -> None:
+    motors = MotorsSpec(time_constant_s=0.05, speed_per_volt_m_s=0.1, supply_v=6.0)
+    plant = Plant(spec(parcel(), motors=motors))
+    draw = np.random.default_rng(3)
+    speed, travel = np.zeros((400, 2)), np.zeros((400, 2))
+    node, weight = np.polynomial.legendre.leggauss(12)
+    for tick in range(1, 80):
+        volts = draw.normal(size=(400, 2)) * 8.0
+        sense, _ = plant.advance(volts, tick * TICK_NS)
+        steady = 0.1 * np.clip(volts, -6.0, 6.0)
+        h = TICK_NS * 1e-9
+        inside = [steady + (speed - steady) * np.exp(-0.5 * h * (1.0 + t) / 0.05) for t in node]
+        travel += 0.5 * h * sum(w * v for w, v in zip(weight, inside, strict=True))
+        speed = steady + (speed - steady) * np.exp(-h / 0.05)
+        assert sense.encoder_m is not None
+        assert sense.encoder_m == pytest.approx(travel, abs=1e-14)
+        assert plant.wheel_speed == pytest.approx(speed, abs=1e-14)
+
+
+def test_a_step_of_voltage_turns_the_wheel_by_the_textbook_response() -> None:
+    motors = MotorsSpec(time_constant_s=0.06, speed_per_volt_m_s=0.1, supply_v=12.0)
+    plant = Plant(spec(parcel(), motors=motors))
+    assert np.all(plant.wheel_speed == 0.0)
+    assert np.all(plant.sense().encoder_m == 0.0)
+    sense, _ = plant.advance(np.full((400, 2), 20.0), 300_000_000)
+    assert plant.wheel_speed == pytest.approx(1.2 * -np.expm1(-5.0), rel=1e-14)
+    assert sense.encoder_m == pytest.approx(1.2 * (0.3 + 0.06 * np.expm1(-5.0)), rel=1e-13)
+
+
+def test_ideal_wheels_run_as_they_are_told() -> None:
+    plant = study()
+    drives = np.random.default_rng(1).normal(size=(400, 2))
+    plant.advance(drives, TICK_NS)
+    assert np.array_equal(plant.wheel_speed, drives)
+
+
+@pytest.mark.parametrize("policy", ["brake", "hold"])
+def test_braked_and_held_wheels_act_as_they_are_driven(policy: str) -> None:
+    plain, lost = study(), study()
+    lost.lose(range(200, 300), policy)  # type: ignore[arg-type]
+    for plant in (plain, lost):
+        plant.advance(elliptic(plant), SECOND)
+    assert np.array_equal(plain.state, lost.state)
+
+
+def test_wheels_lost_one_after_the_other_all_coast() -> None:
+    one, two = study(), study()
+    one.lose([200, 201, 256], "coast")
+    two.lose([200], "coast")
+    two.lose([256, 201], "coast")
+    two.lose([7], "hold")
+    for plant in (one, two):
+        plant.advance(elliptic(plant), SECOND)
+    assert np.array_equal(one.state, two.state)
+
+
+def test_a_state_handed_out_is_the_holders_own() -> None:
+    plant = study()
+    plant.state[:] = 0.0
+    plant.footprints_m[0][:] = 0.0
+    assert plant.state[0, 0] == 0.55
+    assert plant.footprints_m[0].max() == 0.27
+
+
+def test_time_is_whole_nanoseconds() -> None:
+    plant = study()
+    assert plant.time_ns == 0
+    plant.advance(elliptic(plant), 123_456_789)
+    assert plant.time_ns == 123_456_789
+
+
+def test_advancing_to_now_changes_nothing() -> None:
+    plant = study()
+    plant.advance(elliptic(plant), SECOND)
+    before = plant.state
+    _, events = plant.advance(elliptic(plant), SECOND)
+    assert np.array_equal(plant.state, before)
+    assert events == []
+
+
+def test_drives_of_another_array_are_refused() -> None:
+    with pytest.raises(
+        PlantError, match=r"drives have shape \(3, 2\): the array has 400 cells of two wheels"
+    ):
+        study().advance(np.zeros((3, 2)), SECOND)
+
+
+def test_a_time_in_the_past_is_refused() -> None:
+    plant = study()
+    plant.advance(elliptic(plant), SECOND)
+    with pytest.raises(PlantError, match="until_ns = 999999999 is in the past: it is 1000000000 ns already"):
+        plant.advance(elliptic(plant), SECOND - 1)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_wheel_that_is_told_no_number_ends_the_motion_by_name(value: float) -> None:
+    plant = study()
+    drives = elliptic(plant)
+    drives[members(plant)[3]] = value
+    with pytest.raises(PlantUnstable, match=r"parcel 0 at t = 0 s, .*: the motion is no longer finite"):
+        plant.advance(drives, SECOND)
+
+
+def test_a_wheel_under_no_parcel_may_be_told_anything() -> None:
+    plain, odd = study(), study()
+    drives = elliptic(plain)
+    plain.advance(drives, TICK_NS)
+    drives[0] = np.nan
+    odd.advance(drives, TICK_NS)
+    assert np.array_equal(plain.state, odd.state)
+
+
+def test_events_name_their_cell_its_place_and_their_time_in_order() -> None:
+    plant = study()
+    _, first = plant.advance(elliptic(plant), SECOND)
+    _, then = plant.advance(elliptic(plant), 2 * SECOND)
+    events = first + then
+    times = [event.time_s for event in events]
+    assert times == sorted(times)
+    assert all(event.time_s <= 1.0 for event in first)
+    assert all(1.0 < event.time_s <= 2.0 for event in then)
+    for event in events:
+        (cell,) = event.cells
+        place = plant.array.positions_m[plant.array.lattice.index(cell)]
+        assert event.position_m == tuple(place)
+        assert event.parcel == 0
