@@ -7,6 +7,7 @@ same sessions' settings; a *side* is one way to run a case (``SIDES``), so that 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import queue
 import statistics
@@ -266,6 +267,9 @@ def main() -> None:
     options = parser.parse_args()
     if options.worker is not None:
         order = json.loads(options.worker)
+        # as real workers are: what the imports left behind is not looked at again, tick after tick
+        gc.collect()
+        gc.freeze()
         WORKERS[order["side"]](Case(**order["case"]), options.shard, order["locator"])
         return
     rows = [run_case(case, options.repeat) for case in (CASES[i] for i in options.case or range(len(CASES)))]
