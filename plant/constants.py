@@ -111,7 +111,9 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     gradient = mu * weight * (p[:, 1:].T @ turn + np.array([-(shares @ v[:, 1]), shares @ v[:, 0]]))
     damping = mu * weight * float(shares @ np.sum(lever * lever, axis=1))
     torque = mu * weight * float(shares @ turn)
-    place = _equilibrium(stiffness, offset)
+    # what a field that changes by all its speed across the supports would give: less than its rounding is none
+    natural = mu * weight * float(np.max(np.abs(v))) / max(float(np.max(np.abs(r))), array.pitch_m)
+    place = _equilibrium(stiffness, offset, natural)
     inside = False
     if place is not None:
         _, there = _supports(spec, index, (float(place[0]), float(place[1])))
@@ -137,9 +139,9 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     )
 
 
-def _equilibrium(stiffness: Floats, offset: Floats) -> Floats | None:
-    """Where ``f0 + k_s X`` vanishes, or None where that is no single point."""
+def _equilibrium(stiffness: Floats, offset: Floats, natural: float) -> Floats | None:
+    """Where ``f0 + k_s X`` vanishes; None where that is no single point. ``natural`` is the size of a true ``k_s``."""
     scale = float(np.max(np.abs(stiffness)))
-    if scale == 0.0 or abs(float(np.linalg.det(stiffness / scale))) < 1e-12:
+    if scale <= 1e-12 * natural or abs(float(np.linalg.det(stiffness / scale))) < 1e-12:
         return None
     return np.asarray(-np.linalg.solve(stiffness, offset), dtype=np.float64)

@@ -142,9 +142,9 @@ def test_an_equilibrium_elsewhere_is_told_from_one_on_the_same_supports() -> Non
     assert not found.equilibrium_inside
 
 
-def test_a_uniform_field_has_no_single_equilibrium() -> None:
-    scene = SCENES[6]
-    found = constants_of_motion(scene, 0, np.ones((6, 2)))
+@pytest.mark.parametrize("scene", [SCENES[4], SCENES[5], SCENES[6], spec(parcel())])
+def test_a_uniform_field_has_no_single_equilibrium(scene: PlantSpec) -> None:
+    found = constants_of_motion(scene, 0, np.tile((0.3, 0.1), (len(Plant(scene).array), 1)))
     assert found.k_s_n_per_m == pytest.approx(np.zeros((2, 2)), abs=1e-12)
     assert found.equilibrium_m is None
     assert not found.equilibrium_inside
