@@ -32,7 +32,8 @@ CROWD = 60
 edges at once that no set settles. The set then stands for ``dwell`` seconds whatever happens: chatter of the amplitude
 that ``capture_m`` allows."""
 AFTER_DWELL = 4
-"""Changes in a row after which it stands for that long again, unless time has moved on."""
+"""Changes in a row after which it stands for that long again, unless time has moved on. Chatter that is slow in time,
+but so frequent that half the allowance is gone, is treated alike, where the parcel is slow enough."""
 
 
 @kernel
@@ -138,10 +139,15 @@ def finite(y):
 
 
 @kernel
-def dwell(ser, par):
-    """How long any surface can be overrun before it is missed by more than ``capture_m``, s (series in seconds)."""
+def dwell(ser, y, par):
+    """How long chatter may overrun its surface before it is missed by about ``capture_m`` (series in seconds).
+
+    Returns (that time, s; whether the parcel as a whole is slow enough, or other cells' edges would be overrun too).
+    """
     pull = abs(ser[at.S_UX, 1]) + abs(ser[at.S_UY, 1]) + par[at.RADIUS] * abs(ser[at.S_OM, 1])
-    return max((2.0 * par[at.CAPTURE] / (pull + 1e-300)) ** 0.5, SHORTEST)
+    speed = abs(y[at.UX]) + abs(y[at.UY]) + par[at.RADIUS] * abs(y[at.OMEGA])
+    small = 2.0 * par[at.CAPTURE] * pull
+    return max((2.0 * par[at.CAPTURE] / (pull + 1e-300)) ** 0.5, SHORTEST), speed * speed < 100.0 * small
 
 
 @kernel
@@ -162,7 +168,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
     """
     y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
-    now, sampled, used, instant = 0.0, 0, 0, 0
+    now, sampled, used, instant, changed = 0.0, 0, 0, 0, False
     ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = 0
     if span == 0.0:
         ctl[at.STATUS] = prepare(surface, parcel, work, 0.0, 1.0, events)
@@ -180,7 +186,8 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         # looking much farther than the next event costs order and finds roots that are thrown away
         crowd = CROWD + 4 * ctl[at.N_MEMBERS]
         stuck = instant >= crowd
-        ahead = span - now if stuck else min(span - now, LOOK_AHEAD * par[at.GAP])
+        hurried = changed and 2 * used > budget
+        ahead = span - now if stuck or hurried else min(span - now, LOOK_AHEAD * par[at.GAP])
         order, step = taylor(
             work.seg,
             work.grp,
@@ -198,10 +205,10 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             ser,
         )
         ctl[at.N_STEPS] += 1
-        calm = dwell(ser, par)
+        calm, slow = dwell(ser, y, par)
         to_unit_time(ser, order, ctl[at.N_GROUPS], step)
-        if stuck:
-            count, earliest, instant = 0, min(1.0, calm / step), crowd - AFTER_DWELL
+        if stuck or (hurried and slow):
+            count, earliest, instant = 0, min(1.0, calm / step), min(instant, crowd - AFTER_DWELL)
             used += 1
             ctl[at.N_CHANGES] += 1
         else:
@@ -219,7 +226,8 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             ctl[at.STATUS] = at.NOT_FINITE
             break
         now = ends_at
-        if count > 0:
+        changed = count > 0
+        if changed:
             # events that rounding can't tell apart happen together
             together = earliest * (1.0 + 1e-13) + 1e-15
             apply(surface, parcel, work, count, together, now, events, cos(y[at.THETA]), sin(y[at.THETA]))

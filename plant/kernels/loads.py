@@ -299,8 +299,8 @@ def stands(surface, parcel, work):
     """Whether supports that span no plane carry the parcel. Returns (tipped, off their line)."""
     seg, ctl, y = work.seg, parcel.ctl, parcel.y
     distance, a, b = outside_hull(surface.pos, parcel.mem, ctl, y, parcel.par[at.PITCH])
+    ctl[at.TIP_A], ctl[at.TIP_B] = a, b
     if distance > parcel.par[at.ON_LINE]:
-        ctl[at.TIP_A], ctl[at.TIP_B] = a, b
         return True, False
     off = abs(seg[at.LINE_X] * seg[at.CX] + seg[at.LINE_Y] * seg[at.CY])
     if seg[at.RANK] == 0:
@@ -332,7 +332,11 @@ def settled(surface, parcel, work, e, c, s):
             tipped, off_line = stands(surface, parcel, work)
             if tipped:
                 return at.TIPPED
+            if off_line and near:
+                # past a corner of the hull by more than past either edge: no set of loads is better than this one
+                return at.TIPPED
             if off_line:
+                near = True
                 contact(pos, mem, ctl, y, par, seg, grp, f, work.scratch, work.newton)
                 continue
         if ctl[at.N_GROUPS] > 0:

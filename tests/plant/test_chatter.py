@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 import plant.solvers.exact as exact
-from plant.errors import PlantUnstable
+from plant.errors import PlantError, PlantUnstable
 from plant.plant import Plant
 from tests.plant.scenes import SECOND, TICK_NS, elliptic, parcel, spec, study
 
@@ -104,6 +104,47 @@ def test_sizes_whose_edges_can_lie_on_whole_rows_of_cells_come_to_rest(
     assert plant.status[0].state in ("at_rest", "moving")
     assert np.abs(plant.state[0, :2]).max() < 1e-6
     assert np.abs(plant.state[0, 3:]).max() < 1e-3
+
+
+def _round_scene(seed: int) -> tuple[Plant, np.ndarray] | None:
+    """Numbers as people choose them: sizes, places and angles that put edges and corners onto whole rows of cells."""
+    draw = np.random.default_rng(seed)
+    rows, columns = (int(n) for n in draw.integers(6, 21, 2))
+    body = parcel(
+        size_m=tuple(draw.integers(2, 16, 2) * 0.05),
+        position_m=tuple(draw.integers(-8, 9, 2) * 0.05),
+        angle_rad=float(draw.choice([0.0, np.pi / 4.0, np.pi / 2.0, np.pi, 0.1, 0.5, 1.0])),
+    )
+    try:
+        plant = Plant(spec(body, rows=rows, columns=columns, mu=float(draw.choice([0.1, 0.2, 0.5, 1.0]))))
+    except PlantError:
+        return None
+    p, (a, b) = plant.array.positions_m, draw.choice([-0.5, -1.0, -2.0], 2)
+    vortex = 0.5 * np.stack([-p[:, 1], p[:, 0]], axis=1)
+    fields = [
+        p * (a, b),
+        np.stack([0.0 * p[:, 0], -0.2 * np.sign(p[:, 1])], axis=1),
+        np.stack([-0.2 * np.sign(p[:, 0]), -0.1 * np.sign(p[:, 1])], axis=1),
+        -0.2 * p / np.maximum(np.hypot(*p.T), 1e-12)[:, None],
+        vortex,
+        vortex + p * (a, b),
+        np.tile(draw.choice([0.0, 0.1, -0.2], 2), (len(p), 1)),
+    ]
+    return plant, fields[int(draw.integers(len(fields)))]
+
+
+@pytest.mark.parametrize("batch", range(6))
+def test_scenes_in_round_numbers_never_escape(batch: int) -> None:
+    ended = []
+    for seed in range(40 * batch, 40 * batch + 40):
+        scene = _round_scene(seed)
+        if scene is not None:
+            plant, drives = scene
+            plant.advance(drives, 30 * SECOND)
+            assert np.all(np.isfinite(plant.state))
+            ended.append(plant.status[0].state)
+    assert len(ended) > 20
+    assert {"at_rest", "off_array"} <= set(ended)
 
 
 def test_a_captured_parcel_whose_drives_turn_round_is_let_go() -> None:
