@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import gc
 import json
+import os
 import queue
 import statistics
 import subprocess
@@ -252,6 +253,8 @@ def start_workers(side: str, case: Case, locator: str) -> list[subprocess.Popen[
             [sys.executable, __file__, "--worker", order, "--shard", str(shard)],
             stdout=subprocess.PIPE,
             text=True,
+            # real workers are forked, and a fork has none of these threads
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
         )
         for shard in range(case.workers)
     ]
