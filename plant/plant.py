@@ -30,8 +30,8 @@ _KINDS = {
     layout.LEAVE: "support_lost",
     layout.UNLOAD: "load_vanished",
     layout.TOUCH: "load_returned",
-    layout.FRACTION_ZERO: "released",
-    layout.FRACTION_ONE: "released",
+    layout.WEIGHT_GONE: "released",
+    layout.WEIGHT_WHOLE: "released",
     layout.CORNER: "released",
     layout.CAPTURE_BEGINS: "captured",
 }

@@ -9,16 +9,18 @@ from plant.kernels.capture import groups_hold, try_capture
 from plant.kernels.changes import apply, log
 from plant.kernels.events import bend, entering, leaving, loading
 from plant.kernels.jit import kernel
-from plant.kernels.loads import settled
+from plant.kernels.modes import settled
 from plant.kernels.motion import onto_surfaces, surface_rates
 from plant.kernels.roots import horner
 from plant.kernels.series import taylor
 
 UNIT_TIME = (
-    *(at.S_X, at.S_Y, at.S_TH, at.S_UX, at.S_UY, at.S_OM, at.S_C, at.S_S, at.S_E1, at.S_E2),
-    *(at.S_A0, at.S_BX_, at.S_BY_, at.S_XIX, at.S_XIY),
+    *(at.S_X, at.S_Y, at.S_TH, at.S_UX, at.S_UY),
+    *(at.S_OM, at.S_C, at.S_S, at.S_E1, at.S_E2),
 )
-"""The series that events are read from."""
+"""The series that events are read from, ..."""
+UNIT_TIME_OF_MODE = (at.M_A0, at.M_BX, at.M_BY, at.M_XIX, at.M_XIY)
+"""... and those of every mode."""
 LOOK_AHEAD = 2.0
 """How far a step looks, over the mean time between events."""
 DECAYED = 1e-22
@@ -45,7 +47,10 @@ def to_unit_time(ser, order, groups, step):
         for row in UNIT_TIME:
             ser[row, k] *= scale
         for h in range(groups):
-            ser[at.S_F + h, k] *= scale
+            ser[at.S_WEIGHT + h, k] *= scale
+        for m in range(groups + 1):
+            for row in UNIT_TIME_OF_MODE:
+                ser[at.MODES_AT + m * at.MODE_ROWS + row, k] *= scale
 
 
 @kernel
@@ -90,7 +95,7 @@ def prepare(surface, parcel, work, now, e, events):
     status = settled(surface, parcel, work, e, c, s)
     groups = ctl[at.N_GROUPS]
     if status == at.MOVING and groups > 0 and drifted(work.grp, groups, y, c, s, parcel.par[at.ON_SURFACE]):
-        onto_surfaces(work.grp, groups, y, c, s, work.matrix, work.reply, work.reply[3], work.f, work.scratch)
+        onto_surfaces(parcel, work, c, s)
         status = settled(surface, parcel, work, e, cos(y[at.THETA]), sin(y[at.THETA]))
     return status
 
@@ -115,15 +120,11 @@ def search(surface, parcel, work, order):
 
 @kernel
 def move(work, order, y, t, step):
-    """Take the state to unit time ``t``; keep accelerations and loads there, before any event, in ``work.before``."""
-    ser, before, seg = work.ser, work.before, work.seg
+    """Take the state to unit time ``t``; keep the accelerations there, before any event, in ``work.before``."""
+    ser, before = work.ser, work.before
     before[0] = slope(ser[at.S_UX], order, t) / step
     before[1] = slope(ser[at.S_UY], order, t) / step
     before[2] = slope(ser[at.S_OM], order, t) / step
-    before[3] = horner(ser[at.S_A0], order, t)
-    before[4] = horner(ser[at.S_BX_], order, t)
-    before[5] = horner(ser[at.S_BY_], order, t)
-    before[6], before[7] = y[0] + seg[at.CX], y[1] + seg[at.CY]
     sample(ser, order, y, t, work.state)
     for k in range(6):
         y[k] = work.state[k]
@@ -188,22 +189,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         stuck = instant >= crowd
         hurried = changed and 2 * used > budget
         ahead = span - now if stuck or hurried else min(span - now, LOOK_AHEAD * par[at.GAP])
-        order, step = taylor(
-            work.seg,
-            work.grp,
-            ctl,
-            y,
-            par,
-            e,
-            cos(y[at.THETA]),
-            sin(y[at.THETA]),
-            ahead,
-            work.matrix,
-            work.reply,
-            work.f,
-            work.scratch,
-            ser,
-        )
+        order, step = taylor(parcel, work, e, cos(y[at.THETA]), sin(y[at.THETA]), ahead)
         ctl[at.N_STEPS] += 1
         calm, slow = dwell(ser, y, par)
         to_unit_time(ser, order, ctl[at.N_GROUPS], step)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from plant.kernels import layout as at
-from plant.kernels.capture import edge_of
+from plant.kernels.capture import edge_of, slot_of
 from plant.kernels.jit import kernel
-from plant.kernels.loads import drop, release
+from plant.kernels.modes import drop, release, release_inside
 
 
 @kernel
@@ -18,12 +18,13 @@ def log(events, ctl, time, kind, cell, edge):
 
 
 @kernel
-def slot_of(mem, ctl, cell):
-    """Where a cell stands among the members, or -1."""
-    for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.CELL] == cell:
-            return i
-    return -1
+def enter(mem, ctl, cell):
+    """Add a cell that carries load in every mode, until ``settle`` says otherwise."""
+    slot = ctl[at.N_MEMBERS]
+    ctl[at.N_MEMBERS] += 1
+    mem[slot, at.CELL], mem[slot, at.SIDE] = cell, 0
+    for m in range(at.MODES):
+        mem[slot, at.MARK + m] = at.ACTIVE
 
 
 @kernel
@@ -33,14 +34,7 @@ def apply(surface, parcel, work, count, together, time, events, c, s):
     The cells that crossed the footprint's edge are counted in ``ctl`` and left in ``work.cells``, with their edges in
     ``work.edges`` and +1 (entered) or -1 (left) in ``work.signs``.
     """
-    found, cells, edges, mem, share, ctl = (
-        work.found,
-        work.cells,
-        work.edges,
-        parcel.mem,
-        parcel.share,
-        parcel.ctl,
-    )
+    found, cells, edges, mem, ctl = work.found, work.cells, work.edges, parcel.mem, parcel.ctl
     crossed = at.ZERO
     for i in range(count):
         kind, cell = int(found[i, at.EV_KIND]), int(found[i, at.EV_CELL])
@@ -50,24 +44,23 @@ def apply(surface, parcel, work, count, together, time, events, c, s):
         if found[i, at.EV_TIME] > together and distance > parcel.par[at.ON_SURFACE]:
             continue
         slot = slot_of(mem, ctl, cell)
+        captured = slot >= 0 and mem[slot, at.SIDE] != 0
         if kind == at.ENTER and slot < 0:
-            slot = ctl[at.N_MEMBERS]
-            ctl[at.N_MEMBERS] += 1
-            mem[slot, at.CELL], mem[slot, at.MARK] = cell, at.ACTIVE
-            share[slot, at.SHARE] = share[slot, at.BASE] = 0.0
-        elif kind == at.LEAVE and slot >= 0 and mem[slot, at.MARK] != at.CAPTURED:
-            drop(mem, share, ctl, slot)
-        elif kind == at.UNLOAD and slot >= 0:
-            mem[slot, at.MARK] = at.LIFTED
-        elif kind == at.TOUCH and slot >= 0:
-            mem[slot, at.MARK] = at.ACTIVE
-        elif (
-            kind in (at.FRACTION_ZERO, at.FRACTION_ONE, at.CORNER)
-            and slot >= 0
-            and mem[slot, at.MARK] == at.CAPTURED
-        ):
-            release(mem, share, ctl, mem[slot, at.GROUP], kind == at.FRACTION_ONE)
+            enter(mem, ctl, cell)
+        elif kind == at.LEAVE and slot >= 0 and not captured:
+            drop(mem, ctl, slot)
+        elif kind in (at.UNLOAD, at.TOUCH) and slot >= 0:
+            # the last entry says in which mode
+            mem[slot, at.MARK + int(found[i, at.EV_EDGE])] = at.LIFTED if kind == at.UNLOAD else at.ACTIVE
+        elif kind in (at.WEIGHT_GONE, at.WEIGHT_WHOLE) and captured:
+            release(mem, ctl, mem[slot, at.GROUP], kind == at.WEIGHT_WHOLE)
             ctl[at.N_CAPTURES] += 1
+        elif kind == at.CORNER and captured:
+            release_inside(mem, ctl, mem[slot, at.GROUP])
+            ctl[at.N_CAPTURES] += 1
+            slot = slot_of(mem, ctl, cell)
+            if slot >= 0:
+                drop(mem, ctl, slot)
         else:
             continue
         log(events, ctl, time, kind, cell, int(found[i, at.EV_EDGE]))

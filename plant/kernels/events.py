@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.loads import FRACTION_ZERO, LOAD_ZERO
+from plant.kernels.loads import LOAD_ZERO
+from plant.kernels.modes import WEIGHT_ZERO
 from plant.kernels.roots import NONE, deflate, first_crossing, horner
 
 SLACK = 1e-6
@@ -161,7 +162,7 @@ def leaving(surface, parcel, work, order, centre, lever, end, count):
         px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
         curve = (centre + lever * (px * px + py * py) ** 0.5) * 1.000001
         for edge in range(offset.shape[0]):
-            if mem[i, at.MARK] == at.CAPTURED and mem[i, at.EDGE] == edge:
+            if mem[i, at.SIDE] != 0 and mem[i, at.EDGE] == edge:
                 continue
             value, rate = tangent(ser, normal[edge, 0], normal[edge, 1], offset[edge], px, py)
             if value + min(0.0, rate * end) - curve * end * end > zero:
@@ -169,7 +170,7 @@ def leaving(surface, parcel, work, order, centre, lever, end, count):
             edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
             t = crossing(g, order, zero, end, p)
             if t <= end:
-                kind = at.CORNER if mem[i, at.MARK] == at.CAPTURED else at.LEAVE
+                kind = at.CORNER if mem[i, at.SIDE] != 0 else at.LEAVE
                 count = note(found, count, t, kind, cell, edge)
                 end = min(end, t + SLACK)
     return count, end
@@ -222,69 +223,121 @@ def entering(surface, parcel, work, order, centre, lever, end, count):
 
 @kernel
 def loading(surface, parcel, work, order, end, count):
-    """Loads that vanish, lifted cells that touch again, fractions that reach 0 or 1, a line of supports left.
-
-    A load must pass zero by twice what ``settled`` calls rounding, either way: one that hovers about zero, like that
-    of a parcel come to rest, changes nothing.
-    """
-    pos, mem, share, ctl, y, par = surface.pos, parcel.mem, parcel.share, parcel.ctl, parcel.y, parcel.par
-    seg, ser, found, g, p = work.seg, work.ser, work.found, work.g, work.p
-    if ser[at.S_A0, 0] <= 0.0:
-        return count, end
-    zero = LOAD_ZERO * ser[at.S_A0, 0]
-    swing0, swing = 0.0, 0.0
-    for k in range(1, order + 1):
-        swing0 += abs(ser[at.S_A0, k])
-        swing += abs(ser[at.S_BX_, k]) + abs(ser[at.S_BY_, k])
-    for i in range(ctl[at.N_MEMBERS]):
-        cell, mark = mem[i, at.CELL], mem[i, at.MARK]
-        if mark == at.CAPTURED:
-            continue
-        rx, ry = pos[cell, 0] - y[0] - seg[at.CX], pos[cell, 1] - y[1] - seg[at.CY]
-        now = ser[at.S_A0, 0] + ser[at.S_BX_, 0] * rx + ser[at.S_BY_, 0] * ry
-        bound = (swing0 + swing * (rx * rx + ry * ry) ** 0.5) * end * 1.000001 + 2.0 * zero
-        if abs(now) > bound:
-            continue
-        if mark == at.LIFTED and seg[at.RANK] < 2:
-            continue
-        for k in range(order + 1):
-            g[k] = ser[at.S_A0, k] + ser[at.S_BX_, k] * rx + ser[at.S_BY_, k] * ry
-        if mark == at.LIFTED:
-            negate(g, order)
-        g[0] += 2.0 * zero
-        t = crossing(g, order, 0.0, end, p)
-        if t <= end:
-            count = note(found, count, t, at.UNLOAD if mark == at.ACTIVE else at.TOUCH, cell, at.ZERO)
-            end = min(end, t + SLACK)
-    if ctl[at.N_GROUPS] > 0:
-        count, end = fractions(pos, mem, share, ctl, y, seg, ser, order, end, found, count, g, p)
-    if seg[at.RANK] < 2:
-        count, end = off_line(seg, par, ser, order, end, found, count, g, p)
+    """Loads that vanish, lifted cells that touch again, weights that reach 0 or 1, a line of supports left."""
+    groups = parcel.ctl[at.N_GROUPS]
+    for m in range(groups + 1):
+        count, end = load_changes(surface, parcel, work, order, end, count, m)
+    if groups > 0:
+        count, end = weights(surface, parcel, work, order, end, count)
+    if work.segs[0, at.RANK] < 2:
+        count, end = off_line(work.segs[0], parcel.par, work.ser, order, end, work.found, count, work.g, work.p)
     return count, end
 
 
 @kernel
-def fractions(pos, mem, share, ctl, y, seg, ser, order, end, found, count, g, p):
-    """Captured cells whose load reaches nothing or all of it: their group's fraction reaches 0 or 1.
+def load_changes(surface, parcel, work, order, end, count, m):
+    """Loads that vanish, and lifted cells that touch again, in mode m.
 
-    They must pass it by more than a capture allows, or a fraction at its end would be captured and released in turn.
+    A load must pass zero by twice what ``settle`` calls rounding, either way: one that hovers about zero, like that
+    of a parcel come to rest, changes nothing.
     """
-    zero = FRACTION_ZERO * ser[at.S_A0, 0]
-    for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] != at.CAPTURED:
+    pos, mem, y, seg = surface.pos, parcel.mem, parcel.y, work.segs[m]
+    ser, g = work.ser, work.g
+    o = at.MODES_AT + m * at.MODE_ROWS
+    a0, bx, by = o + at.M_A0, o + at.M_BX, o + at.M_BY
+    zero = LOAD_ZERO * ser[a0, 0]
+    swing = 0.0
+    for k in range(1, order + 1):
+        swing += abs(ser[bx, k]) + abs(ser[by, k])
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        cell, mark = mem[i, at.CELL], mem[i, at.MARK + m]
+        if mark == at.ABSENT or (mark == at.LIFTED and seg[at.RANK] < 2):
             continue
-        cell, h, s = mem[i, at.CELL], mem[i, at.GROUP], share[i, at.SHARE]
         rx, ry = pos[cell, 0] - y[0] - seg[at.CX], pos[cell, 1] - y[1] - seg[at.CY]
-        for full in range(2):
-            for k in range(order + 1):
-                g[k] = s * ser[at.S_F + h, k]
-                if full == 1:
-                    g[k] = ser[at.S_A0, k] + ser[at.S_BX_, k] * rx + ser[at.S_BY_, k] * ry - g[k]
-            g[0] += (share[i, at.BASE] if full == 0 else -share[i, at.BASE]) + zero
-            t = crossing(g, order, 0.0, end, p)
+        now = ser[a0, 0] + ser[bx, 0] * rx + ser[by, 0] * ry
+        bound = swing * (rx * rx + ry * ry) ** 0.5 * end * 1.000001 + 2.0 * zero
+        if abs(now) > bound:
+            continue
+        for k in range(order + 1):
+            g[k] = ser[a0, k] + ser[bx, k] * rx + ser[by, k] * ry
+        if mark == at.LIFTED:
+            negate(g, order)
+        g[0] += 2.0 * zero
+        t = crossing(g, order, 0.0, end, work.p)
+        if t <= end:
+            count = note(work.found, count, t, at.UNLOAD if mark == at.ACTIVE else at.TOUCH, cell, m)
+            end = min(end, t + SLACK)
+    return count, end
+
+
+@kernel
+def weight_coefficient(ser, groups, m, k):
+    """Coefficient k of how much of the motion is that of mode m."""
+    if m > 0:
+        return ser[at.S_WEIGHT + m - 1, k]
+    first = 1.0 if k == 0 else 0.0
+    for h in range(groups):
+        first -= ser[at.S_WEIGHT + h, k]
+    return first
+
+
+@kernel
+def near_series(surface, parcel, work, group, order, g, q):
+    """Series of ``modes.near_share`` into ``g``; ``q`` is work space."""
+    ser, groups = work.ser, parcel.ctl[at.N_GROUPS]
+    if groups == 1:
+        for k in range(order + 1):
+            g[k] = weight_coefficient(ser, groups, 0, k)
+        return
+    for k in range(order + 1):
+        g[k] = 0.0
+    for m in range(groups + 1):
+        if m == group + 1:
+            continue
+        o, seg = at.MODES_AT + m * at.MODE_ROWS, work.segs[m]
+        count, rx, ry = 0.0, 0.0, 0.0
+        for i in range(parcel.ctl[at.N_MEMBERS]):
+            if parcel.mem[i, at.SIDE] != 0 and parcel.mem[i, at.GROUP] == group:
+                cell = parcel.mem[i, at.CELL]
+                count += 1.0
+                rx += surface.pos[cell, 0] - parcel.y[0] - seg[at.CX]
+                ry += surface.pos[cell, 1] - parcel.y[1] - seg[at.CY]
+        for k in range(order + 1):
+            q[k] = count * ser[o + at.M_A0, k] + rx * ser[o + at.M_BX, k] + ry * ser[o + at.M_BY, k]
+            q[k] *= work.segs[0, at.N_ACTIVE]
+        for k in range(order + 1):
+            for j in range(k + 1):
+                g[k] += weight_coefficient(ser, groups, m, j) * q[k - j]
+
+
+@kernel
+def first_cell(parcel, group):
+    """A cell of a captured group."""
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        if parcel.mem[i, at.SIDE] != 0 and parcel.mem[i, at.GROUP] == group:
+            return parcel.mem[i, at.CELL]
+    return at.NO_CELL
+
+
+@kernel
+def weights(surface, parcel, work, order, end, count):
+    """Captured groups one of whose sides takes no more part in the motion: their weight reaches 0 or 1.
+
+    They must pass it by more than a capture allows, or a weight at its end would be captured and released in turn.
+    """
+    g, found = work.g, work.found
+    for h in range(parcel.ctl[at.N_GROUPS]):
+        for far in range(2):
+            if far == 1:
+                near_series(surface, parcel, work, h, order, g, work.q)
+            else:
+                for k in range(order + 1):
+                    g[k] = work.ser[at.S_WEIGHT + h, k]
+            g[0] += WEIGHT_ZERO
+            t = crossing(g, order, 0.0, end, work.p)
             if t <= end:
-                complete = (full == 1) == (s > 0.0)
-                count = note(found, count, t, at.FRACTION_ONE if complete else at.FRACTION_ZERO, cell, h)
+                kind = at.WEIGHT_WHOLE if far == 1 else at.WEIGHT_GONE
+                count = note(found, count, t, kind, first_cell(parcel, h), h)
                 end = min(end, t + SLACK)
     return count, end
 
@@ -301,7 +354,7 @@ def off_line(seg, par, ser, order, end, found, count, g, p):
             lx, ly = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
         for sign in (1.0, -1.0):
             for k in range(order + 1):
-                g[k] = -sign * (lx * ser[at.S_XIX, k] + ly * ser[at.S_XIY, k])
+                g[k] = -sign * (lx * ser[at.MODES_AT + at.M_XIX, k] + ly * ser[at.MODES_AT + at.M_XIY, k])
             g[0] += 2.0 * par[at.ON_LINE]
             t = crossing(g, order, 0.0, end, p)
             if t <= end:

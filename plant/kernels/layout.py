@@ -19,6 +19,9 @@ MAX_ORDER: Final = 22
 """Highest Taylor order of a step."""
 MAX_GROUPS: Final = 3
 """A rigid parcel has three freedoms, so at most three independent sliding surfaces."""
+MODES: Final = MAX_GROUPS + 1
+"""Support sets whose motions mix: mode 0 has every captured group on its near side, mode h + 1 group h on its far
+side and the others on their near sides. Without captured groups mode 0 is all there is."""
 
 # ── par: float64 constants of one parcel on one surface
 KAPPA: Final = 0  # mu g, 1/s
@@ -39,13 +42,14 @@ PAR_SIZE: Final = 13
 # ── y: float64 state of one parcel
 X, Y, THETA, UX, UY, OMEGA = range(6)
 
-# ── mem: int64 (capacity, 4), the cells under the parcel; share: float64 (capacity, 2), loads of the captured ones
-# over the weight: share[i, BASE] + share[i, SHARE] f of its group (SHARE < 0 for a cell that unloads as f grows)
-SHARE, BASE = range(2)
-CELL, MARK, EDGE, GROUP = range(4)
+# ── mem: int64 (capacity, MEM_COLUMNS), the cells under the parcel or on its edge
+CELL, EDGE, GROUP, SIDE, MARK = range(5)
+"""``MARK + m`` is the cell's mark in mode m. ``SIDE`` is 0 where the cell isn't captured; a captured one sits on ``EDGE``
+and is under the parcel on the far side of ``GROUP``'s surface (1) or on its near side (-1)."""
+MEM_COLUMNS: Final = MARK + MODES
 ACTIVE: Final = 0  # carries load
 LIFTED: Final = 1  # under the parcel, but the plane of the springs is above it
-CAPTURED: Final = 2  # sits on the edge and carries a fraction (sliding mode)
+ABSENT: Final = 2  # captured, and in this mode not under the parcel
 
 # ── ctl: int64 counters and flags of one parcel
 N_MEMBERS, N_GROUPS, STATUS, N_EVENTS, N_STEPS, TIP_A, TIP_B, N_LOGGED, N_CAPTURES = range(9)
@@ -72,49 +76,40 @@ K0X, K0Y, K1XX, K1XY, K1YX, K1YY, T0, T1X, T1Y = range(9)
 DRIVEN: Final = 36  # 1 where every wheel under the parcel is driven
 SEG_SIZE: Final = 37
 
-# ── grp: float64 (MAX_GROUPS + 1, .), what a unit load on a captured group adds
-S_RX, S_RY, S_W, S_WRX, S_WRY, S_WRR, S_VX, S_VY, S_RV, S_BX, S_BY, S_RB = range(12)
-# its surface: sigma = B + A_C cos + A_S sin + A_1 E1 + A_2 E2, see series.taylor
-B, A_C, A_S, A_1, A_2 = range(12, 17)
-S_SUM: Final = 17
-GRP_SIZE: Final = 18
-FIXED: Final = MAX_GROUPS
-"""Row of the loads that captured cells carry whatever their group's fraction."""
+# ── grp: float64 (MAX_GROUPS, .), a group's surface: sigma = B + A_C cos + A_S sin + A_1 E1 + A_2 E2, see series.taylor
+B, A_C, A_S, A_1, A_2, N_CELLS = range(6)
+GRP_SIZE: Final = 6
 
-# ── ser: float64 (rows, MAX_ORDER + 4), Taylor coefficients
+# ── ser: float64 (rows, MAX_ORDER + 4), Taylor coefficients: what all modes share ...
+S_X, S_Y, S_TH, S_UX, S_UY, S_OM, S_C, S_S, S_E1, S_E2, S_EXP, S_WEIGHT = range(12)
+"""``S_WEIGHT + h`` is how much of the motion is that of mode h + 1."""
+# ... and, from row MODES_AT + m * MODE_ROWS on, what belongs to mode m
+MODES_AT: Final = S_WEIGHT + MAX_GROUPS
 (
-    S_X,
-    S_Y,
-    S_TH,
-    S_UX,
-    S_UY,
-    S_OM,
-    S_C,
-    S_S,
-    S_E1,
-    S_E2,
-    S_A0,
-    S_BX_,
-    S_BY_,
-    S_DX,
-    S_DY,
-    S_T,
-    S_XIX,
-    S_XIY,
-    S_CC,
-    S_EXP,
-    S_DBX,
-    S_DBY,
-    S_TB,
-    S_S0,
-    S_BBX,
-    S_BBY,
-    S_S1X,
-    S_S1Y,
-    S_C2,
-    S_F,
-) = range(30)
-SER_ROWS: Final = 29 + MAX_GROUPS
+    M_A0,
+    M_BX,
+    M_BY,
+    M_XIX,
+    M_XIY,
+    M_DX,
+    M_DY,
+    M_T,
+    M_CC,
+    M_DBX,
+    M_DBY,
+    M_TB,
+    M_S0,
+    M_BBX,
+    M_BBY,
+    M_S1X,
+    M_S1Y,
+    M_C2,
+    M_AX,
+    M_AY,
+    M_AL,
+) = range(21)
+MODE_ROWS: Final = 21
+SER_ROWS: Final = MODES_AT + MODES * MODE_ROWS
 SER_COLUMNS: Final = MAX_ORDER + 4
 
 # ── found and logged events: float64 (., 4)
@@ -123,8 +118,8 @@ ENTER: Final = 0
 LEAVE: Final = 1
 UNLOAD: Final = 2
 TOUCH: Final = 3
-FRACTION_ZERO: Final = 4
-FRACTION_ONE: Final = 5
+WEIGHT_GONE: Final = 4
+WEIGHT_WHOLE: Final = 5
 CORNER: Final = 6
 LINE: Final = 7
 CAPTURE_BEGINS: Final = 8

@@ -1,8 +1,8 @@
 """Constants of one support set: centroid, the plane of the springs, moments of load and wheel velocity.
 
-Loads are affine in the load centre (eqs. 3-13): ``N_i / W = a + b . (p_i - c)`` with ``a = (1 - sum f) / n`` and
-``b = (sum r r')^-1 (X - c - sum f r)``, where f are the loads of captured cells. Force and torque on the parcel
-are therefore linear in (a, b, f), with the moments below as coefficients (eqs. 16-23 with loads kept general).
+Loads are affine in the load centre (eqs. 3-13): ``N_i / W = a + b . (p_i - c)`` with ``a = 1 / n`` and
+``b = (sum r r')^-1 (X - c)``. Force and torque on the parcel are therefore linear in (a, b), with the moments below as
+coefficients (eqs. 16-23 with loads kept general).
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from plant.kernels.jit import kernel
 
 
 @kernel
-def centre_and_plane(pos, mem, ctl, y, par, seg):
+def centre_and_plane(pos, mem, ctl, y, par, seg, mark):
     """Number, centroid and inverse second moment of the active supports, with its rank."""
     count = at.ZERO
     cx, cy = 0.0, 0.0
     for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] == at.ACTIVE:
+        if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
             count += 1
             cx += pos[cell, 0] - y[0]
@@ -31,7 +31,7 @@ def centre_and_plane(pos, mem, ctl, y, par, seg):
     seg[at.CX], seg[at.CY] = cx, cy
     xx, xy, yy = 0.0, 0.0, 0.0
     for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] == at.ACTIVE:
+        if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
             rx = pos[cell, 0] - y[0] - cx
             ry = pos[cell, 1] - y[1] - cy
@@ -69,12 +69,12 @@ def invert_symmetric(xx, xy, yy, count, on_line, seg):
 
 
 @kernel
-def wheel_moments(pos, velocity, grip, mem, ctl, y, seg, base):
+def wheel_moments(pos, velocity, grip, mem, ctl, y, seg, mark, base):
     """Moments of the driven wheels' velocity over the active supports, into ``seg[base:base + 9]``."""
     for k in range(9):
         seg[base + k] = 0.0
     for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] == at.ACTIVE:
+        if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
             w = grip[cell]
             vx, vy = w * velocity[cell, 0], w * velocity[cell, 1]
@@ -93,7 +93,7 @@ def wheel_moments(pos, velocity, grip, mem, ctl, y, seg, base):
 
 
 @kernel
-def load_moments(pos, grip, mem, ctl, y, seg):
+def load_moments(pos, grip, mem, ctl, y, seg, mark):
     """Moments of the driven wheels themselves; where every wheel is driven several vanish exactly."""
     for k in range(at.W0, at.G1Y + 1):
         seg[k] = 0.0
@@ -103,7 +103,7 @@ def load_moments(pos, grip, mem, ctl, y, seg):
         w = grip[cell]
         if w != 1.0:
             seg[at.DRIVEN] = 0.0
-        if mem[i, at.MARK] == at.ACTIVE:
+        if mem[i, mark] == at.ACTIVE:
             rx = pos[cell, 0] - y[0] - seg[at.CX]
             ry = pos[cell, 1] - y[1] - seg[at.CY]
             square = rx * rx + ry * ry
@@ -119,48 +119,11 @@ def load_moments(pos, grip, mem, ctl, y, seg):
 
 
 @kernel
-def add_load(g, load, w, vx, vy, bx, by, rx, ry):
-    """Add what a load at (rx, ry), on a wheel of grip ``w``, contributes to a group's moments."""
-    g[at.S_SUM] += load
-    g[at.S_RX] += load * rx
-    g[at.S_RY] += load * ry
-    pull = load * w
-    g[at.S_W] += pull
-    g[at.S_WRX] += pull * rx
-    g[at.S_WRY] += pull * ry
-    g[at.S_WRR] += pull * (rx * rx + ry * ry)
-    g[at.S_VX] += pull * vx
-    g[at.S_VY] += pull * vy
-    g[at.S_RV] += pull * (rx * vy - ry * vx)
-    g[at.S_BX] += pull * bx
-    g[at.S_BY] += pull * by
-    g[at.S_RB] += pull * (rx * by - ry * bx)
-
-
-@kernel
-def group_moments(pos, steady, decay, grip, mem, share, ctl, y, seg, grp):
-    """What a unit load on each captured group contributes, and what its cells carry whatever its fraction."""
-    for h in range(at.MAX_GROUPS + 1):
-        for k in range(at.GRP_SIZE):
-            grp[h, k] = 0.0
-    for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] != at.CAPTURED:
-            continue
-        cell = mem[i, at.CELL]
-        rx = pos[cell, 0] - y[0] - seg[at.CX]
-        ry = pos[cell, 1] - y[1] - seg[at.CY]
-        w, vx, vy, bx, by = grip[cell], steady[cell, 0], steady[cell, 1], decay[cell, 0], decay[cell, 1]
-        add_load(grp[mem[i, at.GROUP]], share[i, at.SHARE], w, vx, vy, bx, by, rx, ry)
-        add_load(grp[at.FIXED], share[i, at.BASE], w, vx, vy, bx, by, rx, ry)
-
-
-@kernel
-def segment(pos, steady, decay, grip, mem, share, ctl, y, par, seg, grp):
-    """All constants of the present support set."""
-    centre_and_plane(pos, mem, ctl, y, par, seg)
-    load_moments(pos, grip, mem, ctl, y, seg)
-    wheel_moments(pos, steady, grip, mem, ctl, y, seg, at.STEADY)
+def segment(surface, parcel, seg, mark):
+    """All constants of the support set whose marks are in column ``mark`` of ``parcel.mem``."""
+    pos, grip, mem, ctl, y, par = surface.pos, surface.grip, parcel.mem, parcel.ctl, parcel.y, parcel.par
+    centre_and_plane(pos, mem, ctl, y, par, seg, mark)
+    load_moments(pos, grip, mem, ctl, y, seg, mark)
+    wheel_moments(pos, surface.steady, grip, mem, ctl, y, seg, mark, at.STEADY)
     if par[at.RATE] > 0.0:
-        wheel_moments(pos, decay, grip, mem, ctl, y, seg, at.DECAY)
-    if ctl[at.N_GROUPS] > 0:
-        group_moments(pos, steady, decay, grip, mem, share, ctl, y, seg, grp)
+        wheel_moments(pos, surface.decay, grip, mem, ctl, y, seg, mark, at.DECAY)

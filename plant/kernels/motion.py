@@ -1,4 +1,4 @@
-"""Accelerations of a parcel at one instant, and the loads of captured cells that keep their surfaces still."""
+"""Accelerations of a parcel at one instant, and the mixture of modes that keeps captured surfaces still."""
 
 from __future__ import annotations
 
@@ -7,11 +7,19 @@ from plant.kernels.jit import kernel
 
 
 @kernel
-def traction(seg, a0, bx, by, e, y, kappa, kappa_inertia):
-    """Acceleration from the active supports' loads ``a0 + b . r`` (eqs. 16-17, 21-22 with loads kept general).
+def plane(seg):
+    """The springs' plane now (eqs. 3-13): load share ``a0 + b . r`` of a cell at r from the centroid."""
+    mx, my = -seg[at.CX], -seg[at.CY]
+    return 1.0 / seg[at.N_ACTIVE], seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
+
+
+@kernel
+def traction(seg, e, y, par):
+    """Acceleration that one support set's loads give (eqs. 16-17, 21-22 with loads kept general).
 
     ``e`` is the motors' decay factor now. Returns (ax, ay, alpha).
     """
+    a0, bx, by = plane(seg)
     s, d = at.STEADY, at.DECAY
     dx = a0 * (seg[s + at.K0X] + e * seg[d + at.K0X]) + bx * (seg[s + at.K1XX] + e * seg[d + at.K1XX])
     dx += by * (seg[s + at.K1XY] + e * seg[d + at.K1XY])
@@ -23,51 +31,43 @@ def traction(seg, a0, bx, by, e, y, kappa, kappa_inertia):
     s1x = a0 * seg[at.W1X] + bx * seg[at.W2XX] + by * seg[at.W2XY]
     s1y = a0 * seg[at.W1Y] + bx * seg[at.W2XY] + by * seg[at.W2YY]
     c2 = a0 * seg[at.G0] + bx * seg[at.G1X] + by * seg[at.G1Y]
-    return combine(dx, dy, turn, s0, s1x, s1y, c2, -seg[at.CX], -seg[at.CY], y, kappa, kappa_inertia)
-
-
-@kernel
-def combine(dx, dy, turn, s0, s1x, s1y, c2, xix, xiy, y, kappa, kappa_inertia):
-    """Force and torque per unit from the moments: ``D - S0 U - omega J B`` and ``T - xi x D - B x U - omega C``."""
+    xix, xiy = -seg[at.CX], -seg[at.CY]
     bx, by = s1x - s0 * xix, s1y - s0 * xiy
     c = c2 - 2.0 * (xix * s1x + xiy * s1y) + (xix * xix + xiy * xiy) * s0
+    kappa = par[at.KAPPA]
     ax = kappa * (dx - s0 * y[at.UX] + y[at.OMEGA] * by)
     ay = kappa * (dy - s0 * y[at.UY] - y[at.OMEGA] * bx)
     torque = turn - (xix * dy - xiy * dx) - (bx * y[at.UY] - by * y[at.UX]) - y[at.OMEGA] * c
-    return ax, ay, kappa_inertia * torque
+    return ax, ay, kappa * par[at.MASS_OVER_INERTIA] * torque
 
 
 @kernel
-def response(seg, g, e, y, kappa, kappa_inertia):
-    """Acceleration that one unit of load on a captured group adds (the active supports give way to it)."""
-    da = -g[at.S_SUM] / seg[at.N_ACTIVE]
-    dbx = -(seg[at.PXX] * g[at.S_RX] + seg[at.PXY] * g[at.S_RY])
-    dby = -(seg[at.PXY] * g[at.S_RX] + seg[at.PYY] * g[at.S_RY])
-    ax, ay, al = traction(seg, da, dbx, dby, e, y, kappa, kappa_inertia)
-    vx, vy, turn = g[at.S_VX] + e * g[at.S_BX], g[at.S_VY] + e * g[at.S_BY], g[at.S_RV] + e * g[at.S_RB]
-    s0, s1x, s1y, c2 = g[at.S_W], g[at.S_WRX], g[at.S_WRY], g[at.S_WRR]
-    bx, by, bl = combine(vx, vy, turn, s0, s1x, s1y, c2, -seg[at.CX], -seg[at.CY], y, kappa, kappa_inertia)
-    return ax + bx, ay + by, al + bl
-
-
-@kernel
-def surfaces(pos, normal, offset, mem, share, ctl, y, grp):
+def surfaces(surface, parcel, grp):
     """Coefficients of each group's surface ``sigma = B + A_C cos + A_S sin + A_1 E1 + A_2 E2``.
 
-    ``sigma`` is the (share-weighted mean) distance of the group's cells inside their edges, ``E1 = cos Yx + sin Yy``,
-    ``E2 = -sin Yx + cos Yy``, ``Y = X - X0``.
+    ``sigma`` is positive on the far side: the mean distance of the group's cells inside their edges, counted the other
+    way for those that are under the parcel on the near side. ``E1 = cos Yx + sin Yy``, ``E2 = -sin Yx + cos Yy``,
+    ``Y = X - X0``.
     """
+    mem, ctl, y = parcel.mem, parcel.ctl, parcel.y
+    for h in range(ctl[at.N_GROUPS]):
+        for k in range(at.GRP_SIZE):
+            grp[h, k] = 0.0
     for i in range(ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] != at.CAPTURED:
-            continue
-        h, cell, edge, s = mem[i, at.GROUP], mem[i, at.CELL], mem[i, at.EDGE], share[i, at.SHARE]
-        px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
-        nx, ny = normal[edge, 0], normal[edge, 1]
-        grp[h, at.B] += s * offset[edge]
-        grp[h, at.A_C] -= s * (nx * px + ny * py)
-        grp[h, at.A_S] -= s * (nx * py - ny * px)
-        grp[h, at.A_1] += s * nx
-        grp[h, at.A_2] += s * ny
+        side = mem[i, at.SIDE]
+        if side != 0:
+            h, cell, edge = mem[i, at.GROUP], mem[i, at.CELL], mem[i, at.EDGE]
+            px, py = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
+            nx, ny = parcel.normal[edge, 0], parcel.normal[edge, 1]
+            grp[h, at.B] += side * parcel.offset[edge]
+            grp[h, at.A_C] -= side * (nx * px + ny * py)
+            grp[h, at.A_S] -= side * (nx * py - ny * px)
+            grp[h, at.A_1] += side * nx
+            grp[h, at.A_2] += side * ny
+            grp[h, at.N_CELLS] += 1.0
+    for h in range(ctl[at.N_GROUPS]):
+        for k in range(at.N_CELLS):
+            grp[h, k] /= grp[h, at.N_CELLS]
 
 
 @kernel
@@ -127,54 +127,52 @@ def solve(m, size, rhs, x, scratch):
 
 
 @kernel
-def accelerations(seg, grp, ctl, y, par, e, c, s, matrix, reply, f, scratch):
-    """Acceleration now, with the loads ``f`` of captured groups that keep each surface's second rate at zero.
+def accelerations(parcel, work, e, c, s):
+    """Acceleration now: the modes' own, mixed so that each captured surface's second rate is zero (Filippov).
 
-    Fills ``matrix[g, h]`` (second rate of surface g per unit load on h), ``reply[:3, h]`` (acceleration per unit load
-    on h) and ``f``. Returns (ax, ay, alpha, conditioning); conditioning is 1 without captured groups.
+    Fills ``work.reply[:3, h]`` (how mode h + 1 differs from mode 0), ``work.matrix[g, h]`` (the same as second rate of
+    surface g) and ``work.weight``. Returns (ax, ay, alpha, conditioning); conditioning is 1 without captured groups.
     """
-    kappa = par[at.KAPPA]
-    kappa_inertia = kappa * par[at.MASS_OVER_INERTIA]
-    a0, xix, xiy = 1.0 / seg[at.N_ACTIVE], -seg[at.CX], -seg[at.CY]
-    bx, by = seg[at.PXX] * xix + seg[at.PXY] * xiy, seg[at.PXY] * xix + seg[at.PYY] * xiy
-    ax, ay, al = traction(seg, a0, bx, by, e, y, kappa, kappa_inertia)
-    groups = ctl[at.N_GROUPS]
+    y, par, matrix, reply, weight = parcel.y, parcel.par, work.matrix, work.reply, work.weight
+    ax, ay, al = traction(work.segs[0], e, y, par)
+    groups = parcel.ctl[at.N_GROUPS]
     if groups == 0:
         return ax, ay, al, 1.0
-    bx, by, bl = response(seg, grp[at.FIXED], e, y, kappa, kappa_inertia)
-    ax, ay, al = ax + bx, ay + by, al + bl
     for h in range(groups):
-        reply[0, h], reply[1, h], reply[2, h] = response(seg, grp[h], e, y, kappa, kappa_inertia)
+        fx, fy, fl = traction(work.segs[h + 1], e, y, par)
+        reply[0, h], reply[1, h], reply[2, h] = fx - ax, fy - ay, fl - al
     for g in range(groups):
-        _, _, second = surface_rates(grp[g], y, c, s, ax, ay, al)
+        _, _, second = surface_rates(work.grp[g], y, c, s, ax, ay, al)
         reply[3, g] = -second
         for h in range(groups):
-            matrix[g, h] = surface_slope(grp[g], c, s, reply[0, h], reply[1, h], reply[2, h])
-    conditioning = solve(matrix, groups, reply[3], f, scratch)
+            matrix[g, h] = surface_slope(work.grp[g], c, s, reply[0, h], reply[1, h], reply[2, h])
+    conditioning = solve(matrix, groups, reply[3], weight, work.scratch)
     if conditioning > 0.0:
         for h in range(groups):
-            ax += f[h] * reply[0, h]
-            ay += f[h] * reply[1, h]
-            al += f[h] * reply[2, h]
+            ax += weight[h] * reply[0, h]
+            ay += weight[h] * reply[1, h]
+            al += weight[h] * reply[2, h]
     return ax, ay, al, conditioning
 
 
 @kernel
-def onto_surfaces(grp, groups, y, c, s, matrix, reply, rhs, change, scratch):
-    """Move state and velocity of a captured parcel back onto its surfaces, along the captured loads' own push."""
+def onto_surfaces(parcel, work, c, s):
+    """Move state and velocity of a captured parcel back onto its surfaces, along the push by which its modes differ."""
+    y, grp, matrix, reply, weight = parcel.y, work.grp, work.matrix, work.reply, work.weight
+    rhs, groups = reply[3], parcel.ctl[at.N_GROUPS]
     for g in range(groups):
         _, rate, _ = surface_rates(grp[g], y, c, s, 0.0, 0.0, 0.0)
         rhs[g] = -rate
-    solve(matrix, groups, rhs, change, scratch)
+    solve(matrix, groups, rhs, weight, work.scratch)
     for h in range(groups):
-        y[at.UX] += change[h] * reply[0, h]
-        y[at.UY] += change[h] * reply[1, h]
-        y[at.OMEGA] += change[h] * reply[2, h]
+        y[at.UX] += weight[h] * reply[0, h]
+        y[at.UY] += weight[h] * reply[1, h]
+        y[at.OMEGA] += weight[h] * reply[2, h]
     for g in range(groups):
         value, _, _ = surface_rates(grp[g], y, c, s, 0.0, 0.0, 0.0)
         rhs[g] = -value
-    solve(matrix, groups, rhs, change, scratch)
+    solve(matrix, groups, rhs, weight, work.scratch)
     for h in range(groups):
-        y[0] += change[h] * reply[0, h]
-        y[1] += change[h] * reply[1, h]
-        y[at.THETA] += change[h] * reply[2, h]
+        y[0] += weight[h] * reply[0, h]
+        y[1] += weight[h] * reply[1, h]
+        y[at.THETA] += weight[h] * reply[2, h]

@@ -2,7 +2,8 @@
 
 Between events every quantity is a product of series (``dynamics``: translation linear, rotation linear with
 polynomial coefficients, footprint through sine and cosine of the angle), so each coefficient follows from lower ones
-by Cauchy products. Loads of captured cells are series too, fixed order by order by the surfaces' second rates.
+by Cauchy products. Where chatter is captured, the weights of the modes that mix are series too, fixed order by order
+by the surfaces' second rates.
 """
 
 from __future__ import annotations
@@ -22,97 +23,83 @@ def product(ser, a, b, k):
 
 
 @kernel
-def captured_load(groups, h, ser, k):
-    """Coefficient k of the load on captured group h, and its row; after the last group the constant loads' own."""
-    if h < groups:
-        return ser[at.S_F + h, k], h
-    return (1.0 if groups > 0 and k == 0 else 0.0), at.FIXED
+def linear_terms(seg, motors, ser, o, k):
+    """Coefficient k of a mode's springs' plane ``a0 + b . r`` and of all that is linear in it: D, T, S0, S1, C2.
 
-
-@kernel
-def linear_terms(seg, grp, groups, motors, ser, k):
-    """Coefficient k of everything linear in the loads: D, T and, where wheels coast, S0, S1; and C2."""
-    a0, bx, by = ser[at.S_A0, k], ser[at.S_BX_, k], ser[at.S_BY_, k]
+    ``o`` is the first row of the mode in ``ser``.
+    """
+    mx, my = ser[o + at.M_XIX, k], ser[o + at.M_XIY, k]
+    a0 = 1.0 / seg[at.N_ACTIVE] if k == 0 else 0.0
+    bx, by = seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
+    ser[o + at.M_A0, k], ser[o + at.M_BX, k], ser[o + at.M_BY, k] = a0, bx, by
     s = at.STEADY
-    ser[at.S_DX, k] = a0 * seg[s + at.K0X] + bx * seg[s + at.K1XX] + by * seg[s + at.K1XY]
-    ser[at.S_DY, k] = a0 * seg[s + at.K0Y] + bx * seg[s + at.K1YX] + by * seg[s + at.K1YY]
-    ser[at.S_T, k] = a0 * seg[s + at.T0] + bx * seg[s + at.T1X] + by * seg[s + at.T1Y]
-    ser[at.S_S0, k] = a0 * seg[at.W0] + bx * seg[at.W1X] + by * seg[at.W1Y]
-    ser[at.S_S1X, k] = a0 * seg[at.W1X] + bx * seg[at.W2XX] + by * seg[at.W2XY]
-    ser[at.S_S1Y, k] = a0 * seg[at.W1Y] + bx * seg[at.W2XY] + by * seg[at.W2YY]
-    ser[at.S_C2, k] = a0 * seg[at.G0] + bx * seg[at.G1X] + by * seg[at.G1Y]
-    for h in range(groups + 1):
-        f, h = captured_load(groups, h, ser, k)
-        ser[at.S_DX, k] += f * grp[h, at.S_VX]
-        ser[at.S_DY, k] += f * grp[h, at.S_VY]
-        ser[at.S_T, k] += f * grp[h, at.S_RV]
-        ser[at.S_S0, k] += f * grp[h, at.S_W]
-        ser[at.S_S1X, k] += f * grp[h, at.S_WRX]
-        ser[at.S_S1Y, k] += f * grp[h, at.S_WRY]
-        ser[at.S_C2, k] += f * grp[h, at.S_WRR]
+    ser[o + at.M_DX, k] = a0 * seg[s + at.K0X] + bx * seg[s + at.K1XX] + by * seg[s + at.K1XY]
+    ser[o + at.M_DY, k] = a0 * seg[s + at.K0Y] + bx * seg[s + at.K1YX] + by * seg[s + at.K1YY]
+    ser[o + at.M_T, k] = a0 * seg[s + at.T0] + bx * seg[s + at.T1X] + by * seg[s + at.T1Y]
+    ser[o + at.M_S0, k] = a0 * seg[at.W0] + bx * seg[at.W1X] + by * seg[at.W1Y]
+    ser[o + at.M_S1X, k] = a0 * seg[at.W1X] + bx * seg[at.W2XX] + by * seg[at.W2XY]
+    ser[o + at.M_S1Y, k] = a0 * seg[at.W1Y] + bx * seg[at.W2XY] + by * seg[at.W2YY]
+    ser[o + at.M_C2, k] = a0 * seg[at.G0] + bx * seg[at.G1X] + by * seg[at.G1Y]
     if motors:
         d = at.DECAY
-        ser[at.S_DBX, k] = a0 * seg[d + at.K0X] + bx * seg[d + at.K1XX] + by * seg[d + at.K1XY]
-        ser[at.S_DBY, k] = a0 * seg[d + at.K0Y] + bx * seg[d + at.K1YX] + by * seg[d + at.K1YY]
-        ser[at.S_TB, k] = a0 * seg[d + at.T0] + bx * seg[d + at.T1X] + by * seg[d + at.T1Y]
-        for h in range(groups + 1):
-            f, h = captured_load(groups, h, ser, k)
-            ser[at.S_DBX, k] += f * grp[h, at.S_BX]
-            ser[at.S_DBY, k] += f * grp[h, at.S_BY]
-            ser[at.S_TB, k] += f * grp[h, at.S_RB]
-        ser[at.S_DX, k] += product(ser, at.S_EXP, at.S_DBX, k)
-        ser[at.S_DY, k] += product(ser, at.S_EXP, at.S_DBY, k)
-        ser[at.S_T, k] += product(ser, at.S_EXP, at.S_TB, k)
+        ser[o + at.M_DBX, k] = a0 * seg[d + at.K0X] + bx * seg[d + at.K1XX] + by * seg[d + at.K1XY]
+        ser[o + at.M_DBY, k] = a0 * seg[d + at.K0Y] + bx * seg[d + at.K1YX] + by * seg[d + at.K1YY]
+        ser[o + at.M_TB, k] = a0 * seg[d + at.T0] + bx * seg[d + at.T1X] + by * seg[d + at.T1Y]
+        ser[o + at.M_DX, k] += product(ser, at.S_EXP, o + at.M_DBX, k)
+        ser[o + at.M_DY, k] += product(ser, at.S_EXP, o + at.M_DBY, k)
+        ser[o + at.M_T, k] += product(ser, at.S_EXP, o + at.M_TB, k)
 
 
 @kernel
-def load_plane(seg, grp, groups, ser, k):
-    """Coefficient k of the plane ``a0 + b . r`` of the active supports' loads."""
-    mx, my = ser[at.S_XIX, k], ser[at.S_XIY, k]
-    total = 1.0 if k == 0 else 0.0
-    for h in range(groups + 1):
-        f, h = captured_load(groups, h, ser, k)
-        total -= f * grp[h, at.S_SUM]
-        mx -= f * grp[h, at.S_RX]
-        my -= f * grp[h, at.S_RY]
-    ser[at.S_A0, k] = total / seg[at.N_ACTIVE]
-    ser[at.S_BX_, k] = seg[at.PXX] * mx + seg[at.PXY] * my
-    ser[at.S_BY_, k] = seg[at.PXY] * mx + seg[at.PYY] * my
-
-
-@kernel
-def acceleration_terms(seg, par, ser, k):
-    """Coefficient k of (ax, ay, alpha)."""
+def acceleration_terms(seg, par, ser, o, k):
+    """Coefficient k of a mode's (ax, ay, alpha)."""
     kappa = par[at.KAPPA]
     moment_x = moment_y = xx = yy = 0.0
     for j in range(k + 1):
-        x, y = ser[at.S_XIX, j], ser[at.S_XIY, j]
-        moment_x += x * ser[at.S_DY, k - j]
-        moment_y += y * ser[at.S_DX, k - j]
-        xx += x * ser[at.S_XIX, k - j]
-        yy += y * ser[at.S_XIY, k - j]
-    torque = ser[at.S_T, k] - moment_x + moment_y
+        x, y = ser[o + at.M_XIX, j], ser[o + at.M_XIY, j]
+        moment_x += x * ser[o + at.M_DY, k - j]
+        moment_y += y * ser[o + at.M_DX, k - j]
+        xx += x * ser[o + at.M_XIX, k - j]
+        yy += y * ser[o + at.M_XIY, k - j]
+    torque = ser[o + at.M_T, k] - moment_x + moment_y
     square = xx + yy
     if seg[at.DRIVEN] == 1.0:
-        ser[at.S_CC, k] = ser[at.S_C2, k] - square
-        ax = kappa * (ser[at.S_DX, k] - ser[at.S_UX, k])
-        ay = kappa * (ser[at.S_DY, k] - ser[at.S_UY, k])
+        ser[o + at.M_CC, k] = ser[o + at.M_C2, k] - square
+        ax = kappa * (ser[o + at.M_DX, k] - ser[at.S_UX, k])
+        ay = kappa * (ser[o + at.M_DY, k] - ser[at.S_UY, k])
     else:
         # coasting wheels carry load but pull nothing: resistance no longer acts at the centre of mass
-        ser[at.S_BBX, k] = ser[at.S_S1X, k] - product(ser, at.S_S0, at.S_XIX, k)
-        ser[at.S_BBY, k] = ser[at.S_S1Y, k] - product(ser, at.S_S0, at.S_XIY, k)
-        cross = product(ser, at.S_XIX, at.S_S1X, k) + product(ser, at.S_XIY, at.S_S1Y, k)
-        cross += product(ser, at.S_XIX, at.S_BBX, k) + product(ser, at.S_XIY, at.S_BBY, k)
-        ser[at.S_CC, k] = ser[at.S_C2, k] - cross
-        ax = kappa * (
-            ser[at.S_DX, k] - product(ser, at.S_S0, at.S_UX, k) + product(ser, at.S_OM, at.S_BBY, k)
-        )
-        ay = kappa * (
-            ser[at.S_DY, k] - product(ser, at.S_S0, at.S_UY, k) - product(ser, at.S_OM, at.S_BBX, k)
-        )
-        torque -= product(ser, at.S_BBX, at.S_UY, k) - product(ser, at.S_BBY, at.S_UX, k)
-    torque -= product(ser, at.S_OM, at.S_CC, k)
-    return ax, ay, kappa * par[at.MASS_OVER_INERTIA] * torque
+        xix, xiy, s0, s1x, s1y = o + at.M_XIX, o + at.M_XIY, o + at.M_S0, o + at.M_S1X, o + at.M_S1Y
+        bbx, bby = o + at.M_BBX, o + at.M_BBY
+        ser[bbx, k] = ser[s1x, k] - product(ser, s0, xix, k)
+        ser[bby, k] = ser[s1y, k] - product(ser, s0, xiy, k)
+        cross = product(ser, xix, s1x, k) + product(ser, xiy, s1y, k)
+        cross += product(ser, xix, bbx, k) + product(ser, xiy, bby, k)
+        ser[o + at.M_CC, k] = ser[o + at.M_C2, k] - cross
+        pull_x = product(ser, s0, at.S_UX, k) - product(ser, at.S_OM, bby, k)
+        pull_y = product(ser, s0, at.S_UY, k) + product(ser, at.S_OM, bbx, k)
+        ax = kappa * (ser[o + at.M_DX, k] - pull_x)
+        ay = kappa * (ser[o + at.M_DY, k] - pull_y)
+        torque -= product(ser, bbx, at.S_UY, k) - product(ser, bby, at.S_UX, k)
+    torque -= product(ser, at.S_OM, o + at.M_CC, k)
+    al = kappa * par[at.MASS_OVER_INERTIA] * torque
+    ser[o + at.M_AX, k], ser[o + at.M_AY, k], ser[o + at.M_AL, k] = ax, ay, al
+    return ax, ay, al
+
+
+@kernel
+def mix(ser, groups, k):
+    """Coefficient k of the modes' mixed acceleration, with no weight of order k yet."""
+    first = at.MODES_AT
+    ax, ay, al = ser[first + at.M_AX, k], ser[first + at.M_AY, k], ser[first + at.M_AL, k]
+    for h in range(groups):
+        other = at.MODES_AT + (h + 1) * at.MODE_ROWS
+        for j in range(k):
+            w, i = ser[at.S_WEIGHT + h, j], k - j
+            ax += w * (ser[other + at.M_AX, i] - ser[first + at.M_AX, i])
+            ay += w * (ser[other + at.M_AY, i] - ser[first + at.M_AY, i])
+            al += w * (ser[other + at.M_AL, i] - ser[first + at.M_AL, i])
+    return ax, ay, al
 
 
 @kernel
@@ -138,11 +125,12 @@ def angle_terms(ser, k):
 
 
 @kernel
-def hold_surfaces(grp, groups, ser, k, ax, ay, al, matrix, reply, f, scratch):
-    """Loads of captured groups at order k that keep each surface's second rate at zero to that order.
+def hold_surfaces(work, groups, k, ax, ay, al):
+    """Weights at order k that keep each surface's second rate at zero to that order.
 
-    ``ax, ay, al`` are the accelerations with no load on the groups at this order. Returns them corrected.
+    ``ax, ay, al`` are the accelerations with no weight of this order. Returns them corrected.
     """
+    ser, grp, reply, weight = work.ser, work.grp, work.reply, work.weight
     up = (k + 1) * (k + 2)
     ser[at.S_X, k + 1], ser[at.S_Y, k + 1] = ser[at.S_UX, k] / (k + 1), ser[at.S_UY, k] / (k + 1)
     angle_terms(ser, k)
@@ -153,52 +141,66 @@ def hold_surfaces(grp, groups, ser, k, ax, ay, al, matrix, reply, f, scratch):
         second = grp[g, at.A_C] * ser[at.S_C, k + 2] + grp[g, at.A_S] * ser[at.S_S, k + 2]
         second += grp[g, at.A_1] * ser[at.S_E1, k + 2] + grp[g, at.A_2] * ser[at.S_E2, k + 2]
         reply[3, g] = -second * up
-    solve(matrix, groups, reply[3], f, scratch)
+    solve(work.matrix, groups, reply[3], weight, work.scratch)
     for h in range(groups):
-        ser[at.S_F + h, k] = f[h]
-        ax += f[h] * reply[0, h]
-        ay += f[h] * reply[1, h]
-        al += f[h] * reply[2, h]
+        ser[at.S_WEIGHT + h, k] = weight[h]
+        ax += weight[h] * reply[0, h]
+        ay += weight[h] * reply[1, h]
+        al += weight[h] * reply[2, h]
     return ax, ay, al
 
 
 @kernel
-def start(seg, groups, y, e, c, s, f, ser):
+def start(segs, groups, y, e, c, s, weight, ser):
     """Order 0 of every series."""
     ser[at.S_X, 0] = ser[at.S_Y, 0] = ser[at.S_TH, 0] = ser[at.S_E1, 0] = ser[at.S_E2, 0] = 0.0
     ser[at.S_UX, 0], ser[at.S_UY, 0], ser[at.S_OM, 0] = y[at.UX], y[at.UY], y[at.OMEGA]
     ser[at.S_C, 0], ser[at.S_S, 0] = c, s
-    ser[at.S_XIX, 0], ser[at.S_XIY, 0] = -seg[at.CX], -seg[at.CY]
     ser[at.S_EXP, 0] = e
+    for m in range(groups + 1):
+        o = at.MODES_AT + m * at.MODE_ROWS
+        ser[o + at.M_XIX, 0], ser[o + at.M_XIY, 0] = -segs[m, at.CX], -segs[m, at.CY]
     for h in range(groups):
-        ser[at.S_F + h, 0] = f[h]
+        ser[at.S_WEIGHT + h, 0] = weight[h]
 
 
 @kernel
-def taylor(seg, grp, ctl, y, par, e, c, s, tmax, matrix, reply, f, scratch, ser):
-    """Coefficients of the motion from now, to the order that ``tmax`` or the tolerance asks.
+def accelerate(parcel, work, motors, k):
+    """Coefficient k of the acceleration, that of every mode computed on the way."""
+    groups, ser = parcel.ctl[at.N_GROUPS], work.ser
+    for m in range(groups + 1):
+        o = at.MODES_AT + m * at.MODE_ROWS
+        linear_terms(work.segs[m], motors, ser, o, k)
+        ax, ay, al = acceleration_terms(work.segs[m], parcel.par, ser, o, k)
+    if groups > 0:
+        ax, ay, al = mix(ser, groups, k)
+        if k == 0:
+            for h in range(groups):
+                ax += work.weight[h] * work.reply[0, h]
+                ay += work.weight[h] * work.reply[1, h]
+                al += work.weight[h] * work.reply[2, h]
+        else:
+            ax, ay, al = hold_surfaces(work, groups, k, ax, ay, al)
+    return ax, ay, al
+
+
+@kernel
+def taylor(parcel, work, e, c, s, tmax):
+    """Coefficients of the motion from now into ``work.ser``, to the order that ``tmax`` or the tolerance asks.
 
     Returns (order, step): the order of the position series, and how far, up to ``tmax``, it holds.
     """
-    groups, rate = ctl[at.N_GROUPS], par[at.RATE]
+    par, ser = parcel.par, work.ser
+    groups, rate = parcel.ctl[at.N_GROUPS], par[at.RATE]
     motors = rate > 0.0 and e != 0.0
-    start(seg, groups, y, e, c, s, f, ser)
+    start(work.segs, groups, parcel.y, e, c, s, work.weight, ser)
     radius, memory = par[at.RADIUS], par[at.MEMORY]
     share = min(1.0, tmax / memory)
     wanted = max(par[at.TOLERANCE] * 1e-3 * max(share, 1e-2), 1e-18)
     power, before = 1.0, 1e300
     order, last, previous = at.MAX_ORDER, 0.0, 0.0
     for k in range(at.MAX_ORDER):
-        for h in range(groups):
-            if k > 0:
-                ser[at.S_F + h, k] = 0.0
-        load_plane(seg, grp, groups, ser, k)
-        linear_terms(seg, grp, groups, motors, ser, k)
-        ax, ay, al = acceleration_terms(seg, par, ser, k)
-        if groups > 0 and k > 0:
-            ax, ay, al = hold_surfaces(grp, groups, ser, k, ax, ay, al, matrix, reply, f, scratch)
-            load_plane(seg, grp, groups, ser, k)
-            linear_terms(seg, grp, groups, motors, ser, k)
+        ax, ay, al = accelerate(parcel, work, motors, k)
         n = k + 1
         ser[at.S_X, n], ser[at.S_Y, n], ser[at.S_TH, n] = (
             ser[at.S_UX, k] / n,
@@ -206,7 +208,9 @@ def taylor(seg, grp, ctl, y, par, e, c, s, tmax, matrix, reply, f, scratch, ser)
             ser[at.S_OM, k] / n,
         )
         ser[at.S_UX, n], ser[at.S_UY, n], ser[at.S_OM, n] = ax / n, ay / n, al / n
-        ser[at.S_XIX, n], ser[at.S_XIY, n] = ser[at.S_X, n], ser[at.S_Y, n]
+        for m in range(groups + 1):
+            o = at.MODES_AT + m * at.MODE_ROWS
+            ser[o + at.M_XIX, n], ser[o + at.M_XIY, n] = ser[at.S_X, n], ser[at.S_Y, n]
         ser[at.S_EXP, n] = -rate * ser[at.S_EXP, k] / n
         angle_terms(ser, k)
         size = max(abs(ser[at.S_X, n]), abs(ser[at.S_Y, n]), radius * abs(ser[at.S_TH, n]))
@@ -221,8 +225,9 @@ def taylor(seg, grp, ctl, y, par, e, c, s, tmax, matrix, reply, f, scratch, ser)
             break
         before = size * power
     for h in range(groups):
-        ser[at.S_F + h, order] = 0.0
-    load_plane(seg, grp, groups, ser, order)
+        ser[at.S_WEIGHT + h, order] = 0.0
+    for m in range(groups + 1):
+        linear_terms(work.segs[m], motors, ser, at.MODES_AT + m * at.MODE_ROWS, order)
     if order < at.MAX_ORDER or before <= wanted:
         return order, tmax
     step = tmax

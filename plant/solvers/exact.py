@@ -47,7 +47,6 @@ class Parcel(NamedTuple):
     par: Floats
     y: Floats
     mem: NDArray[np.int64]
-    share: Floats
     ctl: NDArray[np.int64]
 
 
@@ -55,12 +54,12 @@ class Work(NamedTuple):
     """Scratch of the kernels; one set serves one thread."""
 
     where: NDArray[np.int8]
-    seg: Floats
+    segs: Floats
     grp: Floats
     ser: Floats
     matrix: Floats
     reply: Floats
-    f: Floats
+    weight: Floats
     scratch: Floats
     newton: Floats
     found: Floats
@@ -71,7 +70,6 @@ class Work(NamedTuple):
     edges: NDArray[np.int64]
     signs: NDArray[np.int64]
     kept: NDArray[np.int64]
-    kept_share: Floats
     before: Floats
     after: Floats
     state: Floats
@@ -98,12 +96,12 @@ def make_work(cells: int, capacity: int) -> Work:
     found = max(64, 2 * capacity)
     return Work(
         where=np.zeros(cells, dtype=np.int8),
-        seg=np.zeros(layout.SEG_SIZE),
-        grp=np.zeros((layout.MAX_GROUPS + 1, layout.GRP_SIZE)),
+        segs=np.zeros((layout.MODES, layout.SEG_SIZE)),
+        grp=np.zeros((layout.MAX_GROUPS, layout.GRP_SIZE)),
         ser=np.zeros((layout.SER_ROWS, layout.SER_COLUMNS)),
         matrix=np.zeros((layout.MAX_GROUPS, layout.MAX_GROUPS)),
         reply=np.zeros((4, layout.MAX_GROUPS)),
-        f=np.zeros(layout.MAX_GROUPS),
+        weight=np.zeros(layout.MAX_GROUPS),
         scratch=np.zeros((3, 4)),
         newton=np.zeros((8, 3)),
         found=np.zeros((found, 4)),
@@ -113,9 +111,8 @@ def make_work(cells: int, capacity: int) -> Work:
         cells=np.zeros(found, dtype=np.int64),
         edges=np.zeros(found, dtype=np.int64),
         signs=np.zeros(found, dtype=np.int64),
-        kept=np.zeros((capacity, 4), dtype=np.int64),
-        kept_share=np.zeros((capacity, 2)),
-        before=np.zeros(8),
+        kept=np.zeros((capacity, layout.MEM_COLUMNS), dtype=np.int64),
+        before=np.zeros(3),
         after=np.zeros(3),
         state=np.zeros(6),
     )
@@ -159,8 +156,7 @@ def make_parcel(spec: ParcelSpec, array: CellArray, kappa: float, rate: float, s
         offset=np.ascontiguousarray(offset),
         par=par,
         y=np.array([*spec.position_m, spec.angle_rad, *spec.velocity_m_s, spec.angular_velocity_rad_s]),
-        mem=np.zeros((capacity, 4), dtype=np.int64),
-        share=np.zeros((capacity, 2)),
+        mem=np.zeros((capacity, layout.MEM_COLUMNS), dtype=np.int64),
         ctl=np.zeros(layout.CTL_SIZE, dtype=np.int64),
     )
 
