@@ -30,8 +30,8 @@ _KINDS = {
     layout.LEAVE: "support_lost",
     layout.UNLOAD: "load_vanished",
     layout.TOUCH: "load_returned",
-    layout.WEIGHT_GONE: "released",
-    layout.WEIGHT_WHOLE: "released",
+    layout.ONLY_NEAR: "released",
+    layout.ONLY_FAR: "released",
     layout.CORNER: "released",
     layout.CAPTURE_BEGINS: "captured",
 }

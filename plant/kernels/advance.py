@@ -47,8 +47,8 @@ def to_unit_time(ser, order, groups, step):
         for row in UNIT_TIME:
             ser[row, k] *= scale
         for h in range(groups):
-            ser[at.S_WEIGHT + h, k] *= scale
-        for m in range(groups + 1):
+            ser[at.S_SHARE + (1 << h), k] *= scale
+        for m in range(1 << groups):
             for row in UNIT_TIME_OF_MODE:
                 ser[at.MODES_AT + m * at.MODE_ROWS + row, k] *= scale
 

@@ -3,14 +3,14 @@
 A parcel that settles at an orientation where the support set changes crosses the same surface ever faster. Once the
 amplitude of that motion falls below ``capture_m``, the cells on the surface are captured: the motions on its two sides
 mix so that the surface's second rate is zero, and the parcel moves along it (``modes``). Cells that reach their edges
-at one instant form one group with one weight; so does a cell whose surface has merged with a group's.
+at one instant form one group with one fraction; so does a cell whose surface has merged with a group's.
 """
 
 from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.modes import WEIGHT_ZERO, least_share, put_in, release_inside, settle_modes
+from plant.kernels.modes import FRACTION_ZERO, least_share, put_in, release_inside, settle_modes
 from plant.kernels.motion import accelerations, surfaces
 
 INDEPENDENT = 1e-6
@@ -72,7 +72,7 @@ def attracts(surface, parcel, work, c, s):
 
 @kernel
 def evaluate(surface, parcel, work, e, c, s):
-    """Accelerations into ``work.after`` with the cells as they stand, whatever the weights; their conditioning.
+    """Accelerations into ``work.after`` with the cells as they stand, whatever the fractions; their conditioning.
 
     0 where some mode's supports don't carry the parcel, or span no plane.
     """
@@ -112,7 +112,8 @@ def capture(surface, parcel, work, group, c, s):
     fresh = group == ctl[at.N_GROUPS]
     if fresh:
         for i in range(ctl[at.N_MEMBERS]):
-            mem[i, at.MARK + group + 1] = mem[i, at.MARK]
+            for m in range(1 << group):
+                mem[i, at.MARK + (m | 1 << group)] = mem[i, at.MARK + m]
     for i in range(ctl[at.N_CROSSED]):
         side = work.signs[i] if fresh else side_in(surface, parcel, work, group, i, c, s)
         slot = slot_of(mem, ctl, work.cells[i])
@@ -151,7 +152,7 @@ def try_capture(surface, parcel, work, e, c, s):
     """Capture the cells that just crossed, where their surface attracts from both sides. Returns whether it does.
 
     As a group of their own where their surface is independent of those captured already, else with the group
-    whose surface theirs has merged with; only where all weights then lie in [0, 1].
+    whose surface theirs has merged with; only where all fractions then lie in [0, 1].
     """
     ctl = parcel.ctl
     if not small(surface, parcel, work, c, s):
@@ -164,9 +165,9 @@ def try_capture(surface, parcel, work, e, c, s):
             continue
         capture(surface, parcel, work, group, c, s)
         if evaluate(surface, parcel, work, e, c, s) > INDEPENDENT:
-            share, _, _ = least_share(surface, parcel, work)
+            share, _, _ = least_share(parcel, work)
             # closer than where it would be released
-            if share >= -0.25 * WEIGHT_ZERO:
+            if share >= -0.25 * FRACTION_ZERO:
                 ctl[at.N_CAPTURES] += 1
                 return True
         restore(parcel, work, members, groups)

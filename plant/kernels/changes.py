@@ -52,8 +52,8 @@ def apply(surface, parcel, work, count, together, time, events, c, s):
         elif kind in (at.UNLOAD, at.TOUCH) and slot >= 0:
             # the last entry says in which mode
             mem[slot, at.MARK + int(found[i, at.EV_EDGE])] = at.LIFTED if kind == at.UNLOAD else at.ACTIVE
-        elif kind in (at.WEIGHT_GONE, at.WEIGHT_WHOLE) and captured:
-            release(mem, ctl, mem[slot, at.GROUP], kind == at.WEIGHT_WHOLE)
+        elif kind in (at.ONLY_NEAR, at.ONLY_FAR) and captured:
+            release(mem, ctl, mem[slot, at.GROUP], kind == at.ONLY_FAR)
             ctl[at.N_CAPTURES] += 1
         elif kind == at.CORNER and captured:
             release_inside(mem, ctl, mem[slot, at.GROUP])

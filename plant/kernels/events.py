@@ -9,7 +9,7 @@ from __future__ import annotations
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
 from plant.kernels.loads import LOAD_ZERO
-from plant.kernels.modes import WEIGHT_ZERO
+from plant.kernels.modes import FRACTION_ZERO
 from plant.kernels.roots import NONE, deflate, first_crossing, horner
 
 SLACK = 1e-6
@@ -223,14 +223,16 @@ def entering(surface, parcel, work, order, centre, lever, end, count):
 
 @kernel
 def loading(surface, parcel, work, order, end, count):
-    """Loads that vanish, lifted cells that touch again, weights that reach 0 or 1, a line of supports left."""
+    """Loads that vanish, lifted cells that touch again, fractions that reach 0 or 1, a line of supports left."""
     groups = parcel.ctl[at.N_GROUPS]
-    for m in range(groups + 1):
+    for m in range(1 << groups):
         count, end = load_changes(surface, parcel, work, order, end, count, m)
     if groups > 0:
-        count, end = weights(surface, parcel, work, order, end, count)
+        count, end = fractions(parcel, work, order, end, count)
     if work.segs[0, at.RANK] < 2:
-        count, end = off_line(work.segs[0], parcel.par, work.ser, order, end, work.found, count, work.g, work.p)
+        count, end = off_line(
+            work.segs[0], parcel.par, work.ser, order, end, work.found, count, work.g, work.p
+        )
     return count, end
 
 
@@ -271,46 +273,6 @@ def load_changes(surface, parcel, work, order, end, count, m):
 
 
 @kernel
-def weight_coefficient(ser, groups, m, k):
-    """Coefficient k of how much of the motion is that of mode m."""
-    if m > 0:
-        return ser[at.S_WEIGHT + m - 1, k]
-    first = 1.0 if k == 0 else 0.0
-    for h in range(groups):
-        first -= ser[at.S_WEIGHT + h, k]
-    return first
-
-
-@kernel
-def near_series(surface, parcel, work, group, order, g, q):
-    """Series of ``modes.near_share`` into ``g``; ``q`` is work space."""
-    ser, groups = work.ser, parcel.ctl[at.N_GROUPS]
-    if groups == 1:
-        for k in range(order + 1):
-            g[k] = weight_coefficient(ser, groups, 0, k)
-        return
-    for k in range(order + 1):
-        g[k] = 0.0
-    for m in range(groups + 1):
-        if m == group + 1:
-            continue
-        o, seg = at.MODES_AT + m * at.MODE_ROWS, work.segs[m]
-        count, rx, ry = 0.0, 0.0, 0.0
-        for i in range(parcel.ctl[at.N_MEMBERS]):
-            if parcel.mem[i, at.SIDE] != 0 and parcel.mem[i, at.GROUP] == group:
-                cell = parcel.mem[i, at.CELL]
-                count += 1.0
-                rx += surface.pos[cell, 0] - parcel.y[0] - seg[at.CX]
-                ry += surface.pos[cell, 1] - parcel.y[1] - seg[at.CY]
-        for k in range(order + 1):
-            q[k] = count * ser[o + at.M_A0, k] + rx * ser[o + at.M_BX, k] + ry * ser[o + at.M_BY, k]
-            q[k] *= work.segs[0, at.N_ACTIVE]
-        for k in range(order + 1):
-            for j in range(k + 1):
-                g[k] += weight_coefficient(ser, groups, m, j) * q[k - j]
-
-
-@kernel
 def first_cell(parcel, group):
     """A cell of a captured group."""
     for i in range(parcel.ctl[at.N_MEMBERS]):
@@ -320,23 +282,23 @@ def first_cell(parcel, group):
 
 
 @kernel
-def weights(surface, parcel, work, order, end, count):
-    """Captured groups one of whose sides takes no more part in the motion: their weight reaches 0 or 1.
+def fractions(parcel, work, order, end, count):
+    """Captured groups one of whose sides takes no more part in the motion: their fraction reaches 0 or 1.
 
-    They must pass it by more than a capture allows, or a weight at its end would be captured and released in turn.
+    They must pass it by more than a capture allows, or a fraction at its end would be captured and released in turn.
     """
     g, found = work.g, work.found
     for h in range(parcel.ctl[at.N_GROUPS]):
         for far in range(2):
+            for k in range(order + 1):
+                g[k] = work.ser[at.S_SHARE + (1 << h), k]
             if far == 1:
-                near_series(surface, parcel, work, h, order, g, work.q)
-            else:
-                for k in range(order + 1):
-                    g[k] = work.ser[at.S_WEIGHT + h, k]
-            g[0] += WEIGHT_ZERO
+                negate(g, order)
+                g[0] += 1.0
+            g[0] += FRACTION_ZERO
             t = crossing(g, order, 0.0, end, work.p)
             if t <= end:
-                kind = at.WEIGHT_WHOLE if far == 1 else at.WEIGHT_GONE
+                kind = at.ONLY_FAR if far == 1 else at.ONLY_NEAR
                 count = note(found, count, t, kind, first_cell(parcel, h), h)
                 end = min(end, t + SLACK)
     return count, end

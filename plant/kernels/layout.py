@@ -19,9 +19,9 @@ MAX_ORDER: Final = 22
 """Highest Taylor order of a step."""
 MAX_GROUPS: Final = 3
 """A rigid parcel has three freedoms, so at most three independent sliding surfaces."""
-MODES: Final = MAX_GROUPS + 1
-"""Support sets whose motions mix: mode 0 has every captured group on its near side, mode h + 1 group h on its far
-side and the others on their near sides. Without captured groups mode 0 is all there is."""
+MODES: Final = 1 << MAX_GROUPS
+"""Support sets whose motions mix: bit h of a mode's number says that captured group h is on the far side of its surface.
+Without captured groups mode 0 is all there is."""
 
 # ── par: float64 constants of one parcel on one surface
 KAPPA: Final = 0  # mu g, 1/s
@@ -81,10 +81,11 @@ B, A_C, A_S, A_1, A_2, N_CELLS = range(6)
 GRP_SIZE: Final = 6
 
 # ── ser: float64 (rows, MAX_ORDER + 4), Taylor coefficients: what all modes share ...
-S_X, S_Y, S_TH, S_UX, S_UY, S_OM, S_C, S_S, S_E1, S_E2, S_EXP, S_WEIGHT = range(12)
-"""``S_WEIGHT + h`` is how much of the motion is that of mode h + 1."""
+S_X, S_Y, S_TH, S_UX, S_UY, S_OM, S_C, S_S, S_E1, S_E2, S_EXP, S_SHARE = range(12)
+"""``S_SHARE + 2**h`` is the fraction of the motion that is on group h's far side, ``S_SHARE + b`` the product of the
+fractions of all groups whose bits are set in b."""
 # ... and, from row MODES_AT + m * MODE_ROWS on, what belongs to mode m
-MODES_AT: Final = S_WEIGHT + MAX_GROUPS
+MODES_AT: Final = S_SHARE + MODES
 (
     M_A0,
     M_BX,
@@ -118,8 +119,8 @@ ENTER: Final = 0
 LEAVE: Final = 1
 UNLOAD: Final = 2
 TOUCH: Final = 3
-WEIGHT_GONE: Final = 4
-WEIGHT_WHOLE: Final = 5
+ONLY_NEAR: Final = 4
+ONLY_FAR: Final = 5
 CORNER: Final = 6
 LINE: Final = 7
 CAPTURE_BEGINS: Final = 8

@@ -62,7 +62,14 @@ def gradient(pos, mem, ctl, y, mark, length, ox, oy, z, w, hessian, slope):
 @kernel
 def contact(surface, parcel, work, seg, mark):
     """Mark every cell under the parcel as carrying load or lifted, at the minimum of ``potential``."""
-    pos, mem, ctl, y, scratch, newton = surface.pos, parcel.mem, parcel.ctl, parcel.y, work.scratch, work.newton
+    pos, mem, ctl, y, scratch, newton = (
+        surface.pos,
+        parcel.mem,
+        parcel.ctl,
+        parcel.y,
+        work.scratch,
+        work.newton,
+    )
     z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
     hessian = newton[5:8]
     length, ox, oy = parcel.par[at.PITCH], seg[at.CX], seg[at.CY]

@@ -2,8 +2,8 @@
 
 A captured group of cells sits on a surface; on one side of it they are under the parcel, on the other they are not
 (or the other way round for a cell that leaves as others enter). Each side is a support set of its own, with the loads
-that it would have, lifted cells and all. Motion along the surface is the mixture of the two motions whose weight keeps
-the parcel on it (Filippov). With more groups, one mode more for each.
+that it would have, lifted cells and all: a mode. Motion along the surface is the mixture of the two modes' motions
+whose fraction keeps the parcel on it (Filippov). Every further group doubles the modes.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from __future__ import annotations
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
-from plant.kernels.motion import accelerations, plane, surfaces
+from plant.kernels.motion import accelerations, surfaces
 
-WEIGHT_ZERO = 1e-9
-"""How far a weight may lie outside [0, 1] before its group is released."""
+FRACTION_ZERO = 1e-9
+"""How far a fraction may lie outside [0, 1] before its group is released."""
 SINGULAR = 1e-9
-"""Groups whose modes can't be told apart better than this are one too many."""
+"""Groups whose effects can't be told apart better than this are one too many."""
 
 
 @kernel
@@ -33,7 +33,7 @@ def put_in(mem, i, group, side):
     """Capture member ``i``: under the parcel on one side of its group's surface only."""
     mem[i, at.GROUP], mem[i, at.SIDE] = group, side
     for m in range(at.MODES):
-        if (m == group + 1) != (side > 0):
+        if (m & (1 << group) != 0) != (side > 0):
             mem[i, at.MARK + m] = at.ABSENT
         elif mem[i, at.MARK + m] == at.ABSENT:
             mem[i, at.MARK + m] = at.ACTIVE
@@ -42,13 +42,7 @@ def put_in(mem, i, group, side):
 @kernel
 def release(mem, ctl, group, far):
     """End a captured group: its cells are from now on what they were on the far, or the near, side."""
-    count = ctl[at.N_MEMBERS]
-    for i in range(count):
-        if far:
-            mem[i, at.MARK] = mem[i, at.MARK + group + 1]
-        for m in range(group + 1, at.MODES - 1):
-            mem[i, at.MARK + m] = mem[i, at.MARK + m + 1]
-    i = at.ZERO
+    below, i = (1 << group) - 1, at.ZERO
     while i < ctl[at.N_MEMBERS]:
         side = mem[i, at.SIDE]
         if side != 0 and mem[i, at.GROUP] == group:
@@ -56,11 +50,12 @@ def release(mem, ctl, group, far):
                 drop(mem, ctl, i)
                 continue
             mem[i, at.SIDE] = 0
-            for m in range(at.MODES):
-                if mem[i, at.MARK + m] == at.ABSENT:
-                    mem[i, at.MARK + m] = at.ACTIVE
         elif side != 0 and mem[i, at.GROUP] > group:
             mem[i, at.GROUP] -= 1
+        for m in range(at.MODES >> 1):
+            # the mode of the same other groups, this one on the side it ends on; never below m, so still unchanged
+            source = ((m & ~below) << 1) | (m & below)
+            mem[i, at.MARK + m] = mem[i, at.MARK + (source | (1 << group) if far else source)]
         i += 1
     ctl[at.N_GROUPS] -= 1
 
@@ -76,49 +71,14 @@ def release_inside(mem, ctl, group):
 
 
 @kernel
-def near_load(surface, parcel, segs, group, m):
-    """Load share that the springs' plane of mode m has at a group's cells, over the mean load of mode 0."""
-    a0, bx, by = plane(segs[m])
-    total = 0.0
-    for i in range(parcel.ctl[at.N_MEMBERS]):
-        if parcel.mem[i, at.SIDE] != 0 and parcel.mem[i, at.GROUP] == group:
-            cell = parcel.mem[i, at.CELL]
-            rx = surface.pos[cell, 0] - parcel.y[0] - segs[m, at.CX]
-            ry = surface.pos[cell, 1] - parcel.y[1] - segs[m, at.CY]
-            total += a0 + bx * rx + by * ry
-    return total * segs[0, at.N_ACTIVE]
-
-
-@kernel
-def near_share(surface, parcel, work, group):
-    """How much of the motion is on a group's near side: below nothing, it should be released on its far side.
-
-    With one group that is the weight of mode 0. With more, sides other than those of the modes take part, and the
-    share is measured by the load that is missing at the group's cells for them to carry all of theirs.
-    """
-    groups, weight = parcel.ctl[at.N_GROUPS], work.weight
-    first = 1.0
-    for h in range(groups):
-        first -= weight[h]
-    if groups == 1:
-        return first
-    total = first * near_load(surface, parcel, work.segs, group, at.ZERO)
-    for h in range(groups):
-        if h != group:
-            total += weight[h] * near_load(surface, parcel, work.segs, group, h + 1)
-    return total
-
-
-@kernel
-def least_share(surface, parcel, work):
-    """The smallest share of either side over all groups. Returns (share, group, far: release it on the far side)."""
-    worst, which, far = 1e300, -1, at.UNDONE
+def least_share(parcel, work):
+    """The smallest fraction of either side over all groups. Returns (fraction, group, the other side is the far one)."""
+    worst, which, far = 1e300, at.ZERO, at.UNDONE
     for h in range(parcel.ctl[at.N_GROUPS]):
-        if work.weight[h] < worst:
-            worst, which, far = work.weight[h], h, at.UNDONE
-        near = near_share(surface, parcel, work, h)
-        if near < worst:
-            worst, which, far = near, h, at.COMPLETE
+        if work.fraction[h] < worst:
+            worst, which, far = work.fraction[h], h, at.UNDONE
+        if 1.0 - work.fraction[h] < worst:
+            worst, which, far = 1.0 - work.fraction[h], h, at.COMPLETE
     return worst, which, far
 
 
@@ -126,7 +86,7 @@ def least_share(surface, parcel, work):
 def settle_modes(surface, parcel, work):
     """Loads of every mode; a captured mode must span a plane. Returns the status."""
     groups = parcel.ctl[at.N_GROUPS]
-    for m in range(groups + 1):
+    for m in range(1 << groups):
         status = settle(surface, parcel, work, m)
         if status != at.MOVING:
             return status
@@ -137,9 +97,9 @@ def settle_modes(surface, parcel, work):
 
 @kernel
 def settled(surface, parcel, work, e, c, s):
-    """Find the loads at this instant, and the weights of the modes where chatter is captured.
+    """Find the loads at this instant, and the fractions of the modes where chatter is captured.
 
-    Releases groups whose weights leave [0, 1], and all of them where a mode does not stand. Returns the status; with
+    Releases groups whose fractions leave [0, 1], and all of them where a mode does not stand. Returns the status; with
     TIPPED the edge is in ``ctl``.
     """
     mem, ctl = parcel.mem, parcel.ctl
@@ -158,8 +118,8 @@ def settled(surface, parcel, work, e, c, s):
             release_inside(mem, ctl, ctl[at.N_GROUPS] - 1)
             ctl[at.N_CAPTURES] += 1
             continue
-        share, group, far = least_share(surface, parcel, work)
-        if share >= -WEIGHT_ZERO:
+        share, group, far = least_share(parcel, work)
+        if share >= -FRACTION_ZERO:
             return status
         release(mem, ctl, group, far)
         ctl[at.N_CAPTURES] += 1

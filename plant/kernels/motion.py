@@ -5,6 +5,11 @@ from __future__ import annotations
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
 
+NEWTON_STEPS = 40
+"""Fractions of several groups are found in three or four; more means that there are none."""
+SECOND_ZERO = 1e-14
+"""A share of the largest second rate that is zero to rounding."""
+
 
 @kernel
 def plane(seg):
@@ -127,52 +132,123 @@ def solve(m, size, rhs, x, scratch):
 
 
 @kernel
+def differences(values, groups):
+    """Turn what each mode has into what each set of groups adds by being on its far side (Moebius transform).
+
+    ``values[m]`` becomes the sum over subsets b of m of ``(-1)**|m - b| values[b]``: with fractions f, the mixture is then
+    the sum over m of ``values[m]`` times the product of the fractions in m.
+    """
+    for h in range(groups):
+        for m in range(1 << groups):
+            if m & (1 << h):
+                for k in range(values.shape[1]):
+                    values[m, k] -= values[m ^ (1 << h), k]
+
+
+@kernel
+def mixture(parcel, work, second):
+    """The surfaces' second rates at the present fractions, their slopes, and those of the accelerations.
+
+    Args:
+        second: ``(MODES, MAX_GROUPS)``: differences of the surfaces' second rates.
+
+    Fills ``work.reply[:3, h]`` and ``work.matrix[g, h]`` (derivatives with respect to fraction h) and ``work.reply[3, g]``
+    (minus the second rate of surface g).
+    """
+    groups, add, fraction = parcel.ctl[at.N_GROUPS], work.adds, work.fraction
+    for h in range(groups):
+        work.reply[0, h] = work.reply[1, h] = work.reply[2, h] = work.reply[3, h] = 0.0
+        for g in range(groups):
+            work.matrix[g, h] = 0.0
+    for m in range(1 << groups):
+        share = 1.0
+        for h in range(groups):
+            if m & (1 << h):
+                share *= fraction[h]
+        for g in range(groups):
+            work.reply[3, g] -= share * second[m, g]
+        for h in range(groups):
+            if m & (1 << h):
+                share = 1.0
+                for i in range(groups):
+                    if i != h and m & (1 << i):
+                        share *= fraction[i]
+                for k in range(3):
+                    work.reply[k, h] += share * add[m, k]
+                for g in range(groups):
+                    work.matrix[g, h] += share * second[m, g]
+
+
+@kernel
 def accelerations(parcel, work, e, c, s):
     """Acceleration now: the modes' own, mixed so that each captured surface's second rate is zero (Filippov).
 
-    Fills ``work.reply[:3, h]`` (how mode h + 1 differs from mode 0), ``work.matrix[g, h]`` (the same as second rate of
-    surface g) and ``work.weight``. Returns (ax, ay, alpha, conditioning); conditioning is 1 without captured groups.
+    A mode's share is the product over the groups of the fractions of their sides. With one group that is Filippov's
+    rule; with more, the rule leaves the shares open unless loads are linear in them, and this choice, every group's
+    side independent of the others', is Alexander and Seidman's (Houston J. Math. 24, 1998).
+
+    Fills ``work.fraction``, and at it ``work.reply[:3, h]`` (slope of the acceleration along fraction h) and
+    ``work.matrix[g, h]`` (the same for the second rate of surface g). Returns (ax, ay, alpha, conditioning);
+    conditioning is 1 without captured groups, 0 where no fractions are found.
     """
-    y, par, matrix, reply, weight = parcel.y, parcel.par, work.matrix, work.reply, work.weight
-    ax, ay, al = traction(work.segs[0], e, y, par)
+    y, add, second, fraction = parcel.y, work.adds, work.seconds, work.fraction
     groups = parcel.ctl[at.N_GROUPS]
+    for m in range(1 << groups):
+        add[m, 0], add[m, 1], add[m, 2] = traction(work.segs[m], e, y, parcel.par)
     if groups == 0:
-        return ax, ay, al, 1.0
+        return add[0, 0], add[0, 1], add[0, 2], 1.0
+    size = 0.0
+    for m in range(1 << groups):
+        for g in range(groups):
+            _, _, second[m, g] = surface_rates(work.grp[g], y, c, s, add[m, 0], add[m, 1], add[m, 2])
+            size = max(size, abs(second[m, g]))
+    differences(add, groups)
+    differences(second, groups)
     for h in range(groups):
-        fx, fy, fl = traction(work.segs[h + 1], e, y, par)
-        reply[0, h], reply[1, h], reply[2, h] = fx - ax, fy - ay, fl - al
-    for g in range(groups):
-        _, _, second = surface_rates(work.grp[g], y, c, s, ax, ay, al)
-        reply[3, g] = -second
+        fraction[h] = 0.0 if groups == 1 else 0.5
+    conditioning = 0.0
+    for _ in range(NEWTON_STEPS):
+        mixture(parcel, work, second)
+        off = 0.0
+        for g in range(groups):
+            off = max(off, abs(work.reply[3, g]))
+        conditioning = solve(work.matrix, groups, work.reply[3], work.change, work.scratch)
+        if conditioning == 0.0 or off <= SECOND_ZERO * size:
+            break
         for h in range(groups):
-            matrix[g, h] = surface_slope(work.grp[g], c, s, reply[0, h], reply[1, h], reply[2, h])
-    conditioning = solve(matrix, groups, reply[3], weight, work.scratch)
-    if conditioning > 0.0:
+            fraction[h] += work.change[h]
+    if off > SECOND_ZERO * size:
+        conditioning = 0.0
+    ax = ay = al = 0.0
+    for m in range(1 << groups):
+        share = 1.0
         for h in range(groups):
-            ax += weight[h] * reply[0, h]
-            ay += weight[h] * reply[1, h]
-            al += weight[h] * reply[2, h]
+            if m & (1 << h):
+                share *= fraction[h]
+        ax += share * add[m, 0]
+        ay += share * add[m, 1]
+        al += share * add[m, 2]
     return ax, ay, al, conditioning
 
 
 @kernel
 def onto_surfaces(parcel, work, c, s):
     """Move state and velocity of a captured parcel back onto its surfaces, along the push by which its modes differ."""
-    y, grp, matrix, reply, weight = parcel.y, work.grp, work.matrix, work.reply, work.weight
+    y, grp, matrix, reply, change = parcel.y, work.grp, work.matrix, work.reply, work.change
     rhs, groups = reply[3], parcel.ctl[at.N_GROUPS]
     for g in range(groups):
         _, rate, _ = surface_rates(grp[g], y, c, s, 0.0, 0.0, 0.0)
         rhs[g] = -rate
-    solve(matrix, groups, rhs, weight, work.scratch)
+    solve(matrix, groups, rhs, change, work.scratch)
     for h in range(groups):
-        y[at.UX] += weight[h] * reply[0, h]
-        y[at.UY] += weight[h] * reply[1, h]
-        y[at.OMEGA] += weight[h] * reply[2, h]
+        y[at.UX] += change[h] * reply[0, h]
+        y[at.UY] += change[h] * reply[1, h]
+        y[at.OMEGA] += change[h] * reply[2, h]
     for g in range(groups):
         value, _, _ = surface_rates(grp[g], y, c, s, 0.0, 0.0, 0.0)
         rhs[g] = -value
-    solve(matrix, groups, rhs, weight, work.scratch)
+    solve(matrix, groups, rhs, change, work.scratch)
     for h in range(groups):
-        y[0] += weight[h] * reply[0, h]
-        y[1] += weight[h] * reply[1, h]
-        y[at.THETA] += weight[h] * reply[2, h]
+        y[0] += change[h] * reply[0, h]
+        y[1] += change[h] * reply[1, h]
+        y[at.THETA] += change[h] * reply[2, h]

@@ -2,15 +2,15 @@
 
 Between events every quantity is a product of series (``dynamics``: translation linear, rotation linear with
 polynomial coefficients, footprint through sine and cosine of the angle), so each coefficient follows from lower ones
-by Cauchy products. Where chatter is captured, the weights of the modes that mix are series too, fixed order by order
-by the surfaces' second rates.
+by Cauchy products. Where chatter is captured, the fractions in which modes mix are series too, fixed order by
+order by the surfaces' second rates.
 """
 
 from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.motion import solve
+from plant.kernels.motion import differences, solve
 
 
 @kernel
@@ -88,17 +88,40 @@ def acceleration_terms(seg, par, ser, o, k):
 
 
 @kernel
-def mix(ser, groups, k):
-    """Coefficient k of the modes' mixed acceleration, with no weight of order k yet."""
-    first = at.MODES_AT
-    ax, ay, al = ser[first + at.M_AX, k], ser[first + at.M_AY, k], ser[first + at.M_AL, k]
+def shares(ser, groups, k):
+    """Coefficient k of the products of fractions, from those of the fractions themselves."""
+    for m in range(1 << groups):
+        rest = m & (m - 1)
+        if rest != 0:
+            ser[at.S_SHARE + m, k] = product(ser, at.S_SHARE + (m ^ rest), at.S_SHARE + rest, k)
+
+
+@kernel
+def clear_shares(ser, groups, k):
+    """Coefficient k of the shares while that of the fractions is zero."""
+    ser[at.S_SHARE, k] = 0.0
     for h in range(groups):
-        other = at.MODES_AT + (h + 1) * at.MODE_ROWS
-        for j in range(k):
-            w, i = ser[at.S_WEIGHT + h, j], k - j
-            ax += w * (ser[other + at.M_AX, i] - ser[first + at.M_AX, i])
-            ay += w * (ser[other + at.M_AY, i] - ser[first + at.M_AY, i])
-            al += w * (ser[other + at.M_AL, i] - ser[first + at.M_AL, i])
+        ser[at.S_SHARE + (1 << h), k] = 0.0
+    shares(ser, groups, k)
+
+
+@kernel
+def mix(ser, groups, adds, k):
+    """Coefficient k of the modes' mixed acceleration; ``adds`` is work space.
+
+    The modes' rows become what sets of groups add (``motion.differences``).
+    """
+    for m in range(1 << groups):
+        o = at.MODES_AT + m * at.MODE_ROWS
+        adds[m, 0], adds[m, 1], adds[m, 2] = ser[o + at.M_AX, k], ser[o + at.M_AY, k], ser[o + at.M_AL, k]
+    differences(adds, groups)
+    ax = ay = al = 0.0
+    for m in range(1 << groups):
+        o, share = at.MODES_AT + m * at.MODE_ROWS, at.S_SHARE + m
+        ser[o + at.M_AX, k], ser[o + at.M_AY, k], ser[o + at.M_AL, k] = adds[m, 0], adds[m, 1], adds[m, 2]
+        ax += product(ser, share, o + at.M_AX, k)
+        ay += product(ser, share, o + at.M_AY, k)
+        al += product(ser, share, o + at.M_AL, k)
     return ax, ay, al
 
 
@@ -126,11 +149,11 @@ def angle_terms(ser, k):
 
 @kernel
 def hold_surfaces(work, groups, k, ax, ay, al):
-    """Weights at order k that keep each surface's second rate at zero to that order.
+    """Fractions at order k that keep each surface's second rate at zero to that order.
 
-    ``ax, ay, al`` are the accelerations with no weight of this order. Returns them corrected.
+    ``ax, ay, al`` are the accelerations with no fraction of this order. Returns them corrected.
     """
-    ser, grp, reply, weight = work.ser, work.grp, work.reply, work.weight
+    ser, grp, reply, change = work.ser, work.grp, work.reply, work.change
     up = (k + 1) * (k + 2)
     ser[at.S_X, k + 1], ser[at.S_Y, k + 1] = ser[at.S_UX, k] / (k + 1), ser[at.S_UY, k] / (k + 1)
     angle_terms(ser, k)
@@ -141,45 +164,45 @@ def hold_surfaces(work, groups, k, ax, ay, al):
         second = grp[g, at.A_C] * ser[at.S_C, k + 2] + grp[g, at.A_S] * ser[at.S_S, k + 2]
         second += grp[g, at.A_1] * ser[at.S_E1, k + 2] + grp[g, at.A_2] * ser[at.S_E2, k + 2]
         reply[3, g] = -second * up
-    solve(work.matrix, groups, reply[3], weight, work.scratch)
+    solve(work.matrix, groups, reply[3], change, work.scratch)
     for h in range(groups):
-        ser[at.S_WEIGHT + h, k] = weight[h]
-        ax += weight[h] * reply[0, h]
-        ay += weight[h] * reply[1, h]
-        al += weight[h] * reply[2, h]
+        ser[at.S_SHARE + (1 << h), k] = change[h]
+        ax += change[h] * reply[0, h]
+        ay += change[h] * reply[1, h]
+        al += change[h] * reply[2, h]
+    shares(ser, groups, k)
     return ax, ay, al
 
 
 @kernel
-def start(segs, groups, y, e, c, s, weight, ser):
+def start(segs, groups, y, e, c, s, fraction, ser):
     """Order 0 of every series."""
     ser[at.S_X, 0] = ser[at.S_Y, 0] = ser[at.S_TH, 0] = ser[at.S_E1, 0] = ser[at.S_E2, 0] = 0.0
     ser[at.S_UX, 0], ser[at.S_UY, 0], ser[at.S_OM, 0] = y[at.UX], y[at.UY], y[at.OMEGA]
     ser[at.S_C, 0], ser[at.S_S, 0] = c, s
     ser[at.S_EXP, 0] = e
-    for m in range(groups + 1):
+    for m in range(1 << groups):
         o = at.MODES_AT + m * at.MODE_ROWS
         ser[o + at.M_XIX, 0], ser[o + at.M_XIY, 0] = -segs[m, at.CX], -segs[m, at.CY]
+    ser[at.S_SHARE, 0] = 1.0
     for h in range(groups):
-        ser[at.S_WEIGHT + h, 0] = weight[h]
+        ser[at.S_SHARE + (1 << h), 0] = fraction[h]
+    shares(ser, groups, at.ZERO)
 
 
 @kernel
 def accelerate(parcel, work, motors, k):
     """Coefficient k of the acceleration, that of every mode computed on the way."""
     groups, ser = parcel.ctl[at.N_GROUPS], work.ser
-    for m in range(groups + 1):
+    for m in range(1 << groups):
         o = at.MODES_AT + m * at.MODE_ROWS
         linear_terms(work.segs[m], motors, ser, o, k)
         ax, ay, al = acceleration_terms(work.segs[m], parcel.par, ser, o, k)
     if groups > 0:
-        ax, ay, al = mix(ser, groups, k)
-        if k == 0:
-            for h in range(groups):
-                ax += work.weight[h] * work.reply[0, h]
-                ay += work.weight[h] * work.reply[1, h]
-                al += work.weight[h] * work.reply[2, h]
-        else:
+        if k > 0:
+            clear_shares(ser, groups, k)
+        ax, ay, al = mix(ser, groups, work.adds, k)
+        if k > 0:
             ax, ay, al = hold_surfaces(work, groups, k, ax, ay, al)
     return ax, ay, al
 
@@ -193,7 +216,7 @@ def taylor(parcel, work, e, c, s, tmax):
     par, ser = parcel.par, work.ser
     groups, rate = parcel.ctl[at.N_GROUPS], par[at.RATE]
     motors = rate > 0.0 and e != 0.0
-    start(work.segs, groups, parcel.y, e, c, s, work.weight, ser)
+    start(work.segs, groups, parcel.y, e, c, s, work.fraction, ser)
     radius, memory = par[at.RADIUS], par[at.MEMORY]
     share = min(1.0, tmax / memory)
     wanted = max(par[at.TOLERANCE] * 1e-3 * max(share, 1e-2), 1e-18)
@@ -208,7 +231,7 @@ def taylor(parcel, work, e, c, s, tmax):
             ser[at.S_OM, k] / n,
         )
         ser[at.S_UX, n], ser[at.S_UY, n], ser[at.S_OM, n] = ax / n, ay / n, al / n
-        for m in range(groups + 1):
+        for m in range(1 << groups):
             o = at.MODES_AT + m * at.MODE_ROWS
             ser[o + at.M_XIX, n], ser[o + at.M_XIY, n] = ser[at.S_X, n], ser[at.S_Y, n]
         ser[at.S_EXP, n] = -rate * ser[at.S_EXP, k] / n
@@ -224,9 +247,8 @@ def taylor(parcel, work, e, c, s, tmax):
             order = n
             break
         before = size * power
-    for h in range(groups):
-        ser[at.S_WEIGHT + h, order] = 0.0
-    for m in range(groups + 1):
+    clear_shares(ser, groups, order)
+    for m in range(1 << groups):
         linear_terms(work.segs[m], motors, ser, at.MODES_AT + m * at.MODE_ROWS, order)
     if order < at.MAX_ORDER or before <= wanted:
         return order, tmax

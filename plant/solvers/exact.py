@@ -59,7 +59,10 @@ class Work(NamedTuple):
     ser: Floats
     matrix: Floats
     reply: Floats
-    weight: Floats
+    fraction: Floats
+    change: Floats
+    adds: Floats
+    seconds: Floats
     scratch: Floats
     newton: Floats
     found: Floats
@@ -101,7 +104,10 @@ def make_work(cells: int, capacity: int) -> Work:
         ser=np.zeros((layout.SER_ROWS, layout.SER_COLUMNS)),
         matrix=np.zeros((layout.MAX_GROUPS, layout.MAX_GROUPS)),
         reply=np.zeros((4, layout.MAX_GROUPS)),
-        weight=np.zeros(layout.MAX_GROUPS),
+        fraction=np.zeros(layout.MAX_GROUPS),
+        change=np.zeros(layout.MAX_GROUPS),
+        adds=np.zeros((layout.MODES, 3)),
+        seconds=np.zeros((layout.MODES, layout.MAX_GROUPS)),
         scratch=np.zeros((3, 4)),
         newton=np.zeros((8, 3)),
         found=np.zeros((found, 4)),
