@@ -14,12 +14,9 @@ from plant.kernels.motion import onto_surfaces, surface_rates
 from plant.kernels.roots import horner
 from plant.kernels.series import taylor
 
-UNIT_TIME = (
-    *(at.S_X, at.S_Y, at.S_TH, at.S_UX, at.S_UY),
-    *(at.S_OM, at.S_C, at.S_S, at.S_E1, at.S_E2),
-)
+UNIT_TIME = (at.S_X, at.S_Y, at.S_TH, at.S_UX, at.S_UY, at.S_OM, at.S_C, at.S_S, at.S_E1, at.S_E2)
 """The series that events are read from, ..."""
-UNIT_TIME_OF_MODE = (at.M_A0, at.M_BX, at.M_BY, at.M_XIX, at.M_XIY)
+UNIT_TIME_OF_MODE = (at.M_A0, at.M_BX, at.M_BY)
 """... and those of every mode."""
 LOOK_AHEAD = 2.0
 """How far a step looks, over the mean time between events."""

@@ -316,8 +316,8 @@ def off_line(seg, par, ser, order, end, found, count, g, p):
             lx, ly = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
         for sign in (1.0, -1.0):
             for k in range(order + 1):
-                g[k] = -sign * (lx * ser[at.MODES_AT + at.M_XIX, k] + ly * ser[at.MODES_AT + at.M_XIY, k])
-            g[0] += 2.0 * par[at.ON_LINE]
+                g[k] = -sign * (lx * ser[at.S_X, k] + ly * ser[at.S_Y, k])
+            g[0] += sign * (lx * seg[at.CX] + ly * seg[at.CY]) + 2.0 * par[at.ON_LINE]
             t = crossing(g, order, 0.0, end, p)
             if t <= end:
                 count = note(found, count, t, at.LINE, at.NO_CELL, at.ZERO)

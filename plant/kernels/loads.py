@@ -60,16 +60,9 @@ def gradient(pos, mem, ctl, y, mark, length, ox, oy, z, w, hessian, slope):
 
 
 @kernel
-def contact(surface, parcel, work, seg, mark):
+def contact(surface, parcel, seg, mark, scratch, newton):
     """Mark every cell under the parcel as carrying load or lifted, at the minimum of ``potential``."""
-    pos, mem, ctl, y, scratch, newton = (
-        surface.pos,
-        parcel.mem,
-        parcel.ctl,
-        parcel.y,
-        work.scratch,
-        work.newton,
-    )
+    pos, mem, ctl, y = surface.pos, parcel.mem, parcel.ctl, parcel.y
     z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
     hessian = newton[5:8]
     length, ox, oy = parcel.par[at.PITCH], seg[at.CX], seg[at.CY]
@@ -183,13 +176,12 @@ def press_all(parcel, mark):
 
 
 @kernel
-def settle(surface, parcel, work, m):
-    """Find which cells carry load in mode m at this instant, and the constants of that support set.
+def settle(surface, parcel, seg, mark, scratch, newton):
+    """Find which cells carry load in one mode at this instant, and the constants of that support set into ``seg``.
 
     Tries what stands first; where a load would pull, solves the contact problem, until nothing changes. Returns the
     status; with TIPPED the edge is in ``ctl``.
     """
-    seg, mark = work.segs[m], at.MARK + m
     near = False
     for attempt in range(40):
         segment(surface, parcel, seg, mark)
@@ -205,7 +197,7 @@ def settle(surface, parcel, work, m):
                 return at.TIPPED
             if off_line:
                 near = True
-                contact(surface, parcel, work, seg, mark)
+                contact(surface, parcel, seg, mark, scratch, newton)
                 continue
         if not violated(surface, parcel, seg, mark):
             return at.MOVING
@@ -214,6 +206,6 @@ def settle(surface, parcel, work, m):
         if near and attempt % 10 != 9:
             exchange(surface, parcel, seg, mark)
         else:
-            contact(surface, parcel, work, seg, mark)
+            contact(surface, parcel, seg, mark, scratch, newton)
             near = True
     return at.NO_LOADS

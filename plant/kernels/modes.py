@@ -87,7 +87,7 @@ def settle_modes(surface, parcel, work):
     """Loads of every mode; a captured mode must span a plane. Returns the status."""
     groups = parcel.ctl[at.N_GROUPS]
     for m in range(1 << groups):
-        status = settle(surface, parcel, work, m)
+        status = settle(surface, parcel, work.segs[m], at.MARK + m, work.scratch, work.newton)
         if status != at.MOVING:
             return status
         if groups > 0 and work.segs[m, at.RANK] < 2:
@@ -103,10 +103,8 @@ def settled(surface, parcel, work, e, c, s):
     TIPPED the edge is in ``ctl``.
     """
     mem, ctl = parcel.mem, parcel.ctl
-    while True:
+    while ctl[at.N_GROUPS] > 0:
         status = settle_modes(surface, parcel, work)
-        if ctl[at.N_GROUPS] == 0:
-            return status
         if status != at.MOVING:
             while ctl[at.N_GROUPS] > 0:
                 release_inside(mem, ctl, ctl[at.N_GROUPS] - 1)
@@ -123,3 +121,4 @@ def settled(surface, parcel, work, e, c, s):
             return status
         release(mem, ctl, group, far)
         ctl[at.N_CAPTURES] += 1
+    return settle(surface, parcel, work.segs[0], at.MARK, work.scratch, work.newton)

@@ -24,7 +24,8 @@ def product(ser, a, b, k):
 
 @kernel
 def linear_terms(seg, motors, ser, o, k):
-    """Coefficient k of a mode's springs' plane ``a0 + b . r`` and of all that is linear in it: D, T, S0, S1, C2.
+    """Coefficient k of a mode's springs' plane ``a0 + b . r`` and of all that is linear in it: D, T, C2 and, where
+    wheels coast, S0 and S1.
 
     ``o`` is the first row of the mode in ``ser``.
     """
@@ -36,9 +37,10 @@ def linear_terms(seg, motors, ser, o, k):
     ser[o + at.M_DX, k] = a0 * seg[s + at.K0X] + bx * seg[s + at.K1XX] + by * seg[s + at.K1XY]
     ser[o + at.M_DY, k] = a0 * seg[s + at.K0Y] + bx * seg[s + at.K1YX] + by * seg[s + at.K1YY]
     ser[o + at.M_T, k] = a0 * seg[s + at.T0] + bx * seg[s + at.T1X] + by * seg[s + at.T1Y]
-    ser[o + at.M_S0, k] = a0 * seg[at.W0] + bx * seg[at.W1X] + by * seg[at.W1Y]
-    ser[o + at.M_S1X, k] = a0 * seg[at.W1X] + bx * seg[at.W2XX] + by * seg[at.W2XY]
-    ser[o + at.M_S1Y, k] = a0 * seg[at.W1Y] + bx * seg[at.W2XY] + by * seg[at.W2YY]
+    if seg[at.DRIVEN] == 0.0:
+        ser[o + at.M_S0, k] = a0 * seg[at.W0] + bx * seg[at.W1X] + by * seg[at.W1Y]
+        ser[o + at.M_S1X, k] = a0 * seg[at.W1X] + bx * seg[at.W2XX] + by * seg[at.W2XY]
+        ser[o + at.M_S1Y, k] = a0 * seg[at.W1Y] + bx * seg[at.W2XY] + by * seg[at.W2YY]
     ser[o + at.M_C2, k] = a0 * seg[at.G0] + bx * seg[at.G1X] + by * seg[at.G1Y]
     if motors:
         d = at.DECAY
@@ -175,6 +177,16 @@ def hold_surfaces(work, groups, k, ax, ay, al):
 
 
 @kernel
+def mixed(work, groups, k):
+    """Coefficient k of the acceleration along captured surfaces, from that of every mode."""
+    if k == 0:
+        return mix(work.ser, groups, work.adds, k)
+    clear_shares(work.ser, groups, k)
+    ax, ay, al = mix(work.ser, groups, work.adds, k)
+    return hold_surfaces(work, groups, k, ax, ay, al)
+
+
+@kernel
 def start(segs, groups, y, e, c, s, fraction, ser):
     """Order 0 of every series."""
     ser[at.S_X, 0] = ser[at.S_Y, 0] = ser[at.S_TH, 0] = ser[at.S_E1, 0] = ser[at.S_E2, 0] = 0.0
@@ -191,39 +203,27 @@ def start(segs, groups, y, e, c, s, fraction, ser):
 
 
 @kernel
-def accelerate(parcel, work, motors, k):
-    """Coefficient k of the acceleration, that of every mode computed on the way."""
-    groups, ser = parcel.ctl[at.N_GROUPS], work.ser
-    for m in range(1 << groups):
-        o = at.MODES_AT + m * at.MODE_ROWS
-        linear_terms(work.segs[m], motors, ser, o, k)
-        ax, ay, al = acceleration_terms(work.segs[m], parcel.par, ser, o, k)
-    if groups > 0:
-        if k > 0:
-            clear_shares(ser, groups, k)
-        ax, ay, al = mix(ser, groups, work.adds, k)
-        if k > 0:
-            ax, ay, al = hold_surfaces(work, groups, k, ax, ay, al)
-    return ax, ay, al
-
-
-@kernel
 def taylor(parcel, work, e, c, s, tmax):
     """Coefficients of the motion from now into ``work.ser``, to the order that ``tmax`` or the tolerance asks.
 
     Returns (order, step): the order of the position series, and how far, up to ``tmax``, it holds.
     """
-    par, ser = parcel.par, work.ser
+    par, ser, segs = parcel.par, work.ser, work.segs
     groups, rate = parcel.ctl[at.N_GROUPS], par[at.RATE]
     motors = rate > 0.0 and e != 0.0
-    start(work.segs, groups, parcel.y, e, c, s, work.fraction, ser)
+    start(segs, groups, parcel.y, e, c, s, work.fraction, ser)
     radius, memory = par[at.RADIUS], par[at.MEMORY]
     share = min(1.0, tmax / memory)
     wanted = max(par[at.TOLERANCE] * 1e-3 * max(share, 1e-2), 1e-18)
     power, before = 1.0, 1e300
     order, last, previous = at.MAX_ORDER, 0.0, 0.0
     for k in range(at.MAX_ORDER):
-        ax, ay, al = accelerate(parcel, work, motors, k)
+        for m in range(1 << groups):
+            o = at.MODES_AT + m * at.MODE_ROWS
+            linear_terms(segs[m], motors, ser, o, k)
+            ax, ay, al = acceleration_terms(segs[m], par, ser, o, k)
+        if groups > 0:
+            ax, ay, al = mixed(work, groups, k)
         n = k + 1
         ser[at.S_X, n], ser[at.S_Y, n], ser[at.S_TH, n] = (
             ser[at.S_UX, k] / n,
@@ -249,7 +249,7 @@ def taylor(parcel, work, e, c, s, tmax):
         before = size * power
     clear_shares(ser, groups, order)
     for m in range(1 << groups):
-        linear_terms(work.segs[m], motors, ser, at.MODES_AT + m * at.MODE_ROWS, order)
+        linear_terms(segs[m], motors, ser, at.MODES_AT + m * at.MODE_ROWS, order)
     if order < at.MAX_ORDER or before <= wanted:
         return order, tmax
     step = tmax
