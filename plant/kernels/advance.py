@@ -7,8 +7,9 @@ from math import cos, exp, isfinite, sin
 from plant.kernels import layout as at
 from plant.kernels.capture import groups_hold, try_capture
 from plant.kernels.changes import apply, log
-from plant.kernels.events import bend, entering, leaving, loading
+from plant.kernels.events import bend, entering, leaving
 from plant.kernels.jit import kernel
+from plant.kernels.load_events import loading
 from plant.kernels.modes import settled
 from plant.kernels.motion import onto_surfaces, surface_rates
 from plant.kernels.roots import horner

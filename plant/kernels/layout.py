@@ -20,8 +20,8 @@ MAX_ORDER: Final = 22
 MAX_GROUPS: Final = 3
 """A rigid parcel has three freedoms, so at most three independent sliding surfaces."""
 MODES: Final = 1 << MAX_GROUPS
-"""Support sets whose motions mix: bit h of a mode's number says that captured group h is on the far side of its surface.
-Without captured groups mode 0 is all there is."""
+"""Support sets whose motions mix: bit h of a mode's number says that captured group h is on the far side of its
+surface. Without captured groups mode 0 is all there is."""
 
 # ── par: float64 constants of one parcel on one surface
 KAPPA: Final = 0  # mu g, 1/s
@@ -44,8 +44,8 @@ X, Y, THETA, UX, UY, OMEGA = range(6)
 
 # ── mem: int64 (capacity, MEM_COLUMNS), the cells under the parcel or on its edge
 CELL, EDGE, GROUP, SIDE, MARK = range(5)
-"""``MARK + m`` is the cell's mark in mode m. ``SIDE`` is 0 where the cell isn't captured; a captured one sits on ``EDGE``
-and is under the parcel on the far side of ``GROUP``'s surface (1) or on its near side (-1)."""
+"""``MARK + m`` is the cell's mark in mode m. ``SIDE`` is 0 where the cell isn't captured; a captured one sits on
+``EDGE`` and is under the parcel on the far side of ``GROUP``'s surface (1) or on its near side (-1)."""
 MEM_COLUMNS: Final = MARK + MODES
 ACTIVE: Final = 0  # carries load
 LIFTED: Final = 1  # under the parcel, but the plane of the springs is above it

@@ -72,7 +72,7 @@ def release_inside(mem, ctl, group):
 
 @kernel
 def least_share(parcel, work):
-    """The smallest fraction of either side over all groups. Returns (fraction, group, the other side is the far one)."""
+    """The smallest fraction of either side over all groups. Returns (fraction, group, is it the near side's)."""
     worst, which, far = 1e300, at.ZERO, at.UNDONE
     for h in range(parcel.ctl[at.N_GROUPS]):
         if work.fraction[h] < worst:

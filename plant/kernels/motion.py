@@ -6,7 +6,7 @@ from plant.kernels import layout as at
 from plant.kernels.jit import kernel
 
 NEWTON_STEPS = 40
-"""Fractions of several groups are found in three or four; more means that there are none."""
+"""More than enough for fractions that exist."""
 SECOND_ZERO = 1e-14
 """A share of the largest second rate that is zero to rounding."""
 
@@ -135,8 +135,8 @@ def solve(m, size, rhs, x, scratch):
 def differences(values, groups):
     """Turn what each mode has into what each set of groups adds by being on its far side (Moebius transform).
 
-    ``values[m]`` becomes the sum over subsets b of m of ``(-1)**|m - b| values[b]``: with fractions f, the mixture is then
-    the sum over m of ``values[m]`` times the product of the fractions in m.
+    ``values[m]`` becomes the sum over subsets b of m of ``(-1)**|m - b| values[b]``: with fractions f, the mixture is
+    then the sum over m of ``values[m]`` times the product of the fractions in m.
     """
     for h in range(groups):
         for m in range(1 << groups):
@@ -146,37 +146,60 @@ def differences(values, groups):
 
 
 @kernel
-def mixture(parcel, work, second):
-    """The surfaces' second rates at the present fractions, their slopes, and those of the accelerations.
-
-    Args:
-        second: ``(MODES, MAX_GROUPS)``: differences of the surfaces' second rates.
-
-    Fills ``work.reply[:3, h]`` and ``work.matrix[g, h]`` (derivatives with respect to fraction h) and ``work.reply[3, g]``
-    (minus the second rate of surface g).
-    """
-    groups, add, fraction = parcel.ctl[at.N_GROUPS], work.adds, work.fraction
+def product_of(fraction, groups, m):
+    """Product of the fractions of the groups whose bits are set in m."""
+    share = 1.0
     for h in range(groups):
-        work.reply[0, h] = work.reply[1, h] = work.reply[2, h] = work.reply[3, h] = 0.0
+        if m & (1 << h):
+            share *= fraction[h]
+    return share
+
+
+@kernel
+def mixture(work, groups):
+    """The surfaces' second rates at the present fractions, and how they and the accelerations change with each.
+
+    Fills ``work.reply[:3, h]`` and ``work.matrix[g, h]`` (derivatives with respect to fraction h) and
+    ``work.reply[3, g]`` (minus the second rate of surface g) from what ``differences`` left in ``work``.
+    """
+    add, second, fraction, matrix, reply = work.adds, work.seconds, work.fraction, work.matrix, work.reply
+    for h in range(groups):
+        reply[0, h] = reply[1, h] = reply[2, h] = reply[3, h] = 0.0
         for g in range(groups):
-            work.matrix[g, h] = 0.0
+            matrix[g, h] = 0.0
     for m in range(1 << groups):
-        share = 1.0
-        for h in range(groups):
-            if m & (1 << h):
-                share *= fraction[h]
+        share = product_of(fraction, groups, m)
         for g in range(groups):
-            work.reply[3, g] -= share * second[m, g]
+            reply[3, g] -= share * second[m, g]
         for h in range(groups):
             if m & (1 << h):
-                share = 1.0
-                for i in range(groups):
-                    if i != h and m & (1 << i):
-                        share *= fraction[i]
+                share = product_of(fraction, groups, m ^ (1 << h))
                 for k in range(3):
-                    work.reply[k, h] += share * add[m, k]
+                    reply[k, h] += share * add[m, k]
                 for g in range(groups):
-                    work.matrix[g, h] += share * second[m, g]
+                    matrix[g, h] += share * second[m, g]
+
+
+@kernel
+def find_fractions(work, groups, size):
+    """Fractions at which every surface's second rate is zero, by Newton's method; ``size`` is that of the rates.
+
+    Returns the conditioning of the last step's equations, 0 where no fractions are found.
+    """
+    for h in range(groups):
+        # one group's equation is linear: from zero, the first step is exact
+        work.fraction[h] = 0.0 if groups == 1 else 0.5
+    for _ in range(NEWTON_STEPS):
+        mixture(work, groups)
+        off = 0.0
+        for g in range(groups):
+            off = max(off, abs(work.reply[3, g]))
+        conditioning = solve(work.matrix, groups, work.reply[3], work.change, work.scratch)
+        if conditioning == 0.0 or off <= SECOND_ZERO * size:
+            return conditioning
+        for h in range(groups):
+            work.fraction[h] += work.change[h]
+    return 0.0
 
 
 @kernel
@@ -191,7 +214,7 @@ def accelerations(parcel, work, e, c, s):
     ``work.matrix[g, h]`` (the same for the second rate of surface g). Returns (ax, ay, alpha, conditioning);
     conditioning is 1 without captured groups, 0 where no fractions are found.
     """
-    y, add, second, fraction = parcel.y, work.adds, work.seconds, work.fraction
+    y, add, second = parcel.y, work.adds, work.seconds
     groups = parcel.ctl[at.N_GROUPS]
     for m in range(1 << groups):
         add[m, 0], add[m, 1], add[m, 2] = traction(work.segs[m], e, y, parcel.par)
@@ -204,27 +227,10 @@ def accelerations(parcel, work, e, c, s):
             size = max(size, abs(second[m, g]))
     differences(add, groups)
     differences(second, groups)
-    for h in range(groups):
-        fraction[h] = 0.0 if groups == 1 else 0.5
-    conditioning = 0.0
-    for _ in range(NEWTON_STEPS):
-        mixture(parcel, work, second)
-        off = 0.0
-        for g in range(groups):
-            off = max(off, abs(work.reply[3, g]))
-        conditioning = solve(work.matrix, groups, work.reply[3], work.change, work.scratch)
-        if conditioning == 0.0 or off <= SECOND_ZERO * size:
-            break
-        for h in range(groups):
-            fraction[h] += work.change[h]
-    if off > SECOND_ZERO * size:
-        conditioning = 0.0
+    conditioning = find_fractions(work, groups, size)
     ax = ay = al = 0.0
     for m in range(1 << groups):
-        share = 1.0
-        for h in range(groups):
-            if m & (1 << h):
-                share *= fraction[h]
+        share = product_of(work.fraction, groups, m)
         ax += share * add[m, 0]
         ay += share * add[m, 1]
         al += share * add[m, 2]

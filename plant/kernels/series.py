@@ -24,8 +24,9 @@ def product(ser, a, b, k):
 
 @kernel
 def linear_terms(seg, motors, ser, o, k):
-    """Coefficient k of a mode's springs' plane ``a0 + b . r`` and of all that is linear in it: D, T, C2 and, where
-    wheels coast, S0 and S1.
+    """Coefficient k of a mode's springs' plane ``a0 + b . r`` and of all that is linear in it.
+
+    That is D, T, C2 and, where wheels coast, S0 and S1.
 
     ``o`` is the first row of the mode in ``ser``.
     """
