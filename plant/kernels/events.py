@@ -131,12 +131,11 @@ def bend(ser, order):
 
 
 @kernel
-def tangent(ser, nx, ny, offset, px, py):
-    """Distance inside an edge of the cell at (px, py) from ``X0``, and its rate, at the start of the step."""
-    along, across = nx * px + ny * py, nx * py - ny * px
-    value = offset - along * ser[at.S_C, 0] - across * ser[at.S_S, 0]
-    rate = -along * ser[at.S_C, 1] - across * ser[at.S_S, 1] + nx * ser[at.S_E1, 1] + ny * ser[at.S_E2, 1]
-    return value, rate
+def place(ser, px, py):
+    """Where the cell at (px, py) from ``X0`` lies in the parcel's axes at the start of the step, and its rate there."""
+    c, s, dc, ds = ser[at.S_C, 0], ser[at.S_S, 0], ser[at.S_C, 1], ser[at.S_S, 1]
+    qx, qy = c * px + s * py, c * py - s * px
+    return qx, qy, dc * px + ds * py - ser[at.S_E1, 1], dc * py - ds * px - ser[at.S_E2, 1]
 
 
 @kernel
@@ -159,13 +158,15 @@ def leaving(surface, parcel, work, order, centre, lever, end, count):
         cell = mem[i, at.CELL]
         px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
         curve = (centre + lever * (px * px + py * py) ** 0.5) * 1.000001
+        qx, qy, dx, dy = place(ser, px, py)
         for edge in range(offset.shape[0]):
-            if mem[i, at.SIDE] != 0 and mem[i, at.EDGE] == edge:
-                continue
-            value, rate = tangent(ser, normal[edge, 0], normal[edge, 1], offset[edge], px, py)
+            nx, ny = normal[edge, 0], normal[edge, 1]
+            value, rate = offset[edge] - nx * qx - ny * qy, -nx * dx - ny * dy
             if value + min(0.0, rate * end) - curve * end * end > zero:
                 continue
-            edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
+            if mem[i, at.SIDE] != 0 and mem[i, at.EDGE] == edge:
+                continue
+            edge_polynomial(ser, order, nx, ny, offset[edge], px, py, g)
             t = crossing(g, order, zero, end, p)
             if t <= end:
                 kind = at.CORNER if mem[i, at.SIDE] != 0 else at.LEAVE
@@ -205,8 +206,10 @@ def entering(surface, parcel, work, order, centre, lever, end, count):
             px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
             curve = (centre + lever * (px * px + py * py) ** 0.5) * 1.000001
             near = True
+            qx, qy, dx, dy = place(ser, px, py)
             for edge in range(offset.shape[0]):
-                value, rate = tangent(ser, normal[edge, 0], normal[edge, 1], offset[edge], px, py)
+                nx, ny = normal[edge, 0], normal[edge, 1]
+                value, rate = offset[edge] - nx * qx - ny * qy, -nx * dx - ny * dy
                 if value + max(0.0, rate * end) + curve * end * end < -zero:
                     near = False
                     break
