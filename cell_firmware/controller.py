@@ -162,9 +162,8 @@ class Controller:
         n = len(state.cells)
         states: list[ControllerState] = []
         drive = np.zeros((n, 2))
-        outbox = None
-        if self.firmware.message is not None:
-            outbox = Outbox(np.zeros((n, 4), dtype=np.bool_), np.zeros((n, 4), dtype=self.firmware.message))
+        message = self.firmware.message
+        outbox = None if message is None else Outbox.empty(n, message)
         failures: dict[int, FirmwareFailed] = {}
         for i in range(n):
             alone = np.array([i])
