@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import sys
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from deploy.commands.options import (
-    DurationOption,
-    JsonOption,
-    OutputOption,
-    SceneArgument,
-    SeedOption,
-    SetOption,
-    SolverOption,
-    ToleranceOption,
-    load_scene,
-)
+from deploy.commands.options import Asked
+from deploy.commands.outcome import carry_out
+from deploy.commands.spread import spread
 from deploy.errors import InputError
 from deploy.plan import Plan, Processes, RunOptions, plan
 
 if TYPE_CHECKING:
-    from deploy.scene import Scene
+    from deploy.interruption import Interruption
+    from deploy.run import Outcome
 
 ProcessesOption = Annotated[
     str | None,
@@ -63,65 +54,44 @@ RealtimeOption = Annotated[
     ),
 ]
 PlanOption = Annotated[bool, typer.Option("--plan", help="Print what would be started, and exit.")]
-PictureOption = Annotated[bool, typer.Option("--picture/--no-picture", help="Draw overview.png at the end.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no warnings on stderr.")]
 
 
+@spread
 def run(
-    scene: SceneArgument,
+    asked: Asked,
     *,
-    sets: SetOption = None,
-    seed: SeedOption = None,
-    duration: DurationOption = None,
-    solver: SolverOption = None,
-    tolerance: ToleranceOption = None,
     processes: ProcessesOption = None,
     transport: TransportOption = "zenoh",
     wire: WireOption = None,
     listen: ListenOption = None,
     realtime: RealtimeOption = None,
-    output: OutputOption = None,
-    picture: PictureOption = True,
     show_plan: PlanOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
 ) -> None:
     """Run a scene: every cell an agent with its own controller, the plant, and messages between them.
 
     Leaves recording.mcap, summary.json and overview.png in the output folder. Ctrl-C ends the run early; what
     was recorded is complete up to there.
     """
-    found = load_scene(scene, sets, seed, duration, solver, tolerance)
+    scene = asked.load()
     options = RunOptions(
         processes=parse_processes(processes),
         transport=transport,
         wire=wire,
         listen=listen,
         realtime=realtime,
-        output=output,
-        picture=picture,
+        output=asked.output,
+        picture=asked.picture,
     )
     if show_plan:
-        print_plan(plan(found, options, "RUN"), as_json=as_json)
-    else:
-        raise typer.Exit(_run(found, options, as_json=as_json, quiet=quiet))
+        print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)
+        return
 
+    def work(interruption: Interruption) -> Outcome:
+        from deploy.run import run as run_scene
 
-def _run(scene: Scene, options: RunOptions, *, as_json: bool, quiet: bool) -> int:
-    from deploy.commands.outcome import report
-    from deploy.interruption import Interrupted, Interruption
-    from deploy.run import run as run_scene
+        return run_scene(scene, options, quiet=asked.quiet, interruption=interruption)
 
-    interruption = Interruption()
-    with interruption.watching(last=True):
-        try:
-            # What a firmware prints in this process is no part of what the command prints.
-            with contextlib.redirect_stdout(sys.stderr):
-                outcome = run_scene(scene, options, quiet=quiet, interruption=interruption)
-        except Interrupted as interrupted:
-            sys.stderr.write("mdms: interrupted before the run began\n")
-            return interrupted.exit_code
-        return report(outcome, as_json=as_json)
+    carry_out("the run", work, as_json=asked.as_json)
 
 
 def parse_processes(text: str | None) -> Processes | None:
