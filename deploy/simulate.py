@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -14,10 +13,10 @@ from numpy.typing import NDArray
 
 from deploy.digest import Digest
 from deploy.errors import InputError
-from deploy.faults.schedule import deaths
+from deploy.faults.schedule import crash_aborts, deaths
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import event_record
-from deploy.output import draw, footprint, output_folder, parcel_outcomes
+from deploy.output import footprint, illustrate, output_folder, parcel_outcomes
 from deploy.progress import Progress
 from deploy.run import Outcome, load_plant, status_of
 from deploy.summary import Summary
@@ -126,7 +125,8 @@ class _Simulation:
         summary = self._summary(plant, folder, wall_s, started - self.begun)
         summary.write(folder)
         if picture and self.status != "interrupted":
-            summary = self._draw(summary, self._track(plant, summary.digest), folder)
+            track = self._track(plant, summary.digest)
+            summary = illustrate(summary, lambda: track, folder, self.interruption)
         return Outcome(summary)
 
     # --- the simulation itself --------------------------------------------------------------------
@@ -166,10 +166,7 @@ class _Simulation:
                 {"time_s": at_s, "kind": "crash", "cell": list(names[cell]), "detail": "scheduled"}
             )
         if policy == "abort":
-            row, column = names[cells[0]]
-            self._end(
-                "failed", f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"
-            )
+            self._end("failed", crash_aborts(names[cells[0]], at_s))
             return
         if policy != "hold":
             drives[list(cells)] = 0.0
@@ -231,16 +228,6 @@ class _Simulation:
             digest=self._digest(),
             output=str(folder),
         )
-
-    def _draw(self, summary: Summary, track: Track, folder: Path) -> Summary:
-        """Draw the picture; a signal gives it up and makes the simulation an interrupted one."""
-        try:
-            with self.interruption.allowed():
-                draw(track, folder)
-        except Interrupted:
-            summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
-            summary.write(folder)
-        return summary
 
     def _warn(self, line: str) -> None:
         if not self.quiet:

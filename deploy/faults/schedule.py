@@ -22,3 +22,9 @@ def deaths(scene: Scene) -> Deaths:
     for cell in sorted(first):
         by_tick.setdefault(first[cell], []).append(cell)
     return {tick: tuple(cells) for tick, cells in sorted(by_tick.items())}
+
+
+def crash_aborts(cell: tuple[int, int], at_s: float) -> str:
+    """Why a run is over, a cell of which crashed as the scene says, where the policy is ``abort``."""
+    row, column = cell
+    return f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"
