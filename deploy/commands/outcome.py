@@ -49,7 +49,9 @@ def report(outcome: Outcome, *, as_json: bool) -> int:
     else:
         from rich.console import Console
 
-        summary.print_table(Console())
+        from deploy.summary_table import print_summary
+
+        print_summary(summary, Console())
     sys.stdout.flush()
     if outcome.detail:
         sys.stderr.write(f"{outcome.detail.rstrip()}\n")

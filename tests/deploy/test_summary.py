@@ -13,6 +13,7 @@ from rich.console import Console
 
 from deploy.errors import DeployError
 from deploy.summary import Messages, ParcelOutcome, Summary
+from deploy.summary_table import print_summary
 
 PROMISED = {
     "status", "scene", "seed", "duration_s", "cells", "processes", "transport", "solver", "ticks", "wall_s",
@@ -43,7 +44,7 @@ def summary(**changes: Any) -> Summary:
 
 def printed(outcome: Summary) -> str:
     console = Console(file=io.StringIO(), width=100)
-    outcome.print_table(console)
+    print_summary(outcome, console)
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
@@ -141,7 +142,7 @@ def test_many_parcels_are_counted_by_state() -> None:
 def test_the_table_fits_eighty_columns_without_cutting_a_number() -> None:
     console = Console(file=io.StringIO(), width=80)
     state = np.array([-12.345678, -12.345678, -123.456789, 0.0, 0.0, 0.0])
-    summary(digest="ab" * 32, parcels=[ParcelOutcome.of(state, "at_rest", 1.0)]).print_table(console)
+    print_summary(summary(digest="ab" * 32, parcels=[ParcelOutcome.of(state, "at_rest", 1.0)]), console)
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert "…" not in text
     assert "ab" * 32 in text
