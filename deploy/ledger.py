@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from bus.counts import Loss
     from deploy.progress import Progress
     from deploy.recording import Recorder
-    from plant.plant import Event
     from plant.process import TickRecord
+    from plant.reports import Event
 
 _WORDS = {"token lost": "its process went away", "stalled": "it did not answer in time"}
 

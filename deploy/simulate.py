@@ -25,7 +25,8 @@ from plant.errors import PlantError
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
-    from plant.plant import Event, Plant, Trajectory
+    from plant.plant import Plant
+    from plant.reports import Event, Trajectory
 
 Floats = NDArray[np.float64]
 
