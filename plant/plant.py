@@ -104,14 +104,15 @@ class Plant:
 
     @property
     def wheel_speed(self) -> Floats:
-        """``(n, 2)`` surface speeds, m/s."""
-        return self._wheels.speed
+        """``(n, 2)`` surface speeds, m/s; read-only."""
+        return _read_only(self._wheels.speed)
 
     def sense(self) -> Sense:
         """What the cells sense now."""
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
         self._solver.presence(presence)
-        return Sense(presence, self._wheels.travel)
+        travel = self._wheels.travel
+        return Sense(presence, None if travel is None else _read_only(travel))
 
     def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
         """Note that cells are dead from now on.
@@ -176,7 +177,8 @@ class Plant:
             raise PlantError(f"until_ns = {until_ns} is in the past: it is {self._now_ns} ns already")
         span = (until_ns - self._now_ns) * 1e-9
         start = self._now_ns * 1e-9
-        motion = self._wheels.command(np.ascontiguousarray(drives, dtype=np.float64))
+        # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
+        motion = self._wheels.command(np.array(drives, dtype=np.float64, order="C"))
         events: list[Event] = []
         for i in range(len(self._solver.parcels)):
             out = self._nothing if samples is None else np.empty((len(times_s), 6))
@@ -259,3 +261,10 @@ class Plant:
             )
             for kind, first, second, depth, place in self._overlaps.changes(state)
         ]
+
+
+def _read_only(array: Floats) -> Floats:
+    """The same numbers, which whoever gets them can't change in the plant."""
+    view = array.view()
+    view.setflags(write=False)
+    return view

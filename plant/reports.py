@@ -19,7 +19,7 @@ class Sense:
 
     Attributes:
         presence: ``(n, sensors)`` bool.
-        encoder_m: ``(n, 2)`` surface passed since the start, m; None where there are no encoders.
+        encoder_m: ``(n, 2)`` surface passed since the start, m, read-only; None where there are no encoders.
     """
 
     presence: NDArray[np.bool_]
