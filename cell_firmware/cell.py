@@ -129,7 +129,7 @@ class PerCell(Firmware):
         failed: dict[int, str] = {}
         for i in range(n):
             try:
-                states[i], outputs = self.firmware.step(states[i], _inputs(inputs, i))
+                states[i], outputs = _pair(self.firmware.step(states[i], _inputs(inputs, i)))
                 speed[i] = _speed(outputs)
                 _send(outputs.outbox, outbox, i)
             except Exception:  # noqa: BLE001 - whatever a user's program raises is that cell's failure
@@ -168,11 +168,24 @@ def _plain(messages: Messages, i: int, s: int) -> Message:
     return {name: messages[name][i, s].tolist() for name in names}
 
 
-def _speed(outputs: object) -> tuple[float, float]:
+def _pair(result: Any) -> tuple[Any, CellOutputs]:
+    """What a program's step returned, if it is of the right kind."""
+    if not (isinstance(result, tuple) and len(result) == 2):  # pyright: ignore[reportUnknownArgumentType]
+        raise TypeError(f"step must return (state, CellOutputs), not {type(result).__name__}")  # pyright: ignore[reportUnknownArgumentType]
+    pair: tuple[Any, Any] = result  # pyright: ignore[reportUnknownVariableType]
+    state, outputs = pair
     if not isinstance(outputs, CellOutputs):
         raise TypeError(f"step must return (state, CellOutputs), not {type(outputs).__name__} as the second")
-    x, y = (_number(value) for value in outputs.speed_m_s)
-    return x, y
+    return state, outputs
+
+
+def _speed(outputs: CellOutputs) -> tuple[float, float]:
+    given: Any = outputs.speed_m_s
+    try:
+        x, y = given
+    except (TypeError, ValueError):
+        raise TypeError(f"speed_m_s must be two numbers, not {given!r}") from None
+    return _number(x), _number(y)
 
 
 def _number(value: Any) -> float:

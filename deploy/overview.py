@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from deploy.errors import DeployError
 from deploy.track import Track
+from deploy.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -127,18 +128,14 @@ def _below(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
 def _subtitle(track: Track) -> str:
     parts = [
         track.scene,
-        _counted(len(track.positions_m), "cell"),
-        _counted(len(track.footprints_m), "parcel"),
+        counted(len(track.positions_m), "cell"),
+        counted(len(track.footprints_m), "parcel"),
     ]
     parts.append(f"{track.time_s[-1]:.4g} s" if len(track.time_s) else "no ticks")
     parts.append("recording cut" if track.status is None else track.status)
     if track.digest:
         parts.append(f"digest {track.digest[:12]}")
     return "  ·  ".join(parts)
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" + ("" if number == 1 else "s")
 
 
 def _shortened(text: str, length: int) -> str:

@@ -169,7 +169,7 @@ def _load(path: Path) -> Recording:
         elif record.name == HEADER_RECORD:
             header = _header(path, record.values)
     if header is None:
-        raise InputError(f"{path} holds no complete header: nothing can be read of it")
+        raise InputError(f"can't read the recording {path}: it holds no complete header")
     end = logs[END][-1] if logs[END] else {}
     return Recording(
         path=path,

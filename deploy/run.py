@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, final
 
 from bus.errors import BusError
 from deploy.digest import Digest
-from deploy.errors import DeployError
+from deploy.errors import DeployError, InputError
 from deploy.faults.schedule import crash_aborts, deaths
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
@@ -64,8 +64,7 @@ def run(
         interruption: The caller's, where it watches for signals itself.
 
     Raises:
-        InputError: Bad input; nothing was started.
-        PlantError: The plant refuses the scene; nothing was started.
+        InputError: Bad input, such as a scene that the plant refuses; nothing was started.
         Interrupted: SIGINT or SIGTERM came before the run had a recording.
     """
     interruption = interruption or Interruption()
@@ -231,7 +230,7 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
     """The plant of a scene, its kernels compiled or loaded; says so where that takes long.
 
     Raises:
-        PlantError: The plant refuses the scene.
+        InputError: The plant refuses the scene.
     """
     from plant.kernels.cache import folder, is_warm
     from plant.plant import Plant
@@ -240,7 +239,10 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
         _, lasting = folder()
         once = "once" if lasting else "every time: the cache folder can't be written, see NUMBA_CACHE_DIR"
         warn(f"compiling the solver ({once}) ...")
-    return Plant(scene.plant_spec())
+    try:
+        return Plant(scene.plant_spec())
+    except PlantError as error:
+        raise InputError(f"scene {scene.name}: {error}") from None
 
 
 def status_of(error: PlantError) -> str:

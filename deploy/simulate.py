@@ -56,8 +56,7 @@ def simulate(
         interruption: The caller's, where it watches for signals itself.
 
     Raises:
-        InputError: The scene's firmware has no field to simulate.
-        PlantError: The plant refuses the scene.
+        InputError: The scene's firmware has no field to simulate, or the plant refuses the scene.
         Interrupted: SIGINT or SIGTERM came before the simulation began.
     """
     interruption = interruption or Interruption()
@@ -77,8 +76,8 @@ def field_speeds(scene: Scene, positions_m: Floats) -> Floats:
     firmware = load(scene.cells)
     if not isinstance(firmware, VelocityField):
         raise InputError(
-            f"scene {scene.name}: cells.firmware = {scene.cells.firmware}: simulate takes wheel speeds from a "
-            "velocity field, so the firmware must be velocity_field; `mdms run` runs any firmware"
+            f'scene {scene.name}: cells.firmware = "{scene.cells.firmware}": must be velocity_field: without cells '
+            "the wheels run at a field's speed; `mdms run` runs any firmware"
         )
     return firmware.parameters.field.velocity(positions_m[:, 0], positions_m[:, 1])
 

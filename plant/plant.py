@@ -74,7 +74,8 @@ class Plant:
             x, y = parcel.y[:2]
             if parcel.ctl[layout.N_MEMBERS] == 0:
                 raise PlantError(
-                    f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel is off the array: no cell lies under it"
+                    f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel stands on nothing: no cell's centre lies "
+                    "under it"
                 )
             if not self._solver.stand(i, self._grip):
                 raise PlantError(

@@ -51,7 +51,7 @@ def test_the_table_names_the_pose_the_constants_and_every_support(capsys: pytest
         (["elliptic", "--parcel", "1"], "scene elliptic: --parcel 1: the scene has parcels 0..0"),
         (["elliptic", "--set", "parcels=[]"], "scene elliptic: --parcel 0: the scene has no parcels"),
         (["elliptic", "--set", "parcels.0.position_m=[5,0]"], "scene elliptic: parcels[0]"),
-        (["heat"], "scene heat: cells.firmware = heat_diffusion"),
+        (["heat"], 'scene heat: cells.firmware = "heat_diffusion": must be velocity_field'),
     ],
 )
 def test_what_has_no_constants_is_refused_in_one_line(

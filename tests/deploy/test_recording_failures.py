@@ -75,7 +75,7 @@ def test_zeros_at_the_end_count_as_cut(tmp_path: Path, made_up_run: Make, record
 def test_cut_inside_its_header_a_recording_is_refused(tmp_path: Path, made_up_run: Make, size: int) -> None:
     path = made_up_run().record(tmp_path)
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.raises(InputError, match="holds no complete header"):
+    with pytest.raises(InputError, match="it holds no complete header"):
         load(path)
 
 
