@@ -21,7 +21,7 @@ FILE_NAME = "overview.png"
 _DPI = 110
 _WIDE = 2.0
 """A view this many times as wide as high has its panels below it."""
-_HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.62, 0.75, 0.35, 0.85, 0.35
+_HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.62, 0.85, 0.35, 1.0, 0.35
 """Space around the view, inches."""
 _Box = tuple[float, float, float, float]
 _STYLE: Any = {
@@ -102,8 +102,9 @@ def _figure(track: Track) -> Figure:
 
 def _beside(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
     """Width, height and boxes of a page with the view at the left and the panels stacked at the right."""
-    height, panel = 6.2, 4.2
-    width = min(max(height * ratio, 3.0), 8.0)
+    tall, panel = 6.2, 4.2
+    width = min(max(tall * ratio, 2.0), 8.0)
+    height = min(max(width / ratio, 4.2), tall)  # the view's own where it fills its width: no blank below it
     boxes = [(_MARGIN, _FOOT, width, height)]
     page = _MARGIN + width + _EDGE
     if timed:

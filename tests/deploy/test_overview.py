@@ -37,9 +37,14 @@ def track(tmp_path: Path, made_up_run: Make) -> Track:
     return load(made_up_run().record(tmp_path)).track()
 
 
+def _like(picture: np.ndarray, shade: str, within: float) -> np.ndarray:
+    """Which pixels have about this colour."""
+    return np.abs(picture - mpl.colors.to_rgb(shade)).max(axis=2) < within
+
+
 def pixels(picture: np.ndarray, shade: str) -> int:
     """How many pixels have about this colour."""
-    return int((np.abs(picture - mpl.colors.to_rgb(shade)).max(axis=2) < 0.06).sum())
+    return int(_like(picture, shade, 0.06).sum())
 
 
 @pytest.mark.parametrize("parcels", [1, 3, 8, 30])
@@ -125,6 +130,25 @@ def test_a_wide_array_has_its_panels_below(
 ) -> None:
     height, width, _ = draw(load(made_up_run(rows=2, columns=40).record(tmp_path))).shape
     assert width > 1.5 * height
+
+
+def test_a_flat_view_leaves_no_blank_below_it(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
+) -> None:
+    picture = draw(load(made_up_run(rows=10, columns=19, parcels=0).record(tmp_path)))
+    below = np.flatnonzero((picture < 0.9).any(axis=(1, 2)))[-1]
+    assert below > picture.shape[0] - 40
+
+
+def test_arrows_of_every_other_cell_stay_inside_the_array(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
+) -> None:
+    run = made_up_run(rows=40, columns=40, parcels=0)
+    run.wheel_speeds[:] = (1.0, 0.0)
+    picture = draw(load(run.record(tmp_path)))[150:-150]  # without title and axis
+    cells = np.flatnonzero(_like(picture, "#eceff3", 0.02).sum(axis=0) > 100)
+    arrows = np.flatnonzero(_like(picture, "#7d8a9a", 0.02).any(axis=0))
+    assert arrows[-1] <= cells[-1]
 
 
 def test_a_title_may_hold_dollar_signs_and_be_long(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
