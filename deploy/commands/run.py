@@ -17,22 +17,28 @@ if TYPE_CHECKING:
     from deploy.interruption import Interruption
     from deploy.run import Outcome
 
+HOW = "How it is run"
+
 ProcessesOption = Annotated[
     str | None,
     typer.Option(
         "--processes",
+        rich_help_panel=HOW,
         metavar="N|each|0",
         help="Worker processes for the cells; each: one a cell; 0: everything in this process.",
     ),
 ]
 TransportOption = Annotated[
     Literal["zenoh", "memory"],
-    typer.Option("--transport", help="What carries the messages; memory needs --processes 0."),
+    typer.Option(
+        "--transport", rich_help_panel=HOW, help="What carries the messages; memory needs --processes 0."
+    ),
 ]
 WireOption = Annotated[
     Literal["packed", "cells"] | None,
     typer.Option(
         "--wire",
+        rich_help_panel=HOW,
         help="One array a worker, or one key a cell and link that any Zenoh tool can join. "
         "Default: packed, but cells with --processes each.",
     ),
@@ -41,6 +47,7 @@ ListenOption = Annotated[
     str | None,
     typer.Option(
         "--listen",
+        rich_help_panel=HOW,
         metavar="ENDPOINT",
         help="Where the plant listens, such as tcp/127.0.0.1:7447. Default: a free loopback port.",
     ),
@@ -49,11 +56,14 @@ RealtimeOption = Annotated[
     float | None,
     typer.Option(
         "--realtime",
+        rich_help_panel=HOW,
         metavar="[FACTOR]",
         help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as it goes.",
     ),
 ]
-PlanOption = Annotated[bool, typer.Option("--plan", help="Print what would be started, and exit.")]
+PlanOption = Annotated[
+    bool, typer.Option("--plan", rich_help_panel=HOW, help="Print what would be started, and exit.")
+]
 
 
 @spread
@@ -71,6 +81,12 @@ def run(
 
     Leaves recording.mcap, summary.json and overview.png in the output folder. Ctrl-C ends the run early; what
     was recorded is complete up to there.
+
+    A process a cell; twelve seconds in step with the clock; a cell that crashes:
+
+      [cyan]mdms run prototype --processes each[/cyan]
+      [cyan]mdms run elliptic --duration 12 --realtime[/cyan]
+      [cyan]mdms run elliptic --set 'faults=[{ at_s = 1, cell = [9, 9] }]'[/cyan]
     """
     scene = asked.load()
     options = RunOptions(

@@ -39,6 +39,8 @@ def test_the_table_names_the_pose_the_constants_and_every_support(capsys: pytest
     assert out.startswith(
         f"scene elliptic, parcel 0 at (0.02, 0.01) m, 0 rad, carried by {len(found['supports'])} cells"
     )
+    assert all(len(line) <= 80 for line in out.splitlines())
+    assert "-0.981 ± 1.721i, -0.981 ± 0.9998i 1/s" in out
     for name in ("k_s", "f0", "tau0", "k_tau", "equilibrium", "eigenvalues"):
         assert f"\n{name} " in out
     for row, column in found["supports"]:
