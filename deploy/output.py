@@ -116,7 +116,7 @@ def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
 def illustrate(
     summary: Summary, run: Callable[[], Recording | Track], folder: Path, interruption: Interruption
 ) -> Summary:
-    """Draw the overview of a run into its folder, whole or not at all.
+    """Draw the overview of a run into its folder.
 
     Args:
         summary: Of the run.
@@ -130,16 +130,12 @@ def illustrate(
     Raises:
         DeployError: It can't be written.
     """
-    draft = folder / f".{PICTURE}.draft"
     try:
         with interruption.allowed():
-            draw_overview(run(), draft)
-            draft.replace(folder / PICTURE)
+            draw_overview(run(), folder / PICTURE)
     except Interrupted:
         summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
         summary.write(folder)
-    finally:
-        draft.unlink(missing_ok=True)
     return summary
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,7 @@ _STYLE: Any = {
 
 
 def draw_overview(run: Recording | Track, path: str | Path) -> None:
-    """Draw a run as a PNG, without a display.
+    """Draw a run as a PNG, without a display; the file is written whole or not at all.
 
     Args:
         run: A recording, whole or cut, or the track of a simulation.
@@ -55,11 +56,16 @@ def draw_overview(run: Recording | Track, path: str | Path) -> None:
 
     track = run if isinstance(run, Track) else run.track()
     with mpl.rc_context(_STYLE):
-        figure = _figure(track)
+        canvas = FigureCanvasAgg(_figure(track))
+        draft = Path(path).with_name(f".{Path(path).name}.draft")
         try:
-            FigureCanvasAgg(figure).print_png(str(path))
+            canvas.print_png(str(draft))
+            draft.replace(path)
         except OSError as error:
             raise DeployError(f"can't write the picture {path}: {error.strerror or error}") from error
+        finally:
+            with suppress(OSError):
+                draft.unlink()
 
 
 def _figure(track: Track) -> Figure:

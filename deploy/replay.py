@@ -142,6 +142,8 @@ def load(path: str | Path) -> Recording:
     """
     path = Path(path)
     if path.is_dir():
+        if not (path / FILE_NAME).exists():
+            raise InputError(f"there is no {FILE_NAME} in {path}; of a simulation there never is one")
         path = path / FILE_NAME
     try:
         return _load(path)

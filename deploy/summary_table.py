@@ -20,6 +20,8 @@ _MANY = 12
 """Parcels listed one by one; of more, the table says how many are in each state."""
 _FAULTS = 4
 """Faults named one by one."""
+_NOTHING = 1e-12
+"""What rounding leaves of a parcel's turning, rad/s."""
 _DID = {"crash": "crashed", "token_lost": "went away"}
 """What a cell did, by the fault's kind, where that is not the word for it."""
 
@@ -143,7 +145,8 @@ def _parcels(parcels: Sequence[ParcelOutcome]) -> Table:
 def _state(parcel: ParcelOutcome) -> str:
     text = parcel.state.replace("_", " ")
     if parcel.state == "moving":
-        text += f", {hypot(*parcel.velocity_m_s):.2g} m/s, {parcel.angular_velocity_rad_s:.2g} rad/s"
+        turning = parcel.angular_velocity_rad_s if abs(parcel.angular_velocity_rad_s) > _NOTHING else 0.0
+        text += f", {hypot(*parcel.velocity_m_s):.2g} m/s, {turning:.2g} rad/s"
     else:
         text += f" since {parcel.time_s:.4f} s"
     return f"{text}: {parcel.detail}" if parcel.detail else text

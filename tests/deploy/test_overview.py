@@ -10,9 +10,11 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from deploy.errors import DeployError
+from deploy.interruption import Interrupted
 from deploy.overview import draw_overview
 from deploy.overview_map import colour, extent, incidents, lost_cells
 from deploy.replay import load
@@ -165,3 +167,18 @@ def test_the_same_run_gives_the_same_picture(tmp_path: Path, track: Track) -> No
 def test_a_picture_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path, track: Track) -> None:
     with pytest.raises(DeployError, match=r"can't write the picture .*overview\.png: No such file"):
         draw_overview(track, tmp_path / "absent" / "overview.png")
+
+
+def test_a_picture_that_is_given_up_leaves_the_one_before(
+    tmp_path: Path, track: Track, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def give_up(canvas: FigureCanvasAgg, path: str) -> None:
+        Path(path).write_bytes(b"half")
+        raise Interrupted
+
+    (tmp_path / "overview.png").write_bytes(b"before")
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", give_up)
+    with pytest.raises(Interrupted):
+        draw_overview(track, tmp_path / "overview.png")
+    assert (tmp_path / "overview.png").read_bytes() == b"before"
+    assert not list(tmp_path.glob(".*"))
