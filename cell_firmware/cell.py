@@ -6,7 +6,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
@@ -17,12 +17,11 @@ from cell_firmware.firmware import (
     Inbox,
     Inputs,
     Messages,
-    NoParameters,
     Outbox,
     Outputs,
     State,
 )
-from cell_firmware.specs import Spec
+from cell_firmware.program import Program
 
 Message = Mapping[str, Any]
 """One message: values by field name, as the firmware's message type declares them."""
@@ -80,30 +79,11 @@ class CellOutputs:
     outbox: Mapping[str, Message | None] = field(default_factory=dict[str, Message | None])
 
 
-class CellFirmware(ABC):
+class CellFirmware(Program, ABC):
     """A cell's program in plain Python: one cell at a time, any state.
 
     ``step`` is a function of its arguments: no clock, no chance, nothing shared between cells.
-
-    Args:
-        parameters: An instance of ``Parameters``.
     """
-
-    Parameters: ClassVar[type[Spec]] = NoParameters
-    """What a scene may set in ``[cells.parameters]``."""
-    message: ClassVar[np.dtype[Any] | None] = None
-    """Little-endian structured type of a message between neighbours; None if they don't talk."""
-
-    def __init__(self, parameters: Any) -> None:
-        self.parameters = parameters
-
-    def check(self, lattice: Lattice) -> None:
-        """Refuses parameters that do not fit the array, before anything starts.
-
-        Raises:
-            ParametersError: They do not.
-        """
-        del lattice
 
     @abstractmethod
     def init(self, cell: Cell) -> Any:
@@ -145,13 +125,11 @@ class PerCell(Firmware):
         n = len(inputs.presence)
         states = state["cell"].copy()
         speed = np.zeros((n, 2))
-        outbox = None
-        if self.message is not None:
-            outbox = Outbox(np.zeros((n, 4), dtype=np.bool_), np.zeros((n, 4), dtype=self.message))
+        outbox = None if self.message is None else Outbox.empty(n, self.message)
         failed: dict[int, str] = {}
         for i in range(n):
             try:
-                states[i], outputs = self.firmware.step(states[i], _inputs(inputs, i))
+                states[i], outputs = _pair(self.firmware.step(states[i], _inputs(inputs, i)))
                 speed[i] = _speed(outputs)
                 _send(outputs.outbox, outbox, i)
             except Exception:  # noqa: BLE001 - whatever a user's program raises is that cell's failure
@@ -190,11 +168,24 @@ def _plain(messages: Messages, i: int, s: int) -> Message:
     return {name: messages[name][i, s].tolist() for name in names}
 
 
-def _speed(outputs: object) -> tuple[float, float]:
+def _pair(result: Any) -> tuple[Any, CellOutputs]:
+    """What a program's step returned, if it is of the right kind."""
+    if not (isinstance(result, tuple) and len(result) == 2):  # pyright: ignore[reportUnknownArgumentType]
+        raise TypeError(f"step must return (state, CellOutputs), not {type(result).__name__}")  # pyright: ignore[reportUnknownArgumentType]
+    pair: tuple[Any, Any] = result  # pyright: ignore[reportUnknownVariableType]
+    state, outputs = pair
     if not isinstance(outputs, CellOutputs):
         raise TypeError(f"step must return (state, CellOutputs), not {type(outputs).__name__} as the second")
-    x, y = (_number(value) for value in outputs.speed_m_s)
-    return x, y
+    return state, outputs
+
+
+def _speed(outputs: CellOutputs) -> tuple[float, float]:
+    given: Any = outputs.speed_m_s
+    try:
+        x, y = given
+    except (TypeError, ValueError):
+        raise TypeError(f"speed_m_s must be two numbers, not {given!r}") from None
+    return _number(x), _number(y)
 
 
 def _number(value: Any) -> float:

@@ -86,12 +86,13 @@ class Controller:
         try:
             state = _frozen(_checked_state(self.firmware.init(cells), None, n))
         except Exception as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
-            if n > 1:  # find the first cell that fails alone
-                for i in range(n):
-                    self.init(cells.take(np.array([i])))
             problem, trace = _described(error)
-            raise FirmwareFailed(cells.name(0), 0, f"init: {problem}", trace) from None
-        return ControllerState(cells, state, self.speed_loop and self.speed_loop.init(n))
+        else:
+            return ControllerState(cells, state, self.speed_loop and self.speed_loop.init(n))
+        if n > 1:  # find the first cell that fails alone
+            for i in range(n):
+                self.init(cells.take(np.array([i])))
+        raise FirmwareFailed(cells.name(0), 0, f"init: {problem}", trace)
 
     def step(
         self, tick: int, state: ControllerState, inputs: Inputs
@@ -162,9 +163,8 @@ class Controller:
         n = len(state.cells)
         states: list[ControllerState] = []
         drive = np.zeros((n, 2))
-        outbox = None
-        if self.firmware.message is not None:
-            outbox = Outbox(np.zeros((n, 4), dtype=np.bool_), np.zeros((n, 4), dtype=self.firmware.message))
+        message = self.firmware.message
+        outbox = None if message is None else Outbox.empty(n, message)
         failures: dict[int, FirmwareFailed] = {}
         for i in range(n):
             alone = np.array([i])

@@ -5,23 +5,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from cell_firmware.specs import Spec
+from cell_firmware.program import Program
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Messages = NDArray[Any]
 State = Mapping[str, NDArray[Any]]
 """Arrays by name, each with one row per cell."""
-
-
-class NoParameters(Spec):
-    """Firmware that takes none."""
 
 
 @final
@@ -126,6 +122,11 @@ class Outbox:
     sent: Bools
     message: Messages
 
+    @staticmethod
+    def empty(n: int, message: np.dtype[Any]) -> Outbox:
+        """An outbox of n cells with nothing in it, to be filled."""
+        return Outbox(np.zeros((n, 4), dtype=np.bool_), np.zeros((n, 4), dtype=message))
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -144,33 +145,14 @@ class Outputs:
     failed: Mapping[int, str] | None = None
 
 
-class Firmware(ABC):
+class Firmware(Program, ABC):
     """A cell's program, written on arrays: n cells at once, a single cell being an array of one.
 
     Both methods are pure: everything that changes is in the state, and the same arguments give the same
     answer. One cell must get the same bits alone and among thousands: so elementwise ``+ - * /``,
     comparisons, ``np.where``, ``np.sqrt``; no ``math``, no ``**``, no reduction across cells, no access to a
     neighbour but through messages. State arrays are handed in read-only.
-
-    Args:
-        parameters: An instance of ``Parameters``.
     """
-
-    Parameters: ClassVar[type[Spec]] = NoParameters
-    """What a scene may set in ``[cells.parameters]``."""
-    message: ClassVar[np.dtype[Any] | None] = None
-    """Little-endian structured type of a message between neighbours; None if they don't talk."""
-
-    def __init__(self, parameters: Any) -> None:
-        self.parameters = parameters
-
-    def check(self, lattice: Lattice) -> None:
-        """Refuses parameters that do not fit the array, before anything starts.
-
-        Raises:
-            ParametersError: They do not.
-        """
-        del lattice
 
     @abstractmethod
     def init(self, cells: Cells) -> State:

@@ -120,9 +120,9 @@ def _imported(name: str, module: str) -> ModuleType:
                 f"firmware {name!r}: there is no module {error.name!r} to import "
                 "(a file can be given by its path)"
             ) from None
-        raise _import_failed(name) from error
+        raise _import_failed(name, error) from error
     except Exception as error:
-        raise _import_failed(name) from error
+        raise _import_failed(name, error) from error
 
 
 def _from_file(name: str, path: Path) -> ModuleType:
@@ -138,12 +138,19 @@ def _from_file(name: str, path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except Exception as error:
         del sys.modules[module_name]
-        raise _import_failed(name) from error
+        raise _import_failed(name, error) from error
     return module
 
 
-def _import_failed(name: str) -> FirmwareError:
-    return FirmwareError(f"firmware {name!r} can't be loaded:\n{traceback.format_exc()}")
+def _import_failed(name: str, error: Exception) -> FirmwareError:
+    """What went wrong in a line, and below it where: in the firmware, not in what imported it."""
+    where = error.__traceback__
+    while where is not None and (
+        "importlib" in (file := where.tb_frame.f_code.co_filename) or file == __file__
+    ):
+        where = where.tb_next
+    trace = "".join(traceback.format_exception(type(error), error, where)).rstrip()
+    return FirmwareError(f"firmware {name!r} can't be loaded: {type(error).__name__}: {error}\n{trace}")
 
 
 def _defined(module: ModuleType) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -37,6 +38,7 @@ class Interruption:
         self.requested = False
         self.waits: Callable[[], bool] = lambda: False
         self._allowed = False
+        self._raised = False
 
     @contextmanager
     def watching(self, *, last: bool = False) -> Generator[None]:
@@ -50,9 +52,20 @@ class Interruption:
             yield
             return
         before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        hook = sys.unraisablehook
+
+        def unraisable(lost: sys.UnraisableHookArgs) -> None:
+            # Python drops what a signal handler raises inside a C library's callback, such as the compiler's.
+            if isinstance(lost.exc_value, Interrupted):
+                self._raised = False
+            else:
+                hook(lost)
+
+        sys.unraisablehook = unraisable
         try:
             yield
         finally:
+            sys.unraisablehook = hook
             for number, handler in before.items():
                 signal.signal(number, signal.SIG_IGN if last and self.requested else handler)
 
@@ -69,11 +82,13 @@ class Interruption:
     def check(self) -> None:
         """Raise Interrupted if a signal has come."""
         if self.requested:
+            self._raised = True
             raise Interrupted
 
     def _note(self, number: int, frame: FrameType | None) -> Any:
         del number, frame
-        first, self.requested = not self.requested, True
+        self.requested = True
         # One exception is enough: what it unwinds is not to be interrupted again.
-        if first and (self._allowed or self.waits()):
+        if not self._raised and (self._allowed or self.waits()):
+            self._raised = True
             raise Interrupted

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from bus.counts import Loss
     from deploy.progress import Progress
     from deploy.recording import Recorder
-    from plant.plant import Event
     from plant.process import TickRecord
+    from plant.reports import Event
 
 _WORDS = {"token lost": "its process went away", "stalled": "it did not answer in time"}
 
@@ -98,8 +98,9 @@ class Ledger:
         """Note cells that were found lost, and say so: once for those that were lost alike."""
         for loss in losses:
             self._fault(loss.tick, loss.reason.replace(" ", "_"), loss.cell, loss.detail)
+        then = "the run ends" if self._policy == "abort" else f"wheels {self._policy}"
         for line in self._lines(losses):
-            self._warn(f"{line}; wheels: {self._policy}")
+            self._warn(f"{line}; {then}")
 
     def describe(self, losses: Sequence[Loss]) -> str:
         """Which cells were lost, when, and why, in one line."""

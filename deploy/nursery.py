@@ -120,7 +120,7 @@ class _Nursery:
                 "failed",
                 error=_one_line(error),
                 kind=type(error).__name__,
-                detail=traceback.format_exc(),
+                detail=_told(error),
             )
         finally:
             # Nothing of the nursery's own stack may run in a worker.
@@ -179,7 +179,16 @@ def _rename(name: str) -> None:
         own.write_text(name[:15], encoding="utf-8")
 
 
+def _told(error: BaseException) -> str:
+    """The traceback; of a firmware's failure only the firmware's own, which it holds."""
+    from cell_firmware.errors import FirmwareFailed
+
+    return str(error) if isinstance(error, FirmwareFailed) else traceback.format_exc()
+
+
 def _one_line(error: BaseException) -> str:
     """The first and the last line of an error's text: what failed and, of a traceback, why."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return " ".join(dict.fromkeys(lines[:1] + lines[-1:])) or type(error).__name__
+    if lines and lines[0].endswith(lines[-1]):
+        return lines[0]
+    return " ".join(lines[:1] + lines[-1:]) or type(error).__name__

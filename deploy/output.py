@@ -5,6 +5,8 @@ from __future__ import annotations
 import platform
 import re
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InputError
+from deploy.interruption import Interrupted, Interruption
 from deploy.overview import FILE_NAME as PICTURE
 from deploy.overview import draw_overview
 from deploy.recording_format import Header
 from deploy.summary import FILE_NAME as SUMMARY
-from deploy.summary import ParcelOutcome
+from deploy.summary import ParcelOutcome, Summary
 from plant.geometry import centroid
 from plant.specs import ParcelSpec
 
@@ -110,18 +113,30 @@ def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
     ]
 
 
-def draw(run: Recording | Track, folder: Path) -> None:
-    """Draw the overview of a run into its folder, whole or not at all.
+def illustrate(
+    summary: Summary, run: Callable[[], Recording | Track], folder: Path, interruption: Interruption
+) -> Summary:
+    """Draw the overview of a run into its folder.
+
+    Args:
+        summary: Of the run.
+        run: Gets what is to be drawn.
+        folder: The run's.
+        interruption: Gives the picture up.
+
+    Returns:
+        The summary; where the picture was given up the run counts as interrupted, in its file too.
 
     Raises:
         DeployError: It can't be written.
     """
-    draft = folder / f".{PICTURE}.draft"
     try:
-        draw_overview(run, draft)
-        draft.replace(folder / PICTURE)
-    finally:
-        draft.unlink(missing_ok=True)
+        with interruption.allowed():
+            draw_overview(run(), folder / PICTURE)
+    except Interrupted:
+        summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
+        summary.write(folder)
+    return summary
 
 
 def versions() -> dict[str, str]:

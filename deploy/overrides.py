@@ -8,8 +8,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, cast, final
 
+from cell_firmware.errors import dotted
 from deploy.errors import InputError
-from deploy.scene_errors import Path, dotted, shown
+from deploy.scene_errors import Path, shown
+from deploy.words import counted
 
 _BARE_WORD = re.compile(r"[A-Za-z_./~][\w./:~+-]*")
 _KEY = re.compile(r"[\w-]+")
@@ -113,6 +115,6 @@ def _check_item(items: list[Any], override: Override, depth: int) -> None:
         raise InputError(f"{override.option}: {at} is a list: its items are numbered 0..{len(items) - 1}")
     if part > len(items):
         raise InputError(
-            f"{override.option}: {at} has {len(items)} items: the number must be 0..{len(items)} "
+            f"{override.option}: {at} has {counted(len(items), 'item')}: the number must be 0..{len(items)} "
             f"({len(items)} adds one)"
         )

@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deploy.errors import DeployError
 from deploy.track import Track
+from deploy.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +22,7 @@ FILE_NAME = "overview.png"
 _DPI = 110
 _WIDE = 2.0
 """A view this many times as wide as high has its panels below it."""
-_HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.62, 0.75, 0.35, 0.85, 0.35
+_HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.62, 0.85, 0.35, 1.0, 0.35
 """Space around the view, inches."""
 _Box = tuple[float, float, float, float]
 _STYLE: Any = {
@@ -40,7 +42,7 @@ _STYLE: Any = {
 
 
 def draw_overview(run: Recording | Track, path: str | Path) -> None:
-    """Draw a run as a PNG, without a display.
+    """Draw a run as a PNG, without a display; the file is written whole or not at all.
 
     Args:
         run: A recording, whole or cut, or the track of a simulation.
@@ -54,11 +56,16 @@ def draw_overview(run: Recording | Track, path: str | Path) -> None:
 
     track = run if isinstance(run, Track) else run.track()
     with mpl.rc_context(_STYLE):
-        figure = _figure(track)
+        canvas = FigureCanvasAgg(_figure(track))
+        draft = Path(path).with_name(f".{Path(path).name}.draft")
         try:
-            FigureCanvasAgg(figure).print_png(str(path))
+            canvas.print_png(str(draft))
+            draft.replace(path)
         except OSError as error:
             raise DeployError(f"can't write the picture {path}: {error.strerror or error}") from error
+        finally:
+            with suppress(OSError):
+                draft.unlink()
 
 
 def _figure(track: Track) -> Figure:
@@ -101,8 +108,9 @@ def _figure(track: Track) -> Figure:
 
 def _beside(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
     """Width, height and boxes of a page with the view at the left and the panels stacked at the right."""
-    height, panel = 6.2, 4.2
-    width = min(max(height * ratio, 3.0), 8.0)
+    tall, panel = 6.2, 4.2
+    width = min(max(tall * ratio, 2.0), 8.0)
+    height = min(max(width / ratio, 4.2), tall)  # the view's own where it fills its width: no blank below it
     boxes = [(_MARGIN, _FOOT, width, height)]
     page = _MARGIN + width + _EDGE
     if timed:
@@ -127,18 +135,14 @@ def _below(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
 def _subtitle(track: Track) -> str:
     parts = [
         track.scene,
-        _counted(len(track.positions_m), "cell"),
-        _counted(len(track.footprints_m), "parcel"),
+        counted(len(track.positions_m), "cell"),
+        counted(len(track.footprints_m), "parcel"),
     ]
     parts.append(f"{track.time_s[-1]:.4g} s" if len(track.time_s) else "no ticks")
     parts.append("recording cut" if track.status is None else track.status)
     if track.digest:
         parts.append(f"digest {track.digest[:12]}")
     return "  ·  ".join(parts)
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" + ("" if number == 1 else "s")
 
 
 def _shortened(text: str, length: int) -> str:

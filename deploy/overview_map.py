@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c6d00", "#332288", "#5
 
 INK = "#22272e"
 LOST = "#c1121f"
+LABEL: Any = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
+"""Behind words that lines may cross."""
 _CELL = "#eceff3"
 _CELL_LARGE = "#f3f5f8"
 _ARROW = "#7d8a9a"
@@ -30,6 +32,8 @@ _ARROWS_ACROSS = 26
 _OUTLINES = 9
 """Outlines of a parcel on its way, start and end included, for few parcels."""
 _FEW = 6
+_NARROW = 0.2
+"""A view this many times as wide as high has room for one number below it."""
 
 
 def colour(parcel: int) -> str:
@@ -68,6 +72,8 @@ def draw_map(axes: Axes, track: Track) -> None:
     for parcel in range(len(track.footprints_m)):
         _draw_parcel(axes, track, parcel)
     _draw_incidents(axes, track)
+    if right - left < _NARROW * (top - bottom):
+        axes.set_xticks([round(0.5 * (left + right), 3)])
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
 
@@ -109,8 +115,9 @@ def _draw_arrows(axes: Axes, track: Track) -> None:
     if not moving.any():
         return
     fastest = float(speed[moving].max())
-    reach = stride * track.pitch_m
-    left, right = axes.get_xlim()
+    # With an even stride no cell is in the middle: arrows as long as the stride would stick out of the array.
+    reach = (stride - 1 + stride % 2) * track.pitch_m
+    left, right, bottom, top = extent(track)
     axes.quiver(
         track.positions_m[shown][moving, 0],
         track.positions_m[shown][moving, 1],
@@ -121,7 +128,7 @@ def _draw_arrows(axes: Axes, track: Track) -> None:
         units="xy",
         scale_units="xy",
         scale=fastest / (0.92 * reach),
-        width=min(0.055 * reach, 0.004 * (right - left)),
+        width=min(0.055 * reach, 0.004 * max(right - left, top - bottom)),
         headwidth=4.0,
         headlength=4.6,
         headaxislength=4.1,
@@ -130,7 +137,7 @@ def _draw_arrows(axes: Axes, track: Track) -> None:
         linewidth=0,
         zorder=2,
     )
-    axes.set_title(f"longest arrow {fastest:.3g} m/s", loc="right", color=_ARROW, fontsize=8, pad=4)
+    axes.set_title(f"wheels, longest arrow {fastest:.3g} m/s", loc="right", color=_ARROW, fontsize=8, pad=4)
 
 
 def lost_cells(track: Track) -> dict[tuple[int, int], float]:
@@ -172,6 +179,8 @@ def _outline(footprint: NDArray[np.float64], state: NDArray[np.float64]) -> NDAr
 
 def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
     """Path, outlines at regular times growing more solid, and the last with its front marked."""
+    from matplotlib.patheffects import withStroke
+
     states = track.parcels[:, parcel]
     whole = np.flatnonzero(np.isfinite(states).all(axis=1))
     if not len(whole):
@@ -203,6 +212,7 @@ def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
             color=INK,
             fontsize=9,
             fontweight="bold",
+            path_effects=[withStroke(linewidth=2.5, foreground="white")],
             zorder=7,
         )
 
@@ -225,5 +235,12 @@ def _draw_incidents(axes: Axes, track: Track) -> None:
         if np.isfinite(x) and np.isfinite(y):
             axes.plot(x, y, "^", ms=8, mfc="white", mec=LOST, mew=1.4, zorder=8)
             axes.annotate(
-                words, (x, y), xytext=(7, -10), textcoords="offset points", color=LOST, fontsize=8, zorder=8
+                words,
+                (x, y),
+                xytext=(7, -10),
+                textcoords="offset points",
+                color=LOST,
+                fontsize=8,
+                bbox=LABEL,
+                zorder=8,
             )

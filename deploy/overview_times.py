@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.overview_map import LOST, colour, incidents, lost_cells
+from deploy.overview_map import LABEL, LOST, colour, incidents, lost_cells
 from deploy.track import Track
 
 if TYPE_CHECKING:
@@ -65,15 +65,19 @@ def _mark(axes: Axes, track: Track, *, labelled: bool) -> None:
     """A dashed line at each outcome and each lost cell; words on the first few."""
     marks = [(time_s, words) for time_s, words, _ in incidents(track)]
     marks += [(time_s, f"cell {row},{column} lost") for (row, column), time_s in lost_cells(track).items()]
+    begin, end = axes.get_xlim()
     for place, (time_s, words) in enumerate(sorted(marks)):
         axes.axvline(time_s, color=LOST, lw=0.9, ls=(0, (4, 3)), alpha=0.8)
         if labelled and place < _LABELS:
+            late = time_s > begin + 0.6 * (end - begin)
             axes.annotate(
                 words,
                 (time_s, 1.0),
                 xycoords=("data", "axes fraction"),
-                xytext=(3, -9 - 10 * place),
+                xytext=(-4 if late else 4, -9 - 11 * place),
                 textcoords="offset points",
+                ha="right" if late else "left",
                 color=LOST,
                 fontsize=7.5,
+                bbox=LABEL,
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, final
@@ -21,6 +22,8 @@ Processes = int | Literal["each"]
 
 ONE_WORKER_CELLS = 1_000
 """Up to here a second worker costs more in messages than it saves in work."""
+
+_ENDPOINT = re.compile(r"[a-z_]+/[^/].*")
 
 FREE_PORT = "tcp/127.0.0.1 (a free port)"
 
@@ -133,6 +136,8 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
     workers = len(lattice) if setting == "each" else setting
     if options.transport == "memory" and options.listen is not None:
         raise InputError("--listen: the memory transport has no endpoint; leave one of the two out")
+    if options.listen is not None and not _ENDPOINT.fullmatch(options.listen):
+        raise InputError(f"--listen {options.listen}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
         raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
     try:

@@ -142,6 +142,8 @@ def load(path: str | Path) -> Recording:
     """
     path = Path(path)
     if path.is_dir():
+        if not (path / FILE_NAME).exists():
+            raise InputError(f"there is no {FILE_NAME} in {path}; of a simulation there never is one")
         path = path / FILE_NAME
     try:
         return _load(path)
@@ -169,7 +171,7 @@ def _load(path: Path) -> Recording:
         elif record.name == HEADER_RECORD:
             header = _header(path, record.values)
     if header is None:
-        raise InputError(f"{path} holds no complete header: nothing can be read of it")
+        raise InputError(f"can't read the recording {path}: it holds no complete header")
     end = logs[END][-1] if logs[END] else {}
     return Recording(
         path=path,

@@ -6,17 +6,17 @@ import secrets
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 from bus.errors import BusError
 from deploy.digest import Digest
-from deploy.errors import DeployError
-from deploy.faults.schedule import deaths
+from deploy.errors import DeployError, InputError
+from deploy.faults.schedule import crash_aborts, deaths
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
-from deploy.output import draw, header, output_folder, parcel_outcomes, run_name
+from deploy.output import header, illustrate, output_folder, parcel_outcomes, run_name
 from deploy.plan import RunOptions, plan
 from deploy.progress import Progress
 from deploy.recording import Recorder
@@ -64,8 +64,7 @@ def run(
         interruption: The caller's, where it watches for signals itself.
 
     Raises:
-        InputError: Bad input; nothing was started.
-        PlantError: The plant refuses the scene; nothing was started.
+        InputError: Bad input, such as a scene that the plant refuses; nothing was started.
         Interrupted: SIGINT or SIGTERM came before the run had a recording.
     """
     interruption = interruption or Interruption()
@@ -94,6 +93,8 @@ class _Run:
 
     def go(self) -> Outcome:
         """Everything; see `run`."""
+        from deploy.replay import load
+
         with System(self.plan, self.scene, self.options.listen) as system:
             with self.interruption.allowed():
                 plant = load_plant(self.scene, self._warn)
@@ -118,7 +119,7 @@ class _Run:
         summary = self._summary(plant, ledger, folder)
         summary.write(folder)
         if self.options.picture and self.status != "interrupted":
-            summary = self._draw(summary, folder)
+            summary = illustrate(summary, lambda: load(folder), folder, self.interruption)
         return Outcome(summary, self.detail)
 
     # --- the run itself ---------------------------------------------------------------------------
@@ -175,11 +176,8 @@ class _Run:
         """Tell why the policy ``abort`` ended the run, if it did."""
         if ended.died:
             ledger.died(ledger.ticks, ended.died)
-            row, column = ledger.cells_lost[-len(ended.died)]
-            at_s = ledger.time_ns * 1e-9
-            self._end(
-                "failed", f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"
-            )
+            cell = ledger.cells_lost[-len(ended.died)]
+            self._end("failed", crash_aborts(cell, ledger.time_ns * 1e-9))
         elif ended.losses:
             ledger.lost(ended.losses)
             self._end(ended.status, f"{ledger.describe(ended.losses)}; stall.policy is abort")
@@ -220,18 +218,6 @@ class _Run:
             output=str(folder),
         )
 
-    def _draw(self, summary: Summary, folder: Path) -> Summary:
-        """Draw the picture; a signal gives it up and makes the run an interrupted one."""
-        from deploy.replay import load
-
-        try:
-            with self.interruption.allowed():
-                draw(load(folder), folder)
-        except Interrupted:
-            summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
-            summary.write(folder)
-        return summary
-
     def _warn(self, line: str, progress: Progress | None = None) -> None:
         if progress is not None:
             progress.say(line)
@@ -244,7 +230,7 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
     """The plant of a scene, its kernels compiled or loaded; says so where that takes long.
 
     Raises:
-        PlantError: The plant refuses the scene.
+        InputError: The plant refuses the scene.
     """
     from plant.kernels.cache import folder, is_warm
     from plant.plant import Plant
@@ -253,7 +239,10 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
         _, lasting = folder()
         once = "once" if lasting else "every time: the cache folder can't be written, see NUMBA_CACHE_DIR"
         warn(f"compiling the solver ({once}) ...")
-    return Plant(scene.plant_spec())
+    try:
+        return Plant(scene.plant_spec())
+    except PlantError as error:
+        raise InputError(f"scene {scene.name}: {error}") from None
 
 
 def status_of(error: PlantError) -> str:

@@ -13,6 +13,7 @@ from deploy.faults import Fault
 from deploy.scene_errors import Path, Problem, problems_of, strictly
 from plant.specs import ArraySpec, EffectsSpec
 
+_FIRMWARE: Path = ("cells", "firmware")
 _PARAMETERS: Path = ("cells", "parameters")
 
 
@@ -65,7 +66,7 @@ def _firmware_problems(array: ArraySpec | None, cells: CellsSpec) -> list[Proble
     try:
         model = loader.find(cells.firmware).Parameters
     except FirmwareError as error:
-        return [Problem(("cells", "firmware"), str(error), cells.firmware)]
+        return [Problem(_FIRMWARE, str(error))]
     try:
         strictly(model, cells.parameters)
     except ValidationError as error:
@@ -77,7 +78,7 @@ def _firmware_problems(array: ArraySpec | None, cells: CellsSpec) -> list[Proble
     except ParametersError as error:
         return [Problem((*_PARAMETERS, *p.path), p.message, p.value) for p in error.problems]
     except FirmwareError as error:
-        return [Problem(("cells", "firmware"), str(error), cells.firmware)]
+        return [Problem(_FIRMWARE, str(error))]
     return []
 
 

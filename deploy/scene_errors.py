@@ -11,7 +11,9 @@ from typing import Any, Final, TypeVar, cast, final
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from cell_firmware.errors import dotted
 from deploy.errors import InputError
+from deploy.words import counted
 
 Path = tuple[str | int, ...]
 """Keys, and numbers of list items, from the top of the scene."""
@@ -47,8 +49,10 @@ class Problem:
         where = dotted(self.path)
         if self.value is not ABSENT:
             where += f" = {shown(self.value)}"
+        first, *more = self.rule.split("\n")  # a firmware that can't be loaded shows its traceback below
         told = f" (from {self.option})" if self.option else ""
-        return f"{where}: {self.rule}{told}" if where else f"{self.rule}{told}"
+        line = f"{where}: {first}{told}" if where else f"{first}{told}"
+        return "\n".join([line, *more])
 
 
 @final
@@ -67,17 +71,6 @@ class SceneError(InputError):
 
     def __str__(self) -> str:
         return "\n".join(f"scene {self.scene}: {problem}" for problem in self.problems)
-
-
-def dotted(path: Path) -> str:
-    """``("parcels", 0, "mass_kg")`` as ``parcels[0].mass_kg``."""
-    text = ""
-    for part in path:
-        if isinstance(part, int):
-            text += f"[{part}]"
-        else:
-            text += f".{part}" if text else part
-    return text
 
 
 def shown(value: Any) -> str:
@@ -179,8 +172,8 @@ _RULES: dict[str, Callable[[dict[str, Any]], str]] = {
     "dict_type": lambda _: "must be a table",
     "model_type": lambda _: "must be a table",
     "model_attributes_type": lambda _: "must be a table",
-    "too_short": lambda c: f"must have at least {c['min_length']} items, not {c['actual_length']}",
-    "too_long": lambda c: f"must have at most {c['max_length']} items, not {c['actual_length']}",
+    "too_short": lambda c: f"must have at least {counted(c['min_length'], 'item')}, not {c['actual_length']}",
+    "too_long": lambda c: f"must have at most {counted(c['max_length'], 'item')}, not {c['actual_length']}",
     "string_too_short": lambda _: "must not be empty",
     "literal_error": lambda c: f"must be {c['expected']}",
 }

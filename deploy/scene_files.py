@@ -46,7 +46,7 @@ def scene_text(scene: str) -> str:
             f"scene {scene}: neither a bundled scene nor a file; {advice} (`mdms scenes` lists them)"
         )
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
     except OSError as error:
         raise InputError(f"scene {scene}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -14,10 +13,10 @@ from numpy.typing import NDArray
 
 from deploy.digest import Digest
 from deploy.errors import InputError
-from deploy.faults.schedule import deaths
+from deploy.faults.schedule import crash_aborts, deaths
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import event_record
-from deploy.output import draw, footprint, output_folder, parcel_outcomes
+from deploy.output import footprint, illustrate, output_folder, parcel_outcomes
 from deploy.progress import Progress
 from deploy.run import Outcome, load_plant, status_of
 from deploy.summary import Summary
@@ -26,7 +25,8 @@ from plant.errors import PlantError
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
-    from plant.plant import Event, Plant, Trajectory
+    from plant.plant import Plant
+    from plant.reports import Event, Trajectory
 
 Floats = NDArray[np.float64]
 
@@ -56,8 +56,7 @@ def simulate(
         interruption: The caller's, where it watches for signals itself.
 
     Raises:
-        InputError: The scene's firmware has no field to simulate.
-        PlantError: The plant refuses the scene.
+        InputError: The scene's firmware has no field to simulate, or the plant refuses the scene.
         Interrupted: SIGINT or SIGTERM came before the simulation began.
     """
     interruption = interruption or Interruption()
@@ -77,8 +76,8 @@ def field_speeds(scene: Scene, positions_m: Floats) -> Floats:
     firmware = load(scene.cells)
     if not isinstance(firmware, VelocityField):
         raise InputError(
-            f"scene {scene.name}: cells.firmware = {scene.cells.firmware}: simulate takes wheel speeds from a "
-            "velocity field, so the firmware must be velocity_field; `mdms run` runs any firmware"
+            f'scene {scene.name}: cells.firmware = "{scene.cells.firmware}": must be velocity_field: without cells '
+            "the wheels run at a field's speed; `mdms run` runs any firmware"
         )
     return firmware.parameters.field.velocity(positions_m[:, 0], positions_m[:, 1])
 
@@ -126,7 +125,8 @@ class _Simulation:
         summary = self._summary(plant, folder, wall_s, started - self.begun)
         summary.write(folder)
         if picture and self.status != "interrupted":
-            summary = self._draw(summary, self._track(plant, summary.digest), folder)
+            track = self._track(plant, summary.digest)
+            summary = illustrate(summary, lambda: track, folder, self.interruption)
         return Outcome(summary)
 
     # --- the simulation itself --------------------------------------------------------------------
@@ -166,10 +166,7 @@ class _Simulation:
                 {"time_s": at_s, "kind": "crash", "cell": list(names[cell]), "detail": "scheduled"}
             )
         if policy == "abort":
-            row, column = names[cells[0]]
-            self._end(
-                "failed", f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"
-            )
+            self._end("failed", crash_aborts(names[cells[0]], at_s))
             return
         if policy != "hold":
             drives[list(cells)] = 0.0
@@ -231,16 +228,6 @@ class _Simulation:
             digest=self._digest(),
             output=str(folder),
         )
-
-    def _draw(self, summary: Summary, track: Track, folder: Path) -> Summary:
-        """Draw the picture; a signal gives it up and makes the simulation an interrupted one."""
-        try:
-            with self.interruption.allowed():
-                draw(track, folder)
-        except Interrupted:
-            summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
-            summary.write(folder)
-        return summary
 
     def _warn(self, line: str) -> None:
         if not self.quiet:

@@ -7,15 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import DeployError
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 FILE_NAME = "summary.json"
 
@@ -144,12 +141,6 @@ class Summary:
         except OSError as error:
             raise DeployError(f"can't write the summary {path}: {error.strerror or error}") from error
         return path
-
-    def print_table(self, console: Console) -> None:
-        """Print the outcome for people."""
-        from deploy.summary_table import print_summary
-
-        print_summary(self, console)
 
 
 def _finite(value: Any) -> Any:

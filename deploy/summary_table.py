@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import hypot
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from deploy.words import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,6 +18,12 @@ if TYPE_CHECKING:
 _STYLES = {"ok": "bold green", "interrupted": "bold yellow"}
 _MANY = 12
 """Parcels listed one by one; of more, the table says how many are in each state."""
+_FAULTS = 4
+"""Faults named one by one."""
+_NOTHING = 1e-12
+"""What rounding leaves of a parcel's turning, rad/s."""
+_DID = {"crash": "crashed", "token_lost": "went away"}
+"""What a cell did, by the fault's kind, where that is not the word for it."""
 
 
 def print_summary(summary: Summary, console: Console) -> None:
@@ -30,6 +38,7 @@ def print_summary(summary: Summary, console: Console) -> None:
     console.print(heading)
     console.print(_facts(summary))
     if 0 < len(summary.parcels) <= _MANY:
+        console.print()
         console.print(_parcels(summary.parcels))
 
 
@@ -62,7 +71,7 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
         )
         lines.append(("messages", f"{messages.sent:,} sent, {messages.delivered:,} delivered{trouble}"))
     if summary.faults:
-        lines.append(("faults", ", ".join(f"{f['kind']} at {f['time_s']:g} s" for f in summary.faults[:6])))
+        lines.append(("faults", _faults(summary.faults)))
     if summary.cells_lost:
         lines.append(("cells lost", _cell_names(summary.cells_lost)))
     if len(summary.parcels) > _MANY:
@@ -75,18 +84,19 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
 
 
 def _wall(summary: Summary) -> str:
-    text = f"{summary.wall_s:.3g} s after {summary.startup_s:.2g} s of start-up"
+    text = f"{summary.wall_s:.3g} s, start-up {summary.startup_s:.2g} s"
     if summary.ticks_per_s is not None and summary.realtime_factor is not None:
-        text += f"; {summary.ticks_per_s:,.0f} ticks/s, {summary.realtime_factor:.3g} times real time"
+        factor = summary.realtime_factor
+        times = f"{factor:,.0f}" if factor >= 100 else f"{factor:.3g}"
+        text += f"; {summary.ticks_per_s:,.0f} ticks/s, {times} × real time"
     return text
 
 
 def _cells(summary: Summary) -> str:
     if summary.transport is None:
         return f"{summary.cells:,}, wheel speeds straight from the field"
-    where = "in this process" if summary.processes == 0 else f"in {summary.processes:,} processes"
-    if summary.processes == 1:
-        where = "in 1 process"
+    processes = counted(summary.processes, "process", "processes") if summary.processes else "this process"
+    where = f"in {processes}"
     return f"{summary.cells:,} {where} over {summary.transport}"
 
 
@@ -95,6 +105,17 @@ def _solver(summary: Summary) -> str:
         f"{name} {value:g}" for name, value in summary.solver.items() if isinstance(value, float | int)
     ]
     return ", ".join([str(summary.solver.get("name", "")), *settings])
+
+
+def _faults(faults: Sequence[Mapping[str, Any]]) -> str:
+    named = "; ".join(_fault(fault) for fault in faults[:_FAULTS])
+    return named if len(faults) <= _FAULTS else f"{named}; and {len(faults) - _FAULTS:,} more"
+
+
+def _fault(fault: Mapping[str, Any]) -> str:
+    """``3,4 crashed at 2.00294 s``."""
+    row, column = fault["cell"]
+    return f"{row},{column} {_DID.get(fault['kind'], fault['kind'])} at {fault['time_s']:g} s"
 
 
 def _cell_names(cells: Sequence[tuple[int, int]]) -> str:
@@ -108,10 +129,9 @@ def _states(parcels: Sequence[ParcelOutcome]) -> str:
 
 
 def _parcels(parcels: Sequence[ParcelOutcome]) -> Table:
-    from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("parcel", justify="right")
     for name in ("x (m)", "y (m)", "angle (rad)"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -125,7 +145,8 @@ def _parcels(parcels: Sequence[ParcelOutcome]) -> Table:
 def _state(parcel: ParcelOutcome) -> str:
     text = parcel.state.replace("_", " ")
     if parcel.state == "moving":
-        text += f" at {hypot(*parcel.velocity_m_s):.3g} m/s, {parcel.angular_velocity_rad_s:.3g} rad/s"
+        turning = parcel.angular_velocity_rad_s if abs(parcel.angular_velocity_rad_s) > _NOTHING else 0.0
+        text += f", {hypot(*parcel.velocity_m_s):.2g} m/s, {turning:.2g} rad/s"
     else:
         text += f" since {parcel.time_s:.4f} s"
     return f"{text}: {parcel.detail}" if parcel.detail else text

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, final
+from typing import Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +14,13 @@ from plant.errors import PlantError, PlantUnstable
 from plant.friction.viscous import Viscous
 from plant.kernels import layout
 from plant.overlap import OverlapWatch
+from plant.reports import Event, ParcelStatus, Sense, Trajectory
+from plant.rest import RestWatch
 from plant.solvers.exact import Exact, RawEvent
 from plant.specs import PlantSpec
 from plant.wheels import Floats, IdealWheels, WheelMotion, Wheels
 
-REST_SPEED_M_S = 1e-6
-"""A parcel none of whose corners moves faster, or gains speed faster than this per second, is at rest."""
-
 LossPolicy = Literal["coast", "brake", "hold"]
-ParcelState = Literal["moving", "at_rest", "tipped", "off_array"]
 
 _KINDS = {
     layout.ENTER: "support_gained",
@@ -35,73 +32,6 @@ _KINDS = {
     layout.CORNER: "released",
     layout.CAPTURE_BEGINS: "captured",
 }
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Sense:
-    """What the cells sense at an instant.
-
-    Attributes:
-        presence: ``(n, sensors)`` bool.
-        encoder_m: ``(n, 2)`` surface passed since the start, m; None where there are no encoders.
-    """
-
-    presence: NDArray[np.bool_]
-    encoder_m: Floats | None
-
-
-class Event(NamedTuple):
-    """Something that happened in the plant.
-
-    Attributes:
-        time_s: when.
-        kind: ``support_gained``, ``support_lost``, ``load_vanished``, ``load_returned``, ``captured``, ``released``,
-            ``tipped``, ``off_array``, ``overlap`` or ``apart``.
-        parcel: index of the parcel.
-        cells: ``(row, column)`` of the cells concerned.
-        position_m: where.
-        detail: in words, where there is more to say.
-    """
-
-    time_s: float
-    kind: str
-    parcel: int
-    cells: tuple[tuple[int, int], ...]
-    position_m: tuple[float, float]
-    detail: str = ""
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class ParcelStatus:
-    """How a parcel fares.
-
-    Attributes:
-        state: see ``contract``: moving, at rest, tipped, off the array.
-        time_s: since when.
-        detail: about which edge it tipped.
-    """
-
-    state: ParcelState
-    time_s: float
-    detail: str = ""
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Trajectory:
-    """A plant's course under constant drives.
-
-    Attributes:
-        time_ns: ``(T,)`` instants.
-        state: ``(T, parcels, 6)``.
-        events: all of them.
-    """
-
-    time_ns: NDArray[np.int64]
-    state: Floats
-    events: list[Event]
 
 
 @final
@@ -132,10 +62,11 @@ class Plant:
         self._now_ns = 0
         self._none: Floats = np.zeros(0)
         self._nothing: Floats = np.zeros((0, 6))
-        self._radius: Floats = np.array([parcel.par[layout.RADIUS] for parcel in self._solver.parcels])
+        radius: Floats = np.array([parcel.par[layout.RADIUS] for parcel in self._solver.parcels])
         self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in spec.parcels]
         self.support_changes = 0
-        self._overlaps = OverlapWatch([parcel.vertices for parcel in self._solver.parcels], self._radius)
+        self._overlaps = OverlapWatch([parcel.vertices for parcel in self._solver.parcels], radius)
+        self._rest = RestWatch(radius)
         self._check_start()
 
     def _check_start(self) -> None:
@@ -143,7 +74,8 @@ class Plant:
             x, y = parcel.y[:2]
             if parcel.ctl[layout.N_MEMBERS] == 0:
                 raise PlantError(
-                    f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel is off the array: no cell lies under it"
+                    f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel stands on nothing: no cell's centre lies "
+                    "under it"
                 )
             if not self._solver.stand(i, self._grip):
                 raise PlantError(
@@ -173,14 +105,15 @@ class Plant:
 
     @property
     def wheel_speed(self) -> Floats:
-        """``(n, 2)`` surface speeds, m/s."""
-        return self._wheels.speed
+        """``(n, 2)`` surface speeds, m/s; read-only."""
+        return _read_only(self._wheels.speed)
 
     def sense(self) -> Sense:
         """What the cells sense now."""
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
         self._solver.presence(presence)
-        return Sense(presence, self._wheels.travel)
+        travel = self._wheels.travel
+        return Sense(presence, None if travel is None else _read_only(travel))
 
     def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
         """Note that cells are dead from now on.
@@ -209,7 +142,7 @@ class Plant:
         start_ns, before = self._now_ns, self.state
         events = self._move(drives, until_ns, self._none, None)
         after = self.state
-        if self._may_rest(after):
+        if self._rest.may_change(after, self.status):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
         events.extend(self._meetings(after, until_ns * 1e-9))
         return self.sense(), events
@@ -245,7 +178,8 @@ class Plant:
             raise PlantError(f"until_ns = {until_ns} is in the past: it is {self._now_ns} ns already")
         span = (until_ns - self._now_ns) * 1e-9
         start = self._now_ns * 1e-9
-        motion = self._wheels.command(np.ascontiguousarray(drives, dtype=np.float64))
+        # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
+        motion = self._wheels.command(np.array(drives, dtype=np.float64, order="C"))
         events: list[Event] = []
         for i in range(len(self._solver.parcels)):
             out = self._nothing if samples is None else np.empty((len(times_s), 6))
@@ -310,35 +244,10 @@ class Plant:
             raise PlantUnstable(f"{where}: no set of loads balances the parcel; this is a bug")
         raise PlantUnstable(f"{where}: the motion is no longer finite")
 
-    def _may_rest(self, state: Floats) -> bool:
-        """Whether ``status`` may change: some parcel is slow, or at rest so far. Spares the rest of the work."""
-        for (_, _, _, vx, vy, omega), radius, status in zip(
-            state.tolist(), self._radius.tolist(), self.status, strict=True
-        ):
-            if status.state == "at_rest" or max(abs(vx), abs(vy), abs(omega) * radius) < REST_SPEED_M_S:
-                return True
-        return False
-
     def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:
         """Update ``status`` from the states ``(T, parcels, 6)`` at the instants ``(T,)``."""
-        if len(times_ns) < 2 or not self.status:
-            return
-        scale = np.ones((len(self.status), 3))
-        scale[:, 2] = self._radius
-        speed = states[:, :, 3:] * scale
-        slow = np.max(np.abs(speed), axis=2) < REST_SPEED_M_S
-        span_s = np.diff(times_ns)[:, None] * 1e-9
-        steady = np.max(np.abs(np.diff(speed, axis=0)), axis=2) < REST_SPEED_M_S * span_s
-        still = slow[1:] & slow[:-1] & steady
-        for i, status in enumerate(self.status):
-            if status.state in ("tipped", "off_array"):
-                continue
-            at_end = bool(still[-1, i])
-            changed = np.flatnonzero(still[:, i] != at_end)
-            state: ParcelState = "at_rest" if at_end else "moving"
-            if state != status.state or len(changed):
-                since = changed[-1] + 1 if len(changed) else 0
-                self.status[i] = ParcelStatus(state, float(times_ns[since + at_end]) * 1e-9)
+        for i, status in self._rest.changes(states, times_ns, self.status):
+            self.status[i] = status
 
     def _meetings(self, state: Floats, time_s: float) -> list[Event]:
         """Parcels that have come to overlap, and those that no longer do."""
@@ -353,3 +262,10 @@ class Plant:
             )
             for kind, first, second, depth, place in self._overlaps.changes(state)
         ]
+
+
+def _read_only(array: Floats) -> Floats:
+    """The same numbers, which whoever gets them can't change in the plant."""
+    view = array.view()
+    view.setflags(write=False)
+    return view

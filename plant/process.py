@@ -14,7 +14,8 @@ from bus.wire import DriveFrame, SenseFrame
 
 if TYPE_CHECKING:
     from bus.specs import StallSpec
-    from plant.plant import Event, LossPolicy, Plant, Sense
+    from plant.plant import LossPolicy, Plant
+    from plant.reports import Event, Sense
 
 Floats = NDArray[np.float64]
 Status = Literal["ok", "failed", "stalled"]

@@ -31,7 +31,7 @@ class Wheels(Protocol):
     """What turns drives into wheel motion. Physics: lives in the plant, never in firmware."""
 
     def command(self, drives: Floats) -> WheelMotion:
-        """Motion from now on under the drives ``(n, 2)``."""
+        """Motion from now on under the drives ``(n, 2)``, which are the wheels' own from here on."""
         ...
 
     def elapse(self, motion: WheelMotion, span_s: float) -> None:

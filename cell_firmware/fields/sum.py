@@ -9,7 +9,7 @@ from pydantic import field_validator
 from cell_firmware.fields.base import Array, Field
 
 if TYPE_CHECKING:
-    from cell_firmware.fields.registry import FieldSpec
+    FieldSpec = Field  # when the program runs: the union of all fields, this one too, put in by the registry
 
 
 @final

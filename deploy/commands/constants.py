@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from deploy.scene import Scene
     from plant.constants import ConstantsOfMotion
 
+_NOTHING = 1e-12
+"""In SI units, of forces, lengths and rates as they are here."""
+
 ParcelOption = Annotated[int, typer.Option("--parcel", metavar="N", help="Which parcel, counted from 0.")]
 
 
@@ -27,7 +30,7 @@ def constants(
 
     Another pose is another start:
 
-      [cyan]mdms constants elliptic --set parcels.0.position_m=[0.1,0] --set parcels.0.angle_rad=0[/cyan]
+      [cyan]mdms constants elliptic --set parcels.0.position_m=[0.1,0][/cyan]
     """
     found = load_scene(scene, sets)
     motion = _constants(found, parcel)
@@ -78,41 +81,32 @@ def _print(scene: Scene, parcel: int, motion: ConstantsOfMotion) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    def vector(values: Any) -> str:
-        return f"({', '.join(f'{value:.6g}' for value in values)})"
-
-    place = motion.equilibrium_m
-    if place is None:
-        where = "none: k_s is singular"
-    else:
-        there = "the same cells carry the parcel there" if motion.equilibrium_inside else "on other cells"
-        where = f"{vector(place)} m, {there}"
     rows = (
         (
             "k_s",
-            f"{vector(motion.k_s_n_per_m[0])}, {vector(motion.k_s_n_per_m[1])} N/m",
+            f"{_vector(motion.k_s_n_per_m[0])}, {_vector(motion.k_s_n_per_m[1])} N/m",
             "rows of the stiffness",
         ),
-        ("f0", f"{vector(motion.f0_n)} N", "force with the parcel at the origin"),
-        ("mu W", f"{motion.damping_n_s_per_m:.6g} N s/m", "damping of the translation"),
-        ("tau0", f"{motion.tau0_n_m:.6g} N m", "torque at the pose"),
-        ("k_tau", f"{vector(motion.k_tau_n)} N", "its gradient in position"),
-        ("d", f"{motion.d_n_m_s:.6g} N m s", "damping of the rotation"),
-        ("equilibrium", where, "where the force vanishes"),
-        ("eigenvalues", f"{vector(motion.eigenvalues_per_s)} 1/s", "of the translation"),
-        ("tau0 / I", f"{motion.angular_acceleration_rad_s2:.6g} rad/s²", "angular acceleration from rest"),
+        ("f0", f"{_vector(motion.f0_n)} N", "force at the origin"),
+        ("mu W", f"{_number(motion.damping_n_s_per_m)} N s/m", "damping in translation"),
+        ("tau0", f"{_number(motion.tau0_n_m)} N m", "torque at the pose"),
+        ("k_tau", f"{_vector(motion.k_tau_n)} N", "its gradient in position"),
+        ("d", f"{_number(motion.d_n_m_s)} N m s", "damping in rotation"),
+        ("equilibrium", _equilibrium(motion), "where the force vanishes"),
+        ("eigenvalues", f"{_rates(motion.eigenvalues_per_s)} 1/s", "of the translation"),
+        ("tau0 / I", f"{_number(motion.angular_acceleration_rad_s2)} rad/s²", "acceleration from rest"),
     )
     pose = scene.parcels[parcel]
     console = Console(highlight=False)
     console.print(
-        f"scene {scene.name}, parcel {parcel} at {vector(pose.position_m)} m, {pose.angle_rad:.6g} rad, "
+        f"scene {scene.name}, parcel {parcel} at {_vector(pose.position_m)} m, {pose.angle_rad:.6g} rad, "
         f"carried by {len(motion.supports)} cells\n"
         "force = f0 + k_s X - mu W U    torque = tau0 + k_tau (X - pose) + ... - d omega\n",
         markup=False,
     )
     table = Table(box=None, pad_edge=False, show_header=False)
     for style in ("cyan", None, "dim"):
-        table.add_column(style=style)
+        table.add_column(style=style, no_wrap=True)
     for row in rows:
         table.add_row(*row)
     console.print(table)
@@ -123,3 +117,28 @@ def _print(scene: Scene, parcel: int, motion: ConstantsOfMotion) -> None:
         loads.add_row(f"{cell[0]},{cell[1]}", f"{load:.6g}")
     console.print()
     console.print(loads)
+
+
+def _number(value: float) -> str:
+    """Four digits, all of them with ``--json``; what rounding leaves of nothing is nothing."""
+    return "0" if abs(value) < _NOTHING else f"{value:.4g}"
+
+
+def _vector(values: Any) -> str:
+    return f"({', '.join(_number(value) for value in values)})"
+
+
+def _equilibrium(motion: ConstantsOfMotion) -> str:
+    if motion.equilibrium_m is None:
+        return "none: k_s is singular"
+    there = "same cells" if motion.equilibrium_inside else "other cells"
+    return f"{_vector(motion.equilibrium_m)} m, on {there}"
+
+
+def _rates(values: Any) -> str:
+    """Complex numbers, conjugate ones as a pair."""
+    words: list[str] = []
+    for value in values:
+        real, imaginary = _number(value.real), _number(abs(value.imag))
+        words.append(real if imaginary == "0" else f"{real} ± {imaginary}i")
+    return ", ".join(dict.fromkeys(words))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, final
 
 import typer
 
@@ -39,6 +40,29 @@ OutputOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="One JSON object on stdout and nothing else there; the rest on stderr.")
 ]
+PictureOption = Annotated[bool, typer.Option("--picture/--no-picture", help="Draw overview.png at the end.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no warnings on stderr.")]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What both ``run`` and ``simulate`` are asked for, an option a field."""
+
+    scene: SceneArgument
+    sets: SetOption = None
+    seed: SeedOption = None
+    duration: DurationOption = None
+    solver: SolverOption = None
+    tolerance: ToleranceOption = None
+    output: OutputOption = None
+    picture: PictureOption = True
+    as_json: JsonOption = False
+    quiet: QuietOption = False
+
+    def load(self) -> Scene:
+        """The scene asked for; see `load_scene`."""
+        return load_scene(self.scene, self.sets, self.seed, self.duration, self.solver, self.tolerance)
 
 
 def load_scene(

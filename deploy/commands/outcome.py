@@ -1,14 +1,40 @@
-"""What ``run`` and ``simulate`` print at the end, and the exit status that goes with it."""
+"""How ``run`` and ``simulate`` are carried out, what they print at the end, and the exit status that goes with it."""
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NoReturn
+
+import typer
+
+from deploy.interruption import Interrupted, Interruption
 
 if TYPE_CHECKING:
     from deploy.run import Outcome
 
 EXIT_STATUS = {"ok": 0, "failed": 1, "stalled": 1, "unstable": 3, "interrupted": 130}
+
+
+def carry_out(what: str, work: Callable[[Interruption], Outcome], *, as_json: bool) -> NoReturn:
+    """Do the work while signals are watched for, report what it came to, and end the command.
+
+    Args:
+        what: Names the work where a signal comes before it has begun.
+        work: Heeds the interruption it is given.
+        as_json: Whether to report for programs.
+    """
+    interruption = Interruption()
+    with interruption.watching(last=True):
+        try:
+            # What a firmware prints in this process is no part of what the command prints.
+            with contextlib.redirect_stdout(sys.stderr):
+                outcome = work(interruption)
+        except Interrupted as interrupted:
+            sys.stderr.write(f"mdms: interrupted before {what} began\n")
+            raise typer.Exit(interrupted.exit_code) from None
+        raise typer.Exit(report(outcome, as_json=as_json))
 
 
 def report(outcome: Outcome, *, as_json: bool) -> int:
@@ -23,7 +49,9 @@ def report(outcome: Outcome, *, as_json: bool) -> int:
     else:
         from rich.console import Console
 
-        summary.print_table(Console())
+        from deploy.summary_table import print_summary
+
+        print_summary(summary, Console())
     sys.stdout.flush()
     if outcome.detail:
         sys.stderr.write(f"{outcome.detail.rstrip()}\n")

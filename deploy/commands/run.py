@@ -2,46 +2,43 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import sys
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from deploy.commands.options import (
-    DurationOption,
-    JsonOption,
-    OutputOption,
-    SceneArgument,
-    SeedOption,
-    SetOption,
-    SolverOption,
-    ToleranceOption,
-    load_scene,
-)
+from deploy.commands.options import Asked
+from deploy.commands.outcome import carry_out
+from deploy.commands.spread import spread
 from deploy.errors import InputError
 from deploy.plan import Plan, Processes, RunOptions, plan
 
 if TYPE_CHECKING:
-    from deploy.scene import Scene
+    from deploy.interruption import Interruption
+    from deploy.run import Outcome
+
+HOW = "How it is run"
 
 ProcessesOption = Annotated[
     str | None,
     typer.Option(
         "--processes",
+        rich_help_panel=HOW,
         metavar="N|each|0",
         help="Worker processes for the cells; each: one a cell; 0: everything in this process.",
     ),
 ]
 TransportOption = Annotated[
     Literal["zenoh", "memory"],
-    typer.Option("--transport", help="What carries the messages; memory needs --processes 0."),
+    typer.Option(
+        "--transport", rich_help_panel=HOW, help="What carries the messages; memory needs --processes 0."
+    ),
 ]
 WireOption = Annotated[
     Literal["packed", "cells"] | None,
     typer.Option(
         "--wire",
+        rich_help_panel=HOW,
         help="One array a worker, or one key a cell and link that any Zenoh tool can join. "
         "Default: packed, but cells with --processes each.",
     ),
@@ -50,6 +47,7 @@ ListenOption = Annotated[
     str | None,
     typer.Option(
         "--listen",
+        rich_help_panel=HOW,
         metavar="ENDPOINT",
         help="Where the plant listens, such as tcp/127.0.0.1:7447. Default: a free loopback port.",
     ),
@@ -58,70 +56,58 @@ RealtimeOption = Annotated[
     float | None,
     typer.Option(
         "--realtime",
+        rich_help_panel=HOW,
         metavar="[FACTOR]",
         help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as it goes.",
     ),
 ]
-PlanOption = Annotated[bool, typer.Option("--plan", help="Print what would be started, and exit.")]
-PictureOption = Annotated[bool, typer.Option("--picture/--no-picture", help="Draw overview.png at the end.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no warnings on stderr.")]
+PlanOption = Annotated[
+    bool, typer.Option("--plan", rich_help_panel=HOW, help="Print what would be started, and exit.")
+]
 
 
+@spread
 def run(
-    scene: SceneArgument,
+    asked: Asked,
     *,
-    sets: SetOption = None,
-    seed: SeedOption = None,
-    duration: DurationOption = None,
-    solver: SolverOption = None,
-    tolerance: ToleranceOption = None,
     processes: ProcessesOption = None,
     transport: TransportOption = "zenoh",
     wire: WireOption = None,
     listen: ListenOption = None,
     realtime: RealtimeOption = None,
-    output: OutputOption = None,
-    picture: PictureOption = True,
     show_plan: PlanOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
 ) -> None:
     """Run a scene: every cell an agent with its own controller, the plant, and messages between them.
 
     Leaves recording.mcap, summary.json and overview.png in the output folder. Ctrl-C ends the run early; what
     was recorded is complete up to there.
+
+    A process a cell; twelve seconds in step with the clock; a cell that crashes:
+
+      [cyan]mdms run prototype --processes each[/cyan]
+      [cyan]mdms run elliptic --duration 12 --realtime[/cyan]
+      [cyan]mdms run elliptic --set 'faults=[{ at_s = 1, cell = [9, 9] }]'[/cyan]
     """
-    found = load_scene(scene, sets, seed, duration, solver, tolerance)
+    scene = asked.load()
     options = RunOptions(
         processes=parse_processes(processes),
         transport=transport,
         wire=wire,
         listen=listen,
         realtime=realtime,
-        output=output,
-        picture=picture,
+        output=asked.output,
+        picture=asked.picture,
     )
     if show_plan:
-        print_plan(plan(found, options, "RUN"), as_json=as_json)
-    else:
-        raise typer.Exit(_run(found, options, as_json=as_json, quiet=quiet))
+        print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)
+        return
 
+    def work(interruption: Interruption) -> Outcome:
+        from deploy.run import run as run_scene
 
-def _run(scene: Scene, options: RunOptions, *, as_json: bool, quiet: bool) -> int:
-    from deploy.commands.outcome import report
-    from deploy.interruption import Interrupted, Interruption
-    from deploy.run import run as run_scene
+        return run_scene(scene, options, quiet=asked.quiet, interruption=interruption)
 
-    interruption = Interruption()
-    with interruption.watching(last=True):
-        try:
-            # What a firmware prints in this process is no part of what the command prints.
-            with contextlib.redirect_stdout(sys.stderr):
-                outcome = run_scene(scene, options, quiet=quiet, interruption=interruption)
-        except Interrupted as interrupted:
-            sys.stderr.write("mdms: interrupted before the run began\n")
-            return interrupted.exit_code
-        return report(outcome, as_json=as_json)
+    carry_out("the run", work, as_json=asked.as_json)
 
 
 def parse_processes(text: str | None) -> Processes | None:

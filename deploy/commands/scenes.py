@@ -14,7 +14,7 @@ from deploy.scene_files import bundled_names, load_scene, scene_text
 
 def scenes(
     scene: Annotated[
-        str | None, typer.Argument(metavar="[SCENE]", help="Print this one: a bundled name, or a file.")
+        str | None, typer.Argument(metavar="SCENE", help="Print this one: a bundled name, or a file.")
     ] = None,
     *,
     as_json: JsonOption = False,
@@ -56,8 +56,7 @@ def _list(*, as_json: bool) -> None:
     table.add_column("title")
     for heading in ("cells", "parcels", "s"):
         table.add_column(heading, justify="right")
-    table.add_column("firmware", no_wrap=True)
     for scene in found:
         numbers = (str(len(scene.lattice())), str(len(scene.parcels)), f"{scene.duration_s:g}")
-        table.add_row(scene.name, scene.title, *numbers, scene.cells.firmware)
+        table.add_row(scene.name, scene.title, *numbers)
     Console().print(table)

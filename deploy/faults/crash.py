@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, final
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from plant.specs import Cell, Spec
 
 
 @final
-class CrashFault(BaseModel):
+class CrashFault(Spec):
     """A cell that dies for good at the first tick boundary not before ``at_s``.
 
     A worker process all of whose cells are dead ends itself by SIGKILL, as a real death does; in a shared
     worker the cell's agent stops. Its wheels do what the scene's stall policy says.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
-
     kind: Literal["crash"] = "crash"
     at_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     """Simulated time."""
-    cell: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
+    cell: Cell
     """``[row, column]``."""

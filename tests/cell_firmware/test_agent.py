@@ -19,7 +19,8 @@ from bus.wire import SenseFrame
 from cell_firmware import agent
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
 from cell_firmware.controller import Controller
-from cell_firmware.firmware import Cells, Firmware, NoParameters
+from cell_firmware.firmware import Cells, Firmware
+from cell_firmware.program import NoParameters
 from cell_firmware.protocols.heat_diffusion import HeatDiffusion, HeatDiffusionParameters
 from cell_firmware.shard import Shard
 

@@ -10,7 +10,8 @@ from bus.partition import Partition
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
 from cell_firmware.controller import Controller
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.firmware import Cells, Firmware, Inputs, NoParameters, Outbox, Outputs, State
+from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.program import NoParameters
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop import SpeedLoop
 
@@ -189,8 +190,20 @@ def test_an_init_that_raises_for_one_cell_names_it(
 
     with pytest.raises(
         FirmwareFailed, match="firmware of cell 1,0 failed in tick 0: init: KeyError: 'not here'"
-    ):
+    ) as caught:
         Controller(Picky(lambda *_: None)).init(everything(grid(2, 2)))
+    assert caught.value.trace.count("Traceback") == 1  # that of this cell alone
+
+
+def test_plain_firmware_that_forgets_to_return_is_told_what_a_step_returns(
+    grid: Callable[..., Lattice], run: Callable[..., Any]
+):
+    class Forgetful(Plain):
+        def step(self, state: dict[str, Any], inputs: CellInputs) -> Any:
+            return None
+
+    (failure,) = run(PerCell(Forgetful(lambda _: None)), Partition.even(grid(1, 1), 1), 1).failures
+    assert failure.problem == "TypeError: step must return (state, CellOutputs), not NoneType"
 
 
 class Plain(CellFirmware):
@@ -231,7 +244,8 @@ def test_plain_firmware_steps_each_cell_once_a_tick_even_when_a_neighbour_raises
     [
         ((0.0, 0.0), "TypeError: step must return (state, CellOutputs), not tuple as the second"),
         (CellOutputs(("1", 0.0)), "TypeError: speed_m_s must be two numbers, not str '1'"),
-        (CellOutputs((1.0,)), "ValueError: not enough values to unpack (expected 2, got 1)"),
+        (CellOutputs(3.0), "TypeError: speed_m_s must be two numbers, not 3.0"),
+        (CellOutputs((1.0,)), "TypeError: speed_m_s must be two numbers, not (1.0,)"),
         (CellOutputs((float("nan"), 0.0)), "drive is not finite: speed [nan, 0.0] m/s"),
         (
             CellOutputs((0.0, 0.0), {"up": {"n": 1}}),

@@ -12,7 +12,8 @@ from bus.partition import Partition
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
 from cell_firmware.controller import Controller
 from cell_firmware.errors import FirmwareError
-from cell_firmware.firmware import Cells, Firmware, Inputs, NoParameters, Outbox, Outputs, State
+from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.program import NoParameters
 from cell_firmware.shard import Shard
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop import SpeedLoop

@@ -11,7 +11,7 @@ import pytest
 
 from bus.errors import TransportError
 from cell_firmware.errors import FirmwareError, FirmwareFailed
-from deploy import cli
+from deploy import cli, command_line
 from deploy.errors import DeployError, InputError
 from deploy.scene_files import bundled_names
 from plant.errors import PlantError
@@ -20,7 +20,7 @@ from plant.errors import PlantError
 def test_help_lists_every_command_and_teaches_by_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     out = capsys.readouterr().out
-    for command in cli.COMMANDS:
+    for command in command_line.COMMANDS:
         assert f" {command} " in out
     assert "mdms run elliptic" in out
     assert "Exit status" in out
@@ -32,7 +32,7 @@ def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert "mdms run elliptic" in shown.out + shown.err
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS)
+@pytest.mark.parametrize("command", command_line.COMMANDS)
 def test_every_command_is_there_and_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([command, "--help"]) == 0
     assert f"mdms {command}" in capsys.readouterr().out
@@ -62,16 +62,15 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
         (FirmwareError("unknown firmware 'x'"), 2),
         (FirmwareFailed((1, 2), 3, "ZeroDivisionError"), 1),
         (TransportError("tcp/127.0.0.1:7447 is in use"), 1),
-        (KeyboardInterrupt(), 130),
     ],
 )
 def test_errors_that_a_user_can_act_on_end_in_their_words_and_a_status(
-    error: BaseException, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    error: Exception, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def command() -> None:
         raise error
 
-    monkeypatch.setattr(cli, "_function", lambda name: command)
+    monkeypatch.setattr(command_line, "_function", lambda name: command)
     assert cli.main(["scenes"]) == status
     shown = capsys.readouterr()
     assert shown.out == ""
@@ -84,7 +83,7 @@ def test_anything_else_is_called_a_bug_and_shows_where(
     def command() -> None:
         raise ZeroDivisionError("surprise")
 
-    monkeypatch.setattr(cli, "_function", lambda name: command)
+    monkeypatch.setattr(command_line, "_function", lambda name: command)
     assert cli.main(["scenes"]) == 1
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith("Traceback")

@@ -39,6 +39,8 @@ def test_the_table_names_the_pose_the_constants_and_every_support(capsys: pytest
     assert out.startswith(
         f"scene elliptic, parcel 0 at (0.02, 0.01) m, 0 rad, carried by {len(found['supports'])} cells"
     )
+    assert all(len(line) <= 80 for line in out.splitlines())
+    assert "-0.981 ± 1.721i, -0.981 ± 0.9998i 1/s" in out
     for name in ("k_s", "f0", "tau0", "k_tau", "equilibrium", "eigenvalues"):
         assert f"\n{name} " in out
     for row, column in found["supports"]:
@@ -51,7 +53,7 @@ def test_the_table_names_the_pose_the_constants_and_every_support(capsys: pytest
         (["elliptic", "--parcel", "1"], "scene elliptic: --parcel 1: the scene has parcels 0..0"),
         (["elliptic", "--set", "parcels=[]"], "scene elliptic: --parcel 0: the scene has no parcels"),
         (["elliptic", "--set", "parcels.0.position_m=[5,0]"], "scene elliptic: parcels[0]"),
-        (["heat"], "scene heat: cells.firmware = heat_diffusion"),
+        (["heat"], 'scene heat: cells.firmware = "heat_diffusion": must be velocity_field'),
     ],
 )
 def test_what_has_no_constants_is_refused_in_one_line(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import threading
@@ -57,6 +58,21 @@ def test_a_signal_that_came_before_raises_on_the_way_in() -> None:
         _send(signal.SIGINT)
         with pytest.raises(Interrupted), interruption.allowed():
             pytest.fail("must not be entered")
+
+
+def test_an_interruption_that_a_c_library_drops_is_not_lost_and_says_nothing(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    callback = ctypes.CFUNCTYPE(None)(lambda: _send(signal.SIGINT))
+    interruption = Interruption()
+    with interruption.watching():
+        with interruption.allowed():
+            callback()
+            with pytest.raises(Interrupted):
+                _send(signal.SIGINT)  # an impatient one is heeded, as the first had no effect
+        with pytest.raises(Interrupted):
+            interruption.check()
+    assert capfd.readouterr().err == ""
 
 
 def test_an_interruption_is_no_exception_that_others_catch() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from cell_firmware.errors import FirmwareFailed
 from deploy.launch import Crew, WorkerError, describe_exit
 
 
@@ -53,6 +54,19 @@ def test_a_worker_that_raises_is_reported_with_one_line_and_its_traceback() -> N
         assert failure.detail.startswith("Traceback")
         with pytest.raises(WorkerError, match=r"^cells 0: .*zero$"):
             crew.check()
+
+
+def _fail_as_firmware(worker: int) -> None:
+    raise FirmwareFailed((3, 4), 0, "init: KeyError: 'x'", f"Traceback of worker {worker}\nKeyError: 'x'\n")
+
+
+def test_of_a_firmware_that_fails_the_line_is_said_once_and_its_own_traceback_shown() -> None:
+    with Crew() as crew:
+        crew.start(_fail_as_firmware, ["cells 0"])
+        assert crew.wait(20.0)
+        (failure,) = crew.failures
+        assert failure.error == "firmware of cell 3,4 failed in tick 0: init: KeyError: 'x'"
+        assert failure.detail == f"{failure.error}\nTraceback of worker 0\nKeyError: 'x'\n"
 
 
 def test_a_worker_that_is_killed_is_reported_with_the_signal() -> None:

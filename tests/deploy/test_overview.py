@@ -10,9 +10,11 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from deploy.errors import DeployError
+from deploy.interruption import Interrupted
 from deploy.overview import draw_overview
 from deploy.overview_map import colour, extent, incidents, lost_cells
 from deploy.replay import load
@@ -37,9 +39,14 @@ def track(tmp_path: Path, made_up_run: Make) -> Track:
     return load(made_up_run().record(tmp_path)).track()
 
 
+def _like(picture: np.ndarray, shade: str, within: float) -> np.ndarray:
+    """Which pixels have about this colour."""
+    return np.abs(picture - mpl.colors.to_rgb(shade)).max(axis=2) < within
+
+
 def pixels(picture: np.ndarray, shade: str) -> int:
     """How many pixels have about this colour."""
-    return int((np.abs(picture - mpl.colors.to_rgb(shade)).max(axis=2) < 0.06).sum())
+    return int(_like(picture, shade, 0.06).sum())
 
 
 @pytest.mark.parametrize("parcels", [1, 3, 8, 30])
@@ -127,6 +134,25 @@ def test_a_wide_array_has_its_panels_below(
     assert width > 1.5 * height
 
 
+def test_a_flat_view_leaves_no_blank_below_it(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
+) -> None:
+    picture = draw(load(made_up_run(rows=10, columns=19, parcels=0).record(tmp_path)))
+    below = np.flatnonzero((picture < 0.9).any(axis=(1, 2)))[-1]
+    assert below > picture.shape[0] - 40
+
+
+def test_arrows_of_every_other_cell_stay_inside_the_array(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
+) -> None:
+    run = made_up_run(rows=40, columns=40, parcels=0)
+    run.wheel_speeds[:] = (1.0, 0.0)
+    picture = draw(load(run.record(tmp_path)))[150:-150]  # without title and axis
+    cells = np.flatnonzero(_like(picture, "#eceff3", 0.02).sum(axis=0) > 100)
+    arrows = np.flatnonzero(_like(picture, "#7d8a9a", 0.02).any(axis=0))
+    assert arrows[-1] <= cells[-1]
+
+
 def test_a_title_may_hold_dollar_signs_and_be_long(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
     picture = draw(dataclasses.replace(track, title="costs $1 and \\frac{ $" + "x" * 300))
     assert pixels(picture, colour(0)) > 100
@@ -141,3 +167,18 @@ def test_the_same_run_gives_the_same_picture(tmp_path: Path, track: Track) -> No
 def test_a_picture_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path, track: Track) -> None:
     with pytest.raises(DeployError, match=r"can't write the picture .*overview\.png: No such file"):
         draw_overview(track, tmp_path / "absent" / "overview.png")
+
+
+def test_a_picture_that_is_given_up_leaves_the_one_before(
+    tmp_path: Path, track: Track, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def give_up(canvas: FigureCanvasAgg, path: str) -> None:
+        Path(path).write_bytes(b"half")
+        raise Interrupted
+
+    (tmp_path / "overview.png").write_bytes(b"before")
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", give_up)
+    with pytest.raises(Interrupted):
+        draw_overview(track, tmp_path / "overview.png")
+    assert (tmp_path / "overview.png").read_bytes() == b"before"
+    assert not list(tmp_path.glob(".*"))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deploy.commands.outcome import EXIT_STATUS
-from deploy.errors import DeployError
+from deploy.errors import DeployError, InputError
 from deploy.overrides import Override
 from deploy.plan import RunOptions
 from deploy.recording import Recorder
@@ -20,7 +20,7 @@ from deploy.replay import load
 from deploy.run import Outcome, pacer, run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
-from plant.errors import PlantError, PlantUnstable
+from plant.errors import PlantUnstable
 from plant.plant import Plant
 
 
@@ -83,7 +83,9 @@ def test_motion_that_cannot_be_followed_is_unstable_and_exits_with_3(
 
 def test_a_plant_that_refuses_the_scene_starts_nothing(tmp_path: Path) -> None:
     parcel = {"size_m": [0.5, 0.4], "mass_kg": 3.0, "position_m": [9.0, 9.0]}
-    with pytest.raises(PlantError, match="off the array"):
+    with pytest.raises(
+        InputError, match=r"^scene prototype: parcels\[0\]\.position_m = .* stands on nothing"
+    ):
         _run(_scene(parcels=[parcel]), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

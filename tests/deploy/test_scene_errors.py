@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from deploy.errors import InputError
+from deploy.overrides import Override
 from deploy.scene_errors import SceneError
 from deploy.scene_files import load_scene, parse_scene
 
@@ -171,7 +172,7 @@ def test_firmware_checks_its_parameters_against_the_array() -> None:
 
 def test_unknown_firmware_is_answered_with_the_nearest_bundled_one() -> None:
     (line,) = refused(GOOD.replace('"velocity_field"', '"velocity_feld"'))
-    assert line.startswith('scene x.toml: cells.firmware = "velocity_feld": unknown firmware')
+    assert line.startswith("scene x.toml: cells.firmware: unknown firmware 'velocity_feld'")
     assert "'velocity_field'" in line
 
 
@@ -273,5 +274,22 @@ def test_a_firmware_file_is_looked_for_beside_its_scene(tmp_path: Path) -> None:
     assert str(tmp_path) not in scene.canonical().decode()
 
     (tmp_path / "x.toml").write_text(text.replace("mine.py", "yours.py"))
-    with pytest.raises(SceneError, match=r"cells\.firmware = .*there is no file"):
+    with pytest.raises(SceneError, match=r"cells\.firmware: .*there is no file"):
         load_scene(str(tmp_path / "x.toml"))
+
+
+def test_a_byte_order_mark_is_no_part_of_a_scene(tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_text(GOOD, encoding="utf-8-sig")
+    assert load_scene(str(tmp_path / "x.toml")).ticks == 245
+
+
+def test_a_traceback_of_a_firmware_s_file_comes_below_the_line_that_names_the_option(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("1 / 0\n")
+    with pytest.raises(SceneError) as caught:
+        load_scene("elliptic", [Override.parse(f"cells.firmware={tmp_path}/mine.py")])
+    first, *more = str(caught.value).splitlines()
+    assert first.startswith("scene elliptic: cells.firmware: firmware ")
+    assert first.endswith(
+        f"ZeroDivisionError: division by zero (from --set cells.firmware={tmp_path}/mine.py)"
+    )
+    assert more[-1] == "ZeroDivisionError: division by zero"

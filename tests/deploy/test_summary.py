@@ -13,6 +13,7 @@ from rich.console import Console
 
 from deploy.errors import DeployError
 from deploy.summary import Messages, ParcelOutcome, Summary
+from deploy.summary_table import print_summary
 
 PROMISED = {
     "status", "scene", "seed", "duration_s", "cells", "processes", "transport", "solver", "ticks", "wall_s",
@@ -41,9 +42,9 @@ def summary(**changes: Any) -> Summary:
     return Summary(**(values | changes))
 
 
-def printed(outcome: Summary) -> str:
-    console = Console(file=io.StringIO(), width=100)
-    outcome.print_table(console)
+def printed(outcome: Summary, width: int = 100) -> str:
+    console = Console(file=io.StringIO(), width=width)
+    print_summary(outcome, console)
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
@@ -117,14 +118,18 @@ def test_the_table_names_lost_cells_faults_and_lost_messages() -> None:
         )
     )
     for words in (
-        "crash at 2 s",
-        "3,4",
+        "3,4 crashed at 2 s",
         "10 sent, 9 delivered, 1 lost",
         "ab" * 32,
         "runs/1",
         "at rest since",
     ):
         assert words in text
+
+
+def test_the_table_says_how_many_more_faults_there_are_than_it_names() -> None:
+    faults = [{"kind": "failed", "time_s": 2.0, "cell": [3, column]} for column in range(9)]
+    assert "3,3 failed at 2 s; and 5 more" in printed(summary(faults=faults))
 
 
 def test_the_table_says_why_a_run_did_not_end_well() -> None:
@@ -138,11 +143,14 @@ def test_many_parcels_are_counted_by_state() -> None:
     assert "40 at rest, 10 tipped" in printed(summary(parcels=parcels))
 
 
-def test_the_table_fits_eighty_columns_without_cutting_a_number() -> None:
-    console = Console(file=io.StringIO(), width=80)
-    state = np.array([-12.345678, -12.345678, -123.456789, 0.0, 0.0, 0.0])
-    summary(digest="ab" * 32, parcels=[ParcelOutcome.of(state, "at_rest", 1.0)]).print_table(console)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
-    assert "…" not in text
-    assert "ab" * 32 in text
-    assert text.count("-12.345678") == 2
+def test_the_table_fits_eighty_columns_without_cutting_or_wrapping_anything() -> None:
+    state = np.array([-12.345678, -12.345678, -0.000012, -7.02e-05, 0.0, -6.9e-07])
+    moving = ParcelOutcome.of(state, "moving", 0.0)
+    outcome = summary(
+        digest="ab" * 32, parcels=[moving], wall_s=0.0202, startup_s=12.54, simulated_s=10.0, ticks=1_852_438
+    )
+    lines = printed(outcome, width=80).splitlines()
+    assert all(len(line.rstrip()) <= 80 for line in lines)
+    assert "…" not in "".join(lines)
+    names = [line.split()[0] for line in lines if line.strip()]
+    assert names == ["elliptic", "simulated", "wall", "cells", "solver", "supports", "digest", "parcel", "0"]

@@ -205,11 +205,11 @@ def test_a_parcel_standing_on_two_rows_under_its_edges_gains_the_cells_ahead() -
 @pytest.mark.parametrize(
     ("body", "array", "text"),
     [
-        (parcel(position_m=(5.0, 0.0)), {}, "is off the array: no cell lies under it"),
+        (parcel(position_m=(5.0, 0.0)), {}, "stands on nothing: no cell's centre lies under it"),
         (
             parcel(size_m=(0.05, 0.05), position_m=(0.0, 0.0)),
             {},
-            "is off the array: no cell lies under it",
+            "stands on nothing: no cell's centre lies under it",
         ),
         (parcel(position_m=(1.0, 0.0), angle_rad=0.0), {}, "would tip: its centre of mass lies outside the"),
         (parcel(size_m=(0.05, 0.05), position_m=(0.06, 0.06)), {}, "would tip"),
@@ -224,7 +224,9 @@ def test_a_parcel_that_cannot_stand_at_the_start_is_refused(
 
 
 def test_the_refused_parcel_is_named_among_several() -> None:
-    with pytest.raises(PlantError, match=r"parcels\[1\]\.position_m = \[7, 0\]: the parcel is off the array"):
+    with pytest.raises(
+        PlantError, match=r"parcels\[1\]\.position_m = \[7, 0\]: the parcel stands on nothing"
+    ):
         Plant(spec(parcel(), parcel(position_m=(7.0, 0.0))))
 
 

@@ -24,10 +24,11 @@ REFUSED = [
         ("--transport", "memory", "--listen", "tcp/127.0.0.1:7447"),
         "--listen: the memory transport has no endpoint; leave one of the two out",
     ),
+    (("--listen", "nonsense"), "--listen nonsense: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447"),
     (("--realtime", "0"), "--realtime 0: must be greater than 0"),
     (
         ("--set", "parcels.0.position_m=[9.0,9.0]"),
-        "parcels[0].position_m = [9, 9]: the parcel is off the array",
+        "scene prototype: parcels[0].position_m = [9, 9]: the parcel stands on nothing",
     ),
     (("--listen", "tcp/256.0.0.1:7447"), "listen on tcp/256.0.0.1:7447: "),
 ]
