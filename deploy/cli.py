@@ -8,7 +8,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from types import FrameType
 
 
@@ -21,24 +21,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit status.
     """
-    before = _answer_signals(_leave)
+    before = _leave_on_signals()
     try:
         return _run(sys.argv[1:] if arguments is None else arguments)
     finally:
         for number, handler in before.items():
-            if signal.getsignal(number) in (_leave, _interrupt):  # else a command has the last word on it
+            if signal.getsignal(number) is _leave:  # else a command has had the last word on it
                 signal.signal(number, handler)
 
 
 def _run(arguments: Sequence[str]) -> int:
     from deploy.command_line import application, completed
-    from deploy.interruption import Interrupted
+    from deploy.interruption import Interrupted, Interruption
 
     given = completed(arguments)
+    interruption = Interruption()
     try:
         command = application(given)
-        _answer_signals(_interrupt)
-        command(given, prog_name="mdms")
+        with interruption.watching(), interruption.allowed():
+            command(given, prog_name="mdms")
     except SystemExit as end:  # typer's way to end, well or with a usage error
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     except Interrupted as interrupted:
@@ -49,10 +50,10 @@ def _run(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _answer_signals(answer: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
-    """Ctrl-C and SIGTERM do this from now on, unless a command handles them itself; returns what they did."""
+def _leave_on_signals() -> dict[int, Any]:
+    """Ctrl-C and SIGTERM end the process from now on, until they are watched for; returns what they did."""
     try:
-        return {number: signal.signal(number, answer) for number in (signal.SIGINT, signal.SIGTERM)}
+        return {number: signal.signal(number, _leave) for number in (signal.SIGINT, signal.SIGTERM)}
     except ValueError:  # signals are for the main thread
         return {}
 
@@ -62,14 +63,6 @@ def _leave(number: int, frame: FrameType | None) -> None:
     del number, frame
     os.write(2, b"mdms: interrupted\n")
     os._exit(130)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """End what the command does."""
-    from deploy.interruption import Interrupted
-
-    del number, frame
-    raise Interrupted
 
 
 def _report(error: Exception) -> int:

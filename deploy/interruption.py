@@ -67,7 +67,10 @@ class Interruption:
         finally:
             sys.unraisablehook = hook
             for number, handler in before.items():
-                signal.signal(number, signal.SIG_IGN if last and self.requested else handler)
+                if last and self.requested:
+                    signal.signal(number, signal.SIG_IGN)
+                elif signal.getsignal(number) == self._note:  # else somebody in here had the last word on it
+                    signal.signal(number, handler)
 
     @contextmanager
     def allowed(self) -> Generator[None]:
@@ -76,6 +79,10 @@ class Interruption:
         try:
             self.check()
             yield
+        except Exception:
+            if self._raised:  # a C library has made an error of its own of it
+                raise Interrupted from None
+            raise
         finally:
             self._allowed = False
 

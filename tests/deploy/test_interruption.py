@@ -75,6 +75,36 @@ def test_an_interruption_that_a_c_library_drops_is_not_lost_and_says_nothing(
     assert capfd.readouterr().err == ""
 
 
+def test_an_interruption_of_which_a_c_library_makes_an_error_of_its_own_is_one() -> None:
+    def convert() -> None:
+        try:
+            _send(signal.SIGINT)
+        except Interrupted:
+            raise ValueError("Invalid affine transformation matrix") from None
+
+    interruption = Interruption()
+    with interruption.watching(), pytest.raises(Interrupted), interruption.allowed():
+        convert()
+
+
+def test_an_error_without_a_signal_stays_one() -> None:
+    interruption = Interruption()
+    with interruption.watching(), pytest.raises(ValueError, match="really"), interruption.allowed():
+        raise ValueError("really")
+
+
+def test_who_ignores_signals_for_good_in_another_s_watch_has_the_last_word() -> None:
+    before = [signal.getsignal(number) for number in SIGNALS]
+    inner = Interruption()
+    try:
+        with Interruption().watching(), inner.watching(last=True):
+            _send(signal.SIGINT)
+        assert [signal.getsignal(number) for number in SIGNALS] == [signal.SIG_IGN] * 2
+    finally:
+        for number, handler in zip(SIGNALS, before, strict=True):
+            signal.signal(number, handler)
+
+
 def test_an_interruption_is_no_exception_that_others_catch() -> None:
     assert not issubclass(Interrupted, Exception)
 
