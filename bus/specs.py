@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, final
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from bus.spec import Spec
 
 Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 
 
 @final
-class StallSpec(BaseModel):
+class StallSpec(Spec):
     """What happens when a cell goes away or falls silent.
 
     The deadlines are wall time: a run that meets one is recorded as such and its digest promises nothing.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
     policy: Literal["coast", "brake", "hold", "abort"] = "coast"
     """What a lost cell's wheels do, or ``abort``: end the run."""

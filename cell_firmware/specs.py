@@ -5,19 +5,23 @@ from __future__ import annotations
 from decimal import Decimal
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+from bus.spec import CellName, Finite, Positive, Spec, Vector
+
+__all__ = [
+    "CellName",
+    "CellsSpec",
+    "Finite",
+    "NotNegative",
+    "Positive",
+    "Spec",
+    "SpeedLoopSpec",
+    "Vector",
+    "nanoseconds",
+]
+
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector = tuple[Finite, Finite]
-CellName = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
-
-
-class Spec(BaseModel):
-    """Base of every spec and of every firmware's parameters: frozen, unknown keys refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
 
 class SpeedLoopSpec(Spec):
@@ -43,7 +47,7 @@ class CellsSpec(Spec):
     """A bundled name, ``package.module:Class``, or a path to a ``.py`` file, with or without ``:Class``."""
     period_s: Positive = 0.004096
     """The control period; the default is one real-time interrupt of an MC68HC11 at 8 MHz."""
-    parameters: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}  # noqa: RUF012 - pydantic copies it
     """The firmware's own, validated by it."""
     speed_loop: SpeedLoopSpec | None = None
     """Gains of the speed loop; only a scene with motors has one, and gets the defaults if it says nothing."""

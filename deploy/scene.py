@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from bus.spec import Positive, Spec
 from bus.specs import StallSpec
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
 from deploy.faults import Fault
@@ -21,9 +22,7 @@ from plant.specs import (
     FrictionSpec,
     ParcelSpec,
     PlantSpec,
-    Positive,
     SolverSpec,
-    Spec,
 )
 
 if TYPE_CHECKING:

@@ -4,21 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from bus.lattice import Lattice
+from bus.spec import CellName, Finite, Positive, Spec, Vector
 from plant.geometry import PolygonError, check_convex, rectangle
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Point = tuple[Finite, Finite]
-Cell = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
-
-
-class Spec(BaseModel):
-    """Base of every spec: frozen, unknown keys refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
 
 class ArraySpec(Spec):
@@ -27,11 +17,11 @@ class ArraySpec(Spec):
     rows: Annotated[int, Field(ge=1, le=10_000)]
     columns: Annotated[int, Field(ge=1, le=10_000)]
     pitch_m: Positive = 0.1
-    missing: tuple[Cell, ...] = ()
+    missing: tuple[CellName, ...] = ()
     """Holes: cells that do not exist."""
-    cells: tuple[Cell, ...] | None = None
+    cells: tuple[CellName, ...] | None = None
     """An arbitrary layout: the cells that exist (excludes ``missing``)."""
-    sensors_m: Annotated[tuple[Point, ...], Field(min_length=1, max_length=5)] = ((0.0, 0.0),)
+    sensors_m: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=5)] = ((0.0, 0.0),)
     """Presence sensors relative to the cell centre, one to five."""
 
     @model_validator(mode="after")
@@ -65,16 +55,16 @@ class ParcelSpec(Spec):
 
     size_m: tuple[Positive, Positive] | None = None
     """Length along the parcel's x and along its y: a rectangle."""
-    vertices_m: tuple[Point, ...] | None = None
+    vertices_m: tuple[Vector, ...] | None = None
     """Or a convex polygon in the parcel's frame, in either direction round."""
     mass_kg: Positive
     inertia_kg_m2: Positive | None = None
     """About the centre of mass; default: a uniform plate's about its centroid."""
-    centre_of_mass_m: Point | None = None
+    centre_of_mass_m: Vector | None = None
     """In the parcel's frame; default: the centroid."""
-    position_m: Point
+    position_m: Vector
     angle_rad: Finite = 0.0
-    velocity_m_s: Point = (0.0, 0.0)
+    velocity_m_s: Vector = (0.0, 0.0)
     angular_velocity_rad_s: Finite = 0.0
 
     @model_validator(mode="after")
@@ -85,7 +75,7 @@ class ParcelSpec(Spec):
 
     @field_validator("vertices_m")
     @classmethod
-    def _convex(cls, value: tuple[Point, ...] | None) -> tuple[Point, ...] | None:
+    def _convex(cls, value: tuple[Vector, ...] | None) -> tuple[Vector, ...] | None:
         if value is not None:
             try:
                 check_convex(value)
@@ -93,7 +83,7 @@ class ParcelSpec(Spec):
                 raise ValueError(str(error)) from None
         return value
 
-    def polygon(self) -> tuple[Point, ...]:
+    def polygon(self) -> tuple[Vector, ...]:
         """Corners in the parcel's frame."""
         if self.vertices_m is not None:
             return self.vertices_m

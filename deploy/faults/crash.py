@@ -6,7 +6,7 @@ from typing import Annotated, Literal, final
 
 from pydantic import Field
 
-from plant.specs import Cell, Spec
+from bus.spec import CellName, Spec
 
 
 @final
@@ -20,5 +20,5 @@ class CrashFault(Spec):
     kind: Literal["crash"] = "crash"
     at_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     """Simulated time."""
-    cell: Cell
+    cell: CellName
     """``[row, column]``."""
