@@ -1,7 +1,7 @@
 """The form of one key a cell and link: maps that any tool reads, for cells in processes of their own.
 
 Between map and array the values go as packed bytes. Where every cell is a process, each of these lines runs on
-cold caches every tick: hence few calls.
+cold caches every tick: hence few calls, and a short way for payloads as this side lays them out.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from bus import codec, wire
+from bus.fixed import Fixed, Place
 from bus.forms.form import Decode, HostForm, MemberForm, Wiring
 from bus.keys import cell_key, cell_link_key
 
@@ -24,6 +25,7 @@ _LETTERS: Final = {
 }  # fmt: skip
 """The struct module's letter for each kind of field and its size."""
 _NO_MESSAGE: Final = codec.layout()
+_DRIVE: Final[dict[str, Place]] = {"drive": ("d", "d")}
 
 _read_sense = codec.reader("sense", _VALUE, codec.layout("presence", "encoder_m"))
 _read_drive = codec.reader("drive", _VALUE, codec.layout("drive"))
@@ -35,9 +37,8 @@ class CellsHost(HostForm):
 
     def __init__(self, wiring: Wiring) -> None:
         cells, run = wiring.partition.lattice.cells, wiring.run
-        self._pack = codec.packer()
         self._sensors = wiring.sensors
-        self._weights = 1 << np.arange(wiring.sensors)
+        self._sense = Fixed(_sense_places(wiring))
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in range(len(cells)))
         self.sense_keys = tuple(cell_key(run, cell, "sense") for cell in cells)
         self.drive_units = {cell_key(run, cell, "drive"): i for i, cell in enumerate(cells)}
@@ -46,37 +47,44 @@ class CellsHost(HostForm):
         self.drive_expr = cell_key(run, None, "drive")
         self.alive_expr = cell_key(run, None, "alive")
         self.ready_expr = cell_key(run, None, "ready")
-        self.decode_drive = _decode_drive
+        self.decode_drive = _drive_decoder()
         self.blank_drives = [bytes(_PAIR.size)] * len(cells)
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a cell: ``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``."""
-        tick, pack = frame.tick, self._pack
+        tick, write, sensors = frame.tick, self._sense.write, self._sensors
+        flags = frame.presence.tobytes()
+        presence = [flags[i : i + sensors] for i in range(0, len(flags), sensors)]
         if frame.encoder_m is not None:
-            return [
-                pack({"v": codec.VERSION, "tick": tick, "presence": presence, "encoder_m": travel})
-                for presence, travel in zip(frame.presence.tolist(), frame.encoder_m.tolist(), strict=True)
-            ]
+            travel = frame.encoder_m.tolist()
+            return [write(tick, there, x, y) for there, (x, y) in zip(presence, travel, strict=True)]
         # Without encoders all cells that sense alike get the same bytes: encode each pattern once.
-        made: dict[int, bytes] = {}
-        payloads: list[bytes] = []
-        for code in (frame.presence @ self._weights).tolist():
-            payload = made.get(code)
-            if payload is None:
-                presence = [bool(code >> i & 1) for i in range(self._sensors)]
-                payload = pack({"v": codec.VERSION, "tick": tick, "presence": presence, "encoder_m": None})
-                made[code] = payload
-            payloads.append(payload)
-        return payloads
+        made = {there: write(tick, there) for there in set(presence)}
+        return [made[there] for there in presence]
 
     def join_drives(self, values: list[Any]) -> codec.Values:
         """``(n, 2)`` from a packed pair a cell."""
         return np.ndarray((len(values), 2), np.float64, bytearray().join(values))
 
 
-def _decode_drive(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
-    tick, fields = _read_drive(payload)
-    return tick, _PAIR.pack(*codec.pair("drive", fields["drive"]))
+def _sense_places(wiring: Wiring) -> dict[str, Place]:
+    return {"presence": wiring.sensors, "encoder_m": ("d", "d") if wiring.encoders else None}
+
+
+def _drive_decoder() -> Decode:
+    """From a drive payload to its tick and the drive as a packed pair."""
+    read, pack = Fixed(_DRIVE).read, _PAIR.pack
+
+    def decode(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
+        values = read(payload)
+        if values is not None:
+            tick, first, second = values
+            codec.check_finite("drive", first, second)
+            return tick, pack(first, second)
+        tick, fields = _read_drive(payload)
+        return tick, pack(*codec.pair("drive", fields["drive"]))
+
+    return decode
 
 
 @final
@@ -88,7 +96,6 @@ class CellsMember(MemberForm):
         cells = partition.lattice.cells
         mine = partition.cells(shard)
         names = [cells[int(i)] for i in mine]
-        self._pack = codec.packer()
         self._rows = len(names)
         self._sensors = wiring.sensors
         self._encoders = wiring.encoders
@@ -97,7 +104,7 @@ class CellsMember(MemberForm):
         self.drive_keys = tuple(cell_key(run, cell, "drive") for cell in names)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in mine)
         self.sense_units = {cell_key(run, cell, "sense"): i for i, cell in enumerate(names)}
-        self.decode_sense = _sense_decoder(wiring.sensors, wiring.encoders)
+        self.decode_sense = _sense_decoder(wiring)
         self.blank_senses = [(bytes(wiring.sensors), bytes(_PAIR.size))] * len(names)
         message = np.dtype([]) if wiring.message is None else wiring.message
         incoming, outgoing = partition.incoming(shard), partition.outgoing(shard)
@@ -111,8 +118,8 @@ class CellsMember(MemberForm):
         self.decode_link = _link_decoder(message)
         self.blank_links = [(0, bytes(message.itemsize))] * len(heard)
         self._message = message
-        self._names = message.names or ()
-        self._struct = _struct(message)
+        self._fields = _struct(message, "1s").iter_unpack
+        self._drive, self._link, self._silence = Fixed(_DRIVE), Fixed(_link_places(message)), Fixed({})
         self.out_keys = tuple(
             cell_link_key(run, cells[int(outgoing.source[i])], int(outgoing.source_side[i])) for i in said
         )
@@ -136,33 +143,40 @@ class CellsMember(MemberForm):
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
-        tick, pack = frame.tick, self._pack
+        tick, write = frame.tick, self._drive.write
         payloads: list[bytes] = []
-        for pair in _PAIR.iter_unpack(frame.drive.tobytes()):
-            codec.check_finite("drive", *pair)
-            payloads.append(pack({"v": codec.VERSION, "tick": tick, "drive": pair}))
+        for first, second in _PAIR.iter_unpack(frame.drive.tobytes()):
+            codec.check_finite("drive", first, second)
+            payloads.append(write(tick, first, second))
         return payloads
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a link: the message's fields by name, none where nothing was sent."""
-        tick, names, pack = frame.tick, self._names, self._pack
-        fields = self._struct.iter_unpack(frame.message.tobytes())
+        tick, say, hush = frame.tick, self._link.write, self._silence.write
+        fields = self._fields(frame.message.tobytes())
         return [
-            pack(
-                {"v": codec.VERSION, "tick": tick, **(dict(zip(names, values, strict=True)) if sent else {})}
-            )
+            say(tick, *values) if sent else hush(tick)
             for sent, values in zip(frame.sent.tobytes(), fields, strict=True)
         ]
 
 
-def _sense_decoder(sensors: int, encoders: bool) -> Decode:
+def _sense_decoder(wiring: Wiring) -> Decode:
     """From a sense payload to its tick, the presence as bytes and the travel as a packed pair."""
+    sensors, encoders = wiring.sensors, wiring.encoders
+    read, pack = Fixed(_sense_places(wiring)).read, _PAIR.pack
 
     def decode(unit: int, payload: bytes) -> tuple[int, tuple[bytes, bytes]]:  # noqa: ARG001 - all cells alike
+        values = read(payload)
+        if values is not None:
+            if not encoders:
+                return values[0], (values[1], b"")
+            tick, presence, x, y = values
+            codec.check_finite("sense", x, y)
+            return tick, (presence, pack(x, y))
         tick, fields = _read_sense(payload)
         presence = bytes(codec.booleans("sense", fields["presence"], sensors))
         if encoders:
-            return tick, (presence, _PAIR.pack(*codec.pair("sense", fields["encoder_m"])))
+            return tick, (presence, pack(*codec.pair("sense", fields["encoder_m"])))
         codec.nothing("sense", "encoder_m", fields["encoder_m"])
         return tick, (presence, b"")
 
@@ -171,9 +185,28 @@ def _sense_decoder(sensors: int, encoders: bool) -> Decode:
 
 def _link_decoder(message: np.dtype[Any]) -> Decode:
     """From a link payload to its tick, 1 or 0 for sent or not, and the message's packed fields."""
+    read, silence = Fixed(_link_places(message)).read, Fixed({}).read
+    pack, decode_any = _struct(message, "1s").pack, _any_link_decoder(message)
+    nothing = (0, bytes(message.itemsize))
+
+    def decode(part: int, payload: bytes) -> tuple[int, tuple[int, bytes]]:
+        values = read(payload)
+        if values is not None:
+            try:
+                return values[0], (1, pack(*values[1:]))
+            except OverflowError:
+                pass  # Half a float does not hold it; the other way says so.
+        elif (values := silence(payload)) is not None:
+            return values[0], nothing
+        return decode_any(part, payload)
+
+    return decode
+
+
+def _any_link_decoder(message: np.dtype[Any]) -> Decode:
+    """As ``_link_decoder``, whatever the layout."""
     names = message.names or ()
-    packed = _struct(message)
-    kinds = tuple({"b": bool, "f": float}.get(message[name].kind, int) for name in names)
+    pack = _struct(message, "?").pack
     readers = [codec.scalar_reader("link", name, message[name]) for name in names]
     limit = sum(_VALUE + 4 * len(name) for name in names)
     read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
@@ -183,18 +216,22 @@ def _link_decoder(message: np.dtype[Any]) -> Decode:
         tick, fields = read(payload)
         if len(fields) == len(_NO_MESSAGE):
             return tick, nothing
-        values = tuple(map(fields.__getitem__, names))
-        if tuple(map(type, values)) == kinds:
-            try:
-                return tick, (1, packed.pack(*values))
-            except (struct.error, OverflowError):
-                pass  # The readers say what is wrong.
-        return tick, (1, packed.pack(*[reader(value) for reader, value in zip(readers, values, strict=True)]))
+        return tick, (1, pack(*[reader(fields[name]) for name, reader in zip(names, readers, strict=True)]))
 
     return decode
 
 
-def _struct(message: np.dtype[Any]) -> struct.Struct:
-    """The layout of a message, for the struct module, whose letters mean other sizes than NumPy's."""
-    fields = [message[name] for name in message.names or ()]
-    return struct.Struct("<" + "".join(_LETTERS[field.kind + str(field.itemsize)] for field in fields))
+def _letters(message: np.dtype[Any]) -> dict[str, str]:
+    """The struct module's letter for each field of a message; they mean other sizes than NumPy's."""
+    fields = ((name, message[name]) for name in message.names or ())
+    return {name: _LETTERS[field.kind + str(field.itemsize)] for name, field in fields}
+
+
+def _link_places(message: np.dtype[Any]) -> dict[str, Place]:
+    """A message in MessagePack, which has no half floats."""
+    return {name: "f" if letter == "e" else letter for name, letter in _letters(message).items()}
+
+
+def _struct(message: np.dtype[Any], boolean: str) -> struct.Struct:
+    """The layout of a message, with booleans as Python's (``"?"``) or as a byte each (``"1s"``)."""
+    return struct.Struct("<" + "".join(_letters(message).values()).replace("?", boolean))
