@@ -90,7 +90,7 @@ class Host:
         self._state_wanted = False
         self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
         endpoint.subscribe(self._form.drive_expr)
-        endpoint.subscribe(shard_key(run, None, "report"), urgent=True)
+        endpoint.subscribe(shard_key(run, None, "report"), "urgent")
         endpoint.watch_alive(self._form.alive_expr)
         endpoint.watch_alive(self._form.ready_expr)
         self._alive_key = plant_key(run, "alive")

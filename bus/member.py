@@ -22,6 +22,8 @@ from bus.transport import Alive, Endpoint, Publisher
 from bus.wire import Control, DriveFrame, LinkFrame, Report, SenseFrame
 
 _POLL_S: Final = 0.01
+_LINK_POLL_S: Final = 0.001
+"""How often to look for messages where they come after the senses, as no cell of ours sends them."""
 _F8: Final = np.dtype(np.float64)
 
 
@@ -111,8 +113,13 @@ class Member:
             **{key: (self._links.take, part) for key, part in self._form.in_parts.items()},
             control: (self._take_control, 0),
         }
-        for key in self._inbox.routes:
-            endpoint.subscribe(key, urgent=key == control)
+        for key in self._form.sense_units:
+            endpoint.subscribe(key)
+        # The plant senses again only when all drives have come, and messages are put before drives: they are there
+        # when the senses are.
+        for key in self._form.in_parts:
+            endpoint.subscribe(key, "quiet")
+        endpoint.subscribe(control, "urgent")
         self._drive = [endpoint.publisher(key) for key in self._form.drive_keys]
         self._out = [endpoint.publisher(key) for key in self._form.out_keys]
         self._report = endpoint.publisher(shard_key(run, shard, "report"))
@@ -181,17 +188,20 @@ class Member:
         deadline = None if self._silence_s is None else self._clock() + self._silence_s
         read = self._inbox.read
         while True:
-            missing = sense.missing if links is None else sense.missing + links.missing
+            waits = sense.missing > 0
+            missing = waits or (links is not None and links.missing > 0)
             if self._stop is not None:
                 return self._stop
             if not self._all_live and not self.live(tick).any():
                 return Control("stop", tick, (), "no cell of this shard takes part any more")
-            if missing <= 0:
+            if not missing:
                 return self._hand_over(tick)
             if self._plant_lost:
                 raise HostLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = None if deadline is None else max(deadline - self._clock(), 0.0)
-            if not read(left, missing) and left == 0:
+            # Messages after the senses wake nobody.
+            patience = left if waits else _LINK_POLL_S if left is None else min(left, _LINK_POLL_S)
+            if not read(patience, max(sense.missing, 1)) and left == 0:
                 raise HostLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
@@ -236,8 +246,7 @@ class Member:
         if not self._all_live:
             spoken = (*self._spoken(tick), *(until > tick for until in self._senses.until))
             puts = [put for put, live in zip(puts, spoken, strict=True) if live]
-        for publisher, payload in puts:
-            publisher.put(payload)
+        self._endpoint.put_all(puts)
         self.counts.sent += len(puts)
 
     def _spoken(self, tick: int) -> list[bool]:

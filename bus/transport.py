@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Literal, NamedTuple
 
 
 class Received(NamedTuple):
@@ -25,6 +26,7 @@ class Woken(NamedTuple):
 
 
 Event = Received | Alive | Woken
+Haste = Literal["quiet", "wake", "urgent"]
 
 
 class Publisher(ABC):
@@ -45,7 +47,7 @@ class Endpoint(ABC):
     Every transport promises, and one conformance suite checks:
 
     - **Order.** What one endpoint puts, on whatever keys, reaches another endpoint's inbox in the order
-      of the puts. Between different senders there is no order.
+      of the puts. Between different senders there is no order. Quiet payloads may overtake others.
     - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
       subscriptions of one endpoint would break that and are refused. An endpoint hears its own puts.
     - **Patience.** ``receive`` may be told how many payloads it takes to get on: it then lets fewer wait, but
@@ -54,8 +56,8 @@ class Endpoint(ABC):
     - **Late joiners** get nothing of what was put before they subscribed. Tokens are otherwise: a watcher is
       told of every token that is there when it begins to watch. The same presence may be told twice.
     - **Tokens follow the data.** What an endpoint put arrives before the news that its token went.
-    - **Threads.** ``put``, ``wake`` and ``matched`` may be called from any thread, ``receive`` from one at a
-      time. In the main thread a blocked ``receive`` lets signal handlers run.
+    - **Threads.** ``put``, ``put_all``, ``wake`` and ``matched`` may be called from any thread, ``receive`` from
+      one at a time. In the main thread a blocked ``receive`` lets signal handlers run.
     - **Close** withdraws the tokens; closing twice is harmless; anything else on a closed endpoint raises
       ``TransportError``.
     """
@@ -65,12 +67,18 @@ class Endpoint(ABC):
         """A publisher on one key (no wildcards)."""
 
     @abstractmethod
-    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
+    def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
+        """Puts each payload with its publisher, all of this endpoint, as close together as can be."""
+
+    @abstractmethod
+    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
         """Lets everything put on matching keys into the inbox; a second time with the same words is a no-op.
 
         Args:
             key_expr: A key, or a pattern: ``*`` is one chunk, ``**`` any number of them.
-            urgent: What comes here makes ``receive`` return whatever it waits for.
+            haste: What this does to a ``receive`` that waits: ``"wake"``: as it was told; ``"urgent"``: makes it
+                return; ``"quiet"``: nothing, and it does not count. Quiet payloads are there when the wait
+                ends, before what ended it.
 
         Raises:
             TransportError: The expression overlaps another subscription of this endpoint.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from typing import final
 
 from bus.errors import TransportError
 from bus.inbox import Inbox
 from bus.keys import intersects
-from bus.transport import Alive, Endpoint, Event, Publisher, Received, Woken
+from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received, Woken
 
 
 @final
@@ -45,10 +46,10 @@ class MemoryBus:
         for door in self.route(key):
             door(event)
 
-    def subscribe(self, endpoint: MemoryEndpoint, key_expr: str, urgent: bool) -> None:
+    def subscribe(self, endpoint: MemoryEndpoint, key_expr: str, haste: Haste) -> None:
         """Lets what comes on matching keys into the endpoint's inbox."""
         with self._lock:
-            endpoint.subscriptions[key_expr] = urgent
+            endpoint.subscriptions[key_expr] = haste
             self._routes.clear()
 
     def declare(self, key: str, endpoint: MemoryEndpoint) -> None:
@@ -116,8 +117,15 @@ class MemoryEndpoint(Endpoint):
     def __init__(self, bus: MemoryBus) -> None:
         self._bus = bus
         self._inbox = Inbox()
+        quiet: deque[Event] = deque()
+        self._inbox.quiet.append(lambda: quiet.popleft() if quiet else None)
+        self._doors: dict[Haste, Callable[[Event], None]] = {
+            "quiet": quiet.append,
+            "wake": self._inbox.put,
+            "urgent": self._inbox.put_urgent,
+        }
         self._closed = False
-        self.subscriptions: dict[str, bool] = {}
+        self.subscriptions: dict[str, Haste] = {}
         self.watches: list[str] = []
 
     def publisher(self, key: str) -> Publisher:
@@ -125,13 +133,18 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         return MemoryPublisher(self._bus, self, key)
 
-    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
+    def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
+        """Puts each payload with its publisher."""
+        for publisher, payload in puts:
+            publisher.put(payload)
+
+    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
         """Lets everything put on matching keys into the inbox."""
         self.check_open()
         if key_expr in self.subscriptions:
             return
         check_overlap(key_expr, list(self.subscriptions))
-        self._bus.subscribe(self, key_expr, urgent)
+        self._bus.subscribe(self, key_expr, haste)
 
     def declare_alive(self, key: str) -> None:
         """Shows a token."""
@@ -170,9 +183,9 @@ class MemoryEndpoint(Endpoint):
 
     def door(self, key: str) -> Callable[[Event], None] | None:
         """Where to put what comes on ``key``; None where no subscription matches."""
-        for expr, urgent in self.subscriptions.items():
+        for expr, haste in self.subscriptions.items():
             if intersects(expr, key):
-                return self._inbox.put_urgent if urgent else self._inbox.put
+                return self._doors[haste]
         return None
 
     def tell(self, event: Alive) -> None:

@@ -13,7 +13,7 @@ import os
 import socket
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, cast, final
 
 import zenoh
@@ -21,12 +21,14 @@ from zenoh import handlers  # pyright: ignore[reportMissingModuleSource] - its s
 
 from bus.errors import TransportError
 from bus.inbox import Inbox
-from bus.transport import Alive, Endpoint, Event, Publisher, Received, Woken
+from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received, Woken
 from bus.transports.memory import check_overlap
 
 LEASE_S: Final = 2.0
 """Silence after which the other side takes a process for gone; each session's own lease governs its token."""
 CLOSE_S: Final = 2.0
+_CAPACITY: Final = 65_536
+"""Quiet payloads that wait for a reader; beyond it their senders do."""
 _PORT_ATTEMPTS: Final = 20
 _RUNTIME: Final = (
     "(app: (worker_threads: 1), acc: (worker_threads: 1), tx: (worker_threads: 1), "
@@ -56,14 +58,8 @@ os.register_at_fork(after_in_child=_count_fork)
 atexit.register(_close_all)
 
 
-_Item = tuple[str | None, zenoh.Sample]
-"""A sample in the inbox, with its key where that is known beforehand."""
-_NEWS: Final[frozenset[type]] = frozenset((Alive, Woken))
-"""What else is in the inbox."""
-
-
-def _taker(key: str | None, put: Callable[[_Item], None]) -> Callable[[zenoh.Sample], None]:
-    """What Zenoh's own threads call with a sample on ``key`` (None: on any), made cheap for them.
+def _keep_state(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
+    """``put``, and what makes it and others cheap for Zenoh's own threads, which call it.
 
     CPython gives a thread that it did not start a new state, and that state new memory pages, for every call into
     Python: a page fault and about 40 µs a sample. One hold that is never released lets the thread keep the
@@ -76,7 +72,7 @@ def _taker(key: str | None, put: Callable[[_Item], None]) -> Callable[[zenoh.Sam
         if thread not in _held:
             _held.add(thread)
             hold()
-        put((key, sample))
+        put(sample)
 
     return call
 
@@ -197,29 +193,28 @@ def _free_port() -> int:
         return cast("int", probe.getsockname()[1])
 
 
-def _received(item: _Item) -> Received:
-    key, sample = item
-    return Received(key or str(sample.key_expr), sample.payload.to_bytes())
+def _event(item: Any) -> Event:
+    if type(item) is zenoh.Sample:
+        return Received(str(item.key_expr), item.payload.to_bytes())
+    return item
 
 
 @final
 class ZenohPublisher(Publisher):
-    """Puts on one key: blocking, reliable, batched."""
+    """Puts on one key: blocking, reliable, batched.
+
+    Attributes:
+        put_bytes: Zenoh's own put.
+    """
 
     def __init__(self, endpoint: ZenohEndpoint, publisher: zenoh.Publisher) -> None:
         self._endpoint = endpoint
         self._publisher = publisher
-        self._forks = _forks
-        self._put = cast("Callable[[bytes], None]", cast("Any", publisher).put)
+        self.put_bytes = cast("Callable[[bytes], None]", cast("Any", publisher).put)
 
     def put(self, payload: bytes) -> None:
         """Sends ``payload`` to every subscriber of the key."""
-        if self._endpoint.closed or _forks != self._forks:
-            self._endpoint.check_usable()
-        try:
-            self._put(payload)
-        except zenoh.ZError as error:
-            raise TransportError(f"put on {self._publisher.key_expr}: {_first_line(error)}") from None
+        self._endpoint.put_all(((self, payload),))
 
     def matched(self) -> bool:
         """Whether somebody subscribed to the key."""
@@ -267,18 +262,37 @@ class ZenohEndpoint(Endpoint):
             ),
         )
 
-    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
+    def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
+        """Puts each payload with its publisher."""
+        self.check_usable()
+        publisher: Publisher | None = None
+        try:
+            for publisher, payload in puts:
+                cast("ZenohPublisher", publisher).put_bytes(payload)
+        except zenoh.ZError as error:
+            raise TransportError(f"{publisher}: {_first_line(error)}") from None
+
+    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
         """Lets everything put on matching keys into the inbox."""
         self.check_usable()
         if key_expr in self._subscribers:
             return
         check_overlap(key_expr, list(self._subscribers))
-        # Where only one key can match, nobody need ask the sample for it.
-        key = None if "*" in key_expr else key_expr
-        put = _taker(key, self._inbox.put_urgent if urgent else self._inbox.put)
-        self._subscribers[key_expr] = self.session.declare_subscriber(
-            key_expr, handlers.Callback(put, indirect=False)
+        self._subscribers[key_expr] = subscriber = self.session.declare_subscriber(
+            key_expr, self._handler(haste)
         )
+        if haste == "quiet":
+            self._inbox.quiet.append(subscriber.handler.try_recv)
+
+    def _handler(self, haste: Haste) -> Any:
+        if haste == "quiet":
+            return handlers.FifoChannel(_CAPACITY)
+        if haste == "urgent":
+            put = _keep_state(lambda sample: self._inbox.put_urgent(_event(sample)))
+        else:
+            # One subscription that sees to it that threads keep their state does so for all.
+            put = self._inbox.put if self._subscribers else _keep_state(self._inbox.put)
+        return handlers.Callback(put, indirect=False)
 
     def declare_alive(self, key: str) -> None:
         """Shows a token."""
@@ -313,13 +327,12 @@ class ZenohEndpoint(Endpoint):
         """The oldest event, or None after ``timeout_s``."""
         self.check_usable()
         item = self._inbox.get(timeout_s, enough)
-        return item if item is None or type(item) in _NEWS else _received(item)
+        return None if item is None else _event(item)
 
     def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """All events, oldest first."""
         self.check_usable()
-        items = self._inbox.get_all(timeout_s, enough)
-        return [item if type(item) in _NEWS else _received(item) for item in items]
+        return [_event(item) for item in self._inbox.get_all(timeout_s, enough)]
 
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""

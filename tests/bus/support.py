@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,7 @@ from bus.lattice import Lattice
 from bus.lockstep import Host, Member
 from bus.partition import Partition
 from bus.specs import StallSpec
-from bus.transport import Alive, Endpoint, Event, Publisher, Received
+from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received
 from bus.transports.memory import MemoryBus
 from bus.transports.zenoh import open_client, open_hub
 from bus.wire import DriveFrame, LinkFrame, SenseFrame
@@ -81,8 +81,11 @@ class ClockedEndpoint(Endpoint):
     def publisher(self, key: str) -> Publisher:
         return self._inner.publisher(key)
 
-    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
-        self._inner.subscribe(key_expr, urgent=urgent)
+    def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
+        self._inner.put_all(puts)
+
+    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
+        self._inner.subscribe(key_expr, haste)
 
     def declare_alive(self, key: str) -> None:
         self._inner.declare_alive(key)
