@@ -8,7 +8,7 @@ good, but for ``bus.codec.reader`` to read.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, cast, final
 
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
@@ -27,6 +27,16 @@ Place = str | tuple[str, ...] | int | None
 """What stands under a name: a number, a list of numbers, a list of so many booleans, or nil; ``"?"``: a boolean."""
 
 
+Decode = Callable[[int, bytes], tuple[int, Any]]
+"""From the part of a frame and any payload to its tick and value, or WireError."""
+
+
+def flags(marks: bytes) -> bytes | None:
+    """Booleans, a byte each, 0 or 1, from what MessagePack has for them; None where it is something else."""
+    found = marks.translate(_FROM_WIRE)
+    return None if 2 in found else found
+
+
 @final
 class Fixed:
     """One kind of payload; writes for one thread at a time.
@@ -36,43 +46,49 @@ class Fixed:
     """
 
     def __init__(self, places: Mapping[str, Place]) -> None:
-        between, values, booleans = _layout(places)
+        between, values, self._booleans = _layout(places)
         words = [f"{len(text)}s{value}" for text, value in zip(between, [*values, ""], strict=True)]
-        layout = struct.Struct(">" + "".join(words))
+        self._layout = struct.Struct(">" + "".join(words))
         self._between = tuple(between)
-        self._booleans = booleans
-        self._size = layout.size
-        self._pack, self._unpack = layout.pack, layout.unpack
         self._parts: list[Any] = [b""] * (2 * len(values) + 1)
         self._parts[::2] = between
 
-    def write(self, *values: Any) -> bytes:
-        """The payload; ``values``: the tick, then all others in order, of booleans a byte each, 0 or 1."""
-        parts = self._parts
-        parts[1::2] = values
-        for i in self._booleans:
-            parts[2 * i + 1] = parts[2 * i + 1].translate(_TO_WIRE)
-        return self._pack(*parts)
-
-    def read(self, payload: bytes) -> Sequence[Any] | None:
-        """The values, as ``write`` takes them; None where the payload is not laid out like this."""
-        if len(payload) != self._size:
-            return None
-        parts = self._unpack(payload)
-        if parts[::2] != self._between or parts[1] >= TICK_LIMIT:
-            return None
-        values = parts[1::2]
-        if self._booleans:
-            values = list(values)
+    def write(self, tick: int, rows: Iterable[Iterable[Any]]) -> list[bytes]:
+        """A payload a row of values, in their places' order; booleans are bytes, one each, 0 or 1."""
+        parts, pack = self._parts, self._layout.pack
+        parts[1] = tick
+        payloads: list[bytes] = []
+        for row in rows:
+            parts[3::2] = row
             for i in self._booleans:
-                values[i] = values[i].translate(_FROM_WIRE)
-                if 2 in values[i]:
-                    return None
-        return values
+                parts[i] = parts[i].translate(_TO_WIRE)
+            payloads.append(pack(*parts))
+        return payloads
+
+    def decoder(self, make: Callable[..., Any], other: Decode) -> Decode:
+        """What decodes such payloads.
+
+        Args:
+            make: From the values to what they stand for, or None if they are not what they should be; booleans
+                are for ``flags`` to read.
+            other: Decodes all else, and says what is wrong.
+        """
+        size, between, unpack = self._layout.size, self._between, self._layout.unpack
+
+        def decode(part: int, payload: bytes) -> tuple[int, Any]:
+            if len(payload) == size:
+                parts = unpack(payload)
+                if parts[::2] == between and parts[1] < TICK_LIMIT:
+                    value = make(*parts[3::2])
+                    if value is not None:
+                        return parts[1], value
+            return other(part, payload)
+
+        return decode
 
 
 def _layout(places: Mapping[str, Place]) -> tuple[list[bytes], list[str], list[int]]:
-    """The bytes before, between and after the values; the values' types; which of them are booleans."""
+    """The bytes before, between and after the values; the values' types; where between both the booleans are."""
     packer = cast("Any", msgpack).Packer()
     between, values, booleans = [b""], list[str](), list[int]()
 
@@ -84,8 +100,8 @@ def _layout(places: Mapping[str, Place]) -> tuple[list[bytes], list[str], list[i
         values.append(letter)
         between.append(b"")
 
-    def flags(count: int) -> None:
-        booleans.append(len(values))
+    def booleans_of(count: int) -> None:
+        booleans.append(2 * len(values) + 1)
         value(f"{count}s")
 
     text(
@@ -100,10 +116,10 @@ def _layout(places: Mapping[str, Place]) -> tuple[list[bytes], list[str], list[i
         if place is None:
             text(packer.pack(None))
         elif place == "?":
-            flags(1)
+            booleans_of(1)
         elif isinstance(place, int):
             text(packer.pack_array_header(place))
-            flags(place)
+            booleans_of(place)
         elif isinstance(place, str):
             value(place)
         else:

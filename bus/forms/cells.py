@@ -7,13 +7,14 @@ cold caches every tick: hence few calls, and a short way for payloads as this si
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import Any, Final, final
 
 import numpy as np
 
 from bus import codec, wire
-from bus.fixed import Fixed, Place
-from bus.forms.form import Decode, HostForm, MemberForm, Wiring
+from bus.fixed import Decode, Fixed, Place, flags
+from bus.forms.form import HostForm, MemberForm, Wiring
 from bus.keys import cell_key, cell_link_key
 
 _VALUE: Final = 80
@@ -53,14 +54,15 @@ class CellsHost(HostForm):
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a cell: ``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``."""
         tick, write, sensors = frame.tick, self._sense.write, self._sensors
-        flags = frame.presence.tobytes()
-        presence = [flags[i : i + sensors] for i in range(0, len(flags), sensors)]
+        there = frame.presence.tobytes()
+        presence = [there[i : i + sensors] for i in range(0, len(there), sensors)]
         if frame.encoder_m is not None:
             travel = frame.encoder_m.tolist()
-            return [write(tick, there, x, y) for there, (x, y) in zip(presence, travel, strict=True)]
+            return write(tick, [(bits, x, y) for bits, (x, y) in zip(presence, travel, strict=True)])
         # Without encoders all cells that sense alike get the same bytes: encode each pattern once.
-        made = {there: write(tick, there) for there in set(presence)}
-        return [made[there] for there in presence]
+        patterns = list(set(presence))
+        made = dict(zip(patterns, write(tick, [(bits,) for bits in patterns]), strict=True))
+        return [made[bits] for bits in presence]
 
     def join_drives(self, values: list[Any]) -> codec.Values:
         """``(n, 2)`` from a packed pair a cell."""
@@ -73,18 +75,17 @@ def _sense_places(wiring: Wiring) -> dict[str, Place]:
 
 def _drive_decoder() -> Decode:
     """From a drive payload to its tick and the drive as a packed pair."""
-    read, pack = Fixed(_DRIVE).read, _PAIR.pack
 
     def decode(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
-        values = read(payload)
-        if values is not None:
-            tick, first, second = values
-            codec.check_finite("drive", first, second)
-            return tick, pack(first, second)
         tick, fields = _read_drive(payload)
-        return tick, pack(*codec.pair("drive", fields["drive"]))
+        return tick, _PAIR.pack(*codec.pair("drive", fields["drive"]))
 
-    return decode
+    return Fixed(_DRIVE).decoder(_finite_pair, decode)
+
+
+def _finite_pair(first: float, second: float) -> bytes | None:
+    # Only a finite number minus itself is zero.
+    return _PAIR.pack(first, second) if first - first == second - second == 0.0 else None
 
 
 @final
@@ -116,7 +117,8 @@ class CellsMember(MemberForm):
         self.in_sources = tuple(incoming.source[i : i + 1] for i in heard)
         self.in_targets = tuple(incoming.target[i : i + 1] for i in heard)
         self.decode_link = _link_decoder(message)
-        self.blank_links = [(0, bytes(message.itemsize))] * len(heard)
+        self.blank_links = [b""] * len(heard)
+        self._no_message = bytes(message.itemsize)
         self._message = message
         self._fields = _struct(message, "1s").iter_unpack
         self._drive, self._link, self._silence = Fixed(_DRIVE), Fixed(_link_places(message)), Fixed({})
@@ -135,72 +137,76 @@ class CellsMember(MemberForm):
         return presence, np.ndarray((self._rows, 2), np.float64, bytearray().join(travel))
 
     def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
-        """From whether there was a message, and its packed fields, of each link."""
-        sent, message = zip(*values, strict=True) if values else ((), ())
-        return np.frombuffer(bytearray(sent), np.bool_), np.frombuffer(
-            bytearray().join(message), self._message
-        )
+        """From the packed message of each link, empty where there was none."""
+        sent = bytearray(map(bool, values))
+        if 0 in sent:
+            values = [value or self._no_message for value in values]
+        return np.frombuffer(sent, np.bool_), np.frombuffer(bytearray().join(values), self._message)
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
-        tick, write = frame.tick, self._drive.write
-        payloads: list[bytes] = []
-        for first, second in _PAIR.iter_unpack(frame.drive.tobytes()):
+        pairs = list(_PAIR.iter_unpack(frame.drive.tobytes()))
+        for first, second in pairs:
             codec.check_finite("drive", first, second)
-            payloads.append(write(tick, first, second))
-        return payloads
+        return self._drive.write(frame.tick, pairs)
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a link: the message's fields by name, none where nothing was sent."""
-        tick, say, hush = frame.tick, self._link.write, self._silence.write
-        fields = self._fields(frame.message.tobytes())
-        return [
-            say(tick, *values) if sent else hush(tick)
-            for sent, values in zip(frame.sent.tobytes(), fields, strict=True)
-        ]
+        sent = frame.sent.tobytes()
+        payloads = self._link.write(frame.tick, self._fields(frame.message.tobytes()))
+        if 0 in sent:
+            (silence,) = self._silence.write(frame.tick, [()])
+            payloads = [payload if said else silence for payload, said in zip(payloads, sent, strict=True)]
+        return payloads
 
 
 def _sense_decoder(wiring: Wiring) -> Decode:
     """From a sense payload to its tick, the presence as bytes and the travel as a packed pair."""
     sensors, encoders = wiring.sensors, wiring.encoders
-    read, pack = Fixed(_sense_places(wiring)).read, _PAIR.pack
 
     def decode(unit: int, payload: bytes) -> tuple[int, tuple[bytes, bytes]]:  # noqa: ARG001 - all cells alike
-        values = read(payload)
-        if values is not None:
-            if not encoders:
-                return values[0], (values[1], b"")
-            tick, presence, x, y = values
-            codec.check_finite("sense", x, y)
-            return tick, (presence, pack(x, y))
         tick, fields = _read_sense(payload)
         presence = bytes(codec.booleans("sense", fields["presence"], sensors))
         if encoders:
-            return tick, (presence, pack(*codec.pair("sense", fields["encoder_m"])))
+            return tick, (presence, _PAIR.pack(*codec.pair("sense", fields["encoder_m"])))
         codec.nothing("sense", "encoder_m", fields["encoder_m"])
         return tick, (presence, b"")
 
-    return decode
+    return Fixed(_sense_places(wiring)).decoder(_sensed if encoders else _present, decode)
+
+
+def _sensed(marks: bytes, x: float, y: float) -> tuple[bytes, bytes] | None:
+    presence, travel = flags(marks), _finite_pair(x, y)
+    return None if presence is None or travel is None else (presence, travel)
+
+
+def _present(marks: bytes) -> tuple[bytes, bytes] | None:
+    presence = flags(marks)
+    return None if presence is None else (presence, b"")
 
 
 def _link_decoder(message: np.dtype[Any]) -> Decode:
-    """From a link payload to its tick, 1 or 0 for sent or not, and the message's packed fields."""
-    read, silence = Fixed(_link_places(message)).read, Fixed({}).read
-    pack, decode_any = _struct(message, "1s").pack, _any_link_decoder(message)
-    nothing = (0, bytes(message.itemsize))
+    """From a link payload to its tick and the message's packed fields, empty where nothing was sent."""
+    silence = Fixed({}).decoder(bytes, _any_link_decoder(message))
+    return Fixed(_link_places(message)).decoder(_message_packer(message), silence)
 
-    def decode(part: int, payload: bytes) -> tuple[int, tuple[int, bytes]]:
-        values = read(payload)
-        if values is not None:
-            try:
-                return values[0], (1, pack(*values[1:]))
-            except OverflowError:
-                pass  # Half a float does not hold it; the other way says so.
-        elif (values := silence(payload)) is not None:
-            return values[0], nothing
-        return decode_any(part, payload)
 
-    return decode
+def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
+    """From a message's values as they come to its packed fields."""
+    letters = _letters(message).values()
+    packed = _struct(message, "1s")
+    if not {"?", "e"} & set(letters):
+        return packed.pack
+    booleans = [letter == "?" for letter in letters]
+
+    def pack(*values: Any) -> bytes | None:
+        made = [flags(value) if is_flag else value for value, is_flag in zip(values, booleans, strict=True)]
+        try:
+            return None if None in made else packed.pack(*made)
+        except OverflowError:  # Half a float does not hold it.
+            return None
+
+    return pack
 
 
 def _any_link_decoder(message: np.dtype[Any]) -> Decode:
@@ -210,13 +216,12 @@ def _any_link_decoder(message: np.dtype[Any]) -> Decode:
     readers = [codec.scalar_reader("link", name, message[name]) for name in names]
     limit = sum(_VALUE + 4 * len(name) for name in names)
     read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
-    nothing = (0, bytes(message.itemsize))
 
-    def decode(part: int, payload: bytes) -> tuple[int, tuple[int, bytes]]:  # noqa: ARG001 - all links alike
+    def decode(part: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all links alike
         tick, fields = read(payload)
         if len(fields) == len(_NO_MESSAGE):
-            return tick, nothing
-        return tick, (1, pack(*[reader(fields[name]) for name, reader in zip(names, readers, strict=True)]))
+            return tick, b""
+        return tick, pack(*[reader(fields[name]) for name, reader in zip(names, readers, strict=True)])
 
     return decode
 
