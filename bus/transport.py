@@ -46,8 +46,9 @@ class Endpoint(ABC):
 
     Every transport promises, and one conformance suite checks:
 
-    - **Order.** What one endpoint puts, on whatever keys, reaches another endpoint's inbox in the order
-      of the puts. Between different senders there is no order. Quiet payloads may overtake others.
+    - **Order.** What one endpoint puts on the keys of one subscription is received in the order of the puts, and
+      whatever it put before an urgent payload comes before that. Nothing is received without the urgent payloads
+      that were put before it. Between different senders there is no order.
     - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
       subscriptions of one endpoint would break that and are refused. An endpoint hears its own puts.
     - **Patience.** ``receive`` may be told how many payloads it takes to get on: it then lets fewer wait, but
@@ -61,6 +62,10 @@ class Endpoint(ABC):
     - **Close** withdraws the tokens; closing twice is harmless; anything else on a closed endpoint raises
       ``TransportError``.
     """
+
+    def __init__(self) -> None:
+        self._rest: list[Event] = []
+        """Taken, but not received yet."""
 
     @abstractmethod
     def publisher(self, key: str) -> Publisher:
@@ -96,18 +101,27 @@ class Endpoint(ABC):
     def watch_alive(self, key_expr: str) -> None:
         """Lets the coming and going of matching tokens into the inbox; first, those that are there."""
 
-    @abstractmethod
     def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
-        """The oldest event in the inbox.
+        """The oldest event in the inbox; at once where ``receive`` left some behind.
 
         Args:
             timeout_s: Wall seconds after which None is returned if there is none; 0: at once; None: never.
             enough: How many must be there before the wait ends early; see *patience*.
         """
+        if not self._rest:
+            self._rest = self.take(timeout_s, enough)
+        return self._rest.pop(0) if self._rest else None
 
-    @abstractmethod
     def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """As ``receive``, but all that is in the inbox, oldest first; empty after ``timeout_s``."""
+        if self._rest:
+            rest, self._rest = self._rest, []
+            return rest + self.take(0, 1)
+        return self.take(timeout_s, enough)
+
+    @abstractmethod
+    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+        """What ``receive_all`` hands over; for a transport to say how."""
 
     @abstractmethod
     def wake(self) -> None:

@@ -115,12 +115,12 @@ class MemoryEndpoint(Endpoint):
     """A participant of a ``MemoryBus``; made by ``MemoryBus.endpoint``."""
 
     def __init__(self, bus: MemoryBus) -> None:
+        super().__init__()
         self._bus = bus
         self._inbox = Inbox()
-        quiet: deque[Event] = deque()
-        self._inbox.quiet.append(lambda: quiet.popleft() if quiet else None)
+        self._quiet: deque[Event] = deque()
         self._doors: dict[Haste, Callable[[Event], None]] = {
-            "quiet": quiet.append,
+            "quiet": self._quiet.append,
             "wake": self._inbox.put,
             "urgent": self._inbox.put_urgent,
         }
@@ -161,15 +161,11 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         self._bus.watch(key_expr, self)
 
-    def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
-        """The oldest event, or None after ``timeout_s``."""
+    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+        """All events, the quiet first."""
         self.check_open()
-        return self._inbox.get(timeout_s, enough)
-
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
-        """All events, oldest first."""
-        self.check_open()
-        return self._inbox.get_all(timeout_s, enough)
+        events = self._inbox.take(timeout_s, enough)
+        return [self._quiet.popleft() for _ in range(len(self._quiet))] + events
 
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""

@@ -63,15 +63,11 @@ class ClockedEndpoint(Endpoint):
     """An endpoint whose waits take no time: when nothing is there, the clock jumps to their end."""
 
     def __init__(self, inner: Endpoint, clock: FakeClock) -> None:
+        super().__init__()
         self._inner = inner
         self._clock = clock
 
-    def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
-        events = self.receive_all(timeout_s, enough)
-        assert len(events) <= 1
-        return events[0] if events else None
-
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
         events = self._inner.receive_all(0)
         if not events:
             assert timeout_s is not None, "waits for ever for what never comes"
