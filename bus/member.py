@@ -95,6 +95,7 @@ class Member:
         self._seen = wiring.message
         self._shape = (len(self._cells), 2)
         self._outgoing = partition.outgoing(shard)
+        self._links_shape = (len(self._outgoing),)
         self._tick = 0
         self._until = np.full(len(partition.lattice), NEVER, dtype=np.int64)
         self._all_live = True
@@ -269,8 +270,8 @@ class Member:
             )
         if links is not None and not (
             links.tick == drive.tick
-            and links.sent.shape == links.message.shape == (len(self._outgoing),)
-            and self._is_agreed(links.message.dtype)
+            and links.sent.shape == links.message.shape == self._links_shape
+            and (links.message.dtype is self._seen or self._is_agreed(links.message.dtype))
         ):
             raise BusError(
                 f"links of shard {self._shard}, tick {drive.tick}: must be {len(self._outgoing)} of {self._message}"
@@ -286,10 +287,9 @@ class Member:
 
     def _is_agreed(self, dtype: np.dtype[Any]) -> bool:
         # Comparing structured types takes long, and it is the same object every tick.
-        if dtype is not self._seen:
-            if dtype != self._message:
-                return False
-            self._seen = dtype
+        if dtype != self._message:
+            return False
+        self._seen = dtype
         return True
 
     # --- who takes part -------------------------------------------------------------------------

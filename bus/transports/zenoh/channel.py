@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, cast, final
 
 import zenoh
@@ -27,6 +27,10 @@ class Channel:
     Args:
         session: The session.
         key_expr: What to subscribe to.
+
+    Attributes:
+        key: The key, where only one can match: nobody need ask the sample for it.
+        try_recv: Zenoh's own: a sample, or None where there is none.
     """
 
     def __init__(self, session: zenoh.Session, key_expr: str) -> None:
@@ -34,17 +38,9 @@ class Channel:
         self._subscriber = session.declare_subscriber(key_expr, handlers.FifoChannel(_CAPACITY))
         handler = cast("Any", self._subscriber.handler)
         self._recv: Callable[[], zenoh.Sample] = handler.recv
-        self._try_recv: Callable[[], zenoh.Sample | None] = handler.try_recv
-        # Where only one key can match, nobody need ask the sample for it.
-        self._key = None if "*" in key_expr else key_expr
+        self.try_recv: Callable[[], zenoh.Sample | None] = handler.try_recv
+        self.key = None if "*" in key_expr else key_expr
         self._bell = key_expr.replace("**", "bell").replace("*", "bell")
-
-    def drain(self, events: list[Event]) -> None:
-        """Adds the payloads that are there."""
-        while (sample := self._try_recv()) is not None:
-            payload = sample.payload.to_bytes()
-            if payload or sample.kind == zenoh.SampleKind.PUT:
-                events.append(received((self._key or str(sample.key_expr), payload)))
 
     def wait(self, events: list[Event]) -> None:
         """Waits for a payload, which it adds, or for the bell."""
@@ -54,9 +50,19 @@ class Channel:
             raise TransportError("this endpoint was closed while it waited") from None
         payload = sample.payload.to_bytes()
         if payload or sample.kind == zenoh.SampleKind.PUT:
-            events.append(received((self._key or str(sample.key_expr), payload)))
+            events.append(received((self.key or str(sample.key_expr), payload)))
 
     def ring(self) -> None:
         """Ends a wait, or the next: a deletion, which nobody puts on these keys, and that stays in this session."""
         with contextlib.suppress(zenoh.ZError):  # The session may be closed already.
             self._session.delete(self._bell, allowed_destination=zenoh.Locality.SESSION_LOCAL)
+
+
+def drain(channels: Iterable[Channel], events: list[Event]) -> None:
+    """Adds the payloads that are there."""
+    for channel in channels:
+        key, try_recv = channel.key, channel.try_recv
+        while (sample := try_recv()) is not None:
+            payload = sample.payload.to_bytes()
+            if payload or sample.kind == zenoh.SampleKind.PUT:
+                events.append(received((key or str(sample.key_expr), payload)))

@@ -74,9 +74,6 @@ class ZenohPublisher(Publisher):
 class ZenohEndpoint(Endpoint):
     """A Zenoh session; made by ``open_hub`` and ``open_client``.
 
-    Zenoh's receiving threads put samples straight into the inbox: no thread a subscriber, and unlike the wait
-    on one of Zenoh's channels, this one covers all subscriptions, can time out and lets signals through.
-
     Attributes:
         locator: Where the plant listens.
         closed: Whether ``close`` was called.
@@ -112,12 +109,11 @@ class ZenohEndpoint(Endpoint):
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
         """Puts each payload with its publisher."""
         self.check_usable()
-        publisher: Publisher | None = None
         try:
-            for publisher, payload in puts:
-                cast("ZenohPublisher", publisher).put_bytes(payload)
+            for publisher, payload in cast("Iterable[tuple[ZenohPublisher, bytes]]", puts):
+                publisher.put_bytes(payload)
         except zenoh.ZError as error:
-            raise TransportError(f"{publisher}: {first_line(error)}") from None
+            raise TransportError(f"put: {first_line(error)}") from None
 
     def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
         """Lets everything put on matching keys into the inbox."""

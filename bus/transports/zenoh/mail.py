@@ -20,7 +20,7 @@ from zenoh import handlers  # pyright: ignore[reportMissingModuleSource] - its s
 
 from bus.transport import Event, Haste
 from bus.transports.zenoh.alarm import Alarm
-from bus.transports.zenoh.channel import Channel, received
+from bus.transports.zenoh.channel import Channel, drain, received
 
 _SHORT_S: Final = 0.1
 """A wait up to this long looks every millisecond; a longer one may be late by the alarm's precision."""
@@ -43,6 +43,7 @@ class Mail:
         self._session = session
         self._news: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._main: Channel | None = None
+        self._waking: list[Channel] = []
         self._quiet: list[Channel] = []
         self._subscribers: list[object] = []
         self._alarm = Alarm(self._ring)
@@ -62,23 +63,25 @@ class Mail:
             self._quiet.append(Channel(self._session, key_expr))
         elif haste == "wake" and self._main is None:
             self._main = Channel(self._session, key_expr)
+            self._waking.append(self._main)
         else:
             self._subscribers.append(self._session.declare_subscriber(key_expr, self.teller(_payload)))
 
     def take(self, timeout_s: float | None, enough: int) -> list[Event]:
         """All that is there, once it is enough or there is news; see ``Endpoint``."""
         until = None if timeout_s is None else time.monotonic() + timeout_s
+        left = timeout_s
         data: list[Event] = []
         news: list[Event] = []
         while True:
+            if self._news.empty() and (left is None or left > 0.0):
+                self._sleep(left, until, data, news)
             self._look(data, news)
-            left = None if until is None else until - time.monotonic()
             if news or len(data) >= enough or (left is not None and left <= 0.0):
                 break
-            self._sleep(left, until, data, news)
+            left = None if until is None else until - time.monotonic()
         quiet: list[Event] = []
-        for channel in self._quiet:
-            channel.drain(quiet)
+        drain(self._quiet, quiet)
         return quiet + data + news
 
     def close(self) -> None:
@@ -87,10 +90,9 @@ class Mail:
 
     def _look(self, data: list[Event], news: list[Event]) -> None:
         """Takes what is there: also all data of before the last news, and all news of before the last data."""
-        main, empty = self._main, self._news.empty
+        empty = self._news.empty
         while True:
-            if main is not None:
-                main.drain(data)
+            drain(self._waking, data)
             if empty():
                 return
             while not empty():
