@@ -7,19 +7,22 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import pytest
 
 from bus.forms import FormName
 from bus.lattice import Lattice
-from bus.lockstep import Host, Member
+from bus.lockstep import Gathered, Host, Loss, Member
 from bus.partition import Partition
 from bus.specs import StallSpec
 from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received
 from bus.transports.memory import MemoryBus
 from bus.transports.zenoh import open_client, open_hub
-from bus.wire import DriveFrame, LinkFrame, SenseFrame
+from bus.wire import Control, DriveFrame, LinkFrame, SenseFrame
 
 MESSAGE = np.dtype([("u", "<f8"), ("hops", "<u2")])
 SENSORS = 2
+FORMS: list[FormName] = ["packed", "cells"]
+both_forms = pytest.mark.parametrize("form", FORMS)
 
 
 class Network:
@@ -191,3 +194,25 @@ def settle(publisher: Publisher, endpoint: Endpoint) -> None:
     """Waits until ``publisher`` is matched; events that ``endpoint`` gets meanwhile would be lost, so none may come."""
     while not publisher.matched():
         assert endpoint.receive(0.005) is None
+
+
+def gathered(result: Gathered | Control) -> Gathered:
+    assert isinstance(result, Gathered), result
+    return result
+
+
+def step(system: System, tick: int, shards: list[int] | None = None) -> tuple[DriveFrame, list[Loss]]:
+    """One tick in one thread: senses, every shard, drives."""
+    system.host.publish(system.sense(tick))
+    for shard in range(len(system.members)) if shards is None else shards:
+        member = system.members[shard]
+        gathered(member.gather(tick))
+        member.publish(system.drive(shard, tick), system.links(shard, tick))
+    return system.host.gather(tick)
+
+
+def expected_drive(system: System, tick: int) -> Any:
+    whole = np.zeros((len(system.partition.lattice), 2))
+    for shard in range(system.partition.count):
+        whole[system.partition.cells(shard)] = system.drive(shard, tick).drive
+    return whole
