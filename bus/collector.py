@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final, final
 
-import numpy as np
-
 from bus.counts import Counts
 from bus.errors import WireError
+from bus.lives import NEVER
 
-NEVER: Final = int(np.iinfo(np.int64).max)
-"""The tick from which a live cell is gone."""
 EARLY_TICKS: Final = 64
 """How far ahead a frame may be to be kept; in lockstep nobody gets further than one tick."""
 

@@ -16,7 +16,9 @@ from bus.transport import Event, Received
 _CAPACITY: Final = 65_536
 """Payloads that wait for a reader; beyond it their senders do."""
 
-received = cast("Callable[[tuple[str, bytes]], Received]", functools.partial(tuple.__new__, Received))
+received = cast(
+    "Callable[[tuple[str, bytes]], Received]", functools.partial(cast("Any", tuple).__new__, Received)
+)
 """As ``Received`` does, without a call into Python."""
 
 
@@ -55,7 +57,7 @@ class Channel:
     def ring(self) -> None:
         """Ends a wait, or the next: a deletion, which nobody puts on these keys, and that stays in this session."""
         with contextlib.suppress(zenoh.ZError):  # The session may be closed already.
-            self._session.delete(self._bell, allowed_destination=zenoh.Locality.SESSION_LOCAL)
+            cast("Any", self._session).delete(self._bell, allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
 
 def drain(channels: Iterable[Channel], events: list[Event]) -> None:
