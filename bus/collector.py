@@ -95,8 +95,7 @@ class Collector:
         return slot
 
     def _begin(self, tick: int) -> Slot:
-        live = sum(until > tick for until in self.until) if self._deaths else len(self.until)
-        return Slot(self._blank.copy(), live)
+        return Slot(self._blank.copy(), sum(until > tick for until in self.until))
 
     def missing(self, tick: int) -> list[int]:
         """Live parts of ``tick`` that have not come."""
@@ -113,10 +112,11 @@ class Collector:
     def close(self, tick: int) -> Slot:
         """The frame of ``tick``, which with all before it is over: whatever comes for it now is late."""
         slot = self.slot(tick)
-        self.now = tick + 1
-        early = self._early.pop(self.now, None)
-        self._current = self._begin(self.now) if early is None else early
-        if self._early:
-            for over in [t for t in self._early if t < self.now]:
-                del self._early[over]
+        self.now = now = tick + 1
+        if not self._early and not self._deaths:  # nearly always, and every tick
+            self._current = Slot(self._blank.copy(), len(self.until))
+            return slot
+        self._current = self._early.pop(now, None) or self._begin(now)
+        for over in [t for t in self._early if t < now]:
+            del self._early[over]
         return slot

@@ -108,7 +108,8 @@ class ZenohEndpoint(Endpoint):
 
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
         """Puts each payload with its publisher."""
-        self.check_usable()
+        if self.closed or self._forks != _forks:
+            self.check_usable()
         try:
             for publisher, payload in cast("Iterable[tuple[ZenohPublisher, bytes]]", puts):
                 publisher.put_bytes(payload)
@@ -149,7 +150,8 @@ class ZenohEndpoint(Endpoint):
 
     def take(self, timeout_s: float | None, enough: int) -> list[Event]:
         """All events; a wait of more than a tenth of a second may end as much later."""
-        self.check_usable()
+        if self.closed or self._forks != _forks:
+            self.check_usable()
         return self._mail.take(timeout_s, enough)
 
     def wake(self) -> None:
@@ -179,7 +181,10 @@ class ZenohEndpoint(Endpoint):
         cast("Any", self.session).close()
 
     def check_usable(self) -> None:
-        """Raises TransportError after ``close``, and in a process that inherited this session by a fork."""
+        """Raises TransportError after ``close``, and in a process that inherited this session by a fork.
+
+        What runs every tick looks itself before it calls this.
+        """
         if not self.closed and self._forks == _forks:
             return
         if self.closed:

@@ -112,8 +112,10 @@ class Mail:
             time.sleep(min(left, _LOOK_S))
         else:
             self._alarm.set(until)
-            main.wait(data)
-            self._alarm.set(None)
+            try:
+                main.wait(data)
+            finally:
+                self._alarm.set(None)
 
     def _ring(self) -> None:
         if self._main is not None:
