@@ -192,9 +192,10 @@ class Member:
             if self._plant_lost:
                 raise HostLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = None if deadline is None else max(deadline - self._clock(), 0.0)
-            # Messages after the senses wake nobody.
-            patience = left if waits else _LINK_POLL_S if left is None else min(left, _LINK_POLL_S)
-            if not read(patience, max(sense.missing, 1)) and left == 0:
+            if not waits:
+                # Messages after the senses wake nobody.
+                left = _LINK_POLL_S if left is None else min(left, _LINK_POLL_S)
+            if not read(left, max(sense.missing, 1)) and left == 0:
                 raise HostLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
