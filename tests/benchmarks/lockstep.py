@@ -128,16 +128,24 @@ def take_turn(side: Side, tally: Tally, ticks: int) -> None:
 
 def run_case(case: Case, pairs: int) -> dict[str, Any]:
     """Rates of both sides, and the lockstep's ratios to the bare exchange."""
-    sides: dict[str, Side] = {name: make(case) for name, make in SIDES.items()}
-    tallies = {name: Tally([]) for name in sides}
-    for pair in range(pairs + 1):
-        for name in sorted(sides, reverse=pair % 2 == 1):
-            take_turn(sides[name], tallies[name], case.ticks)
-    for name, side in sides.items():
-        side.stop()
-        tallies[name].cpu_s += sum(float(worker.communicate(timeout=10)[0]) for worker in side.workers)
-        del tallies[name].rates[0]  # to warm up
-        side.close()
+    sides: dict[str, Side] = {}
+    tallies = {name: Tally([]) for name in SIDES}
+    try:
+        for name, make in SIDES.items():
+            sides[name] = make(case)
+        for pair in range(pairs + 1):
+            for name in sorted(sides, reverse=pair % 2 == 1):
+                take_turn(sides[name], tallies[name], case.ticks)
+        for name, side in sides.items():
+            side.stop()
+            tallies[name].cpu_s += sum(float(worker.communicate(timeout=10)[0]) for worker in side.workers)
+            del tallies[name].rates[0]  # to warm up
+            side.close()
+    finally:
+        # A worker of the bare side does not notice that its plant is gone.
+        for side in sides.values():
+            for worker in side.workers:
+                worker.kill()
     bare, lockstep = tallies["bare"], tallies["lockstep"]
     ratios = [ours / theirs for theirs, ours in zip(bare.rates, lockstep.rates, strict=True)]
     low, ratio, high = statistics.quantiles(ratios, n=4)
