@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final, final
 
-import numpy as np
-
 from bus.counts import Counts
 from bus.errors import WireError
+from bus.lives import NEVER
 
-NEVER: Final = int(np.iinfo(np.int64).max)
-"""The tick from which a live cell is gone."""
 EARLY_TICKS: Final = 64
 """How far ahead a frame may be to be kept; in lockstep nobody gets further than one tick."""
 
@@ -63,7 +60,8 @@ class Collector:
         self._blank = list(blank)
         self._decode = decode
         self._counts = counts
-        self._slots: dict[int, Slot] = {}
+        self._current = Slot(self._blank.copy(), len(blank))
+        self._early: dict[int, Slot] = {}
 
     def take(self, part: int, payload: bytes) -> None:
         """Keeps the value of a part.
@@ -75,13 +73,11 @@ class Collector:
         if tick < self.now or self.until[part] <= tick:
             self._counts.late += 1
             return
-        slot = self._slots.get(tick)
-        if slot is None:
-            if tick > self.now + EARLY_TICKS:
-                raise WireError(
-                    self._kind, "ahead", f"tick {tick}: must be at most {EARLY_TICKS} ahead of {self.now}"
-                )
-            slot = self.slot(tick)
+        if tick > self.now + EARLY_TICKS:
+            raise WireError(
+                self._kind, "ahead", f"tick {tick}: must be at most {EARLY_TICKS} ahead of {self.now}"
+            )
+        slot = self._current if tick == self.now else self.slot(tick)
         if slot.have[part]:
             raise WireError(self._kind, "duplicate", f"tick {tick} came already")
         slot.values[part] = value
@@ -90,12 +86,16 @@ class Collector:
         self._counts.delivered += 1
 
     def slot(self, tick: int) -> Slot:
-        """The frame of ``tick``, begun if it isn't."""
-        slot = self._slots.get(tick)
+        """The frame of ``tick``, not before ``now``; begun if it isn't."""
+        if tick == self.now:
+            return self._current
+        slot = self._early.get(tick)
         if slot is None:
-            live = sum(until > tick for until in self.until) if self._deaths else len(self.until)
-            slot = self._slots[tick] = Slot(self._blank.copy(), live)
+            slot = self._early[tick] = self._begin(tick)
         return slot
+
+    def _begin(self, tick: int) -> Slot:
+        return Slot(self._blank.copy(), sum(until > tick for until in self.until))
 
     def missing(self, tick: int) -> list[int]:
         """Live parts of ``tick`` that have not come."""
@@ -106,18 +106,17 @@ class Collector:
         """Sets the ticks from which the senders are gone: nobody waits for them."""
         self.until = until
         self._deaths = True
-        for tick, slot in self._slots.items():
-            slot.missing = len(self.missing(tick))
+        for tick in (self.now, *self._early):
+            self.slot(tick).missing = len(self.missing(tick))
 
     def close(self, tick: int) -> Slot:
-        """The frame of ``tick``, which with all before it is over: whatever comes for it now is late.
-
-        Args:
-            tick: One whose ``slot`` has been asked for.
-        """
-        slot = self._slots.pop(tick)
-        self.now = tick + 1
-        if self._slots:
-            for over in [t for t in self._slots if t < tick]:
-                del self._slots[over]
+        """The frame of ``tick``, which with all before it is over: whatever comes for it now is late."""
+        slot = self.slot(tick)
+        self.now = now = tick + 1
+        if not self._early and not self._deaths:  # nearly always, and every tick
+            self._current = Slot(self._blank.copy(), len(self.until))
+            return slot
+        self._current = self._early.pop(now, None) or self._begin(now)
+        for over in [t for t in self._early if t < now]:
+            del self._early[over]
         return slot

@@ -10,13 +10,14 @@ from typing import Any, Final, final
 import numpy as np
 
 from bus import wire
-from bus.collector import NEVER, Collector
+from bus.collector import Collector
 from bus.counts import Counts, Loss, Reason
 from bus.dispatch import Dispatcher
 from bus.errors import BusError, WireError, WokenError
 from bus.forms import FORMS, FormName
 from bus.forms.form import HostForm, Wiring
 from bus.keys import plant_key, shard_key
+from bus.lives import Lives
 from bus.partition import Partition
 from bus.roll import Roll
 from bus.specs import StallSpec
@@ -72,8 +73,7 @@ class Host:
         self._form: HostForm = FORMS[form].host(Wiring(run, partition, sensors, encoders, message))
         self.counts = Counts()
         self._tick = 0
-        self._until = np.full(len(partition.lattice), NEVER, dtype=np.int64)
-        self._all_live = True
+        self._lives = Lives(len(partition.lattice))
         self._losses: list[Loss] = []
         self._failed: list[Report] = []
         self._shard_counts: dict[int, Counts] = {}
@@ -90,7 +90,7 @@ class Host:
         self._state_wanted = False
         self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
         endpoint.subscribe(self._form.drive_expr)
-        endpoint.subscribe(shard_key(run, None, "report"), urgent=True)
+        endpoint.subscribe(shard_key(run, None, "report"), "urgent")
         endpoint.watch_alive(self._form.alive_expr)
         endpoint.watch_alive(self._form.ready_expr)
         self._alive_key = plant_key(run, "alive")
@@ -139,12 +139,11 @@ class Host:
                 f"{'and' if self._encoders else 'without'} encoder travel, has {frame.presence.shape} "
                 f"{'without' if frame.encoder_m is None else 'and'} encoder travel"
             )
-        for publisher, payload, until in zip(
-            self._sense, self._form.sense_payloads(frame), self._drives.until, strict=True
-        ):
-            if until > frame.tick:
-                publisher.put(payload)
-                self.counts.sent += 1
+        puts = list(zip(self._sense, self._form.sense_payloads(frame), strict=True))
+        if not self._lives.all:
+            puts = [put for put, until in zip(puts, self._drives.until, strict=True) if until > frame.tick]
+        self._endpoint.put_all(puts)
+        self.counts.sent += len(puts)
 
     def gather(self, tick: int) -> tuple[DriveFrame, list[Loss]]:
         """Waits until every live cell's drive for ``tick`` is there, or its cell is given up.
@@ -171,20 +170,19 @@ class Host:
             if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
                 self._lose_units(self._drives.missing(tick), "stalled")
         drive = self._form.join_drives(self._drives.close(tick).values)
-        if not self._all_live:
-            drive[self._until <= tick] = 0.0
+        if not self._lives.all:
+            drive[~self._lives.live(tick)] = 0.0
         losses, self._losses = self._losses, []
         return DriveFrame(tick, drive), sorted(losses, key=lambda loss: loss.cell)
 
     def retire(self, cells: Iterable[int], tick: int) -> None:
         """Stops waiting for ``cells`` (indices) from ``tick`` on: a scheduled death, which is no loss."""
-        index = np.fromiter(cells, dtype=np.int64)
-        self._until[index] = np.minimum(self._until[index], tick)
-        self._recount()
+        self._lives.retire(cells, tick)
+        self._drives.bury(self._lives.last(self._form.unit_cells))
 
     def live(self, tick: int) -> wire.Mask:
         """``(n,)``: the cells that take part in ``tick``."""
-        return self._until > tick
+        return self._lives.live(tick)
 
     # --- to all ---------------------------------------------------------------------------------
 
@@ -254,13 +252,9 @@ class Host:
         self._lose([int(i) for unit in units for i in self._form.unit_cells[unit]], reason)
 
     def _lose(self, cells: Iterable[int], reason: Reason, detail: str = "") -> None:
-        lost = sorted(i for i in cells if self._until[i] > self._tick)
+        lost = sorted(i for i in cells if self._lives.until[i] > self._tick)
         if lost:
             self.retire(lost, self._tick)
             names = tuple(self._lattice.cells[i] for i in lost)
             self.control(Control("lost", self._tick, names, detail or reason))
             self._losses += [Loss(i, self._tick, reason, detail) for i in lost]
-
-    def _recount(self) -> None:
-        self._all_live = False
-        self._drives.bury([int(self._until[cells].max()) for cells in self._form.unit_cells])

@@ -9,20 +9,23 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from bus import wire
-from bus.collector import NEVER, Collector
+from bus.collector import Collector
 from bus.counts import Counts
 from bus.dispatch import Dispatcher
-from bus.errors import BarrierError, BusError, HostLostError, WireError
+from bus.errors import BarrierError, HostLostError, WireError
 from bus.forms import FORMS, FormName
 from bus.forms.form import MemberForm, Wiring
 from bus.keys import plant_key, shard_key
-from bus.partition import Index, Partition
+from bus.lives import Lives
+from bus.outgoing import Outgoing
+from bus.partition import Partition
 from bus.specs import StallSpec
-from bus.transport import Alive, Endpoint, Publisher
+from bus.transport import Alive, Endpoint
 from bus.wire import Control, DriveFrame, LinkFrame, Report, SenseFrame
 
 _POLL_S: Final = 0.01
-_F8: Final = np.dtype(np.float64)
+_LINK_POLL_S: Final = 0.001
+"""How often to look for messages where they come after the senses, as no cell of ours sends them."""
 
 
 class Gathered(NamedTuple):
@@ -90,13 +93,9 @@ class Member:
         self._form: MemberForm = FORMS[form].member(wiring, shard)
         self.counts = Counts()
         self._cells = partition.cells(shard)
-        self._seen = wiring.message
-        self._shape = (len(self._cells), 2)
-        self._outgoing = partition.outgoing(shard)
         self._tick = 0
-        self._until = np.full(len(partition.lattice), NEVER, dtype=np.int64)
-        self._all_live = True
-        self._out_until = self._target_until = [NEVER] * len(self._form.out_keys)
+        self._lives = Lives(len(partition.lattice))
+        self._outgoing = Outgoing(endpoint, wiring, shard, self._form, self._lives)
         self._senses = Collector("sense", self._form.blank_senses, self._form.decode_sense, self.counts)
         self._links = Collector("link", self._form.blank_links, self._form.decode_link, self.counts)
         self._stop: Control | None = None
@@ -111,10 +110,13 @@ class Member:
             **{key: (self._links.take, part) for key, part in self._form.in_parts.items()},
             control: (self._take_control, 0),
         }
-        for key in self._inbox.routes:
-            endpoint.subscribe(key, urgent=key == control)
-        self._drive = [endpoint.publisher(key) for key in self._form.drive_keys]
-        self._out = [endpoint.publisher(key) for key in self._form.out_keys]
+        for key in self._form.sense_units:
+            endpoint.subscribe(key)
+        # The plant senses again only when all drives have come, and messages are put before drives: they are there
+        # when the senses are.
+        for key in self._form.in_parts:
+            endpoint.subscribe(key, "quiet")
+        endpoint.subscribe(control, "urgent")
         self._report = endpoint.publisher(shard_key(run, shard, "report"))
         endpoint.watch_alive(self._plant_key)
 
@@ -134,9 +136,7 @@ class Member:
         limit = self._stall.start_s if deadline_s is None else deadline_s
         deadline = self._clock() + limit
         self._show(self._form.alive_keys)
-        names = (*self._form.drive_keys, *self._form.out_keys, "report")
-        publishers = (*self._drive, *self._out, self._report)
-        waiting = dict(zip(names, publishers, strict=True))
+        waiting = {**self._outgoing.publishers, "report": self._report}
         while True:
             waiting = {key: publisher for key, publisher in waiting.items() if not publisher.matched()}
             if not waiting and self._plant_seen:
@@ -181,24 +181,28 @@ class Member:
         deadline = None if self._silence_s is None else self._clock() + self._silence_s
         read = self._inbox.read
         while True:
-            missing = sense.missing if links is None else sense.missing + links.missing
+            waits = sense.missing > 0
+            missing = waits or (links is not None and links.missing > 0)
             if self._stop is not None:
                 return self._stop
-            if not self._all_live and not self.live(tick).any():
+            if not self._lives.all and not self.live(tick).any():
                 return Control("stop", tick, (), "no cell of this shard takes part any more")
-            if missing <= 0:
+            if not missing:
                 return self._hand_over(tick)
             if self._plant_lost:
                 raise HostLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = None if deadline is None else max(deadline - self._clock(), 0.0)
-            if not read(left, missing) and left == 0:
+            if not waits:
+                # Messages after the senses wake nobody.
+                left = _LINK_POLL_S if left is None else min(left, _LINK_POLL_S)
+            if not read(left, max(sense.missing, 1)) and left == 0:
                 raise HostLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
 
     def _hand_over(self, tick: int) -> Gathered:
         presence, encoder_m = self._form.join_senses(self._senses.close(tick).values)
-        if not self._all_live:
+        if not self._lives.all:
             gone = ~self.live(tick)
             presence[gone] = False
             if encoder_m is not None:
@@ -219,81 +223,25 @@ class Member:
         Raises:
             BusError: A shape or type is not what was agreed, or a drive is not finite; names the cell.
         """
-        self._check(drive, links)
-        tick = drive.tick
-        # Messages first: when the plant has the drives, it has passed the messages on. All payloads before the
-        # first put, so that they leave together.
-        puts: list[tuple[Publisher, bytes]] = []
-        if links is not None and self._out:
-            if not self._all_live:
-                live = self._until[self._outgoing.source] > tick
-                links = LinkFrame(tick, links.sent & live, links.message)
-            puts += zip(self._out, self._form.link_payloads(links), strict=True)
-        try:
-            puts += zip(self._drive, self._form.drive_payloads(drive), strict=True)
-        except WireError:
-            raise self._not_finite(drive) from None
-        if not self._all_live:
-            spoken = (*self._spoken(tick), *(until > tick for until in self._senses.until))
-            puts = [put for put, live in zip(puts, spoken, strict=True) if live]
-        for publisher, payload in puts:
-            publisher.put(payload)
+        puts = self._outgoing.puts(drive, links)
+        self._endpoint.put_all(puts)
         self.counts.sent += len(puts)
-
-    def _spoken(self, tick: int) -> list[bool]:
-        """Which parts of the outgoing links have somebody to send them, and somebody to read them a tick later."""
-        return [
-            source > tick and target > tick + 1
-            for source, target in zip(self._out_until, self._target_until, strict=True)
-        ]
-
-    def _check(self, drive: DriveFrame, links: LinkFrame | None) -> None:
-        values = drive.drive
-        if values.shape != self._shape or (values.dtype is not _F8 and values.dtype != _F8):
-            raise BusError(
-                f"drive of shard {self._shard}, tick {drive.tick}: must be float64 {self._shape}, "
-                f"is {values.dtype} {values.shape}"
-            )
-        if (links is None) != (self._message is None):
-            raise BusError(
-                f"links of shard {self._shard}: the firmware {'has' if links is None else 'has no'} messages"
-            )
-        if links is not None and not (
-            links.tick == drive.tick
-            and links.sent.shape == links.message.shape == (len(self._outgoing),)
-            and self._is_agreed(links.message.dtype)
-        ):
-            raise BusError(
-                f"links of shard {self._shard}, tick {drive.tick}: must be {len(self._outgoing)} of {self._message}"
-                f", are {links.message.shape} of {links.message.dtype} of tick {links.tick}"
-            )
-
-    def _not_finite(self, frame: DriveFrame) -> BusError:
-        i = int(np.nonzero(~np.isfinite(frame.drive).all(axis=1))[0][0])
-        row, column = self._lattice.cells[int(self._cells[i])]
-        return BusError(
-            f"drive of cell {row},{column}, tick {frame.tick}: must be finite, is {frame.drive[i].tolist()}"
-        )
-
-    def _is_agreed(self, dtype: np.dtype[Any]) -> bool:
-        # Comparing structured types takes long, and it is the same object every tick.
-        if dtype is not self._seen:
-            if dtype != self._message:
-                return False
-            self._seen = dtype
-        return True
 
     # --- who takes part -------------------------------------------------------------------------
 
     def retire(self, cells: Iterable[int], tick: int) -> None:
         """Nobody waits for ``cells`` (indices in the lattice) from ``tick`` on: a scheduled death."""
-        index = np.fromiter(cells, dtype=np.int64)
-        self._until[index] = np.minimum(self._until[index], tick)
-        self._recount()
+        self._lives.retire(cells, tick)
+        last, form = self._lives.last, self._form
+        self._senses.bury(last(form.unit_cells))
+        # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
+        sources, targets = last(form.in_sources), last(form.in_targets)
+        self._links.bury([min(source, target - 1) for source, target in zip(sources, targets, strict=True)])
+        self._outgoing.bury()
 
     def live(self, tick: int) -> wire.Mask:
         """``(n,)``: the shard's cells that take part in ``tick``."""
-        return self._until[self._cells] > tick
+        return self._lives.live(tick)[self._cells]
 
     def fail(self, cells: Iterable[int], tick: int, detail: str) -> None:
         """Tells the plant that ``cells`` (indices in the lattice) can't do ``tick``.
@@ -317,18 +265,6 @@ class Member:
             self._endpoint.withdraw(key)
         self._declared.clear()
 
-    def _recount(self) -> None:
-        def last(groups: Iterable[Index]) -> list[int]:
-            return [int(self._until[cells].max()) for cells in groups]
-
-        self._all_live = False
-        self._senses.bury(last(self._form.unit_cells))
-        # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
-        sources, targets = last(self._form.in_sources), last(self._form.in_targets)
-        self._links.bury([min(source, target - 1) for source, target in zip(sources, targets, strict=True)])
-        self._out_until = last(self._form.out_sources)
-        self._target_until = last(self._form.out_targets)
-
     # --- events ---------------------------------------------------------------------------------
 
     def _take_token(self, event: Alive) -> None:
@@ -338,7 +274,7 @@ class Member:
             self._plant_seen = self._plant_seen or event.present
 
     def _take_control(self, _: int, payload: bytes) -> None:
-        control = wire.decode_control(payload, len(self._until))
+        control = wire.decode_control(payload, len(self._lattice))
         if control.kind == "stop":
             self._stop = control
         elif control.kind == "lost":

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Literal, NamedTuple
 
 
 class Received(NamedTuple):
@@ -25,6 +26,7 @@ class Woken(NamedTuple):
 
 
 Event = Received | Alive | Woken
+Haste = Literal["quiet", "wake", "urgent"]
 
 
 class Publisher(ABC):
@@ -44,8 +46,9 @@ class Endpoint(ABC):
 
     Every transport promises, and one conformance suite checks:
 
-    - **Order.** What one endpoint puts, on whatever keys, reaches another endpoint's inbox in the order
-      of the puts. Between different senders there is no order.
+    - **Order.** What one endpoint puts on the keys of one subscription is received in the order of the puts, and
+      whatever it put before an urgent payload comes before that. Nothing is received without the urgent payloads
+      that were put before it. Between different senders there is no order.
     - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
       subscriptions of one endpoint would break that and are refused. An endpoint hears its own puts.
     - **Patience.** ``receive`` may be told how many payloads it takes to get on: it then lets fewer wait, but
@@ -54,23 +57,33 @@ class Endpoint(ABC):
     - **Late joiners** get nothing of what was put before they subscribed. Tokens are otherwise: a watcher is
       told of every token that is there when it begins to watch. The same presence may be told twice.
     - **Tokens follow the data.** What an endpoint put arrives before the news that its token went.
-    - **Threads.** ``put``, ``wake`` and ``matched`` may be called from any thread, ``receive`` from one at a
-      time. In the main thread a blocked ``receive`` lets signal handlers run.
+    - **Threads.** ``put``, ``put_all``, ``wake`` and ``matched`` may be called from any thread, ``receive`` from
+      one at a time. In the main thread a blocked ``receive`` lets signal handlers run.
     - **Close** withdraws the tokens; closing twice is harmless; anything else on a closed endpoint raises
       ``TransportError``.
     """
+
+    def __init__(self) -> None:
+        self._rest: list[Event] = []
+        """Taken, but not received yet."""
 
     @abstractmethod
     def publisher(self, key: str) -> Publisher:
         """A publisher on one key (no wildcards)."""
 
     @abstractmethod
-    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
+    def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
+        """Puts each payload with its publisher, all of this endpoint, as close together as can be."""
+
+    @abstractmethod
+    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
         """Lets everything put on matching keys into the inbox; a second time with the same words is a no-op.
 
         Args:
             key_expr: A key, or a pattern: ``*`` is one chunk, ``**`` any number of them.
-            urgent: What comes here makes ``receive`` return whatever it waits for.
+            haste: What this does to a ``receive`` that waits: ``"wake"``: as it was told; ``"urgent"``: makes it
+                return; ``"quiet"``: nothing, and it does not count. Quiet payloads are there when the wait
+                ends, before what ended it.
 
         Raises:
             TransportError: The expression overlaps another subscription of this endpoint.
@@ -88,18 +101,27 @@ class Endpoint(ABC):
     def watch_alive(self, key_expr: str) -> None:
         """Lets the coming and going of matching tokens into the inbox; first, those that are there."""
 
-    @abstractmethod
     def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
-        """The oldest event in the inbox.
+        """The oldest event in the inbox; at once where ``receive`` left some behind.
 
         Args:
             timeout_s: Wall seconds after which None is returned if there is none; 0: at once; None: never.
             enough: How many must be there before the wait ends early; see *patience*.
         """
+        if not self._rest:
+            self._rest = self.take(timeout_s, enough)
+        return self._rest.pop(0) if self._rest else None
 
-    @abstractmethod
     def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """As ``receive``, but all that is in the inbox, oldest first; empty after ``timeout_s``."""
+        if self._rest:
+            rest, self._rest = self._rest, []
+            return rest + self.take(0, 1)
+        return self.take(timeout_s, enough)
+
+    @abstractmethod
+    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+        """What ``receive_all`` hands over; for a transport to say how."""
 
     @abstractmethod
     def wake(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final, Literal, cast, final
+from typing import Any, Final, Literal, NamedTuple, cast, final
 
 import numpy as np
 
@@ -17,9 +17,7 @@ _MESSAGE_LIMIT: Final = 4096
 _MESSAGE_FIELDS: Final = 64
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class SenseFrame:
+class SenseFrame(NamedTuple):
     """What the cells sense as a tick begins: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None."""
 
     tick: int
@@ -27,18 +25,14 @@ class SenseFrame:
     encoder_m: Values | None
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class DriveFrame:
+class DriveFrame(NamedTuple):
     """What the wheels are to do during a tick: ``(n, 2)`` float64, m/s or volts."""
 
     tick: int
     drive: Values
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class LinkFrame:
+class LinkFrame(NamedTuple):
     """What links carried in a tick: ``sent`` ``(m,)`` says which; ``message`` ``(m,)`` is zero elsewhere."""
 
     tick: int

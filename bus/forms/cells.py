@@ -1,18 +1,20 @@
 """The form of one key a cell and link: maps that any tool reads, for cells in processes of their own.
 
 Between map and array the values go as packed bytes. Where every cell is a process, each of these lines runs on
-cold caches every tick: hence few calls.
+cold caches every tick: hence few calls, and a short way for payloads as this side lays them out.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import Any, Final, final
 
 import numpy as np
 
 from bus import codec, wire
-from bus.forms.form import Decode, HostForm, MemberForm, Wiring
+from bus.fixed import Decode, Fixed, Place, flags
+from bus.forms.form import HostForm, MemberForm, Wiring
 from bus.keys import cell_key, cell_link_key
 
 _VALUE: Final = 80
@@ -24,6 +26,7 @@ _LETTERS: Final = {
 }  # fmt: skip
 """The struct module's letter for each kind of field and its size."""
 _NO_MESSAGE: Final = codec.layout()
+_DRIVE: Final[dict[str, Place]] = {"drive": ("d", "d")}
 
 _read_sense = codec.reader("sense", _VALUE, codec.layout("presence", "encoder_m"))
 _read_drive = codec.reader("drive", _VALUE, codec.layout("drive"))
@@ -35,9 +38,8 @@ class CellsHost(HostForm):
 
     def __init__(self, wiring: Wiring) -> None:
         cells, run = wiring.partition.lattice.cells, wiring.run
-        self._pack = codec.packer()
         self._sensors = wiring.sensors
-        self._weights = 1 << np.arange(wiring.sensors)
+        self._sense = Fixed(_sense_places(wiring))
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in range(len(cells)))
         self.sense_keys = tuple(cell_key(run, cell, "sense") for cell in cells)
         self.drive_units = {cell_key(run, cell, "drive"): i for i, cell in enumerate(cells)}
@@ -46,37 +48,44 @@ class CellsHost(HostForm):
         self.drive_expr = cell_key(run, None, "drive")
         self.alive_expr = cell_key(run, None, "alive")
         self.ready_expr = cell_key(run, None, "ready")
-        self.decode_drive = _decode_drive
+        self.decode_drive = _drive_decoder()
         self.blank_drives = [bytes(_PAIR.size)] * len(cells)
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a cell: ``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``."""
-        tick, pack = frame.tick, self._pack
+        tick, write, sensors = frame.tick, self._sense.write, self._sensors
+        there = frame.presence.tobytes()
+        presence = [there[i : i + sensors] for i in range(0, len(there), sensors)]
         if frame.encoder_m is not None:
-            return [
-                pack({"v": codec.VERSION, "tick": tick, "presence": presence, "encoder_m": travel})
-                for presence, travel in zip(frame.presence.tolist(), frame.encoder_m.tolist(), strict=True)
-            ]
+            travel = frame.encoder_m.tolist()
+            return write(tick, [(bits, x, y) for bits, (x, y) in zip(presence, travel, strict=True)])
         # Without encoders all cells that sense alike get the same bytes: encode each pattern once.
-        made: dict[int, bytes] = {}
-        payloads: list[bytes] = []
-        for code in (frame.presence @ self._weights).tolist():
-            payload = made.get(code)
-            if payload is None:
-                presence = [bool(code >> i & 1) for i in range(self._sensors)]
-                payload = pack({"v": codec.VERSION, "tick": tick, "presence": presence, "encoder_m": None})
-                made[code] = payload
-            payloads.append(payload)
-        return payloads
+        patterns = list(set(presence))
+        made = dict(zip(patterns, write(tick, [(bits,) for bits in patterns]), strict=True))
+        return [made[bits] for bits in presence]
 
     def join_drives(self, values: list[Any]) -> codec.Values:
         """``(n, 2)`` from a packed pair a cell."""
         return np.ndarray((len(values), 2), np.float64, bytearray().join(values))
 
 
-def _decode_drive(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
-    tick, fields = _read_drive(payload)
-    return tick, _PAIR.pack(*codec.pair("drive", fields["drive"]))
+def _sense_places(wiring: Wiring) -> dict[str, Place]:
+    return {"presence": wiring.sensors, "encoder_m": ("d", "d") if wiring.encoders else None}
+
+
+def _drive_decoder() -> Decode:
+    """From a drive payload to its tick and the drive as a packed pair."""
+
+    def decode(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
+        tick, fields = _read_drive(payload)
+        return tick, _PAIR.pack(*codec.pair("drive", fields["drive"]))
+
+    return Fixed(_DRIVE).decoder(_finite_pair, decode)
+
+
+def _finite_pair(first: float, second: float) -> bytes | None:
+    # Only a finite number minus itself is zero.
+    return _PAIR.pack(first, second) if first - first == second - second == 0.0 else None
 
 
 @final
@@ -88,7 +97,6 @@ class CellsMember(MemberForm):
         cells = partition.lattice.cells
         mine = partition.cells(shard)
         names = [cells[int(i)] for i in mine]
-        self._pack = codec.packer()
         self._rows = len(names)
         self._sensors = wiring.sensors
         self._encoders = wiring.encoders
@@ -97,7 +105,7 @@ class CellsMember(MemberForm):
         self.drive_keys = tuple(cell_key(run, cell, "drive") for cell in names)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in mine)
         self.sense_units = {cell_key(run, cell, "sense"): i for i, cell in enumerate(names)}
-        self.decode_sense = _sense_decoder(wiring.sensors, wiring.encoders)
+        self.decode_sense = _sense_decoder(wiring)
         self.blank_senses = [(bytes(wiring.sensors), bytes(_PAIR.size))] * len(names)
         message = np.dtype([]) if wiring.message is None else wiring.message
         incoming, outgoing = partition.incoming(shard), partition.outgoing(shard)
@@ -109,10 +117,11 @@ class CellsMember(MemberForm):
         self.in_sources = tuple(incoming.source[i : i + 1] for i in heard)
         self.in_targets = tuple(incoming.target[i : i + 1] for i in heard)
         self.decode_link = _link_decoder(message)
-        self.blank_links = [(0, bytes(message.itemsize))] * len(heard)
+        self.blank_links = [b""] * len(heard)
+        self._no_message = bytes(message.itemsize)
         self._message = message
-        self._names = message.names or ()
-        self._struct = _struct(message)
+        self._fields = _struct(message, "1s").iter_unpack
+        self._drive, self._link, self._silence = Fixed(_DRIVE), Fixed(_link_places(message)), Fixed({})
         self.out_keys = tuple(
             cell_link_key(run, cells[int(outgoing.source[i])], int(outgoing.source_side[i])) for i in said
         )
@@ -128,35 +137,32 @@ class CellsMember(MemberForm):
         return presence, np.ndarray((self._rows, 2), np.float64, bytearray().join(travel))
 
     def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
-        """From whether there was a message, and its packed fields, of each link."""
-        sent, message = zip(*values, strict=True) if values else ((), ())
-        return np.frombuffer(bytearray(sent), np.bool_), np.frombuffer(
-            bytearray().join(message), self._message
-        )
+        """From the packed message of each link, empty where there was none."""
+        sent = bytearray(map(bool, values))
+        if 0 in sent:
+            values = [value or self._no_message for value in values]
+        return np.frombuffer(sent, np.bool_), np.frombuffer(bytearray().join(values), self._message)
 
     def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
-        tick, pack = frame.tick, self._pack
-        payloads: list[bytes] = []
-        for pair in _PAIR.iter_unpack(frame.drive.tobytes()):
-            codec.check_finite("drive", *pair)
-            payloads.append(pack({"v": codec.VERSION, "tick": tick, "drive": pair}))
-        return payloads
+        pairs = list(_PAIR.iter_unpack(frame.drive.tobytes()))
+        for first, second in pairs:
+            codec.check_finite("drive", first, second)
+        return self._drive.write(frame.tick, pairs)
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a link: the message's fields by name, none where nothing was sent."""
-        tick, names, pack = frame.tick, self._names, self._pack
-        fields = self._struct.iter_unpack(frame.message.tobytes())
-        return [
-            pack(
-                {"v": codec.VERSION, "tick": tick, **(dict(zip(names, values, strict=True)) if sent else {})}
-            )
-            for sent, values in zip(frame.sent.tobytes(), fields, strict=True)
-        ]
+        sent = frame.sent.tobytes()
+        payloads = self._link.write(frame.tick, self._fields(frame.message.tobytes()))
+        if 0 in sent:
+            (silence,) = self._silence.write(frame.tick, [()])
+            payloads = [payload if said else silence for payload, said in zip(payloads, sent, strict=True)]
+        return payloads
 
 
-def _sense_decoder(sensors: int, encoders: bool) -> Decode:
+def _sense_decoder(wiring: Wiring) -> Decode:
     """From a sense payload to its tick, the presence as bytes and the travel as a packed pair."""
+    sensors, encoders = wiring.sensors, wiring.encoders
 
     def decode(unit: int, payload: bytes) -> tuple[int, tuple[bytes, bytes]]:  # noqa: ARG001 - all cells alike
         tick, fields = _read_sense(payload)
@@ -166,35 +172,71 @@ def _sense_decoder(sensors: int, encoders: bool) -> Decode:
         codec.nothing("sense", "encoder_m", fields["encoder_m"])
         return tick, (presence, b"")
 
-    return decode
+    return Fixed(_sense_places(wiring)).decoder(_sensed if encoders else _present, decode)
+
+
+def _sensed(marks: bytes, x: float, y: float) -> tuple[bytes, bytes] | None:
+    presence, travel = flags(marks), _finite_pair(x, y)
+    return None if presence is None or travel is None else (presence, travel)
+
+
+def _present(marks: bytes) -> tuple[bytes, bytes] | None:
+    presence = flags(marks)
+    return None if presence is None else (presence, b"")
 
 
 def _link_decoder(message: np.dtype[Any]) -> Decode:
-    """From a link payload to its tick, 1 or 0 for sent or not, and the message's packed fields."""
+    """From a link payload to its tick and the message's packed fields, empty where nothing was sent."""
+    silence = Fixed({}).decoder(bytes, _any_link_decoder(message))
+    return Fixed(_link_places(message)).decoder(_message_packer(message), silence)
+
+
+def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
+    """From a message's values as they come to its packed fields."""
+    letters = _letters(message).values()
+    packed = _struct(message, "1s")
+    if not {"?", "e"} & set(letters):
+        return packed.pack
+    booleans = [letter == "?" for letter in letters]
+
+    def pack(*values: Any) -> bytes | None:
+        made = [flags(value) if is_flag else value for value, is_flag in zip(values, booleans, strict=True)]
+        try:
+            return None if None in made else packed.pack(*made)
+        except OverflowError:  # Half a float does not hold it.
+            return None
+
+    return pack
+
+
+def _any_link_decoder(message: np.dtype[Any]) -> Decode:
+    """As ``_link_decoder``, whatever the layout."""
     names = message.names or ()
-    packed = _struct(message)
-    kinds = tuple({"b": bool, "f": float}.get(message[name].kind, int) for name in names)
+    pack = _struct(message, "?").pack
     readers = [codec.scalar_reader("link", name, message[name]) for name in names]
     limit = sum(_VALUE + 4 * len(name) for name in names)
     read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
-    nothing = (0, bytes(message.itemsize))
 
-    def decode(part: int, payload: bytes) -> tuple[int, tuple[int, bytes]]:  # noqa: ARG001 - all links alike
+    def decode(part: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all links alike
         tick, fields = read(payload)
         if len(fields) == len(_NO_MESSAGE):
-            return tick, nothing
-        values = tuple(map(fields.__getitem__, names))
-        if tuple(map(type, values)) == kinds:
-            try:
-                return tick, (1, packed.pack(*values))
-            except (struct.error, OverflowError):
-                pass  # The readers say what is wrong.
-        return tick, (1, packed.pack(*[reader(value) for reader, value in zip(readers, values, strict=True)]))
+            return tick, b""
+        return tick, pack(*[reader(fields[name]) for name, reader in zip(names, readers, strict=True)])
 
     return decode
 
 
-def _struct(message: np.dtype[Any]) -> struct.Struct:
-    """The layout of a message, for the struct module, whose letters mean other sizes than NumPy's."""
-    fields = [message[name] for name in message.names or ()]
-    return struct.Struct("<" + "".join(_LETTERS[field.kind + str(field.itemsize)] for field in fields))
+def _letters(message: np.dtype[Any]) -> dict[str, str]:
+    """The struct module's letter for each field of a message; they mean other sizes than NumPy's."""
+    fields = ((name, message[name]) for name in message.names or ())
+    return {name: _LETTERS[field.kind + str(field.itemsize)] for name, field in fields}
+
+
+def _link_places(message: np.dtype[Any]) -> dict[str, Place]:
+    """A message in MessagePack, which has no half floats."""
+    return {name: "f" if letter == "e" else letter for name, letter in _letters(message).items()}
+
+
+def _struct(message: np.dtype[Any], boolean: str) -> struct.Struct:
+    """The layout of a message, with booleans as Python's (``"?"``) or as a byte each (``"1s"``)."""
+    return struct.Struct("<" + "".join(_letters(message).values()).replace("?", boolean))

@@ -7,17 +7,15 @@ cuts a shard's border links into *parts* likewise: a border between two shards, 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
 
+from bus.fixed import Decode
 from bus.keys import check_run
 from bus.partition import Index, Partition
 from bus.wire import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
-
-Decode = Callable[[int, bytes], tuple[int, Any]]
 
 
 @final

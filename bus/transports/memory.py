@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from typing import final
 
 from bus.errors import TransportError
 from bus.inbox import Inbox
 from bus.keys import intersects
-from bus.transport import Alive, Endpoint, Event, Publisher, Received, Woken
+from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received, Woken
 
 
 @final
@@ -45,10 +46,10 @@ class MemoryBus:
         for door in self.route(key):
             door(event)
 
-    def subscribe(self, endpoint: MemoryEndpoint, key_expr: str, urgent: bool) -> None:
+    def subscribe(self, endpoint: MemoryEndpoint, key_expr: str, haste: Haste) -> None:
         """Lets what comes on matching keys into the endpoint's inbox."""
         with self._lock:
-            endpoint.subscriptions[key_expr] = urgent
+            endpoint.subscriptions[key_expr] = haste
             self._routes.clear()
 
     def declare(self, key: str, endpoint: MemoryEndpoint) -> None:
@@ -114,10 +115,17 @@ class MemoryEndpoint(Endpoint):
     """A participant of a ``MemoryBus``; made by ``MemoryBus.endpoint``."""
 
     def __init__(self, bus: MemoryBus) -> None:
+        super().__init__()
         self._bus = bus
         self._inbox = Inbox()
+        self._quiet: deque[Event] = deque()
+        self._doors: dict[Haste, Callable[[Event], None]] = {
+            "quiet": self._quiet.append,
+            "wake": self._inbox.put,
+            "urgent": self._inbox.put_urgent,
+        }
         self._closed = False
-        self.subscriptions: dict[str, bool] = {}
+        self.subscriptions: dict[str, Haste] = {}
         self.watches: list[str] = []
 
     def publisher(self, key: str) -> Publisher:
@@ -125,13 +133,18 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         return MemoryPublisher(self._bus, self, key)
 
-    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
+    def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
+        """Puts each payload with its publisher."""
+        for publisher, payload in puts:
+            publisher.put(payload)
+
+    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
         """Lets everything put on matching keys into the inbox."""
         self.check_open()
         if key_expr in self.subscriptions:
             return
         check_overlap(key_expr, list(self.subscriptions))
-        self._bus.subscribe(self, key_expr, urgent)
+        self._bus.subscribe(self, key_expr, haste)
 
     def declare_alive(self, key: str) -> None:
         """Shows a token."""
@@ -148,15 +161,11 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         self._bus.watch(key_expr, self)
 
-    def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
-        """The oldest event, or None after ``timeout_s``."""
+    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+        """All events, the quiet first."""
         self.check_open()
-        return self._inbox.get(timeout_s, enough)
-
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
-        """All events, oldest first."""
-        self.check_open()
-        return self._inbox.get_all(timeout_s, enough)
+        events = self._inbox.take(timeout_s, enough)
+        return [self._quiet.popleft() for _ in range(len(self._quiet))] + events
 
     def wake(self) -> None:
         """Puts one ``Woken`` in the inbox."""
@@ -170,9 +179,9 @@ class MemoryEndpoint(Endpoint):
 
     def door(self, key: str) -> Callable[[Event], None] | None:
         """Where to put what comes on ``key``; None where no subscription matches."""
-        for expr, urgent in self.subscriptions.items():
+        for expr, haste in self.subscriptions.items():
             if intersects(expr, key):
-                return self._inbox.put_urgent if urgent else self._inbox.put
+                return self._doors[haste]
         return None
 
     def tell(self, event: Alive) -> None:

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import pytest
 
 from bus.forms import FormName
 from bus.lattice import Lattice
-from bus.lockstep import Host, Member
+from bus.lockstep import Gathered, Host, Loss, Member
 from bus.partition import Partition
 from bus.specs import StallSpec
-from bus.transport import Alive, Endpoint, Event, Publisher, Received
+from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received
 from bus.transports.memory import MemoryBus
 from bus.transports.zenoh import open_client, open_hub
-from bus.wire import DriveFrame, LinkFrame, SenseFrame
+from bus.wire import Control, DriveFrame, LinkFrame, SenseFrame
 
 MESSAGE = np.dtype([("u", "<f8"), ("hops", "<u2")])
 SENSORS = 2
+FORMS: list[FormName] = ["packed", "cells"]
+both_forms = pytest.mark.parametrize("form", FORMS)
 
 
 class Network:
@@ -63,15 +66,11 @@ class ClockedEndpoint(Endpoint):
     """An endpoint whose waits take no time: when nothing is there, the clock jumps to their end."""
 
     def __init__(self, inner: Endpoint, clock: FakeClock) -> None:
+        super().__init__()
         self._inner = inner
         self._clock = clock
 
-    def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
-        events = self.receive_all(timeout_s, enough)
-        assert len(events) <= 1
-        return events[0] if events else None
-
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
         events = self._inner.receive_all(0)
         if not events:
             assert timeout_s is not None, "waits for ever for what never comes"
@@ -81,8 +80,11 @@ class ClockedEndpoint(Endpoint):
     def publisher(self, key: str) -> Publisher:
         return self._inner.publisher(key)
 
-    def subscribe(self, key_expr: str, *, urgent: bool = False) -> None:
-        self._inner.subscribe(key_expr, urgent=urgent)
+    def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
+        self._inner.put_all(puts)
+
+    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
+        self._inner.subscribe(key_expr, haste)
 
     def declare_alive(self, key: str) -> None:
         self._inner.declare_alive(key)
@@ -192,3 +194,25 @@ def settle(publisher: Publisher, endpoint: Endpoint) -> None:
     """Waits until ``publisher`` is matched; events that ``endpoint`` gets meanwhile would be lost, so none may come."""
     while not publisher.matched():
         assert endpoint.receive(0.005) is None
+
+
+def gathered(result: Gathered | Control) -> Gathered:
+    assert isinstance(result, Gathered), result
+    return result
+
+
+def step(system: System, tick: int, shards: list[int] | None = None) -> tuple[DriveFrame, list[Loss]]:
+    """One tick in one thread: senses, every shard, drives."""
+    system.host.publish(system.sense(tick))
+    for shard in range(len(system.members)) if shards is None else shards:
+        member = system.members[shard]
+        gathered(member.gather(tick))
+        member.publish(system.drive(shard, tick), system.links(shard, tick))
+    return system.host.gather(tick)
+
+
+def expected_drive(system: System, tick: int) -> Any:
+    whole = np.zeros((len(system.partition.lattice), 2))
+    for shard in range(system.partition.count):
+        whole[system.partition.cells(shard)] = system.drive(shard, tick).drive
+    return whole

@@ -169,7 +169,7 @@ def test_wake_before_a_wait_is_not_lost(network: Network) -> None:
 def test_a_patient_wait_ends_with_enough_payloads_with_a_token_or_with_its_time(network: Network) -> None:
     plant, cell = network.endpoint(), network.endpoint()
     plant.subscribe("t/data")
-    plant.subscribe("t/urgent", urgent=True)
+    plant.subscribe("t/urgent", "urgent")
     plant.watch_alive("t/alive")
     data, urgent = cell.publisher("t/data"), cell.publisher("t/urgent")
     while not (data.matched() and urgent.matched()):
@@ -189,6 +189,26 @@ def test_a_patient_wait_ends_with_enough_payloads_with_a_token_or_with_its_time(
 
     data.put(b"6")
     assert plant.receive_all(0.2, enough=100) == [Received("t/data", b"6")]
+
+
+def test_quiet_payloads_end_no_wait_and_come_before_what_ends_it(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.subscribe("t/quiet/*", "quiet")
+    plant.subscribe("t/data")
+    quiet, data = cell.publisher("t/quiet/1"), cell.publisher("t/data")
+    while not (quiet.matched() and data.matched()):
+        assert cell.receive(0.005) is None
+
+    quiet.put(b"1")
+    quiet.put(b"2")
+    data.put(b"3")
+    expected = [Received("t/quiet/1", b"1"), Received("t/quiet/1", b"2"), Received("t/data", b"3")]
+    assert plant.receive_all(5.0) == expected
+
+    start = time.monotonic()
+    quiet.put(b"4")
+    assert plant.receive_all(0.2) == [Received("t/quiet/1", b"4")]
+    assert time.monotonic() - start > 0.15
 
 
 def test_receive_takes_one_at_a_time_and_leaves_the_rest(network: Network) -> None:

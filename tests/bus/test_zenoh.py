@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -15,10 +16,12 @@ import pytest
 import zenoh
 
 from bus.errors import TransportError
+from bus.lockstep import Loss
 from bus.partition import Partition
-from bus.transport import Alive
+from bus.specs import StallSpec
+from bus.transport import Alive, Received
 from bus.transports.zenoh import client_config, hub_config, open_client, open_hub
-from tests.bus.support import Network, System, drain, grid, tokens
+from tests.bus.support import Network, System, drain, grid, settle, tokens
 
 ROOT = str(Path(__file__).resolve().parents[2])
 _CELL = """
@@ -158,6 +161,68 @@ def test_a_signal_handler_runs_while_the_main_thread_waits() -> None:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+        hub.close()
+
+
+def test_a_wait_for_payloads_ends_with_its_time() -> None:
+    hub = open_hub()
+    try:
+        hub.subscribe("t/*")
+        for timeout_s in (0.02, 0.3):
+            start = time.monotonic()
+            assert hub.receive_all(timeout_s) == []
+            assert timeout_s <= time.monotonic() - start < timeout_s + 0.5
+    finally:
+        hub.close()
+
+
+def test_a_silent_cell_is_lost_by_the_wall_clock_while_its_token_stands() -> None:
+    network = Network("zenoh")
+    system = System(network, Partition.each(grid(1, 2)), "cells", stall=StallSpec(deadline_s=0.3)).start()
+    try:
+        system.host.publish(system.sense(0))
+        system.members[0].gather(0)
+        system.members[0].publish(system.drive(0, 0), None)
+        start = time.monotonic()
+        assert system.host.gather(0)[1] == [Loss(1, 0, "stalled")]
+        assert 0.3 <= time.monotonic() - start < 1.0
+    finally:
+        network.close()
+
+
+def test_closing_an_endpoint_ends_another_thread_s_wait_for_payloads() -> None:
+    hub = open_hub()
+    hub.subscribe("t/*")
+    said: list[str] = []
+
+    def wait() -> None:
+        try:
+            hub.receive(None)
+        except TransportError as error:
+            said.append(str(error))
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    time.sleep(0.05)
+    hub.close()
+    thread.join(5.0)
+    assert said == ["this endpoint was closed while it waited"]
+
+
+def test_a_stranger_s_deletion_is_no_payload() -> None:
+    hub = open_hub()
+    stranger = open_client(hub.locator)
+    try:
+        hub.subscribe("t/main")
+        hub.subscribe("t/quiet", "quiet")
+        publisher = stranger.publisher("t/main")
+        settle(publisher, stranger)
+        for key in ("t/quiet", "t/main"):
+            stranger.session.delete(key)
+        publisher.put(b"")
+        assert hub.receive_all(5.0) == [Received("t/main", b"")]
+    finally:
+        stranger.close()
         hub.close()
 
 

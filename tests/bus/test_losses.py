@@ -1,0 +1,204 @@
+"""Cells that go: lost, failed, or dead by schedule."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from bus.forms import FormName
+from bus.lockstep import Gathered, Loss
+from bus.partition import Partition
+from bus.specs import StallSpec
+from bus.wire import Control, decode_control
+from tests.bus.support import (
+    MESSAGE,
+    FakeClock,
+    Network,
+    System,
+    both_forms,
+    drain,
+    expected_drive,
+    gathered,
+    grid,
+    step,
+)
+
+
+@both_forms
+def test_cells_whose_token_goes_are_lost_at_the_first_tick_without_their_drive(
+    network: Network, form: FormName
+) -> None:
+    system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
+    step(system, 0)
+    system.member_endpoints[1].close()
+    drive, losses = step(system, 1, [0, 2])
+    assert losses == [Loss(2, 1, "token lost"), Loss(3, 1, "token lost")]
+    whole = expected_drive(system, 1)
+    whole[[2, 3]] = 0.0
+    assert drive.drive.tolist() == whole.tolist()
+    # The others go on without them; what the lost ones said last is still read.
+    for tick in (2, 3):
+        drive, losses = step(system, tick, [0, 2])
+        assert losses == []
+        assert drive.drive[[2, 3]].tolist() == [[0.0, 0.0]] * 2
+    assert system.host.live(3).tolist() == [True, True, False, False, True, True]
+
+
+@both_forms
+def test_a_drive_that_came_before_its_token_went_still_counts(memory: Network, form: FormName) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), form).start()
+    system.host.publish(system.sense(0))
+    for shard, member in enumerate(system.members):
+        gathered(member.gather(0))
+        member.publish(system.drive(shard, 0), None)
+    system.member_endpoints[1].close()
+    drive, losses = system.host.gather(0)
+    assert losses == []
+    assert drive.drive.tolist() == expected_drive(system, 0).tolist()
+    _, losses = step(system, 1, [0])
+    assert losses == [Loss(1, 1, "token lost")]
+
+
+@both_forms
+def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form: FormName) -> None:
+    clock = FakeClock()
+    stall = StallSpec(deadline_s=3.0)
+    system = System(
+        memory, Partition.each(grid(1, 3)), form, clock=clock, stall=stall, message=MESSAGE
+    ).start()
+    step(system, 0)
+    before = clock.now
+    drive, losses = step(system, 1, [0, 2])
+    assert clock.now - before == pytest.approx(3.0)
+    assert losses == [Loss(1, 1, "stalled")]
+    assert drive.drive[1].tolist() == [0.0, 0.0]
+    assert system.host.counts.lost == 1
+    # Its neighbours don't wait for it, and it is told when it comes back.
+    before = clock.now
+    assert step(system, 2, [0, 2])[1] == []
+    assert clock.now == before
+    assert isinstance(system.members[1].gather(1), Control)
+
+
+@both_forms
+def test_what_a_cell_sends_after_it_was_given_up_is_late(memory: Network, form: FormName) -> None:
+    clock = FakeClock()
+    system = System(memory, Partition.each(grid(1, 2)), form, clock=clock).start()
+    step(system, 0, [0])
+    system.members[1].publish(system.drive(1, 0), None)
+    system.members[1].publish(system.drive(1, 1), None)
+    drive, losses = step(system, 1, [0])
+    assert losses == []
+    assert drive.drive[1].tolist() == [0.0, 0.0]
+    assert system.host.counts.late == 2
+
+
+@both_forms
+def test_neighbours_are_told_of_a_loss_while_they_wait(network: Network, form: FormName) -> None:
+    system = System(network, Partition.each(grid(1, 3)), form, message=MESSAGE).start()
+    host, (left, middle, right) = system.host, system.members
+    step(system, 0)
+    host.publish(system.sense(1))
+    # The middle one reads tick 1 but never answers; its neighbours do.
+    gathered(middle.gather(1))
+    for shard, member in ((0, left), (2, right)):
+        gathered(member.gather(1))
+        member.publish(system.drive(shard, 1), system.links(shard, 1))
+    results: list[Gathered | Control] = []
+    host.publish(system.sense(2))
+    threads = [
+        threading.Thread(target=lambda m=member: results.append(m.gather(2))) for member in (left, right)
+    ]
+    for thread in threads:
+        thread.start()
+    system.member_endpoints[1].close()
+    assert host.gather(1)[1] == [Loss(1, 1, "token lost")]
+    for thread in threads:
+        thread.join(10.0)
+    frames = [gathered(result).links for result in results]
+    assert len(frames) == 2
+    assert all(frame is not None and not frame.sent.any() for frame in frames)
+
+
+def test_a_loss_is_broadcast_by_name(memory: Network) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), "cells").start()
+    listener = memory.endpoint()
+    listener.subscribe("mdms/test/plant/control")
+    system.member_endpoints[1].close()
+    step(system, 0, [0])
+    (event,) = drain(listener, lambda events: len(events) == 1)
+    assert decode_control(event[1], 2) == Control("lost", 0, ((0, 1),), "token lost")  # type: ignore[arg-type]
+
+
+@both_forms
+def test_a_firmware_that_fails_loses_its_cells_alone(memory: Network, form: FormName) -> None:
+    system = System(memory, Partition.even(grid(2, 2), 2), form, message=MESSAGE).start()
+    step(system, 0)
+    system.host.publish(system.sense(1))
+    for shard, member in enumerate(system.members):
+        gathered(member.gather(1))
+        if shard == 0:
+            member.fail([1], 1, "ZeroDivisionError")
+        member.publish(system.drive(shard, 1), system.links(shard, 1))
+    drive, losses = system.host.gather(1)
+    assert losses == [Loss(1, 1, "failed", "ZeroDivisionError")]
+    whole = expected_drive(system, 1)
+    whole[1] = 0.0
+    assert drive.drive.tolist() == whole.tolist()
+    assert system.members[0].live(1).tolist() == [True, False]
+    # Its neighbour in the other shard hears nothing from it, and everything from the others.
+    system.host.publish(system.sense(2))
+    _, links = gathered(system.members[1].gather(2))
+    incoming = system.partition.incoming(1)
+    assert links is not None
+    from_it = incoming.source == 1
+    assert not links.sent[from_it].any()
+    assert (
+        links.sent[~from_it].tolist()
+        == ((incoming.source + incoming.source_side + 1) % 3 != 0)[~from_it].tolist()
+    )
+
+
+@both_forms
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
+    network: Network, form: FormName, count: int
+) -> None:
+    """Same senses, same messages, same drives whatever the cut, and no loss."""
+    system = System(network, Partition.even(grid(2, 3), count), form, message=MESSAGE, encoders=True).start()
+    dead, at = [1, 5], 2
+    for side in (system.host, *system.members):
+        side.retire(dead, at)
+    gone: set[int] = set()
+    for tick in range(5):
+        system.host.publish(system.sense(tick))
+        for shard, member in enumerate(system.members):
+            if shard in gone:
+                continue
+            result = member.gather(tick)
+            if isinstance(result, Control):
+                assert (result.kind, tick) == ("stop", at)
+                assert set(system.partition.cells(shard).tolist()) <= set(dead)
+                system.member_endpoints[shard].close()
+                gone.add(shard)
+                continue
+            cells, incoming = system.partition.cells(shard), system.partition.incoming(shard)
+            absent = np.isin(cells, dead) & (tick >= at)
+            assert result.sense.presence[absent].any() == False  # noqa: E712 - NumPy's
+            assert result.links is not None
+            spoke = (incoming.source + incoming.source_side + tick - 1) % 3 != 0
+            alive_then = ~np.isin(incoming.source, dead) | (tick - 1 < at)
+            reads = ~np.isin(incoming.target, dead) | (tick < at)
+            expected = spoke & alive_then & (tick > 0)
+            assert result.links.sent[reads].tolist() == expected[reads].tolist()
+            member.publish(system.drive(shard, tick), system.links(shard, tick))
+        drive, losses = system.host.gather(tick)
+        assert losses == []
+        whole = expected_drive(system, tick)
+        whole[dead if tick >= at else []] = 0.0
+        assert drive.drive.tolist() == whole.tolist()
+    assert system.host.counts.lost == 0
+    # The dead say nothing, and nobody speaks to them.
+    assert [side.counts.late for side in (system.host, *system.members)] == [0] * (1 + count)

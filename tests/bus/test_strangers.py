@@ -1,0 +1,77 @@
+"""What others put on a run's keys."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgpack
+import numpy as np
+
+from bus.forms import FormName
+from bus.partition import Partition
+from bus.transport import Publisher
+from bus.wire import DriveFrame
+from tests.bus.support import (
+    MESSAGE,
+    Network,
+    System,
+    both_forms,
+    expected_drive,
+    gathered,
+    grid,
+    step,
+)
+
+
+@both_forms
+def test_no_payload_on_any_key_breaks_a_run(network: Network, form: FormName) -> None:
+    system = System(network, Partition.even(grid(2, 2), 2), form, message=MESSAGE).start()
+    stranger = network.endpoint()
+    keys = [
+        "mdms/test/plant/control",
+        "mdms/test/shard/0/report",
+        "mdms/test/shard/9/report",
+        *(
+            ["mdms/test/shard/0/sense", "mdms/test/shard/1/drive", "mdms/test/shard/0/to/1"]
+            if form == "packed"
+            else ["mdms/test/cell/0/0/sense", "mdms/test/cell/1/1/drive", "mdms/test/cell/0/0/to/north"]
+        ),
+        "mdms/test/shard/7/drive" if form == "packed" else "mdms/test/cell/7/7/drive",
+    ]
+    publishers: list[Publisher] = [stranger.publisher(key) for key in keys]
+    for publisher in publishers:
+        while not publisher.matched():
+            assert stranger.receive(0.005) is None
+    far = msgpack.packb({"v": 1, "tick": 10**15, "drive": [0.0, 0.0]})
+    outside = msgpack.packb({"v": 1, "tick": 0, "kind": "lost", "cells": [[9, 9]], "detail": ""})
+    for tick in range(6):
+        for publisher in publishers:
+            for payload in (b"", b"\xc1", b"\x80", b"\xff" * 3000, far, outside):
+                publisher.put(payload)
+        drive, losses = step(system, tick)
+        assert losses == []
+        assert drive.drive.tolist() == expected_drive(system, tick).tolist()
+    seen: Callable[[str], int] = lambda name: (  # noqa: E731
+        system.host.counts.malformed[name] + sum(m.counts.malformed[name] for m in system.members)
+    )
+    system.host.publish(system.sense(6))
+    for member in system.members:
+        gathered(member.gather(6))
+    assert seen("drive: encoding") > 0
+    assert seen("sense: length") + seen("sense: encoding") > 0
+    assert seen("link: length") + seen("link: encoding") > 0
+    assert seen("control: cells") > 0
+    assert seen("bus: key") > 0
+
+
+def test_the_second_payload_of_a_tick_is_refused_and_the_first_stands(memory: Network) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), "packed").start()
+    system.host.publish(system.sense(0))
+    gathered(system.members[0].gather(0))
+    system.members[0].publish(system.drive(0, 0), None)
+    system.members[0].publish(DriveFrame(0, np.full((1, 2), 9.0)), None)
+    gathered(system.members[1].gather(0))
+    system.members[1].publish(system.drive(1, 0), None)
+    drive, _ = system.host.gather(0)
+    assert drive.drive.tolist() == expected_drive(system, 0).tolist()
+    assert system.host.counts.malformed == {"drive: duplicate": 1}

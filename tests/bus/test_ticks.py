@@ -1,0 +1,150 @@
+"""Ticks of host and members: who gets what, early, late and out of shape."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from bus.errors import BusError, RunNameError
+from bus.forms import FormName
+from bus.lockstep import Gathered, Host, Member
+from bus.partition import Partition
+from bus.wire import Control, DriveFrame, LinkFrame
+from tests.bus.support import (
+    MESSAGE,
+    SENSORS,
+    Network,
+    System,
+    both_forms,
+    expected_drive,
+    gathered,
+    grid,
+    step,
+)
+
+
+@both_forms
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
+    network: Network, form: FormName, count: int
+) -> None:
+    system = System(network, Partition.even(grid(2, 3), count), form, encoders=True).start()
+    for tick in range(3):
+        sense = system.sense(tick)
+        system.host.publish(sense)
+        for shard, member in enumerate(system.members):
+            mine, links = gathered(member.gather(tick))
+            cells = system.partition.cells(shard)
+            assert links is None
+            assert mine.tick == tick
+            assert mine.presence.tolist() == sense.presence[cells].tolist()
+            assert mine.encoder_m is not None
+            assert sense.encoder_m is not None
+            assert mine.encoder_m.tolist() == sense.encoder_m[cells].tolist()
+            member.publish(system.drive(shard, tick), None)
+        drive, losses = system.host.gather(tick)
+        assert drive.tick == tick
+        assert drive.drive.tolist() == expected_drive(system, tick).tolist()
+        assert losses == []
+
+
+@both_forms
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_messages_of_a_tick_are_read_in_the_next(network: Network, form: FormName, count: int) -> None:
+    system = System(network, Partition.even(grid(2, 3), count), form, message=MESSAGE).start()
+    partition = system.partition
+    for tick in range(4):
+        system.host.publish(system.sense(tick))
+        for shard, member in enumerate(system.members):
+            _, links = gathered(member.gather(tick))
+            incoming = partition.incoming(shard)
+            assert links is not None
+            assert links.tick == tick - 1
+            sent = (incoming.source + incoming.source_side + tick - 1) % 3 != 0
+            if tick == 0:
+                sent[:] = False
+            assert links.sent.tolist() == sent.tolist()
+            said = (incoming.source * 4 + incoming.source_side) / 3.0 + (tick - 1)
+            assert links.message["u"].tolist() == np.where(sent, said, 0.0).tolist()
+            assert links.message["hops"].tolist() == np.where(sent, incoming.source + tick - 1, 0).tolist()
+            member.publish(system.drive(shard, tick), system.links(shard, tick))
+        assert system.host.gather(tick)[1] == []
+
+
+def test_all_sides_counts_come_together_when_the_run_stops(network: Network) -> None:
+    system = System(network, Partition.even(grid(2, 3), 2), "packed", message=MESSAGE).start()
+    for tick in range(5):
+        step(system, tick)
+    stopped: list[Gathered | Control] = []
+
+    def leave(member: Member) -> None:
+        stopped.append(member.gather(5))
+        member.close()
+
+    threads = [threading.Thread(target=leave, args=(member,)) for member in system.members]
+    for thread in threads:
+        thread.start()
+    total = system.host.stop("done", 5.0)
+    for thread in threads:
+        thread.join()
+    assert [(record.kind, record.detail) for record in stopped if isinstance(record, Control)] == [
+        ("stop", "done")
+    ] * 2
+    # Senses, start and stop from the plant; a drive and a link frame a tick from each shard.
+    assert system.host.counts.sent == 5 * 2 + 2
+    assert total.sent == 5 * 2 + 2 + 5 * 2 * 2
+    # What was sent was delivered, but for the last tick's messages, which nobody read, and each record twice.
+    assert total.delivered == 5 * 2 * 3 + 2 * 2
+    assert (total.lost, total.late, sum(total.malformed.values())) == (0, 0, 0)
+
+
+@both_forms
+def test_a_frame_that_comes_early_is_kept_until_its_tick(memory: Network, form: FormName) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), form, message=MESSAGE).start()
+    one, other = system.members
+    for tick in range(2):
+        system.host.publish(system.sense(tick))
+    for tick in range(2):
+        gathered(one.gather(tick)) if tick == 0 else None
+        one.publish(system.drive(0, tick), system.links(0, tick))
+    for tick in range(2):
+        _, links = gathered(other.gather(tick))
+        assert links is not None
+        assert links.tick == tick - 1
+        other.publish(system.drive(1, tick), system.links(1, tick))
+    for tick in range(2):
+        drive, _ = system.host.gather(tick)
+        assert drive.drive.tolist() == expected_drive(system, tick).tolist()
+    assert system.host.counts.late == 0
+
+
+@both_forms
+def test_a_frame_of_a_tick_that_is_over_is_counted_as_late(memory: Network, form: FormName) -> None:
+    system = System(memory, Partition.each(grid(1, 1)), form).start()
+    step(system, 0)
+    system.members[0].publish(system.drive(0, 0), None)
+    step(system, 1)
+    assert system.host.counts.late == 1
+
+
+def test_publishing_another_shape_than_agreed_is_refused_with_its_place(memory: Network) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), "packed", message=MESSAGE).start()
+    member, links = system.members[1], system.links(1, 0)
+    with pytest.raises(BusError, match=r"drive of shard 1, tick 0: must be float64 \(1, 2\)"):
+        member.publish(DriveFrame(0, np.zeros((2, 2))), links)
+    with pytest.raises(BusError, match=r"drive of cell 0,1, tick 0: must be finite, is \[nan, 0.0\]"):
+        member.publish(DriveFrame(0, np.array([[np.nan, 0.0]])), links)
+    with pytest.raises(BusError, match="the firmware has messages"):
+        member.publish(system.drive(1, 0), None)
+    with pytest.raises(BusError, match="links of shard 1, tick 0: must be 1 of"):
+        member.publish(system.drive(1, 0), LinkFrame(0, np.zeros(2, np.bool_), np.zeros(2, MESSAGE)))
+    with pytest.raises(BusError, match="sense frame of tick 0: must have presence"):
+        system.host.publish(System.sense(system, 0).__class__(0, np.zeros((3, SENSORS), np.bool_), None))
+
+
+def test_a_bad_run_name_is_refused(memory: Network) -> None:
+    partition = Partition.each(grid(1, 1))
+    with pytest.raises(RunNameError):
+        Host(memory.endpoint(), partition, "packed", run="a/b", sensors=1, encoders=False, message=None)
