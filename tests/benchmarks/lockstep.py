@@ -7,8 +7,8 @@ same sessions' settings.
 from __future__ import annotations
 
 import argparse
-import gc
 import json
+import os
 import statistics
 import sys
 import time
@@ -19,13 +19,15 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+# the server that forks the workers knows no other way to find their module
+os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
 
-from lockstep_bare import Bare, bare_worker
+from lockstep_bare import Bare
 from lockstep_case import MESSAGE, RUN, SENSORS, Case, Side, start_workers
 
-from bus.lockstep import Host, Member
-from bus.transports.zenoh import open_client, open_hub
-from bus.wire import Control, DriveFrame, LinkFrame, SenseFrame
+from bus.lockstep import Host
+from bus.transports.zenoh import open_hub
+from bus.wire import Control, SenseFrame
 
 CASES = (
     Case("18 cells, 1 worker, packed", 3, 6, 1, "packed", 1000, 1 / 2.5),
@@ -35,7 +37,7 @@ CASES = (
 
 METHOD = """\
 Method. Lockstep of one plant and its workers over Zenoh, TCP on loopback; the plant's session is a peer that listens,
-each worker a process of its own, client of it. A tick: senses (presence bits, encoder travel) to every worker,
+each worker a forked process of its own, client of it. A tick: senses (presence bits, encoder travel) to every worker,
 messages ("u", float64) over every link that crosses a border, drives back. The bare side is plain Zenoh code
 (FifoChannel, recv, put) that exchanges payloads of the same number and sizes and reads none of them; the lockstep
 side is bus.lockstep with cells that compute nothing. Both are started once; then they take turns of a fraction of a
@@ -43,27 +45,6 @@ second, each first in every other pair, so that what else the machine does meets
 over {pairs} pairs of neighbouring turns, of lockstep ticks/s by bare ticks/s, between the quartiles; rates are medians.
 "cpu" is processor time a tick of all processes together, which a busy machine disturbs less than the rate.
 """
-
-
-def lockstep_worker(case: Case, shard: int, locator: str) -> None:
-    """Cells that compute nothing."""
-    endpoint = open_client(locator)
-    partition = case.partition()
-    member = Member(
-        endpoint, partition, shard, case.form, run=RUN, sensors=SENSORS, encoders=True, message=MESSAGE
-    )
-    member.ready()
-    rows, links = len(partition.cells(shard)), len(partition.outgoing(shard))
-    drive = np.full((rows, 2), 0.1)
-    sent, message = np.ones(links, dtype=np.bool_), np.full(links, 0.1).view(MESSAGE)
-    tick = 0
-    spent = time.process_time()
-    while not isinstance(member.gather(tick), Control):
-        member.publish(DriveFrame(tick, drive), LinkFrame(tick, sent, message))
-        tick += 1
-    print(time.process_time() - spent)
-    member.close()
-    endpoint.close()
 
 
 class Lockstep(Side):
@@ -96,7 +77,6 @@ class Lockstep(Side):
 
 
 SIDES: dict[str, type[Bare | Lockstep]] = {"bare": Bare, "lockstep": Lockstep}
-WORKERS = {"bare": bare_worker, "lockstep": lockstep_worker}
 
 
 @dataclass
@@ -138,14 +118,14 @@ def run_case(case: Case, pairs: int) -> dict[str, Any]:
                 take_turn(sides[name], tallies[name], case.ticks)
         for name, side in sides.items():
             side.stop()
-            tallies[name].cpu_s += sum(float(worker.communicate(timeout=10)[0]) for worker in side.workers)
+            tallies[name].cpu_s += sum(worker.spent_s() for worker in side.workers)
             del tallies[name].rates[0]  # to warm up
             side.close()
     finally:
         # A worker of the bare side does not notice that its plant is gone.
         for side in sides.values():
             for worker in side.workers:
-                worker.kill()
+                worker.process.kill()
     bare, lockstep = tallies["bare"], tallies["lockstep"]
     ratios = [ours / theirs for theirs, ours in zip(bare.rates, lockstep.rates, strict=True)]
     low, ratio, high = statistics.quantiles(ratios, n=4)
@@ -167,16 +147,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=20, help="turns of each side")
     parser.add_argument("--case", type=int, action="append", help=f"only this case, 0..{len(CASES) - 1}")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--worker", help=argparse.SUPPRESS)
-    parser.add_argument("--shard", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.worker is not None:
-        order = json.loads(options.worker)
-        # as real workers are: what the imports left behind is not looked at again, tick after tick
-        gc.collect()
-        gc.freeze()
-        WORKERS[order["side"]](Case(**order["case"]), options.shard, order["locator"])
-        return
     rows = [run_case(case, options.repeat) for case in (CASES[i] for i in options.case or range(len(CASES)))]
     if options.json:
         print(json.dumps(rows))

@@ -7,60 +7,23 @@ import time
 
 import numpy as np
 import zenoh
-from lockstep_case import MESSAGE, SENSORS, Case, Side, start_workers
+from lockstep_case import SENSORS, Case, Side, start_workers
 from zenoh import handlers
 
 from bus.forms import FORMS
-from bus.transports.zenoh import open_client, open_hub
-from bus.wire import DriveFrame, LinkFrame, SenseFrame
+from bus.transports.zenoh import open_hub
+from bus.wire import SenseFrame
 
-_CAPACITY = 4096
+CAPACITY = 4096
 
 
-def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
+def bare_publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
+    """Puts as the lockstep does: blocking, reliable, batched."""
     return session.declare_publisher(
         key,
         congestion_control=zenoh.CongestionControl.BLOCK,
         reliability=zenoh.Reliability.RELIABLE,
     )
-
-
-def bare_worker(case: Case, shard: int, locator: str) -> None:
-    """Waits for a sense a unit and a payload a link that comes in; answers with as many as the form has."""
-    form = FORMS[case.form].member(case.wiring(), shard)
-    endpoint = open_client(locator)
-    session = endpoint.session
-    rows, links = len(case.partition().cells(shard)), len(case.partition().outgoing(shard))
-    drives = form.drive_payloads(DriveFrame(1000, np.full((rows, 2), 0.1)))
-    frame = LinkFrame(1000, np.ones(links, dtype=np.bool_), np.full(links, 0.1).view(MESSAGE))
-    messages = form.link_payloads(frame)
-    sense = session.declare_subscriber(f"bare/{shard}/sense/*", handlers.FifoChannel(_CAPACITY))
-    heard = session.declare_subscriber(f"bare/{shard}/link/*/*", handlers.FifoChannel(_CAPACITY))
-    stop = session.declare_subscriber("bare/stop", handlers.FifoChannel(1))
-    drive_puts = [_publisher(session, f"bare/drive/{shard}/{i}") for i in range(len(drives))]
-    shard_of = case.partition().shard_of
-    link_puts = [
-        _publisher(session, f"bare/{shard_of[targets[0]]}/link/{shard}/{i}")
-        for i, targets in enumerate(form.out_targets)
-    ]
-    while not all(p.matching_status.matching for p in (*drive_puts, *link_puts)):
-        time.sleep(0.01)
-    token = session.liveliness().declare_token(f"bare/ready/{shard}")
-    links_in, first = len(form.in_parts), True
-    spent = time.process_time()
-    while stop.try_recv() is None:
-        for _ in drives:
-            sense.recv().payload.to_bytes()
-        for _ in range(0 if first else links_in):
-            heard.recv().payload.to_bytes()
-        first = False
-        for publisher, payload in zip(link_puts, messages, strict=True):
-            publisher.put(payload)
-        for publisher, payload in zip(drive_puts, drives, strict=True):
-            publisher.put(payload)
-    print(time.process_time() - spent)
-    del token
-    endpoint.close()
 
 
 class Bare(Side):
@@ -74,16 +37,16 @@ class Bare(Side):
         self._hub = open_hub()
         session = self._hub.session
         ready: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-        self._drives = session.declare_subscriber("bare/drive/*/*", handlers.FifoChannel(_CAPACITY))
+        self._drives = session.declare_subscriber("bare/drive/*/*", handlers.FifoChannel(CAPACITY))
         watch = session.liveliness().declare_subscriber(
             "bare/ready/*", handlers.Callback(ready.put, indirect=False), history=True
         )
         shard_of = case.partition().shard_of
         self._puts = [
-            _publisher(session, f"bare/{shard_of[unit_cells[0]]}/sense/{i}")
+            bare_publisher(session, f"bare/{shard_of[unit_cells[0]]}/sense/{i}")
             for i, unit_cells in enumerate(form.unit_cells)
         ]
-        self._stop = _publisher(session, "bare/stop")
+        self._stop = bare_publisher(session, "bare/stop")
         self.workers = start_workers("bare", case, self._hub.locator)
         for _ in self.workers:
             ready.get(timeout=30)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
+import multiprocessing
 from abc import ABC, abstractmethod
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 
 import numpy as np
 
@@ -20,7 +18,6 @@ from bus.partition import Partition
 MESSAGE = np.dtype([("u", "<f8")])
 RUN = "benchmark"
 SENSORS = 1
-_WORKER = Path(__file__).with_name("lockstep.py")
 
 
 @dataclass(frozen=True)
@@ -43,10 +40,26 @@ class Case:
         return Wiring(RUN, self.partition(), SENSORS, True, MESSAGE)
 
 
+@dataclass(frozen=True)
+class Worker:
+    """A worker process, and where it says what it spent."""
+
+    process: BaseProcess
+    says: Connection
+
+    def spent_s(self) -> float:
+        """Processor seconds that it spent in ticks, once it has ended."""
+        if not self.says.poll(10.0):
+            raise SystemExit(f"worker {self.process.pid} does not end")
+        spent: float = self.says.recv()
+        self.process.join(10.0)
+        return spent
+
+
 class Side(ABC):
     """One way to run a case: the plant's side in this process, the workers in their own."""
 
-    workers: list[subprocess.Popen[str]]
+    workers: list[Worker]
 
     @abstractmethod
     def tick(self, k: int) -> None:
@@ -54,23 +67,28 @@ class Side(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Tells the workers to end; they print the processor seconds that they spent in ticks."""
+        """Tells the workers to end; they say what processor time they spent in ticks."""
 
     @abstractmethod
     def close(self) -> None:
         """Closes the plant's session, once the workers have ended."""
 
 
-def start_workers(side: str, case: Case, locator: str) -> list[subprocess.Popen[str]]:
-    """A process a shard, from a command line: nothing is inherited."""
-    order = json.dumps({"side": side, "case": asdict(case), "locator": locator})
-    return [
-        subprocess.Popen(
-            [sys.executable, str(_WORKER), "--worker", order, "--shard", str(shard)],
-            stdout=subprocess.PIPE,
-            text=True,
-            # real workers are forked, and a fork has none of these threads
-            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-        )
-        for shard in range(case.workers)
-    ]
+def start_workers(side: str, case: Case, locator: str) -> list[Worker]:
+    """A process a shard, forked from a server that has the modules and no session, as real workers are."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["lockstep_workers"])
+    workers: list[Worker] = []
+    for shard in range(case.workers):
+        says, tell = context.Pipe(duplex=False)
+        process = context.Process(target=_work, args=(side, case, shard, locator, tell), daemon=True)
+        process.start()
+        tell.close()
+        workers.append(Worker(process, says))
+    return workers
+
+
+def _work(side: str, case: Case, shard: int, locator: str, tell: Connection) -> None:
+    from lockstep_workers import WORKERS  # in the child, where it is imported already
+
+    tell.send(WORKERS[side](case, shard, locator))
