@@ -17,7 +17,7 @@ class Counts:
     """Payloads of one side of a run, or of all sides together.
 
     Attributes:
-        sent: Put.
+        sent: Put, once for every shard that it is for.
         delivered: Taken in, each once.
         lost: Waited for and given up.
         late: Of a tick that was over, or of a cell given up before.

@@ -189,7 +189,7 @@ class Host:
     def control(self, record: Control) -> None:
         """Sends a control record to everybody."""
         self._control.put(wire.encode_control(record))
-        self.counts.sent += 1
+        self.counts.sent += len(np.unique(self._shard_of[self._lives.live(self._tick)]))
 
     def publish_state(self, payload: bytes) -> None:
         """Puts ``payload`` on the plant's state key while somebody listens; asked about twice a second."""
