@@ -14,6 +14,7 @@ COMMANDS = {
     "run": "The whole system: every cell an agent, the plant, messages between them.",
     "simulate": "The plant alone, wheel speeds straight from the scene's field.",
     "constants": "The constants of motion of a pose: equilibrium, loads, torque.",
+    "orientations": "The angles at which a parcel comes to rest, exactly; maps over sizes.",
     "plot": "Pictures of a recording.",
     "scenes": "The bundled scenes, or one of them in full.",
     "schema": "The JSON Schema of a scene file, for editors.",

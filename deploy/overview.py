@@ -5,11 +5,10 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from deploy.errors import DeployError
+from deploy.picture import DPI, draw_heading, write_picture
 from deploy.track import Track
 from deploy.words import counted
 
@@ -19,26 +18,11 @@ if TYPE_CHECKING:
     from deploy.replay import Recording
 
 FILE_NAME = "overview.png"
-_DPI = 110
 _WIDE = 2.0
 """A view this many times as wide as high has its panels below it."""
 _HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.62, 0.85, 0.35, 1.0, 0.35
 """Space around the view, inches."""
 _Box = tuple[float, float, float, float]
-_STYLE: Any = {
-    "font.size": 9,
-    "axes.edgecolor": "#8b95a1",
-    "axes.labelcolor": "#3a424c",
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": "#6b7580",
-    "ytick.color": "#6b7580",
-    "xtick.labelcolor": "#3a424c",
-    "ytick.labelcolor": "#3a424c",
-    "text.usetex": False,
-}
-"""What a person's own matplotlibrc must not change."""
 
 
 def draw_overview(run: Recording | Track, path: str | Path) -> None:
@@ -51,21 +35,8 @@ def draw_overview(run: Recording | Track, path: str | Path) -> None:
     Raises:
         DeployError: It can't be written.
     """
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     track = run if isinstance(run, Track) else run.track()
-    with mpl.rc_context(_STYLE):
-        canvas = FigureCanvasAgg(_figure(track))
-        draft = Path(path).with_name(f".{Path(path).name}.draft")
-        try:
-            canvas.print_png(str(draft))
-            draft.replace(path)
-        except OSError as error:
-            raise DeployError(f"can't write the picture {path}: {error.strerror or error}") from error
-        finally:
-            with suppress(OSError):
-                draft.unlink()
+    write_picture(lambda: _figure(track), path)
 
 
 def _figure(track: Track) -> Figure:
@@ -79,7 +50,7 @@ def _figure(track: Track) -> Figure:
     ratio = (right - left) / (top - bottom)
     stacked = ratio <= _WIDE
     width, height, boxes = (_beside if stacked else _below)(ratio, timed)
-    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
+    figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
     view, *panels = [
         figure.add_axes((x / width, y / height, across / width, up / height)) for x, y, across, up in boxes
     ]
@@ -89,20 +60,7 @@ def _figure(track: Track) -> Figure:
         draw_times(panels, track, stacked=stacked)
         if stacked:
             figure.align_ylabels(panels)
-    for text, down, size, weight, shade in (
-        (_shortened(track.title or track.scene, 80), 0.34, 14, "bold", "#22272e"),
-        (_subtitle(track), 0.62, 9, "normal", "#5b6570"),
-    ):
-        figure.text(
-            _TEXT_LEFT / width,
-            1 - down / height,
-            text,
-            size=size,
-            weight=weight,
-            color=shade,
-            va="center",
-            parse_math=False,
-        )
+    draw_heading(figure, track.title or track.scene, _subtitle(track), _TEXT_LEFT)
     return figure
 
 
@@ -143,7 +101,3 @@ def _subtitle(track: Track) -> str:
     if track.digest:
         parts.append(f"digest {track.digest[:12]}")
     return "  ·  ".join(parts)
-
-
-def _shortened(text: str, length: int) -> str:
-    return text if len(text) <= length else text[: length - 1].rstrip() + "…"

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from plant.array import CellArray
 from plant.errors import PlantError
+from plant.footing import Footing, share_matrix
 from plant.friction.viscous import Viscous
-from plant.kernels import layout
-from plant.solvers.exact import Exact
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -60,23 +59,6 @@ class ConstantsOfMotion:
     angular_acceleration_rad_s2: float
 
 
-def _supports(
-    spec: PlantSpec, index: int, position: tuple[float, float] | None
-) -> tuple[Exact, NDArray[np.intp]]:
-    """The solver's own support set of a parcel, by default where it starts."""
-    parcel = spec.parcels[index]
-    if position is not None:
-        parcel = parcel.model_copy(update={"position_m": position})
-    array = CellArray(spec.array)
-    kappa = Viscous.from_spec(spec.friction).rate(spec.gravity_m_s2)
-    solver = Exact(array, (parcel,), kappa, 0.0, spec.solver)
-    if solver.parcels[0].ctl[layout.N_MEMBERS] == 0 or not solver.stand(0, np.ones(len(array))):
-        return solver, np.zeros(0, dtype=np.intp)
-    members = solver.parcels[0].mem[: solver.parcels[0].ctl[layout.N_MEMBERS]]
-    active = members[members[:, layout.MARK] == layout.ACTIVE, layout.CELL]
-    return solver, np.sort(active).astype(np.intp)
-
-
 def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> ConstantsOfMotion:
     """Constants of a parcel at its start pose.
 
@@ -88,20 +70,19 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     Raises:
         PlantError: the parcel doesn't stand there.
     """
-    solver, cells = _supports(spec, index, None)
+    array, parcel = CellArray(spec.array), spec.parcels[index]
+    footing = Footing(array, parcel)
+    cells = footing.carrying()
     if len(cells) == 0:
         raise PlantError(f"parcels[{index}]: no set of cells carries the parcel at this pose")
-    array, parcel = CellArray(spec.array), solver.parcels[0]
-    mass = spec.parcels[index].mass_kg
+    mass = parcel.mass_kg
     weight = mass * spec.gravity_m_s2
     mu = Viscous.from_spec(spec.friction).coefficient_s_per_m
     centre = array.positions_m[cells].mean(axis=0)
     r = array.positions_m[cells] - centre
     v = wheel_speed[cells]
-    x = parcel.y[:2] - centre
-    # load shares P [1; X - c]: mean share, and the inverse second moment of the supports (eqs. 11-13)
-    p: Floats = np.full((len(cells), 3), 1.0 / len(cells))
-    p[:, 1:] = r @ np.linalg.pinv(r.T @ r)
+    x = np.array(parcel.position_m) - centre
+    p = share_matrix(r)
     shares = p @ np.array([1.0, *x])
     stiffness = mu * weight * v.T @ p[:, 1:]
     offset = mu * weight * v.T @ p[:, 0] - stiffness @ centre
@@ -116,13 +97,12 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     place = _equilibrium(stiffness, offset, natural)
     inside = False
     if place is not None:
-        _, there = _supports(spec, index, (float(place[0]), float(place[1])))
-        inside = bool(np.array_equal(there, cells))
+        there = parcel.model_copy(update={"position_m": (float(place[0]), float(place[1]))})
+        inside = bool(np.array_equal(Footing(array, there).carrying(), cells))
     motion: Floats = np.zeros((4, 4))
     motion[:2, 2:] = np.eye(2)
     motion[2:, :2] = stiffness / mass
     motion[2:, 2:] = -mu * spec.gravity_m_s2 * np.eye(2)
-    inertia = mass / parcel.par[layout.MASS_OVER_INERTIA]
     return ConstantsOfMotion(
         supports=tuple(array.lattice.cells[int(i)] for i in cells.tolist()),
         loads_n=weight * shares,
@@ -135,7 +115,7 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
         equilibrium_m=place,
         equilibrium_inside=inside,
         eigenvalues_per_s=np.sort_complex(np.linalg.eigvals(motion).astype(np.complex128)),
-        angular_acceleration_rad_s2=torque / float(inertia),
+        angular_acceleration_rad_s2=torque / footing.inertia_kg_m2,
     )
 
 

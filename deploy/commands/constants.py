@@ -3,43 +3,74 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
+from deploy.commands.poses import ParcelOption, check_parcel, numbers
 from deploy.errors import InputError
+from deploy.words import point, short
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
     from plant.constants import ConstantsOfMotion
 
-_NOTHING = 1e-12
-"""In SI units, of forces, lengths and rates as they are here."""
-
-ParcelOption = Annotated[int, typer.Option("--parcel", metavar="N", help="Which parcel, counted from 0.")]
+_POSE = "X,Y,DEGREES"
+AtOption = Annotated[
+    str | None,
+    typer.Option(
+        "--at",
+        metavar=_POSE,
+        help="Another pose: centre of mass in metres, angle in degrees. Default: where the scene starts the parcel.",
+    ),
+]
 
 
 def constants(
-    scene: SceneArgument, *, sets: SetOption = None, parcel: ParcelOption = 0, as_json: JsonOption = False
+    scene: SceneArgument,
+    *,
+    sets: SetOption = None,
+    parcel: ParcelOption = 0,
+    at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Print the constants of motion of a parcel where the scene starts it (eqs. 18 and 23 of the paper).
+    """Print the constants of motion of a parcel at a pose (eqs. 18 and 23 of the paper).
 
     While the same cells carry the parcel, the force on it is affine in its position, and the torque does not depend
     on its angle. Wheel speeds are those of the scene's velocity field.
 
-    Another pose is another start:
+    Where the scene starts it, and a little beside the centre, turned by 30 degrees:
 
-      [cyan]mdms constants elliptic --set parcels.0.position_m=[0.1,0][/cyan]
+      [cyan]mdms constants elliptic[/cyan]
+      [cyan]mdms constants elliptic --at 0.1,0,30[/cyan]
     """
     found = load_scene(scene, sets)
+    check_parcel(found, parcel)
+    if at is not None:
+        found = _posed(found, parcel, at)
     motion = _constants(found, parcel)
     if as_json:
-        print(
-            json.dumps({"scene": found.name, "parcel": parcel, **_plain(motion)}, indent=2, allow_nan=False)
-        )
+        pose = found.parcels[parcel]
+        head = {
+            "scene": found.name,
+            "parcel": parcel,
+            "position_m": list(pose.position_m),
+            "angle_rad": pose.angle_rad,
+        }
+        print(json.dumps({**head, **_plain(motion)}, indent=2, allow_nan=False))
     else:
         _print(found, parcel, motion)
+
+
+def _posed(scene: Scene, parcel: int, at: str) -> Scene:
+    """The scene with the parcel at the pose that ``--at`` gives."""
+    x, y, degrees = numbers("--at", at, _POSE)
+    parcels = list(scene.parcels)
+    pose = {"position_m": (x, y), "angle_rad": math.radians(degrees)}
+    parcels[parcel] = parcels[parcel].model_copy(update=pose)
+    return scene.model_copy(update={"parcels": tuple(parcels)})
 
 
 def _constants(scene: Scene, parcel: int) -> ConstantsOfMotion:
@@ -48,9 +79,6 @@ def _constants(scene: Scene, parcel: int) -> ConstantsOfMotion:
     from plant.constants import constants_of_motion
     from plant.errors import PlantError
 
-    if not 0 <= parcel < len(scene.parcels):
-        has = f"parcels 0..{len(scene.parcels) - 1}" if scene.parcels else "no parcels"
-        raise InputError(f"scene {scene.name}: --parcel {parcel}: the scene has {has}")
     speeds = field_speeds(scene, CellArray(scene.array).positions_m)
     try:
         return constants_of_motion(scene.plant_spec(), parcel, speeds)
@@ -84,23 +112,23 @@ def _print(scene: Scene, parcel: int, motion: ConstantsOfMotion) -> None:
     rows = (
         (
             "k_s",
-            f"{_vector(motion.k_s_n_per_m[0])}, {_vector(motion.k_s_n_per_m[1])} N/m",
+            f"{point(motion.k_s_n_per_m[0])}, {point(motion.k_s_n_per_m[1])} N/m",
             "rows of the stiffness",
         ),
-        ("f0", f"{_vector(motion.f0_n)} N", "force at the origin"),
-        ("mu W", f"{_number(motion.damping_n_s_per_m)} N s/m", "damping in translation"),
-        ("tau0", f"{_number(motion.tau0_n_m)} N m", "torque at the pose"),
-        ("k_tau", f"{_vector(motion.k_tau_n)} N", "its gradient in position"),
-        ("d", f"{_number(motion.d_n_m_s)} N m s", "damping in rotation"),
+        ("f0", f"{point(motion.f0_n)} N", "force at the origin"),
+        ("mu W", f"{short(motion.damping_n_s_per_m)} N s/m", "damping in translation"),
+        ("tau0", f"{short(motion.tau0_n_m)} N m", "torque at the pose"),
+        ("k_tau", f"{point(motion.k_tau_n)} N", "its gradient in position"),
+        ("d", f"{short(motion.d_n_m_s)} N m s", "damping in rotation"),
         ("equilibrium", _equilibrium(motion), "where the force vanishes"),
         ("eigenvalues", f"{_rates(motion.eigenvalues_per_s)} 1/s", "of the translation"),
-        ("tau0 / I", f"{_number(motion.angular_acceleration_rad_s2)} rad/s²", "acceleration from rest"),
+        ("tau0 / I", f"{short(motion.angular_acceleration_rad_s2)} rad/s²", "acceleration from rest"),
     )
     pose = scene.parcels[parcel]
     console = Console(highlight=False)
     console.print(
-        f"scene {scene.name}, parcel {parcel} at {_vector(pose.position_m)} m, {pose.angle_rad:.6g} rad, "
-        f"carried by {len(motion.supports)} cells\n"
+        f"scene {scene.name}, parcel {parcel} at {point(pose.position_m)} m, {pose.angle_rad:.6g} rad "
+        f"({math.degrees(pose.angle_rad):.5g}°), carried by {len(motion.supports)} cells\n"
         "force = f0 + k_s X - mu W U    torque = tau0 + k_tau (X - pose) + ... - d omega\n",
         markup=False,
     )
@@ -119,26 +147,17 @@ def _print(scene: Scene, parcel: int, motion: ConstantsOfMotion) -> None:
     console.print(loads)
 
 
-def _number(value: float) -> str:
-    """Four digits, all of them with ``--json``; what rounding leaves of nothing is nothing."""
-    return "0" if abs(value) < _NOTHING else f"{value:.4g}"
-
-
-def _vector(values: Any) -> str:
-    return f"({', '.join(_number(value) for value in values)})"
-
-
 def _equilibrium(motion: ConstantsOfMotion) -> str:
     if motion.equilibrium_m is None:
         return "none: k_s is singular"
     there = "same cells" if motion.equilibrium_inside else "other cells"
-    return f"{_vector(motion.equilibrium_m)} m, on {there}"
+    return f"{point(motion.equilibrium_m)} m, on {there}"
 
 
 def _rates(values: Any) -> str:
     """Complex numbers, conjugate ones as a pair."""
     words: list[str] = []
     for value in values:
-        real, imaginary = _number(value.real), _number(abs(value.imag))
+        real, imaginary = short(value.real), short(abs(value.imag))
         words.append(real if imaginary == "0" else f"{real} ± {imaginary}i")
     return ", ".join(dict.fromkeys(words))

@@ -1,0 +1,185 @@
+"""``mdms orientations``: how a parcel comes to lie in a field, and how its size decides that."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deploy.commands.options import JsonOption, OutputOption, SceneArgument, SetOption, load_scene
+from deploy.commands.poses import ParcelOption, check_parcel, numbers
+from deploy.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from deploy.orientation_sizes import SizeMap
+    from deploy.orientation_study import Study
+    from plant.orientations import TorqueProfile
+    from plant.wheels import Floats
+
+_POINT = "X,Y"
+_SIZES = "LMIN:LMAX:N,BMIN:BMAX:N"
+
+AtOption = Annotated[
+    str | None,
+    typer.Option(
+        "--at",
+        metavar=_POINT,
+        help="Where the centre of mass is, m. Default: where the field brings it to rest.",
+    ),
+]
+SizesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--sizes",
+        metavar=_SIZES,
+        help="Instead of one parcel, rectangles of N lengths and N widths, m.",
+    ),
+]
+
+
+def orientations(
+    scene: SceneArgument,
+    *,
+    sets: SetOption = None,
+    parcel: ParcelOption = 0,
+    at: AtOption = None,
+    sizes: SizesOption = None,
+    output: OutputOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Tell at which angles a parcel comes to rest in the scene's velocity field, its centre of mass at rest already.
+
+    Between the angles at which a cell crosses the parcel's edge the torque is constant: it is stable where it falls
+    through zero, or anywhere in an interval without torque. The angles are exact, not sampled. With --output DIR
+    there is a picture, too.
+
+      [cyan]mdms orientations elliptic --output study[/cyan]
+      [cyan]mdms orientations elliptic --sizes 0.3:0.8:60,0.2:0.5:60 --output study[/cyan]
+    """
+    from deploy.interruption import Interruption
+    from deploy.orientation_study import study
+
+    found = load_scene(scene, sets)
+    check_parcel(found, parcel)
+    place = None if at is None else numbers("--at", at, _POINT)
+    ranges = None if sizes is None else _ranges(sizes)
+    interruption = Interruption()
+    with interruption.watching(last=True), interruption.allowed():
+        asked = study(found, parcel, place)
+        if ranges is None:
+            _one(asked, output, as_json=as_json)
+        else:
+            _many(asked, ranges, output, as_json=as_json)
+
+
+def _one(asked: Study, output: Path | None, *, as_json: bool) -> None:
+    profile = asked.profile()
+    picture = None
+    if output is not None:
+        from deploy.orientation_picture import FILE_NAME, draw_orientations
+
+        picture = _folder(output) / FILE_NAME
+        draw_orientations(asked, profile, picture)
+    if as_json:
+        found = {**_head(asked), **_plain(profile), "picture": picture and str(picture)}
+        print(json.dumps(found, indent=2, allow_nan=False))
+        return
+    from deploy.orientation_table import print_orientations
+
+    print_orientations(asked, profile)
+    if picture:
+        print(f"\n{picture}")
+
+
+def _many(asked: Study, ranges: tuple[Floats, Floats], output: Path | None, *, as_json: bool) -> None:
+    from deploy.orientation_sizes import size_map
+
+    folder = None if output is None else _folder(output)
+    sizes = size_map(asked, *ranges)
+    picture = None
+    if folder is not None:
+        from deploy.orientation_map import FILE_NAME, draw_sizes
+
+        picture = folder / FILE_NAME
+        draw_sizes(asked, sizes, picture)
+    if as_json:
+        found = {**_head(asked), "rows": _rows(sizes), "picture": picture and str(picture)}
+        print(json.dumps(found, indent=2, allow_nan=False))
+        return
+    from deploy.orientation_table import print_sizes
+
+    print_sizes(asked, sizes)
+    if picture:
+        print(f"\n{picture}")
+
+
+def _ranges(text: str) -> tuple[Floats, Floats]:
+    """Lengths and widths that ``--sizes`` asks for."""
+    import numpy as np
+
+    parts = [part.split(":") for part in text.split(",")]
+    try:
+        (length, length_to, lengths), (width, width_to, widths) = parts
+        found = (
+            np.linspace(float(length), float(length_to), int(lengths)),
+            np.linspace(float(width), float(width_to), int(widths)),
+        )
+    except ValueError:
+        raise InputError(f"--sizes {text}: must be {_SIZES}: metres, and how many") from None
+    for values in found:
+        if not len(values) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
+            raise InputError(f"--sizes {text}: lengths and widths must be > 0, and one at least of each")
+    return found
+
+
+def _folder(wanted: Path) -> Path:
+    """Make the folder for the picture; what is in it stays."""
+    try:
+        wanted.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"output {wanted}: can't be made: {error.strerror or error}") from None
+    return wanted
+
+
+def _head(asked: Study) -> dict[str, Any]:
+    return {"scene": asked.scene.name, "parcel": asked.parcel, "centre_m": asked.centre_m.tolist()}
+
+
+def _plain(profile: TorqueProfile) -> dict[str, Any]:
+    """In JSON's types; where the parcel doesn't stand there is no torque."""
+    return {
+        "angles_rad": profile.angles_rad.tolist(),
+        "torque_n_m": [None if math.isnan(torque) else torque for torque in profile.torque_n_m.tolist()],
+        "largest_force_n": profile.largest_force_n(),
+        "supports": profile.supports.tolist(),
+        "orientations": [
+            {
+                "low_rad": one.low_rad,
+                "high_rad": one.high_rad,
+                "nature": one.nature,
+                "before_n_m": one.before_n_m,
+                "after_n_m": one.after_n_m,
+            }
+            for one in profile.orientations()
+        ],
+    }
+
+
+def _rows(sizes: SizeMap) -> list[dict[str, Any]]:
+    nearest = sizes.nearest_rad()
+    return [
+        {
+            "length_m": float(length),
+            "width_m": float(width),
+            "stands": stable is not None,
+            "stable_rad": [[one.low_rad, one.high_rad] for one in stable or ()],
+            "nearest_rad": None if math.isnan(nearest[b, a]) else float(nearest[b, a]),
+        }
+        for b, width in enumerate(sizes.widths_m)
+        for a, length in enumerate(sizes.lengths_m)
+        for stable in (sizes.stable[b][a],)
+    ]

@@ -1,0 +1,88 @@
+"""The same parcel on a continuous surface: what infinitely many, infinitely small cells would do to it.
+
+Only for a linear field ``V = K p + v``, where it has a closed form: the load is spread over the whole bottom, in a
+plane as on springs, and the torque depends on second moments of the loaded bottom alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plant.footing import footprint
+from plant.specs import ParcelSpec
+from plant.wheels import Floats
+
+_LINEAR = 1e-9
+"""How far off a linear field a speed may be, over the largest: rounding."""
+
+
+def linear_field(positions_m: Floats, wheel_speed: Floats) -> Floats | None:
+    """The matrix K of a field ``V = K p + v``.
+
+    Args:
+        positions_m: ``(n, 2)`` cells.
+        wheel_speed: ``(n, 2)`` their speeds, m/s.
+
+    Returns:
+        ``(2, 2)``, 1/s; None where the field isn't linear, or the cells lie on a line and don't tell.
+    """
+    centre = positions_m.mean(axis=0)
+    rows = np.concatenate([positions_m - centre, np.ones((len(positions_m), 1))], axis=1)
+    scale = max(float(np.max(np.abs(rows[:, :2]))), 1e-300)
+    rows[:, :2] /= scale
+    found, _, rank, _ = np.linalg.lstsq(rows, wheel_speed, rcond=1e-10)
+    off = float(np.max(np.abs(rows @ found - wheel_speed)))
+    if rank < 3 or off > _LINEAR * float(np.max(np.abs(wheel_speed))):
+        return None
+    return np.asarray(found[:2].T / scale, dtype=np.float64)
+
+
+def loaded_moments(parcel: ParcelSpec) -> Floats | None:
+    """Second moments about the centre of mass, per weight, of the load on a parcel's bottom.
+
+    Returns:
+        ``(2, 2)`` in the parcel's axes, m²; None where the load would have to pull somewhere, for the centre of mass
+        is too far from the middle.
+    """
+    corners = footprint(parcel)
+    points, areas = _quadrature(corners)
+    rows = np.concatenate([np.ones((len(points), 1)), points], axis=1)
+    # the plane of the springs, eqs. 3-13 with an integral for the sum
+    plane = np.linalg.solve(rows.T @ (areas[:, None] * rows), np.array([1.0, 0.0, 0.0]))
+    if np.min(plane[0] + corners @ plane[1:]) < 0.0:
+        return None
+    return np.asarray((points * (areas * (rows @ plane))[:, None]).T @ points, dtype=np.float64)
+
+
+def continuous_torque(angles_rad: Floats, field_per_s: Floats, moments_m2: Floats) -> Floats:
+    """Torque per ``mu W`` of a linear field on a parcel whose centre of mass is where the field stands still, m²/s.
+
+    For a rectangle and ``V = (k_x x, k_y y)`` it is ``(k_y - k_x) (L^2 - B^2) / 24 sin(2 theta)``.
+
+    Args:
+        angles_rad: ``(k,)``.
+        field_per_s: ``(2, 2)``, from `linear_field`.
+        moments_m2: ``(2, 2)``, from `loaded_moments`.
+    """
+    c, s = np.cos(angles_rad), np.sin(angles_rad)
+    (xx, xy), (_, yy) = moments_m2
+    # turned into the axes of the array
+    along_x = c * c * xx - 2.0 * c * s * xy + s * s * yy
+    along_y = s * s * xx + 2.0 * c * s * xy + c * c * yy
+    across = c * s * (xx - yy) + (c * c - s * s) * xy
+    (kxx, kxy), (kyx, kyy) = field_per_s
+    return np.asarray((kyy - kxx) * across + kyx * along_x - kxy * along_y, dtype=np.float64)
+
+
+def _quadrature(corners: Floats) -> tuple[Floats, Floats]:
+    """Points and areas that integrate polynomials of degree 3 over a convex polygon exactly: a fan of triangles."""
+    node, weight = np.polynomial.legendre.leggauss(3)
+    node, weight = 0.5 * (node + 1.0), 0.5 * weight
+    u, v = (axis.ravel() for axis in np.meshgrid(node, node, indexing="ij"))
+    share = np.outer(weight * node, weight).ravel()
+    points: list[Floats] = []
+    areas: list[Floats] = []
+    for b, c in zip(corners[1:-1] - corners[0], corners[2:] - corners[0], strict=True):
+        points.append(corners[0] + u[:, None] * ((1.0 - v)[:, None] * b + v[:, None] * c))
+        areas.append(share * float(b[0] * c[1] - b[1] * c[0]))
+    return np.concatenate(points), np.concatenate(areas)

@@ -1,0 +1,75 @@
+"""Which cells carry a parcel at a pose: the solver's own answer, for those who only ask and move nothing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant import geometry
+from plant.kernels import layout
+from plant.solvers.exact import Exact
+from plant.specs import ParcelSpec, SolverSpec
+from plant.wheels import Floats
+
+if TYPE_CHECKING:
+    from plant.array import CellArray
+
+Cells = NDArray[np.intp]
+
+
+def footprint(parcel: ParcelSpec) -> Floats:
+    """``(v, 2)`` corners of a parcel's bottom about its centre of mass, in its axes, counter-clockwise."""
+    centre = parcel.centre_of_mass_m or geometry.centroid(parcel.polygon())
+    return geometry.counter_clockwise(parcel.polygon()) - np.array(centre)
+
+
+def share_matrix(offsets_m: Floats) -> Floats:
+    """Load shares ``P [1; X - c]`` of cells that all carry, about their centroid c (eqs. 11-13).
+
+    Args:
+        offsets_m: ``(n, 2)`` cells, from their centroid.
+
+    Returns:
+        ``(n, 3)``: mean share, and the (pseudo-)inverse of their second moments.
+    """
+    p: Floats = np.full((len(offsets_m), 3), 1.0 / len(offsets_m))
+    # what rounding leaves across a slanting line of supports is nothing
+    p[:, 1:] = offsets_m @ np.linalg.pinv(offsets_m.T @ offsets_m, rcond=1e-12, hermitian=True)
+    return p
+
+
+@final
+class Footing:
+    """One parcel, alone on the array and at rest, at its start pose until other cells are put below it.
+
+    Args:
+        array: the cells.
+        parcel: footprint and start pose.
+
+    Attributes:
+        inertia_kg_m2: about the centre of mass.
+    """
+
+    def __init__(self, array: CellArray, parcel: ParcelSpec) -> None:
+        # loads depend on no rate of friction: any does
+        self._solver = Exact(array, (parcel,), 1.0, 0.0, SolverSpec())
+        self._parcel = self._solver.parcels[0]
+        self._driven: Floats = np.ones(len(array))
+        self.inertia_kg_m2: float = parcel.mass_kg / float(self._parcel.par[layout.MASS_OVER_INERTIA])
+
+    def cover(self, under: Cells) -> None:
+        """Turn the parcel to where the cells ``under``, and no others, are below it: loads depend on no more."""
+        count = len(under)
+        self._parcel.mem[:count] = 0
+        self._parcel.mem[:count, layout.CELL] = under
+        self._parcel.ctl[layout.N_MEMBERS] = count
+
+    def carrying(self) -> Cells:
+        """The cells that carry the parcel, ascending; none where it doesn't stand."""
+        count = self._parcel.ctl[layout.N_MEMBERS]
+        if count == 0 or not self._solver.stand(0, self._driven):
+            return np.zeros(0, dtype=np.intp)
+        members = self._parcel.mem[:count]
+        return np.sort(members[members[:, layout.MARK] == layout.ACTIVE, layout.CELL]).astype(np.intp)
