@@ -118,22 +118,20 @@ def search(surface, parcel, work, order):
 
 @kernel
 def move(work, order, y, t, step):
-    """Take the state to unit time ``t``; keep the accelerations there, before any event, in ``work.before``."""
+    """Take the state to unit time ``t``; keep the accelerations there, before any event, in ``work.before``.
+
+    Returns whether every entry of the state is a number; where one isn't, ``y`` stays what it was.
+    """
     ser, before = work.ser, work.before
     before[0] = slope(ser[at.S_UX], order, t) / step
     before[1] = slope(ser[at.S_UY], order, t) / step
     before[2] = slope(ser[at.S_OM], order, t) / step
     sample(ser, order, y, t, work.state)
     for k in range(6):
-        y[k] = work.state[k]
-
-
-@kernel
-def finite(y):
-    """True where every entry of the state is a number."""
-    for k in range(6):
-        if not isfinite(y[k]):
+        if not isfinite(work.state[k]):
             return False
+    for k in range(6):
+        y[k] = work.state[k]
     return True
 
 
@@ -205,8 +203,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             sampled += 1
         par[at.GAP] += 0.3 * (earliest * step - par[at.GAP]) if count > 0 else par[at.GAP]
         par[at.GAP] = max(par[at.GAP], SHORTEST)
-        move(work, order, y, earliest, step)
-        if not finite(y) or (ends_at == now and count == 0):
+        if not move(work, order, y, earliest, step) or (ends_at == now and count == 0):
             ctl[at.STATUS] = at.NOT_FINITE
             break
         now = ends_at

@@ -10,6 +10,7 @@ from plant.kernels.events import SLACK, crossing, negate, note
 from plant.kernels.jit import kernel
 from plant.kernels.loads import LOAD_ZERO
 from plant.kernels.modes import FRACTION_ZERO
+from plant.kernels.roots import horner
 
 
 @kernel
@@ -25,6 +26,20 @@ def loading(surface, parcel, work, order, end, count):
             work.segs[0], parcel.par, work.ser, order, end, work.found, count, work.g, work.p
         )
     return count, end
+
+
+@kernel
+def together(found, count, g, order, t, zero):
+    """The time of a load's change found before at which ``g`` is zero to rounding too, or else ``t``.
+
+    A difference of rounding between two loads that vanish as one is, in a short step, more of its time than ``apply``
+    takes for one instant; the second would then be gone before its event, unreported.
+    """
+    for i in range(count):
+        kind = found[i, at.EV_KIND]
+        if (kind == at.UNLOAD or kind == at.TOUCH) and abs(horner(g, order, found[i, at.EV_TIME])) <= zero:
+            return found[i, at.EV_TIME]
+    return t
 
 
 @kernel
@@ -58,6 +73,7 @@ def load_changes(surface, parcel, work, order, end, count, m):
         g[0] += 2.0 * zero
         t = crossing(g, order, 0.0, end, work.p)
         if t <= end:
+            t = together(work.found, count, g, order, t, zero)
             count = note(work.found, count, t, at.UNLOAD if mark == at.ACTIVE else at.TOUCH, cell, m)
             end = min(end, t + SLACK)
     return count, end

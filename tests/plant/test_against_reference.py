@@ -144,14 +144,6 @@ def test_drives_that_change_every_tick_are_followed(with_motors: bool) -> None:
     assert plant.support_changes >= 5
 
 
-def test_the_grazing_corner_of_the_study_scene_is_found_at_its_times() -> None:
-    plant = study()
-    _, events = plant.advance(elliptic(plant), SECOND)
-    graze = [event for event in events if cells_of(plant, event.cells) == [256]]
-    assert [event.kind for event in graze] == ["support_gained", "support_lost"]
-    assert [event.time_s for event in graze] == pytest.approx([0.8036, 0.8099], abs=1e-4)
-
-
 def test_the_study_scene_has_its_86_support_changes_in_ten_seconds() -> None:
     plant = study()
     _, events = plant.advance(elliptic(plant), 10 * SECOND)

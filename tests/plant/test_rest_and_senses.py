@@ -6,33 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from plant.errors import PlantError, PlantUnstable
+from plant.errors import PlantError
 from plant.plant import Plant
 from plant.specs import MotorsSpec
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, elliptic, members, parcel, spec, study, turned
 
 KAPPA = MU * G
-
-
-def test_a_parcel_at_rest_stays_exactly_at_rest_at_no_cost() -> None:
-    plant = study()
-    before = plant.state
-    _, events = plant.advance(np.zeros((400, 2)), 3600 * SECOND)
-    assert np.array_equal(plant.state, before)
-    assert events == []
-    assert plant.support_changes == 0
-    assert plant._solver.parcels[0].ctl[4] < 100  # steps
-
-
-def test_a_parcel_at_rest_stays_exactly_at_rest_over_many_ticks() -> None:
-    plant = study()
-    before = plant.state
-    for tick in range(1, 500):
-        _, events = plant.advance(np.zeros((400, 2)), tick * TICK_NS)
-        assert events == []
-    assert np.array_equal(plant.state, before)
-    assert plant.status[0].state == "at_rest"
-    assert plant.status[0].time_s <= TICK_NS * 1e-9
 
 
 def test_a_sliding_parcel_is_at_rest_once_it_is_slow_and_stays_slow() -> None:
@@ -244,24 +223,6 @@ def test_a_time_in_the_past_is_refused() -> None:
     plant.advance(elliptic(plant), SECOND)
     with pytest.raises(PlantError, match="until_ns = 999999999 is in the past: it is 1000000000 ns already"):
         plant.advance(elliptic(plant), SECOND - 1)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_wheel_that_is_told_no_number_ends_the_motion_by_name(value: float) -> None:
-    plant = study()
-    drives = elliptic(plant)
-    drives[members(plant)[3]] = value
-    with pytest.raises(PlantUnstable, match=r"parcel 0 at t = 0 s, .*: the motion is no longer finite"):
-        plant.advance(drives, SECOND)
-
-
-def test_a_wheel_under_no_parcel_may_be_told_anything() -> None:
-    plain, odd = study(), study()
-    drives = elliptic(plain)
-    plain.advance(drives, TICK_NS)
-    drives[0] = np.nan
-    odd.advance(drives, TICK_NS)
-    assert np.array_equal(plain.state, odd.state)
 
 
 def test_events_name_their_cell_its_place_and_their_time_in_order() -> None:

@@ -102,14 +102,6 @@ def test_over_a_hole_a_parcel_tips_about_the_holes_edge() -> None:
     assert plant.status[0].detail == tip.detail
 
 
-def test_a_hole_narrower_than_the_parcel_is_crossed() -> None:
-    hole = tuple((r, 9) for r in range(20))
-    plant = Plant(spec(parcel(size_m=(0.45, 0.25), position_m=(-0.4, 0.02), angle_rad=0.0), missing=hole))
-    plant.advance(_uniform(plant, 0.5, 0.0), 2 * SECOND)
-    assert plant.status[0].state == "moving"
-    assert plant.state[0, 0] > 0.1
-
-
 def test_a_slanting_edge_of_supports_is_named_and_timed() -> None:
     """A triangle of three cells: the centre of mass leaves it across the slanting side."""
     cells = ((0, 0), (0, 1), (1, 0))
@@ -172,14 +164,6 @@ def test_two_cells_carry_a_parcel_until_its_centre_passes_one_of_them() -> None:
     tip = _last(events)
     assert (tip.kind, tip.cells) == ("off_array", ((0, 1),))
     assert tip.time_s == pytest.approx(carried(0.05, 0.2), abs=1e-7)
-
-
-def test_one_cell_in_the_middle_of_others_is_tipped_off_towards_them() -> None:
-    body = parcel(size_m=(0.05, 0.05), position_m=(0.0, 0.0), angle_rad=0.0)
-    plant = Plant(spec(body, rows=3, columns=3))
-    _, events = plant.advance(_uniform(plant, 0.2, 0.0), SECOND)
-    tip = _last(events)
-    assert (tip.kind, tip.cells) == ("tipped", ((1, 1),))
 
 
 def test_an_edge_of_the_parcel_that_slides_along_rows_of_cells_keeps_them_on_both_sides() -> None:

@@ -78,15 +78,6 @@ def test_holes_do_not_disturb_translation() -> None:
     )
 
 
-@pytest.mark.parametrize("mu", [0.01, 0.2, 5.0])
-def test_translation_is_the_closed_form_at_any_friction(mu: float) -> None:
-    plant = Plant(spec(parcel(position_m=(0.3, 0.25)), mu=mu))
-    start = plant.state[0, [0, 1, 3, 4]]
-    plant.advance(plant.array.positions_m * (-1.0, -2.0), 2 * SECOND)
-    expected = oscillator(np.diag([-1.0, -2.0]), start, 2.0, mu * G)
-    assert plant.state[0, [0, 1, 3, 4]] == pytest.approx(expected, abs=1e-10)
-
-
 def test_motors_drag_translation_by_their_lag_in_closed_form() -> None:
     motors = MotorsSpec(time_constant_s=0.3, speed_per_volt_m_s=0.1)
     plant = Plant(spec(parcel(position_m=(0.3, 0.25)), motors=motors))
