@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 FILE_NAME = "orientations.png"
 _WIDTH, _HEIGHT, _VIEW = 12.4, 5.45, 3.9
 """Of the page and of the square view at its left, inches."""
-_STEPS, _SMOOTH, _NEUTRAL = "#22272e", "#d55e00", "#c9d0d8"
+_STEPS, _SMOOTH, _NEUTRAL = "#22272e", "#8fa0b2", "#c9d0d8"
 _LABELS = 12
 """Stable orientations beyond this many are marked without their angle: words would lie on words."""
 
@@ -63,6 +63,8 @@ def _figure(study: Study, profile: TorqueProfile) -> Figure:
         f"supports change at {counted(len(profile.angles_rad), 'angle')}",
         counted(len(profile.stable()), "stable orientation"),
     ]
+    if np.any(np.isnan(profile.torque_n_m)):
+        facts.append("hatched: it tips")
     draw_heading(figure, scene.title or scene.name, "  ·  ".join(facts), 0.35)
     return figure
 
@@ -111,7 +113,7 @@ def _draw_torque(axes: Axes, study: Study, profile: TorqueProfile) -> None:
     fine = np.linspace(0.0, 360.0, 721)
     smooth = study.continuous(np.radians(fine))
     if smooth is not None:
-        axes.plot(fine, smooth, color=_SMOOTH, lw=1.1, alpha=0.9, zorder=2, label="a continuous surface")
+        axes.plot(fine, smooth, color=_SMOOTH, lw=1.5, zorder=2, label="a continuous surface")
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
     _shade_falls(axes, values, edges)
     axes.set_xlim(0.0, 360.0)

@@ -22,6 +22,8 @@ TURN = 2.0 * np.pi
 TOGETHER_RAD = 1e-9
 """Crossings closer than this are one change of the cells below: rounding can't tell them apart, as when an edge passes
 over cells of a row together, or a corner only touches one."""
+_TOUCHING = 1e-12
+"""Of its distance: a cell that is beyond an edge by less, at the one angle at which it is nearest to it, is touched."""
 
 
 @final
@@ -84,7 +86,8 @@ def _arcs(offsets_m: Floats, normal: Floats, reach_m: Floats) -> tuple[Floats, F
     begins, ends = np.mod(toward - half, TURN), np.mod(toward + half, TURN)
     for angle in (begins, ends):
         angle[angle >= TURN] = 0.0  # what a negative angle smaller than rounding becomes
-    return begins, ends, distance > np.abs(reach_m), np.any(reach_m <= -distance, axis=1)
+    least = distance * (1.0 - _TOUCHING)
+    return begins, ends, least > np.abs(reach_m), np.any(reach_m <= -least, axis=1)
 
 
 def _together(angle: Floats, under: Bools, cell: Indices, sign: Indices) -> Crossings:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption, OutputOption, SceneArgument, SetOption, load_scene
+from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
 from deploy.commands.poses import ParcelOption, check_parcel, numbers
 from deploy.errors import InputError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from deploy.orientation_sizes import SizeMap
     from deploy.orientation_study import Study
     from plant.orientations import TorqueProfile
@@ -40,6 +39,11 @@ SizesOption = Annotated[
     ),
 ]
 
+OutputOption = Annotated[
+    Path | None,
+    typer.Option("--output", metavar="DIR", help="Folder to draw the picture into. Default: none is drawn."),
+]
+
 
 def orientations(
     scene: SceneArgument,
@@ -53,9 +57,11 @@ def orientations(
 ) -> None:
     """Tell at which angles a parcel comes to rest in the scene's velocity field, its centre of mass at rest already.
 
-    Between the angles at which a cell crosses the parcel's edge the torque is constant: it is stable where it falls
-    through zero, or anywhere in an interval without torque. The angles are exact, not sampled. With --output DIR
-    there is a picture, too.
+    Between the angles at which a cell crosses the parcel's edge the torque is constant. Where it falls through zero,
+    or about an interval without torque, it turns the parcel back from both sides: an attracting angle, or interval.
+    Angles come from the geometry and are exact. With --output DIR there is a picture, too.
+
+    A parcel of the scene; and rectangles of 60 by 60 sizes in its place:
 
       [cyan]mdms orientations elliptic --output study[/cyan]
       [cyan]mdms orientations elliptic --sizes 0.3:0.8:60,0.2:0.5:60 --output study[/cyan]
@@ -121,19 +127,18 @@ def _ranges(text: str) -> tuple[Floats, Floats]:
     """Lengths and widths that ``--sizes`` asks for."""
     import numpy as np
 
-    parts = [part.split(":") for part in text.split(",")]
     try:
-        (length, length_to, lengths), (width, width_to, widths) = parts
-        found = (
-            np.linspace(float(length), float(length_to), int(lengths)),
-            np.linspace(float(width), float(width_to), int(widths)),
-        )
+        found: list[Floats] = []
+        for side in text.split(","):
+            low, high, count = side.split(":")
+            found.append(np.linspace(float(low), float(high), int(count)))
+        lengths, widths = found
     except ValueError:
         raise InputError(f"--sizes {text}: must be {_SIZES}: metres, and how many") from None
     for values in found:
         if not len(values) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
             raise InputError(f"--sizes {text}: lengths and widths must be > 0, and one at least of each")
-    return found
+    return lengths, widths
 
 
 def _folder(wanted: Path) -> Path:

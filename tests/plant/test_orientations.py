@@ -191,6 +191,15 @@ def test_axes_drawn_otherwise_on_the_parcel_turn_the_profile_and_change_nothing_
         assert [one.nature for one in other.stable()] == ["attracting"] * 6
 
 
+@pytest.mark.parametrize("width", [np.nextafter(0.6, 0.0), 0.6, np.nextafter(0.6, 1.0)])
+def test_a_cell_that_an_edge_only_touches_is_no_change(width: float) -> None:
+    scene = spec(parcel(size_m=(1.0, width), position_m=(0.0, 0.0)), rows=21, columns=21)
+    angles = _profile(scene).angles_rad
+    touching = np.abs(np.mod(angles + 0.5 * np.pi, np.pi) - 0.5 * np.pi) < 1e-3
+    # the row under the edge changes at 0 and half a turn, all at once; its cell in the middle, at its foot, never
+    assert angles[touching] == pytest.approx([0.0, np.pi], abs=1e-12)
+
+
 # --- fields and parcels that are special ------------------------------------------------------------
 
 
