@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from deploy.overrides import Override
+from deploy.scene_files import load_scene
+from deploy.simulate import simulate
 from plant.errors import PlantError, PlantUnstable
 from plant.plant import Plant
 from tests.plant.reference import is_least_norm
@@ -81,6 +85,20 @@ def test_a_motion_too_fast_for_numbers_ends_where_numbers_do(solver: Solver, spe
     drives[::3] *= -1.0
     _fails(plant, drives, SECOND)
     assert np.all(np.isfinite(plant.state))
+
+
+def test_a_scene_that_runs_away_ends_with_the_status_unstable(solver: Solver, tmp_path: Path) -> None:
+    """H17 for who runs a scene: the summary says so, where and when, and holds what was reached before."""
+    settings = solver.settings | {"tolerance": 1e-9}
+    field = {"kind": "uniform", "velocity_m_s": [1e300, 0.0]}
+    changes = {"solver": settings, "cells.parameters.field": field, "duration_s": 1.0}
+    scene = load_scene(
+        "elliptic", [Override(tuple(key.split(".")), value, "") for key, value in changes.items()]
+    )
+    summary = simulate(scene, output=tmp_path, picture=False, quiet=True).summary
+    assert summary.status == "unstable"
+    assert NO_LONGER_FINITE.search(summary.reason or "")
+    assert summary.parcels[0].position_m == (0.55, 0.5)
 
 
 def test_the_parcel_whose_motion_failed_is_named_among_several(solver: Solver) -> None:
