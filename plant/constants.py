@@ -22,7 +22,7 @@ from plant.errors import PlantError
 from plant.friction.viscous import Viscous
 from plant.kernels import layout
 from plant.solvers.exact import Exact
-from plant.specs import PlantSpec
+from plant.specs import ExactSpec, PlantSpec
 from plant.wheels import Floats
 
 
@@ -63,14 +63,14 @@ class ConstantsOfMotion:
 def _supports(
     spec: PlantSpec, index: int, position: tuple[float, float] | None
 ) -> tuple[Exact, NDArray[np.intp]]:
-    """The solver's own support set of a parcel, by default where it starts."""
+    """The support set of a parcel, by default where it starts, as ``exact`` finds it."""
     parcel = spec.parcels[index]
     if position is not None:
         parcel = parcel.model_copy(update={"position_m": position})
     array = CellArray(spec.array)
-    kappa = Viscous.from_spec(spec.friction).rate(spec.gravity_m_s2)
-    solver = Exact(array, (parcel,), kappa, 0.0, spec.solver)
-    if solver.parcels[0].ctl[layout.N_MEMBERS] == 0 or not solver.stand(0, np.ones(len(array))):
+    # only where cells carry the parcel is asked: the rate of slip and the tolerance count for nothing
+    solver = Exact(array, (parcel,), 1.0, 0.0, ExactSpec())
+    if len(solver.under(0)) == 0 or not solver.stand(0, np.ones(len(array))):
         return solver, np.zeros(0, dtype=np.intp)
     members = solver.parcels[0].mem[: solver.parcels[0].ctl[layout.N_MEMBERS]]
     active = members[members[:, layout.MARK] == layout.ACTIVE, layout.CELL]
@@ -86,15 +86,19 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
         wheel_speed: ``(n, 2)`` m/s, of every cell.
 
     Raises:
-        PlantError: the parcel doesn't stand there.
+        PlantError: the law is not viscous, or the parcel doesn't stand there.
     """
+    if not isinstance(spec.friction, Viscous):
+        raise PlantError(
+            f'friction.law = "{spec.friction.law}": constants of motion are those of the law viscous (eqs. 18 and 23)'
+        )
     solver, cells = _supports(spec, index, None)
     if len(cells) == 0:
         raise PlantError(f"parcels[{index}]: no set of cells carries the parcel at this pose")
     array, parcel = CellArray(spec.array), solver.parcels[0]
     mass = spec.parcels[index].mass_kg
     weight = mass * spec.gravity_m_s2
-    mu = Viscous.from_spec(spec.friction).coefficient_s_per_m
+    mu = spec.friction.coefficient_s_per_m
     centre = array.positions_m[cells].mean(axis=0)
     r = array.positions_m[cells] - centre
     v = wheel_speed[cells]
