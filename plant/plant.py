@@ -228,6 +228,8 @@ class Plant:
             if done.culprit >= 0:
                 named = "cell {},{}".format(*self.array.lattice.cells[done.culprit])
             raise PlantUnstable(f"{where}: support changes without end, the last about {named}")
+        if done.ending == "endless_steps":
+            raise PlantUnstable(f"{where}: no step is short enough for the tolerance, time after time")
         if done.ending == "no_loads":
             raise PlantUnstable(f"{where}: no set of loads balances the parcel; this is a bug")
         raise PlantUnstable(f"{where}: the motion is no longer finite")

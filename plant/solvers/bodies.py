@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from plant import geometry
 from plant.array import CellArray
-from plant.kernels import layout
+from plant.kernels import implicit_layout, layout
 from plant.solvers.solver import Body, Ending, SolverEvent
 from plant.specs import ParcelSpec
 from plant.wheels import Floats
@@ -28,6 +28,7 @@ KINDS = {
     layout.ONLY_FAR: "released",
     layout.CORNER: "released",
     layout.CAPTURE_BEGINS: "captured",
+    implicit_layout.OUTRAN: "outrun",
 }
 """Words of the plant's events, by the kernels' codes."""
 
@@ -37,6 +38,7 @@ ENDINGS: dict[int, Ending] = {
     layout.TOO_MANY_EVENTS: "endless_changes",
     layout.NOT_FINITE: "not_finite",
     layout.NO_LOADS: "no_loads",
+    implicit_layout.ENDLESS_STEPS: "endless_steps",
 }
 """How a call ended, by the kernels' codes."""
 

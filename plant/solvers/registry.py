@@ -5,8 +5,9 @@ from __future__ import annotations
 from plant.array import CellArray
 from plant.friction.viscous import Viscous
 from plant.solvers.exact import Exact
+from plant.solvers.implicit import Implicit
 from plant.solvers.solver import Solver
-from plant.specs import ExactSpec, PlantSpec
+from plant.specs import ExactSpec, ImplicitSpec, PlantSpec
 
 
 def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
@@ -17,6 +18,10 @@ def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
         array: the surface.
         rate: of the motors, 1/s; 0 without.
     """
-    assert isinstance(spec.solver, ExactSpec)
-    assert isinstance(spec.friction, Viscous), "this is a bug: the spec refuses what exact does not solve"
-    return Exact(array, spec.parcels, spec.friction.rate(spec.gravity_m_s2), rate, spec.solver)
+    match spec.solver, spec.friction:
+        case ExactSpec() as how, Viscous() as law:
+            return Exact(array, spec.parcels, law.rate(spec.gravity_m_s2), rate, how)
+        case ImplicitSpec() as how, law:
+            return Implicit(array, spec.parcels, law.traction(), spec.gravity_m_s2, rate, how)
+        case how, law:
+            raise AssertionError(f"this is a bug: the spec lets {how.name} solve {law.law}")

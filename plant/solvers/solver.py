@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from plant.wheels import Floats, WheelMotion
 
-Ending = Literal["moving", "tipped", "endless_changes", "no_loads", "not_finite"]
+Ending = Literal["moving", "tipped", "endless_changes", "endless_steps", "no_loads", "not_finite"]
 
 
 class Body(NamedTuple):
