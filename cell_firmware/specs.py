@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator
 
-from bus.spec import CellName, Finite, Positive, Spec, Vector
+from bus.spec import CellName, Finite, NotNegative, Positive, Spec, Vector
 
 __all__ = [
     "CellName",
@@ -20,8 +20,6 @@ __all__ = [
     "Vector",
     "nanoseconds",
 ]
-
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class SpeedLoopSpec(Spec):

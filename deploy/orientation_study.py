@@ -13,6 +13,7 @@ from deploy.simulate import field_speeds
 from plant.array import CellArray
 from plant.continuum import continuous_torque, linear_field, loaded_moments
 from plant.errors import PlantError
+from plant.friction.viscous import viscous_of
 from plant.turntable import Turntable, resting_place
 
 if TYPE_CHECKING:
@@ -60,7 +61,11 @@ class Study:
         moments = loaded_moments(parcel)
         if field is None or moments is None:
             return None
-        drag = self.scene.friction.coefficient_s_per_m * parcel.mass_kg * self.scene.gravity_m_s2
+        drag = (
+            viscous_of(self.scene.friction, "stable orientations").coefficient_s_per_m
+            * parcel.mass_kg
+            * self.scene.gravity_m_s2
+        )
         return drag * continuous_torque(angles_rad, field, moments)
 
 

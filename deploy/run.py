@@ -205,7 +205,7 @@ class _Run:
             cells=len(plant.array),
             processes=self.plan.workers,
             transport=self.plan.transport,
-            solver={"name": scene.solver.name, "tolerance": scene.solver.tolerance},
+            solver=scene.solver.accuracy(),
             ticks=ledger.ticks,
             wall_s=self.wall_s,
             startup_s=self.startup_s,

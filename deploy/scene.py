@@ -16,14 +16,8 @@ from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
 from deploy.faults import Fault
 from deploy.scene_checks import cross_problems, normal_parameters
 from deploy.scene_errors import CROSS
-from plant.specs import (
-    ArraySpec,
-    EffectsSpec,
-    FrictionSpec,
-    ParcelSpec,
-    PlantSpec,
-    SolverSpec,
-)
+from plant.friction.registry import FrictionSpec
+from plant.specs import ArraySpec, EffectsSpec, ExactSpec, ParcelSpec, PlantSpec, SolverSpec
 
 if TYPE_CHECKING:
     from bus.lattice import Lattice
@@ -52,7 +46,7 @@ class Scene(Spec):
     friction: FrictionSpec
     effects: EffectsSpec = EffectsSpec()
     faults: tuple[Fault, ...] = ()
-    solver: SolverSpec = SolverSpec()
+    solver: SolverSpec = ExactSpec()
     stall: StallSpec = StallSpec()
 
     _name: str = PrivateAttr("scene")
@@ -66,7 +60,7 @@ class Scene(Spec):
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
         faults = dict(enumerate(self.faults))
-        problems = cross_problems(self.array, self.cells, self.effects, faults)
+        problems = cross_problems(self.array, self.cells, self.friction, self.effects, self.solver, faults)
         if problems:
             raise ValidationError.from_exception_data(
                 "Scene",

@@ -11,7 +11,8 @@ from cell_firmware.errors import FirmwareError, ParametersError
 from cell_firmware.specs import CellsSpec
 from deploy.faults import Fault
 from deploy.scene_errors import Path, Problem, problems_of, strictly
-from plant.specs import ArraySpec, EffectsSpec
+from plant.friction.registry import FrictionSpec
+from plant.specs import ArraySpec, EffectsSpec, SolverSpec, disagreements
 
 _FIRMWARE: Path = ("cells", "firmware")
 _PARAMETERS: Path = ("cells", "parameters")
@@ -20,7 +21,9 @@ _PARAMETERS: Path = ("cells", "parameters")
 def cross_problems(
     array: ArraySpec | None,
     cells: CellsSpec | None,
+    friction: FrictionSpec | None,
     effects: EffectsSpec | None,
+    solver: SolverSpec | None,
     faults: Mapping[int, Fault],
 ) -> list[Problem]:
     """What does not agree. A section that is None is not valid by itself: what depends on it is not checked.
@@ -28,10 +31,12 @@ def cross_problems(
     Args:
         array: The cells that exist.
         cells: The firmware and its parameters.
+        friction: The law of traction.
         effects: The effects.
+        solver: How the motion is integrated.
         faults: Valid faults by their number in the scene.
     """
-    problems: list[Problem] = []
+    problems = [Problem(path, rule, value) for path, value, rule in disagreements(friction, effects, solver)]
     if array is not None:
         problems += _fault_problems(array, faults)
     if cells is not None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar, cast, final
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from cell_firmware.errors import dotted
@@ -25,6 +25,7 @@ CROSS: Final = "scene"
 """Pydantic's error type of what does not agree between sections; its location is the path."""
 
 _Model = TypeVar("_Model", bound=BaseModel)
+_Any = TypeVar("_Any")
 _LONGEST_VALUE = 60
 
 
@@ -106,7 +107,12 @@ def strictly(model: type[_Model], data: Any) -> _Model:
     Raises:
         ValidationError: See ``problems_of``.
     """
-    return model.model_validate_json(json.dumps(data, default=str), strict=True)
+    return strictly_any(TypeAdapter(model), data)
+
+
+def strictly_any(adapter: TypeAdapter[_Any], data: Any) -> _Any:
+    """``strictly`` for whatever pydantic validates, unions of models for one."""
+    return adapter.validate_json(json.dumps(data, default=str), strict=True)
 
 
 def problems_of(
@@ -236,6 +242,15 @@ def _branches(node: dict[str, Any], definitions: dict[str, Any], data: Any) -> l
         chosen = tag["mapping"].get(cast("dict[str, Any]", data).get(tag["propertyName"]))
         if chosen:
             return _branches({"$ref": chosen}, definitions, data)
+        # without its tag a table is read as the member whose tag has a default, where there is one
+        members = [
+            branch
+            for ref in tag["mapping"].values()
+            for branch in _branches({"$ref": ref}, definitions, data)
+        ]
+        untagged = [member for member in members if tag["propertyName"] not in member.get("required", ())]
+        if tag["propertyName"] not in data and len(untagged) == 1:
+            return untagged
     union = node.get("anyOf") or node.get("oneOf")
     if union:
         return [branch for member in union for branch in _branches(member, definitions, data)]

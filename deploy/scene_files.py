@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
-from pydantic import BaseModel, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from cell_firmware.specs import CellsSpec
 from deploy.errors import InputError
@@ -17,10 +17,9 @@ from deploy.faults import Fault
 from deploy.overrides import Override, apply
 from deploy.scene import Scene
 from deploy.scene_checks import cross_problems
-from deploy.scene_errors import CROSS, Problem, SceneError, nearest, problems_of, strictly
-from plant.specs import ArraySpec, EffectsSpec
-
-_Model = TypeVar("_Model", bound=BaseModel)
+from deploy.scene_errors import CROSS, Problem, SceneError, nearest, problems_of, strictly, strictly_any
+from plant.friction.registry import FrictionSpec
+from plant.specs import ArraySpec, EffectsSpec, SolverSpec
 
 
 def bundled_names() -> tuple[str, ...]:
@@ -116,14 +115,17 @@ def _cross_problems(data: dict[str, Any]) -> list[Problem]:
     return cross_problems(
         _part(ArraySpec, data.get("array")),
         _part(CellsSpec, data.get("cells", {})),
+        _part(FrictionSpec, data.get("friction")),
         _part(EffectsSpec, data.get("effects", {})),
+        _part(SolverSpec, data.get("solver", {})),
         {number: fault for number, fault in valid.items() if fault is not None},
     )
 
 
-def _part(model: type[_Model], data: Any) -> _Model | None:
+def _part(model: Any, data: Any) -> Any:
+    """A section that is valid by itself, or None; ``model`` may be a union of models."""
     try:
-        return strictly(model, data)
+        return strictly_any(TypeAdapter(model), data)
     except ValidationError:
         return None  # reported with its path by the validation of the whole
 

@@ -217,7 +217,7 @@ class _Simulation:
             cells=len(plant.array),
             processes=0,
             transport=None,
-            solver={"name": scene.solver.name, "tolerance": scene.solver.tolerance},
+            solver=scene.solver.accuracy(),
             ticks=sum(len(times) for times in self.times) - 1,
             wall_s=wall_s,
             startup_s=startup_s,

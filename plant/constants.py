@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.errors import PlantError
 from plant.footing import Footing, share_matrix
-from plant.friction.viscous import Viscous
+from plant.friction.viscous import viscous_of
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -68,8 +68,9 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
         wheel_speed: ``(n, 2)`` m/s, of every cell.
 
     Raises:
-        PlantError: the parcel doesn't stand there.
+        PlantError: the law is not viscous, or the parcel doesn't stand there.
     """
+    law = viscous_of(spec.friction, "constants of motion (eqs. 18 and 23)")
     array, parcel = CellArray(spec.array), spec.parcels[index]
     footing = Footing(array, parcel)
     cells = footing.carrying()
@@ -77,7 +78,7 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
         raise PlantError(f"parcels[{index}]: no set of cells carries the parcel at this pose")
     mass = parcel.mass_kg
     weight = mass * spec.gravity_m_s2
-    mu = Viscous.from_spec(spec.friction).coefficient_s_per_m
+    mu = law.coefficient_s_per_m
     centre = array.positions_m[cells].mean(axis=0)
     r = array.positions_m[cells] - centre
     v = wheel_speed[cells]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from plant import geometry
 from plant.kernels import layout
 from plant.solvers.exact import Exact
-from plant.specs import ParcelSpec, SolverSpec
+from plant.specs import ExactSpec, ParcelSpec
 from plant.wheels import Floats
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Footing:
 
     def __init__(self, array: CellArray, parcel: ParcelSpec) -> None:
         # loads depend on no rate of friction: any does
-        self._solver = Exact(array, (parcel,), 1.0, 0.0, SolverSpec())
+        self._solver = Exact(array, (parcel,), 1.0, 0.0, ExactSpec())
         self._parcel = self._solver.parcels[0]
         self._driven: Floats = np.ones(len(array))
         self.inertia_kg_m2: float = parcel.mass_kg / float(self._parcel.par[layout.MASS_OVER_INERTIA])

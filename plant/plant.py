@@ -11,27 +11,15 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.effects.motors import Motors
 from plant.errors import PlantError, PlantUnstable
-from plant.friction.viscous import Viscous
-from plant.kernels import layout
 from plant.overlap import OverlapWatch
 from plant.reports import Event, ParcelStatus, Sense, Trajectory
 from plant.rest import RestWatch
-from plant.solvers.exact import Exact, RawEvent
+from plant.solvers.registry import make_solver
+from plant.solvers.solver import Advance, Solver, SolverEvent
 from plant.specs import PlantSpec
 from plant.wheels import Floats, IdealWheels, WheelMotion, Wheels
 
 LossPolicy = Literal["coast", "brake", "hold"]
-
-_KINDS = {
-    layout.ENTER: "support_gained",
-    layout.LEAVE: "support_lost",
-    layout.UNLOAD: "load_vanished",
-    layout.TOUCH: "load_returned",
-    layout.ONLY_NEAR: "released",
-    layout.ONLY_FAR: "released",
-    layout.CORNER: "released",
-    layout.CAPTURE_BEGINS: "captured",
-}
 
 
 @final
@@ -56,23 +44,24 @@ class Plant:
         motors = spec.effects.motors
         self._wheels: Wheels = IdealWheels(n) if motors is None else Motors(motors, n)
         rate = 0.0 if motors is None else 1.0 / motors.time_constant_s
-        kappa = Viscous.from_spec(spec.friction).rate(spec.gravity_m_s2)
-        self._solver = Exact(self.array, spec.parcels, kappa, rate, spec.solver)
+        self._solver: Solver = make_solver(spec, self.array, rate)
         self._grip: Floats = np.ones(n)
         self._now_ns = 0
         self._none: Floats = np.zeros(0)
         self._nothing: Floats = np.zeros((0, 6))
-        radius: Floats = np.array([parcel.par[layout.RADIUS] for parcel in self._solver.parcels])
+        bodies = self._solver.bodies
+        radius: Floats = np.array([body.radius_m for body in bodies])
         self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in spec.parcels]
         self.support_changes = 0
-        self._overlaps = OverlapWatch([parcel.vertices for parcel in self._solver.parcels], radius)
+        self._overlaps = OverlapWatch([body.footprint_m for body in bodies], radius)
         self._rest = RestWatch(radius)
         self._check_start()
 
     def _check_start(self) -> None:
-        for i, parcel in enumerate(self._solver.parcels):
-            x, y = parcel.y[:2]
-            if parcel.ctl[layout.N_MEMBERS] == 0:
+        for i, body in enumerate(self._solver.bodies):
+            x, y = body.state[:2]
+            under = len(self._solver.under(i))
+            if under == 0:
                 raise PlantError(
                     f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel stands on nothing: no cell's centre lies "
                     "under it"
@@ -80,7 +69,7 @@ class Plant:
             if not self._solver.stand(i, self._grip):
                 raise PlantError(
                     f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel would tip: its centre of mass lies outside "
-                    f"the {int(parcel.ctl[layout.N_MEMBERS])} cells under it"
+                    f"the {under} cells under it"
                 )
         for first, second, depth, place in self._overlaps.pairs(self.state):
             raise PlantError(
@@ -91,7 +80,7 @@ class Plant:
     @property
     def footprints_m(self) -> list[Floats]:
         """Corners ``(v, 2)`` of each parcel about its centre of mass, in its axes."""
-        return [parcel.vertices.copy() for parcel in self._solver.parcels]
+        return [body.footprint_m.copy() for body in self._solver.bodies]
 
     @property
     def time_ns(self) -> int:
@@ -101,7 +90,7 @@ class Plant:
     @property
     def state(self) -> Floats:
         """``(parcels, 6)``: x, y, theta, vx, vy, omega; a copy."""
-        return np.array([parcel.y for parcel in self._solver.parcels]).reshape(-1, 6)
+        return np.array([body.state for body in self._solver.bodies]).reshape(-1, 6)
 
     @property
     def wheel_speed(self) -> Floats:
@@ -157,7 +146,7 @@ class Plant:
         if len(times) == 0 or times[-1] != until_ns:
             times = np.append(times, until_ns)
         start_ns = self._now_ns
-        state = np.empty((len(times), len(self._solver.parcels), 6))
+        state = np.empty((len(times), len(self._solver.bodies), 6))
         state[0] = self.state
         after_s: Floats = (times[1:] - start_ns).astype(np.float64) * 1e-9
         events = self._move(drives, until_ns, after_s, state)
@@ -181,7 +170,7 @@ class Plant:
         # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
         motion = self._wheels.command(np.array(drives, dtype=np.float64, order="C"))
         events: list[Event] = []
-        for i in range(len(self._solver.parcels)):
+        for i in range(len(self._solver.bodies)):
             out = self._nothing if samples is None else np.empty((len(times_s), 6))
             events.extend(self._move_parcel(i, motion, start, span, times_s, out))
             if samples is not None:
@@ -193,54 +182,55 @@ class Plant:
     def _move_parcel(
         self, i: int, motion: WheelMotion, start: float, span: float, times_s: Floats, out: Floats
     ) -> list[Event]:
+        parcel = self._solver.bodies[i].state
         if self.status[i].state in ("tipped", "off_array"):
-            out[:] = self._solver.parcels[i].y
+            out[:] = parcel
             return []
-        parcel = self._solver.parcels[i]
-        changes = int(parcel.ctl[layout.N_EVENTS])
-        moved, raw = self._solver.advance(i, motion, self._grip, span, times_s, out)
-        self.support_changes += int(parcel.ctl[layout.N_EVENTS]) - changes
-        events = [self._event(i, start, event) for event in raw if event.kind != layout.TIP]
-        status = int(parcel.ctl[layout.STATUS])
-        if status == layout.TIPPED:
-            parcel.y[3:] = 0.0
-            out[times_s > moved, 3:] = 0.0
-            events.append(self._tip(i, start + moved))
-        elif status != layout.MOVING:
-            self._unstable(i, start + moved, status)
+        done = self._solver.advance(i, motion, self._grip, span, times_s, out)
+        self.support_changes += done.changes
+        events = [self._event(i, start, event) for event in done.events]
+        if done.ending == "tipped":
+            parcel[3:] = 0.0
+            out[times_s > done.moved_s, 3:] = 0.0
+            events.append(self._tip(i, start + done.moved_s, done.edge))
+        elif done.ending != "moving":
+            self._unstable(i, start + done.moved_s, done)
         return events
 
-    def _event(self, i: int, start: float, raw: RawEvent) -> Event:
-        cell = int(raw.cell)
+    def _event(self, i: int, start: float, event: SolverEvent) -> Event:
+        cell, time_s = event.cell, start + event.after_s
         if cell < 0:
-            x, y = self._solver.parcels[i].y[:2].tolist()
-            return Event(start + raw.after_s, _KINDS[int(raw.kind)], i, (), (x, y))
+            x, y = self._solver.bodies[i].state[:2].tolist()
+            return Event(time_s, event.kind, i, (), (x, y))
         x, y = self.array.positions_m[cell].tolist()
-        return Event(start + raw.after_s, _KINDS[int(raw.kind)], i, (self.array.lattice.cells[cell],), (x, y))
+        return Event(time_s, event.kind, i, (self.array.lattice.cells[cell],), (x, y))
 
-    def _tip(self, i: int, time_s: float) -> Event:
+    def _tip(self, i: int, time_s: float, edge: tuple[int, int]) -> Event:
         """Name the edge a parcel tips about; off the array where nothing lies beyond it."""
-        parcel = self._solver.parcels[i]
-        a, b = int(parcel.ctl[layout.TIP_A]), int(parcel.ctl[layout.TIP_B])
-        place = (float(parcel.y[0]), float(parcel.y[1]))
+        state = self._solver.bodies[i].state
+        a, b = edge
+        place = (float(state[0]), float(state[1]))
         if a < 0:
-            state, cells, detail = "off_array", (), "its last support left the footprint"
+            outcome, cells, detail = "off_array", (), "its last support left the footprint"
         else:
             cells = tuple(dict.fromkeys((self.array.lattice.cells[a], self.array.lattice.cells[b])))
             named = " and ".join(f"{row},{column}" for row, column in cells)
-            state = "tipped" if self.array.cells_beyond(a, b, parcel.y[:2]) else "off_array"
+            outcome = "tipped" if self.array.cells_beyond(a, b, state[:2]) else "off_array"
             detail = f"about the edge from cell {named}" if len(cells) == 2 else f"about cell {named}"
-        self.status[i] = ParcelStatus(state, time_s, detail)
-        return Event(time_s, state, i, cells, place, detail)
+        self.status[i] = ParcelStatus(outcome, time_s, detail)
+        return Event(time_s, outcome, i, cells, place, detail)
 
-    def _unstable(self, i: int, time_s: float, status: int) -> None:
-        parcel = self._solver.parcels[i]
-        where = f"parcel {i} at t = {time_s:.6g} s, x = {parcel.y[0]:.6g} m, y = {parcel.y[1]:.6g} m"
-        if status == layout.TOO_MANY_EVENTS:
-            cell = int(parcel.ctl[layout.CULPRIT])
-            named = "{},{}".format(*self.array.lattice.cells[cell]) if cell >= 0 else "the supports"
-            raise PlantUnstable(f"{where}: support changes without end, the last about cell {named}")
-        if status == layout.NO_LOADS:
+    def _unstable(self, i: int, time_s: float, done: Advance) -> None:
+        x, y = self._solver.bodies[i].state[:2]
+        where = f"parcel {i} at t = {time_s:.6g} s, x = {x:.6g} m, y = {y:.6g} m"
+        if done.ending == "endless_changes":
+            named = "the supports"
+            if done.culprit >= 0:
+                named = "cell {},{}".format(*self.array.lattice.cells[done.culprit])
+            raise PlantUnstable(f"{where}: support changes without end, the last about {named}")
+        if done.ending == "endless_steps":
+            raise PlantUnstable(f"{where}: no step is short enough for the tolerance, time after time")
+        if done.ending == "no_loads":
             raise PlantUnstable(f"{where}: no set of loads balances the parcel; this is a bug")
         raise PlantUnstable(f"{where}: the motion is no longer finite")
 

@@ -32,7 +32,8 @@ class Event(NamedTuple):
     Attributes:
         time_s: when.
         kind: ``support_gained``, ``support_lost``, ``load_vanished``, ``load_returned``, ``captured``, ``released``,
-            ``tipped``, ``off_array``, ``overlap`` or ``apart``.
+            ``outrun`` (a parcel outruns a wheel though its law says that none does), ``tipped``, ``off_array``,
+            ``overlap`` or ``apart``.
         parcel: index of the parcel.
         cells: ``(row, column)`` of the cells concerned.
         position_m: where.

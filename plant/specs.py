@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from bus.lattice import Lattice
 from bus.spec import CellName, Finite, Positive, Spec, Vector
+from plant.friction.registry import FrictionSpec
 from plant.geometry import PolygonError, check_convex, rectangle
+from plant.spec import tagged
 
 
 class ArraySpec(Spec):
@@ -91,14 +94,6 @@ class ParcelSpec(Spec):
         return rectangle(*self.size_m)
 
 
-class FrictionSpec(Spec):
-    """The traction law."""
-
-    law: Literal["viscous"] = "viscous"
-    coefficient_s_per_m: Positive
-    """Viscous (eq. 14): traction per newton of load and per m/s of slip."""
-
-
 class MotorsSpec(Spec):
     """First-order motors: ``dV/dt = (gain u - V) / time constant``, one per wheel."""
 
@@ -115,14 +110,62 @@ class EffectsSpec(Spec):
     motors: MotorsSpec | None = None
 
 
-class SolverSpec(Spec):
-    """How the motion is integrated."""
+Tolerance = Annotated[float, Field(ge=1e-14, le=1e-2, allow_inf_nan=False)]
 
+
+class ExactSpec(Spec):
+    """Event-driven, analytic between events."""
+
+    laws: ClassVar[tuple[str, ...] | None] = ("viscous",)
+    """Which laws it solves; None: all."""
     name: Literal["exact"] = "exact"
-    tolerance: Annotated[float, Field(ge=1e-14, le=1e-2, allow_inf_nan=False)] = 1e-9
+    tolerance: Tolerance = 1e-9
     """Metres at the footprint, over the run."""
     capture_m: Annotated[float, Field(gt=0, le=1e-2, allow_inf_nan=False)] = 1e-6
     """Chatter below this amplitude is captured."""
+
+    def accuracy(self) -> dict[str, str | float]:
+        """Name of the solver, and what its accuracy hangs on."""
+        return {"name": self.name, "tolerance": self.tolerance}
+
+
+class ImplicitSpec(Spec):
+    """A convex problem a step, for any law."""
+
+    laws: ClassVar[tuple[str, ...] | None] = None
+    """Which laws it solves; None: all."""
+    name: Literal["implicit"]
+    tolerance: Tolerance = 1e-6
+    """Metres at the footprint, a second of motion or a jump of the force; not used where ``step_s`` is given."""
+    step_s: Annotated[float, Field(gt=0, le=1.0, allow_inf_nan=False)] | None = None
+    """Steps of this length, none longer; left out: steps as the tolerance asks."""
+
+    def accuracy(self) -> dict[str, str | float]:
+        """Name of the solver, and what its accuracy hangs on."""
+        if self.step_s is not None:
+            return {"name": self.name, "step_s": self.step_s}
+        return {"name": self.name, "tolerance": self.tolerance}
+
+
+SolverSpec = Annotated[
+    Annotated[ExactSpec | ImplicitSpec, Field(discriminator="name")],
+    BeforeValidator(tagged("name", "exact")),
+]
+"""How the motion is integrated, told apart by ``name``."""
+
+
+def disagreements(
+    friction: FrictionSpec | None, effects: EffectsSpec | None, solver: SolverSpec | None
+) -> Iterator[tuple[tuple[str, str], str, str]]:
+    """What does not agree between the parts given: the path of a value, the value, and the rule that it breaks."""
+    if friction is None:
+        return
+    if solver is not None and solver.laws is not None and friction.law not in solver.laws:
+        rule = f"solves law {', '.join(solver.laws)}, not {friction.law}; use implicit"
+        yield ("solver", "name"), solver.name, rule
+    if effects is not None and effects.motors is not None and friction.own_motors:
+        rule = "has motors of its own; leave effects.motors out"
+        yield ("friction", "law"), friction.law, rule
 
 
 class PlantSpec(Spec):
@@ -132,5 +175,11 @@ class PlantSpec(Spec):
     parcels: tuple[ParcelSpec, ...] = ()
     friction: FrictionSpec
     effects: EffectsSpec = EffectsSpec()
-    solver: SolverSpec = SolverSpec()
+    solver: SolverSpec = ExactSpec()
     gravity_m_s2: Positive = 9.81
+
+    @model_validator(mode="after")
+    def _agrees(self) -> PlantSpec:
+        for path, value, rule in disagreements(self.friction, self.effects, self.solver):
+            raise ValueError(f"{'.'.join(path)} {value} {rule}")
+        return self

@@ -18,7 +18,7 @@ from plant.constants import constants_of_motion
 from plant.crossings import Crossings, crossings
 from plant.errors import PlantError
 from plant.footing import Footing, footprint, share_matrix
-from plant.friction.viscous import Viscous
+from plant.friction.viscous import viscous_of
 from plant.orientations import TorqueProfile
 from plant.specs import ParcelSpec, PlantSpec
 from plant.wheels import Floats
@@ -43,7 +43,7 @@ class Turntable:
     def __init__(self, spec: PlantSpec, wheel_speed: Floats) -> None:
         self._array = CellArray(spec.array)
         self._speed = wheel_speed
-        self._kappa = Viscous.from_spec(spec.friction).rate(spec.gravity_m_s2)
+        self._kappa = viscous_of(spec.friction, "stable orientations").rate(spec.gravity_m_s2)
 
     def turn(self, parcel: ParcelSpec, centre_m: Floats) -> TorqueProfile:
         """Turn a parcel once round.
@@ -105,7 +105,7 @@ def resting_place(spec: PlantSpec, index: int, wheel_speed: Floats) -> Floats:
     parcel = spec.parcels[index]
     place: Floats = np.array(parcel.position_m)
     fastest = float(np.max(np.hypot(wheel_speed[:, 0], wheel_speed[:, 1])))
-    mu_g = Viscous.from_spec(spec.friction).rate(spec.gravity_m_s2)
+    mu_g = viscous_of(spec.friction, "stable orientations").rate(spec.gravity_m_s2)
     for _ in range(_ATTEMPTS):
         parcels = list(spec.parcels)
         parcels[index] = _moved(parcel, place)

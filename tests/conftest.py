@@ -12,11 +12,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
     if is_warm() or session.config.option.collectonly:
         return
+    from plant.friction.viscous import Viscous
     from plant.plant import Plant
-    from plant.specs import ArraySpec, FrictionSpec, ParcelSpec, PlantSpec
+    from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 
     session.config.get_terminal_writer().line("compiling the solver (once) ...")
     parcel = ParcelSpec(size_m=(0.15, 0.15), mass_kg=1.0, position_m=(0.0, 0.0))
-    friction = FrictionSpec(coefficient_s_per_m=0.2)
+    friction = Viscous(coefficient_s_per_m=0.2)
     plant = Plant(PlantSpec(array=ArraySpec(rows=2, columns=2), parcels=(parcel,), friction=friction))
     plant.advance(np.zeros((4, 2)), 1_000_000)

@@ -15,8 +15,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from plant.errors import PlantError, PlantUnstable
+from plant.friction.viscous import Viscous
 from plant.plant import Plant
-from plant.specs import ArraySpec, FrictionSpec, ParcelSpec, PlantSpec, SolverSpec
+from plant.specs import ArraySpec, ExactSpec, ParcelSpec, PlantSpec
 
 SECONDS = 6
 SAMPLE_NS = 20_000_000
@@ -53,8 +54,8 @@ def scene(seed: int, capture_m: float, nudge: tuple[float, float]) -> tuple[Plan
         PlantSpec(
             array=ArraySpec(rows=rows, columns=columns, pitch_m=0.1, missing=tuple(cells[i] for i in holes)),
             parcels=(body,),
-            friction=FrictionSpec(coefficient_s_per_m=float(10.0 ** draw.uniform(-1.0, 0.5))),
-            solver=SolverSpec(tolerance=1e-11, capture_m=capture_m),
+            friction=Viscous(coefficient_s_per_m=float(10.0 ** draw.uniform(-1.0, 0.5))),
+            solver=ExactSpec(tolerance=1e-11, capture_m=capture_m),
         )
     )
     places = plant.array.positions_m

@@ -133,7 +133,7 @@ def test_shorthand_options_win_over_the_file_and_over_set() -> None:
 
 def test_an_unknown_solver_is_refused_by_its_option() -> None:
     with pytest.raises(
-        SceneError, match=r"solver\.name = \"exakt\": must be 'exact' \(from --solver exakt\)"
+        SceneError, match=r"solver\.name = \"exakt\": unknown name; nearest: exact \(from --solver exakt\)"
     ):
         load_scene("elliptic", solver="exakt")
 

@@ -57,7 +57,7 @@ def test_the_parameters_are_those_of_the_firmware_that_the_scene_names(
 
 def test_the_words_under_a_field_describe_it() -> None:
     schema = scene_schema()
-    properties = schema["$defs"]["SolverSpec"]["properties"]
+    properties = schema["$defs"]["ExactSpec"]["properties"]
     assert properties["tolerance"]["description"] == "Metres at the footprint, over the run."
     field = schema["$defs"]["Radial"]["properties"]["rotation_rad_s"]
     assert field["description"] == "Added rigid rotation, counter-clockwise."

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from plant.friction.viscous import Viscous
 from plant.kernels import layout
 from plant.plant import Plant
-from plant.specs import ArraySpec, EffectsSpec, FrictionSpec, MotorsSpec, ParcelSpec, PlantSpec, SolverSpec
+from plant.specs import ArraySpec, EffectsSpec, ExactSpec, MotorsSpec, ParcelSpec, PlantSpec
 from tests.plant.reference import Bench
 
 Floats = NDArray[np.float64]
@@ -42,9 +43,9 @@ def spec(
     return PlantSpec(
         array=ArraySpec.model_validate({"rows": rows, "columns": columns, "pitch_m": pitch_m} | array),
         parcels=parcels,
-        friction=FrictionSpec(coefficient_s_per_m=mu),
+        friction=Viscous(coefficient_s_per_m=mu),
         effects=EffectsSpec(motors=motors),
-        solver=SolverSpec(tolerance=tolerance, capture_m=capture_m),
+        solver=ExactSpec(tolerance=tolerance, capture_m=capture_m),
     )
 
 

@@ -167,7 +167,12 @@ def _same(name: str, drawn: Drawn, turn: Floats, quarter: float, spin: float) ->
     x, y, theta, ux, uy, omega = plain.state[0]
     expected = [*(turn @ (x, y)), spin * theta + quarter, *(turn @ (ux, uy)), spin * omega]
     assert image.state[0] == pytest.approx(expected, abs=1e-8)
-    assert len(images) == len(events)
+    assert _crossings(images) == _crossings(events)
+
+
+def _crossings(events: list[Event]) -> int:
+    """Cells that entered or left the footprint. A load that is nothing but for rounding may vanish or not."""
+    return sum(event.kind in ("support_gained", "support_lost") for event in events)
 
 
 @every_solver

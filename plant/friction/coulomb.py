@@ -1,0 +1,30 @@
+"""Coulomb traction, set-valued: up to ``mu N`` while nothing slips, all of it against the slip else."""
+
+from __future__ import annotations
+
+from typing import Literal, final
+
+from bus.spec import Positive
+from plant.friction.law import FrictionLaw, Traction
+
+
+@final
+class Coulomb(FrictionLaw):
+    """``f = mu N Sgn(r)``: any force in ``[-mu N, mu N]`` where a wheel sticks, ``mu N`` along the slip where it slips.
+
+    Dissipation potential ``mu N |r|``, of each axis (a box per cell) or of the slip's magnitude (a circular cone).
+    The two differ in kind: driven along a diagonal, two independent wheels pull with the square root of 2 times as
+    much, and one that slips leaves the other its whole grip.
+    """
+
+    law: Literal["coulomb"]
+    coefficient: Positive
+    """Coulomb's: largest traction per newton of load, dimensionless."""
+    contact: Literal["independent_wheels", "isotropic"] = "independent_wheels"
+    """Whether each wheel of a cell slips by itself, or both share one circular cone."""
+
+    def traction(self) -> Traction:
+        """``b`` infinite, ``c = mu N``."""
+        return Traction(
+            limit_per_load=self.coefficient, set_valued=True, isotropic=self.contact == "isotropic"
+        )

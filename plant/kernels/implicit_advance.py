@@ -1,0 +1,307 @@
+"""The implicit solver's loop of one parcel: loads, a step, how wrong it was, what changed.
+
+Loads are those of the pose a step begins at, so cells enter and leave, and loads vanish and return, at the ends of
+steps. Where the step is controlled, it is taken in 1, 2, 3 and 4 parts and the four results are extrapolated to no step
+length at all; a change of supports within makes them differ, and the step shrinks until that counts for little.
+"""
+
+from __future__ import annotations
+
+from math import cos, exp, sin
+
+from plant.kernels import implicit_layout as im
+from plant.kernels import layout as at
+from plant.kernels.advance import finite
+from plant.kernels.changes import log
+from plant.kernels.footprint import box, inside
+from plant.kernels.implicit_step import grasp, new_velocity
+from plant.kernels.jit import kernel
+from plant.kernels.loads import settle
+
+PARTS = 4
+"""Into how many parts a controlled step is cut at most."""
+LASTS = 1.0
+"""An error in velocity counts as the way it leads in this time, s."""
+JUMP = 1e-3
+"""A step however short may be wrong by this share of the tolerance: a jump of the force can't be had for less."""
+SHORTEST = 1e-12
+"""No step is shorter, s; at this length any is taken."""
+INSTANT = 1e-9
+"""A parcel that tips does so within this time, s."""
+SOON = 0.05
+"""Support changes are forgotten after this time, s; ..."""
+MANY = 20.0
+"""... more than this many at once are chatter: steps across them need be no shorter than ..."""
+SHORT = 1e-4
+"""... this, s, in which a parcel strays by some nanometres."""
+STEPS_PER_SECOND = 1e6
+"""Attempted steps in a simulated second beyond which the motion is given up, ..."""
+STEPS_PER_CALL = 100_000.0
+"""... plus this many a call."""
+FARTHEST = 1e9
+"""A parcel this many pitches away has no cells under it."""
+
+
+@kernel
+def find_loads(surface, parcel, work):
+    """Which cells lie under the parcel where it is, and which of them carry load. Returns the status."""
+    y, par, mem, grid = parcel.y, parcel.par, parcel.mem, surface.grid
+    count, slack = at.ZERO, par[at.ON_SURFACE]
+    away = max(abs(y[0] - par[at.ORIGIN_X]), abs(y[1] - par[at.ORIGIN_Y]))
+    if away < FARTHEST * par[at.PITCH]:
+        c, s = cos(y[at.THETA]), sin(y[at.THETA])
+        first_row, last_row, first_column, last_column = box(parcel.vertices, y, par, grid, slack)
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                cell = grid[row, column]
+                if cell >= 0 and inside(
+                    surface.pos[cell, 0], surface.pos[cell, 1], parcel.normal, parcel.offset, y, c, s, slack
+                ):
+                    mem[count, at.CELL], mem[count, at.MARK] = cell, at.ACTIVE
+                    count += 1
+    parcel.ctl[at.N_MEMBERS] = count
+    return settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+
+
+@kernel
+def decay(par, time):
+    """What is left after ``time`` of the motors' transient."""
+    return exp(-par[at.RATE] * time) if par[at.RATE] > 0.0 else 0.0
+
+
+@kernel
+def euler(surface, parcel, work, until, h):
+    """One implicit step of ``h`` that ends at ``until``, with the loads found last. Returns whether it could be solved."""
+    y, arm, start, w = parcel.y, work.pace[im.GYRATION], work.start, work.velocity
+    count = grasp(surface, parcel, work, work.law, decay(parcel.par, until))
+    start[0], start[1], start[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
+    solved = new_velocity(work, count, work.law, h, w)
+    # untouched where nothing pulls: scaling to and fro could cost its last digit
+    turning = y[at.OMEGA] if w[2] == start[2] else w[2] / arm
+    y[at.UX], y[at.UY], y[at.OMEGA] = w[0], w[1], turning
+    y[0] += h * w[0]
+    y[1] += h * w[1]
+    y[at.THETA] += h * turning
+    return solved
+
+
+@kernel
+def cut(surface, parcel, work, now, h, parts):
+    """Take a step from ``work.begin`` in equal parts, the loads found afresh for each. Returns the status."""
+    y, part = parcel.y, h / parts
+    for k in range(6):
+        y[k] = work.begin[k]
+    for j in range(parts):
+        status = find_loads(surface, parcel, work)
+        if status != at.MOVING:
+            return status
+        solved = euler(surface, parcel, work, now + (j + 1) * part, part)
+        for k in range(3):
+            work.first[k] = y[at.UX + k] - work.begin[at.UX + k] if j == 0 else work.first[k]
+        if not solved or not finite(y):
+            return at.NOT_FINITE
+    return at.MOVING
+
+
+@kernel
+def extrapolated(surface, parcel, work, now, h):
+    """Take a step in 1 to 4 parts; the extrapolated state into ``parcel.y``. Returns (status, error in m)."""
+    y, table, last = parcel.y, work.table, work.table[PARTS - 1]
+    for parts in range(1, PARTS + 1):
+        status = cut(surface, parcel, work, now, h, parts)
+        if status != at.MOVING:
+            return status, 1e300
+        for k in range(6):
+            table[parts - 1, k] = y[k]
+    for k in range(6):
+        # differences from the last: where all agree to the bit, as they do of a parcel that sticks, so does the result
+        one, two, three = table[0, k] - last[k], table[1, k] - last[k], table[2, k] - last[k]
+        y[k] = last[k] - one / 6.0 + 4.0 * two - 13.5 * three
+        work.error[k] = -one / 6.0 + 2.0 * two - 4.5 * three
+    return at.MOVING, length(work.error, at.ZERO, parcel) + LASTS * length(work.error, at.UX, parcel)
+
+
+@kernel
+def length(state, first, parcel):
+    """Size of a displacement or velocity at the footprint, given from entry ``first`` on."""
+    along, turn = state[first] * state[first] + state[first + 1] * state[first + 1], abs(state[first + 2])
+    return along**0.5 + parcel.par[at.RADIUS] * turn
+
+
+@kernel
+def same(parcel, work, before):
+    """Whether the cells under the parcel, and those that carry load, are as ``remember`` kept them."""
+    if parcel.ctl[at.N_MEMBERS] != before:
+        return False
+    for i in range(before):
+        if parcel.mem[i, at.CELL] != work.kept[i, 0] or parcel.mem[i, at.MARK] != work.kept[i, 1]:
+            return False
+    return True
+
+
+@kernel
+def unseen(surface, parcel, work, now, h, before):
+    """Error, m, by a change of supports in the first or last part of a step just taken, which extrapolation can't see.
+
+    In the last no loads were found, and a change in the first looks like one at the start. The change of velocity in
+    the first part, against that in one more part with the loads at the step's end.
+    """
+    y, part, error = parcel.y, h / PARTS, work.error
+    status = find_loads(surface, parcel, work)
+    if status == at.MOVING and same(parcel, work, before):
+        return 0.0
+    if status != at.MOVING:
+        return 0.0 if h <= INSTANT else 1e300
+    for k in range(6):
+        work.end[k] = y[k]
+    euler(surface, parcel, work, now + h + part, part)
+    for k in range(3):
+        error[at.UX + k] = (y[at.UX + k] - work.end[at.UX + k]) - work.first[k]
+    for k in range(6):
+        y[k] = work.end[k]
+    return LASTS * length(error, at.UX, parcel)
+
+
+@kernel
+def controlled(surface, parcel, work, now, h, before):
+    """One step of at most ``h`` that is right to the tolerance. Returns (status, seconds, attempts)."""
+    pace, attempts = work.pace, at.ZERO
+    while True:
+        attempts += 1
+        status, error = extrapolated(surface, parcel, work, now, h)
+        allowed = pace[im.TOLERANCE] * max(h, JUMP)
+        if status == at.MOVING and error <= allowed:
+            error = max(error, unseen(surface, parcel, work, now, h, before))
+        factor = 5.0 if error == 0.0 else min(5.0, max(0.1, 0.8 * (allowed / error) ** 0.25))
+        if status == at.MOVING and error <= allowed:
+            pace[im.NEXT] = max(pace[im.NEXT], h) if factor >= 1.0 and h < pace[im.NEXT] else h * factor
+            return status, h, attempts
+        if h <= SHORTEST or (h <= SHORT and pace[im.CROWD] > MANY):
+            # what no step length smooths is taken as it is, by the plain step that never gains energy
+            status = cut(surface, parcel, work, now, h, im.ONE_PART)
+            pace[im.NEXT] = 2.0 * h
+            return status, h, attempts
+        h = max(h * min(factor, 0.5), SHORTEST)
+        pace[im.NEXT] = h
+
+
+@kernel
+def remember(parcel, work):
+    """Keep which cells are under the parcel, and which of them carry load."""
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        work.kept[i, 0], work.kept[i, 1] = parcel.mem[i, at.CELL], parcel.mem[i, at.MARK]
+    return parcel.ctl[at.N_MEMBERS]
+
+
+@kernel
+def note_changes(parcel, work, before, now, events):
+    """Log what is not as ``remember`` kept it. Returns how many changes."""
+    mem, ctl, kept, where = parcel.mem, parcel.ctl, work.kept, work.where
+    changes = at.ZERO
+    for i in range(ctl[at.N_MEMBERS]):
+        where[mem[i, at.CELL]] = 1 + mem[i, at.MARK]
+    for i in range(before):
+        cell, mark = kept[i, 0], where[kept[i, 0]] - 1
+        if mark != kept[i, 1]:
+            kind = at.LEAVE if mark < 0 else (at.UNLOAD if mark == at.LIFTED else at.TOUCH)
+            log(events, ctl, now, kind, cell, at.NO_CELL)
+            changes += 1
+        where[cell] = 0
+    for i in range(ctl[at.N_MEMBERS]):
+        cell = mem[i, at.CELL]
+        if where[cell] != 0:
+            log(events, ctl, now, at.ENTER, cell, at.NO_CELL)
+            changes += 1
+            where[cell] = 0
+    ctl[at.N_EVENTS] += changes
+    return changes
+
+
+@kernel
+def outran(velocity, speed):
+    """Whether the underside is faster than a wheel in the wheel's own direction, or moves where the wheel stands."""
+    zero = 1e-9 * abs(speed) + 1e-12
+    return velocity * speed > (abs(speed) + zero) * abs(speed) or (speed == 0.0 and abs(velocity) > zero)
+
+
+@kernel
+def note_outrun(surface, parcel, work, now, e, events):
+    """Log where a law that takes every wheel to outrun the parcel begins not to hold."""
+    y, mem, ctl, pace = parcel.y, parcel.mem, parcel.ctl, work.pace
+    first = at.NO_CELL
+    for i in range(ctl[at.N_MEMBERS]):
+        cell = mem[i, at.CELL]
+        if mem[i, at.MARK] == at.ACTIVE and surface.grip[cell] != 0.0 and first < 0:
+            vx = y[at.UX] - y[at.OMEGA] * (surface.pos[cell, 1] - y[1])
+            vy = y[at.UY] + y[at.OMEGA] * (surface.pos[cell, 0] - y[0])
+            if outran(vx, surface.steady[cell, 0] + e * surface.decay[cell, 0]) or outran(
+                vy, surface.steady[cell, 1] + e * surface.decay[cell, 1]
+            ):
+                first = cell
+    if first >= 0 and pace[im.OUTRUN] == 0.0:
+        log(events, ctl, now, im.OUTRAN, first, at.NO_CELL)
+    pace[im.OUTRUN] = 1.0 if first >= 0 else 0.0
+
+
+@kernel
+def step(surface, parcel, work, now, left, events):
+    """One step of at most ``left`` seconds and what it changed. Returns (status, seconds, attempts)."""
+    pace, attempts = work.pace, 1
+    for k in range(6):
+        work.begin[k] = parcel.y[k]
+    before = remember(parcel, work)
+    if pace[im.FIXED] > 0.0:
+        # equal steps up to where a state is asked for, none longer than said
+        h = left / max(1.0, -((1e-9 - left / pace[im.FIXED]) // 1.0))
+        status = cut(surface, parcel, work, now, h, im.ONE_PART)
+    else:
+        status, h, attempts = controlled(surface, parcel, work, now, min(left, pace[im.NEXT]), before)
+    if status == at.MOVING and not finite(parcel.y):
+        status = at.NOT_FINITE
+    if status != at.MOVING:
+        return status, 0.0, attempts
+    status = find_loads(surface, parcel, work)
+    changes = note_changes(parcel, work, before, now + h, events)
+    pace[im.CROWD] = pace[im.CROWD] * exp(-h / SOON) + changes
+    if work.law[im.PUSH_PER_SHARE] != 0.0:
+        note_outrun(surface, parcel, work, now + h, decay(parcel.par, now + h), events)
+    return status, h, attempts
+
+
+@kernel
+def advance(surface, parcel, work, span, times, out, events):
+    """Move one parcel by ``span`` seconds with the wheel velocities given.
+
+    Args:
+        surface: ``plant.solvers.bodies.Surface``: the cells and their wheels.
+        parcel: ``plant.solvers.bodies.Parcel``: footprint, constants and state; changed in place.
+        work: ``plant.solvers.implicit.Work``: law and pace of the parcel, and scratch.
+        span: s; 0 only finds the loads and whether the parcel stands.
+        times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way; steps end there.
+        out: ``(k, 6)``: those states.
+        events: ``(capacity, 4)``: log.
+
+    Returns:
+        Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
+    """
+    y, ctl = parcel.y, parcel.ctl
+    now, sampled, attempts = 0.0, 0, 0
+    ctl[at.N_LOGGED] = 0
+    ctl[at.STATUS] = find_loads(surface, parcel, work)
+    while now < span and ctl[at.STATUS] == at.MOVING:
+        target = times[sampled] if sampled < times.shape[0] else span
+        status, h, tries = step(surface, parcel, work, now, target - now, events)
+        attempts += tries
+        ctl[at.N_STEPS] += tries
+        now = target if h >= target - now else now + h
+        ctl[at.STATUS] = status
+        if status == at.MOVING and attempts > STEPS_PER_CALL + STEPS_PER_SECOND * span:
+            ctl[at.STATUS] = im.ENDLESS_STEPS
+        while sampled < times.shape[0] and times[sampled] <= now:
+            for k in range(6):
+                out[sampled, k] = y[k]
+            sampled += 1
+    for i in range(sampled, times.shape[0]):
+        for k in range(6):
+            out[i, k] = y[k]
+    return now

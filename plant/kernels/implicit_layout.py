@@ -1,0 +1,42 @@
+"""Where each quantity of the implicit solver lives, beside what ``layout`` says of parcels and supports.
+
+Velocities are ``w = (Ux, Uy, l omega)`` with the parcel's radius of gyration l, and everything else is per kilogram, so
+that the mass matrix is 1.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+# ── law: float64 coefficients of one parcel's traction, per kilogram; a share is a cell's part of the weight
+STIFFNESS: Final = 0  # 1/s
+STIFFNESS_PER_SHARE: Final = 1  # 1/s
+LIMIT: Final = 2  # m/s^2
+LIMIT_PER_SHARE: Final = 3  # m/s^2
+FREE_SPEED: Final = 4  # share of the surface speed
+PUSH_PER_SHARE: Final = 5  # m/s^2
+SET_VALUED: Final = 6  # 1 where the stiffness is infinite
+ISOTROPIC: Final = 7  # 1 where both axes of a cell share one limit
+LAW_SIZE: Final = 8
+
+# ── pace: float64 settings and memory of one parcel
+GYRATION: Final = 0  # m
+FIXED: Final = 1  # longest step, s, where steps are fixed; else 0
+TOLERANCE: Final = 2  # m at the footprint
+NEXT: Final = 3  # step to try next, s (changes as the parcel moves)
+CROWD: Final = 4  # support changes of late (changes)
+OUTRUN: Final = 5  # 1 while the parcel outruns a wheel that the law takes to be faster (changes)
+PACE_SIZE: Final = 6
+
+# ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
+AX, AY, SX, SY, B, C, GX, GY, LX, LY = range(10)
+"""Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``, ``g`` of the law; multipliers L."""
+WHEEL_SIZE: Final = 10
+
+# ── further statuses and events
+ENDLESS_STEPS: Final = 5
+OUTRAN: Final = 11
+
+UNITY: Final = 1.0
+ONE_PART: Final = 1
+"""Named, for the compiler: see ``layout.ZERO``."""

@@ -1,0 +1,240 @@
+"""One implicit step at given loads: a strictly convex problem in three unknowns, solved to rounding.
+
+The velocity after a step of length h minimises ``|w - start|^2 / 2 + h sum phi_i(r_i(w))``, phi being the law's
+dissipation potential and r_i the slip at wheel i. Newton's method on its gradient, which is continuous and piecewise
+smooth; where a force is set-valued (Coulomb's at no slip) an augmented Lagrangian around it: the force is
+``clamp(lambda + rho r)``, and lambda becomes that force until it changes no more, whatever rho.
+"""
+
+from __future__ import annotations
+
+from plant.kernels import implicit_layout as im
+from plant.kernels import layout as at
+from plant.kernels.jit import kernel
+from plant.kernels.motion import plane, solve
+
+EPSILON = 2.3e-16
+NEWTON_STEPS = 100
+MULTIPLIER_STEPS = 100
+FIRST_WEIGHT = 1e4
+"""The augmented Lagrangian's weight at first: resistance of all sticking wheels together over the parcel's inertia."""
+LAST_WEIGHT = 1e8
+FLAT = 1e-3
+"""How flat the potential must be along a Newton step where the step ends, over its slope where it begins."""
+AGREED = 1e-12
+"""A slip that rounding can't tell from none, over the speeds around."""
+
+
+@kernel
+def sign(value):
+    """-1, 0 or 1."""
+    if value > 0.0:
+        return 1.0
+    return -1.0 if value < 0.0 else 0.0
+
+
+@kernel
+def grasp(surface, parcel, work, law, e):
+    """List the wheels that pull, with the law's coefficients at the loads that ``settle`` found. Returns how many.
+
+    ``e`` is the motors' decay factor at the end of the step.
+    """
+    mem, y, seg, wheels = parcel.mem, parcel.y, work.seg, work.wheels
+    a0, bx, by = plane(seg)
+    arm = work.pace[im.GYRATION]
+    count = at.ZERO
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        cell = mem[i, at.CELL]
+        if mem[i, at.MARK] != at.ACTIVE or surface.grip[cell] == 0.0:
+            continue
+        rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
+        share = max(a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]), 0.0)
+        vx = surface.steady[cell, 0] + e * surface.decay[cell, 0]
+        vy = surface.steady[cell, 1] + e * surface.decay[cell, 1]
+        row = wheels[count]
+        row[im.AX], row[im.AY] = -ry / arm, rx / arm
+        row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
+        row[im.B] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * share
+        row[im.C] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * share
+        push = law[im.PUSH_PER_SHARE] * share
+        row[im.GX], row[im.GY] = push * sign(vx), push * sign(vy)
+        row[im.LX] = row[im.LY] = 0.0
+        count += 1
+    return count
+
+
+@kernel
+def clamped(q, b, c):
+    """A force within its limit, and how it answers to slip."""
+    if q > c:
+        return c, 0.0
+    if q < -c:
+        return -c, 0.0
+    return q, b
+
+
+@kernel
+def pull(row, w, isotropic):
+    """Force of one cell's wheels without the push, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
+    b, c = row[im.B], row[im.C]
+    qx = row[im.LX] + b * (row[im.SX] - w[0] - row[im.AX] * w[2])
+    qy = row[im.LY] + b * (row[im.SY] - w[1] - row[im.AY] * w[2])
+    if isotropic == 0.0:
+        fx, kx = clamped(qx, b, c)
+        fy, ky = clamped(qy, b, c)
+        return fx, fy, kx, 0.0, ky
+    size = (qx * qx + qy * qy) ** 0.5
+    if size <= c:
+        return qx, qy, b, 0.0, b
+    ex, ey, k = qx / size, qy / size, b * c / size
+    return c * ex, c * ey, k * ey * ey, -k * ex * ey, k * ex * ex
+
+
+@kernel
+def slope(work, count, isotropic, h, w):
+    """Gradient and Hessian of the step's problem at ``w``. Returns the size of the terms that the gradient sums."""
+    wheels, start, grad, hessian = work.wheels, work.start, work.grad, work.hessian
+    size = 0.0
+    for k in range(3):
+        grad[k] = w[k] - start[k]
+        size += abs(w[k]) + abs(start[k])
+        for j in range(3):
+            hessian[k, j] = 1.0 if j == k else 0.0
+    for i in range(count):
+        row = wheels[i]
+        ax, ay = row[im.AX], row[im.AY]
+        fx, fy, kxx, kxy, kyy = pull(row, w, isotropic)
+        size += h * (kxx * (abs(row[im.SX]) + abs(w[0])) + kyy * (abs(row[im.SY]) + abs(w[1])))
+        fx, fy = h * (fx + row[im.GX]), h * (fy + row[im.GY])
+        size += abs(fx) + abs(fy)
+        kxx, kxy, kyy = h * kxx, h * kxy, h * kyy
+        grad[0] -= fx
+        grad[1] -= fy
+        grad[2] -= ax * fx + ay * fy
+        hessian[0, 0] += kxx
+        hessian[0, 1] += kxy
+        hessian[1, 1] += kyy
+        hessian[0, 2] += kxx * ax + kxy * ay
+        hessian[1, 2] += kxy * ax + kyy * ay
+        hessian[2, 2] += ax * (kxx * ax + 2.0 * kxy * ay) + kyy * ay * ay
+    hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
+    return size
+
+
+@kernel
+def slope_along(work, count, isotropic, h, w, t):
+    """Go to ``w + t step``: gradient there, and its component along the step. Returns (size, component)."""
+    trial, step, grad = work.trial, work.step, work.grad
+    for k in range(3):
+        trial[k] = w[k] + t * step[k]
+    size = slope(work, count, isotropic, h, trial)
+    return size, grad[0] * step[0] + grad[1] * step[1] + grad[2] * step[2]
+
+
+@kernel
+def flattest(work, count, isotropic, h, w, before, after, size):
+    """Where the potential along a Newton step that overshoots is least (Illinois); the trial is left there."""
+    low, high, at_low, at_high = 0.0, 1.0, before, after
+    for _ in range(60):
+        t = (low * at_high - high * at_low) / (at_high - at_low)
+        size, here = slope_along(work, count, isotropic, h, w, t)
+        if abs(here) <= FLAT * abs(before) or not low < t < high:
+            break
+        if here > 0.0:
+            high, at_high, at_low = t, here, 0.5 * at_low
+        else:
+            low, at_low, at_high = t, here, 0.5 * at_high
+    return size
+
+
+@kernel
+def minimise(work, count, isotropic, h, w):
+    """Newton's method from ``w`` to the least potential at the present multipliers. Returns whether it got there."""
+    grad, step, rhs = work.grad, work.step, work.rhs
+    size, best, stalled = slope(work, count, isotropic, h, w), 1e300, 0
+    for _ in range(NEWTON_STEPS):
+        off = abs(grad[0]) + abs(grad[1]) + abs(grad[2])
+        # to rounding, or as near as rounding lets it: the last digit may come and go
+        stalled = stalled + 1 if off > 0.5 * best else 0
+        if off <= EPSILON * size or (stalled >= 4 and off <= 64.0 * EPSILON * size):
+            return True
+        best = min(best, off)
+        for k in range(3):
+            rhs[k] = -grad[k]
+        before = 0.0
+        solve(work.hessian, work.hessian.shape[0], rhs, step, work.scratch)
+        for k in range(3):
+            before -= rhs[k] * step[k]
+        size, after = slope_along(work, count, isotropic, h, w, im.UNITY)
+        if after > FLAT * abs(before):
+            size = flattest(work, count, isotropic, h, w, before, after, size)
+        for k in range(3):
+            w[k] = work.trial[k]
+    return False
+
+
+@kernel
+def follow(work, count, isotropic, w):
+    """Take the forces at ``w`` for multipliers. Returns (how much they changed, how much of that is rounding)."""
+    wheels = work.wheels
+    change = rounding = 0.0
+    for i in range(count):
+        row = wheels[i]
+        fx, fy, _, _, _ = pull(row, w, isotropic)
+        change += abs(fx - row[im.LX]) + abs(fy - row[im.LY])
+        speeds = abs(row[im.SX]) + abs(row[im.SY]) + abs(w[0]) + abs(w[1])
+        rounding += EPSILON * (abs(fx) + abs(fy) + 4.0 * row[im.B] * speeds)
+        row[im.LX], row[im.LY] = fx, fy
+    return change, rounding
+
+
+@kernel
+def stick(work, count, isotropic, w):
+    """Velocities that rounding can't tell from sticking become it: a parcel that sticks doesn't creep.
+
+    Only where all wheels agree on a motion without rotation, and some stick.
+    """
+    wheels, start = work.wheels, work.start
+    agree_x = agree_y = True
+    stuck_x = stuck_y = False
+    sx, sy = wheels[0, im.SX], wheels[0, im.SY]
+    scale = max(abs(sx), abs(sy))
+    for k in range(3):
+        scale = max(scale, abs(start[k]))
+    for i in range(count):
+        row = wheels[i]
+        agree_x, agree_y = agree_x and row[im.SX] == sx, agree_y and row[im.SY] == sy
+        if isotropic == 0.0:
+            stuck_x, stuck_y = stuck_x or abs(row[im.LX]) < row[im.C], stuck_y or abs(row[im.LY]) < row[im.C]
+        elif (row[im.LX] * row[im.LX] + row[im.LY] * row[im.LY]) ** 0.5 < row[im.C]:
+            stuck_x = stuck_y = True
+    tiny = AGREED * scale
+    along_x, along_y = agree_x and stuck_x, agree_y and stuck_y
+    if along_x and abs(w[0] - sx) <= tiny:
+        w[0] = sx
+    if along_y and abs(w[1] - sy) <= tiny:
+        w[1] = sy
+    if (along_x or along_y) and abs(w[2]) <= tiny:
+        w[2] = 0.0
+
+
+@kernel
+def new_velocity(work, count, law, h, w):
+    """Velocity after a step of ``h`` seconds from ``work.start``, into ``w``. Returns whether it was found."""
+    isotropic = law[im.ISOTROPIC]
+    for k in range(3):
+        w[k] = work.start[k]
+    if law[im.SET_VALUED] == 0.0 or count == 0:
+        return minimise(work, count, isotropic, h, w)
+    weight = FIRST_WEIGHT
+    for _ in range(MULTIPLIER_STEPS):
+        for i in range(count):
+            work.wheels[i, im.B] = weight / (h * count)
+        if not minimise(work, count, isotropic, h, w):
+            return False
+        change, rounding = follow(work, count, isotropic, w)
+        if change <= 4.0 * rounding:
+            stick(work, count, isotropic, w)
+            return True
+        weight = min(4.0 * weight, LAST_WEIGHT)
+    return False

@@ -1,0 +1,187 @@
+"""The ``implicit`` solver: a convex problem of three unknowns a step, for any law of traction.
+
+At given loads every law's force is the gradient of a convex potential of the slip, so the velocity at the end of a step
+is the one minimum of a strictly convex function, however stiff the law or set-valued its force; a parcel that sticks
+does so exactly. See ``plant/kernels``: ``implicit_step`` for that problem, ``implicit_advance`` for the steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.array import CellArray
+from plant.friction.law import Traction
+from plant.kernels import implicit_layout, layout
+from plant.solvers.bodies import (
+    ENDINGS,
+    LOG_CAPACITY,
+    Parcel,
+    SensorCover,
+    Surface,
+    body_of,
+    logged,
+    make_parcel,
+    members,
+)
+from plant.solvers.solver import Advance, Body
+from plant.specs import ImplicitSpec, ParcelSpec
+from plant.wheels import Floats, WheelMotion
+
+FIRST_STEP_S = 1e-3
+"""What a controlled run tries first."""
+
+
+class Work(NamedTuple):
+    """Scratch of the kernels, one set a thread, and what they know of one parcel's law and steps."""
+
+    law: Floats
+    pace: Floats
+    seg: Floats
+    scratch: Floats
+    newton: Floats
+    wheels: Floats
+    start: Floats
+    velocity: Floats
+    trial: Floats
+    step: Floats
+    rhs: Floats
+    grad: Floats
+    hessian: Floats
+    begin: Floats
+    end: Floats
+    first: Floats
+    error: Floats
+    table: Floats
+    kept: NDArray[np.int64]
+    where: NDArray[np.int8]
+
+
+def make_work(cells: int, capacity: int) -> Work:
+    """Scratch for an array of ``cells`` cells and parcels that cover at most ``capacity`` of them."""
+    return Work(
+        law=np.zeros(implicit_layout.LAW_SIZE),
+        pace=np.zeros(implicit_layout.PACE_SIZE),
+        seg=np.zeros(layout.SEG_SIZE),
+        scratch=np.zeros((3, 4)),
+        newton=np.zeros((8, 3)),
+        wheels=np.zeros((capacity, implicit_layout.WHEEL_SIZE)),
+        start=np.zeros(3),
+        velocity=np.zeros(3),
+        trial=np.zeros(3),
+        step=np.zeros(3),
+        rhs=np.zeros(3),
+        grad=np.zeros(3),
+        hessian=np.zeros((3, 3)),
+        begin=np.zeros(6),
+        end=np.zeros(6),
+        first=np.zeros(3),
+        error=np.zeros(6),
+        table=np.zeros((4, 6)),
+        kept=np.zeros((capacity, 2), dtype=np.int64),
+        where=np.zeros(cells, dtype=np.int8),
+    )
+
+
+def coefficients(traction: Traction, mass_kg: float, gravity_m_s2: float) -> Floats:
+    """A law per kilogram of one parcel, loads as shares of its weight; see ``plant.kernels.implicit_layout``."""
+    law = np.zeros(implicit_layout.LAW_SIZE)
+    law[implicit_layout.STIFFNESS] = traction.stiffness / mass_kg
+    law[implicit_layout.STIFFNESS_PER_SHARE] = traction.stiffness_per_load * gravity_m_s2
+    law[implicit_layout.LIMIT] = traction.limit / mass_kg
+    law[implicit_layout.LIMIT_PER_SHARE] = traction.limit_per_load * gravity_m_s2
+    law[implicit_layout.FREE_SPEED] = traction.free_speed
+    law[implicit_layout.PUSH_PER_SHARE] = traction.push_per_load * gravity_m_s2
+    law[implicit_layout.SET_VALUED] = float(traction.set_valued)
+    law[implicit_layout.ISOTROPIC] = float(traction.isotropic)
+    return law
+
+
+def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
+    """Settings and memory of one parcel's steps; see ``plant.kernels.implicit_layout``."""
+    pace = np.zeros(implicit_layout.PACE_SIZE)
+    pace[implicit_layout.GYRATION] = parcel.par[layout.MASS_OVER_INERTIA] ** -0.5
+    pace[implicit_layout.FIXED] = spec.step_s or 0.0
+    pace[implicit_layout.TOLERANCE] = spec.tolerance
+    pace[implicit_layout.NEXT] = FIRST_STEP_S
+    return pace
+
+
+@final
+class Implicit:
+    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for any law.
+
+    Args:
+        array: the surface.
+        parcels: footprint, mass and start of each.
+        traction: the law.
+        gravity_m_s2: of the scene.
+        rate: of the motors, 1/s; 0 without.
+        spec: length of a step, or tolerance.
+    """
+
+    def __init__(
+        self,
+        array: CellArray,
+        parcels: tuple[ParcelSpec, ...],
+        traction: Traction,
+        gravity_m_s2: float,
+        rate: float,
+        spec: ImplicitSpec,
+    ) -> None:
+        from plant.kernels import implicit_entry  # compiles or loads: only where a plant is really built
+
+        self._entry: Any = implicit_entry
+        self._array = array
+        self.parcels = [make_parcel(parcel, array) for parcel in parcels]
+        for parcel in self.parcels:
+            parcel.par[layout.RATE] = rate
+        self.bodies: Sequence[Body] = [body_of(parcel) for parcel in self.parcels]
+        capacity = max((len(parcel.mem) for parcel in self.parcels), default=1)
+        work = make_work(len(array), capacity)
+        self._work = [
+            work._replace(
+                law=coefficients(traction, parcel_spec.mass_kg, gravity_m_s2), pace=first_pace(parcel, spec)
+            )
+            for parcel_spec, parcel in zip(parcels, self.parcels, strict=True)
+        ]
+        self._still: Floats = np.zeros((len(array), 2))
+        self._log: Floats = np.zeros((LOG_CAPACITY, 4))
+        self._cover = SensorCover(array)
+
+    def under(self, index: int) -> NDArray[np.int64]:
+        """The cells under a parcel now, in no order, its boundary included."""
+        return members(self.parcels[index])
+
+    def stand(self, index: int, grip: Floats) -> bool:
+        """Find a parcel's loads at its start. False where its supports can't carry it."""
+        none = np.zeros(0)
+        still = WheelMotion(self._still, self._still, 0.0)
+        return self.advance(index, still, grip, 0.0, none, np.zeros((0, 6))).ending == "moving"
+
+    def advance(
+        self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
+    ) -> Advance:
+        """Move one parcel by ``span_s``; see ``plant.kernels.implicit_advance.advance``."""
+        parcel = self.parcels[index]
+        surface = Surface(self._array.positions_m, self._array.grid, motion.steady, motion.decay, grip)
+        ctl = parcel.ctl
+        changes = int(ctl[layout.N_EVENTS])
+        moved = self._entry.implicit_advance(
+            surface, parcel, self._work[index], span_s, times_s, out, self._log
+        )
+        return Advance(
+            float(moved),
+            ENDINGS[int(ctl[layout.STATUS])],
+            (int(ctl[layout.TIP_A]), int(ctl[layout.TIP_B])),
+            -1,
+            int(ctl[layout.N_EVENTS]) - changes,
+            logged(parcel, self._log),
+        )
+
+    def presence(self, bits: NDArray[np.bool_]) -> None:
+        """Set the presence bits ``(n, sensors)`` under every parcel."""
+        self._cover.mark(self.parcels, bits)

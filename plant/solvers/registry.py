@@ -1,0 +1,27 @@
+"""Every solver there is: a new one is a file, its spec in ``plant.specs``, and a line here."""
+
+from __future__ import annotations
+
+from plant.array import CellArray
+from plant.friction.viscous import Viscous
+from plant.solvers.exact import Exact
+from plant.solvers.implicit import Implicit
+from plant.solvers.solver import Solver
+from plant.specs import ExactSpec, ImplicitSpec, PlantSpec
+
+
+def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
+    """The solver that a scene asks for, its parcels at their start.
+
+    Args:
+        spec: the scene's physics.
+        array: the surface.
+        rate: of the motors, 1/s; 0 without.
+    """
+    match spec.solver, spec.friction:
+        case ExactSpec() as how, Viscous() as law:
+            return Exact(array, spec.parcels, law.rate(spec.gravity_m_s2), rate, how)
+        case ImplicitSpec() as how, law:
+            return Implicit(array, spec.parcels, law.traction(), spec.gravity_m_s2, rate, how)
+        case how, law:
+            raise AssertionError(f"this is a bug: the spec lets {how.name} solve {law.law}")

@@ -1,0 +1,106 @@
+"""What the plant asks of a solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.wheels import Floats, WheelMotion
+
+Ending = Literal["moving", "tipped", "endless_changes", "endless_steps", "no_loads", "not_finite"]
+
+
+class Body(NamedTuple):
+    """A parcel as a solver holds it.
+
+    Attributes:
+        footprint_m: ``(v, 2)`` corners about the centre of mass, in the parcel's axes, counter-clockwise.
+        radius_m: farthest corner from the centre of mass.
+        state: ``(6,)`` x, y, theta, vx, vy, omega; the solver's own, changed as the parcel moves.
+    """
+
+    footprint_m: Floats
+    radius_m: float
+    state: Floats
+
+
+class SolverEvent(NamedTuple):
+    """Something that happened to one parcel on the way.
+
+    Attributes:
+        after_s: seconds after the start of the call.
+        kind: one of ``plant.reports.Event.kind``.
+        cell: index, or -1.
+    """
+
+    after_s: float
+    kind: str
+    cell: int
+
+
+class Advance(NamedTuple):
+    """How one parcel came along.
+
+    Attributes:
+        moved_s: what was asked, or less where it ended before.
+        ending: ``moving``, or why it ended before.
+        edge: the two cells about which it tipped, the same twice for a corner, -1 where nothing is under it.
+        culprit: the cell about which supports change without end, or -1.
+        changes: changes of its supports.
+        events: those listed, in the order of time; without the tipping.
+    """
+
+    moved_s: float
+    ending: Ending
+    edge: tuple[int, int]
+    culprit: int
+    changes: int
+    events: Sequence[SolverEvent]
+
+
+class Solver(Protocol):
+    """Moves parcels that don't touch, each by itself.
+
+    A solver knows the law of traction by its ``plant.friction.law.Traction`` only, and the wheels by their
+    ``WheelMotion`` over an interval. Parcels are named by their number in the scene.
+    """
+
+    @property
+    def bodies(self) -> Sequence[Body]:
+        """The parcels, in the order of the scene."""
+        ...
+
+    def under(self, index: int) -> NDArray[np.int64]:
+        """The cells under a parcel now, in no order, its boundary included."""
+        ...
+
+    def stand(self, index: int, grip: Floats) -> bool:
+        """Whether the cells under a parcel can carry it where it is.
+
+        Args:
+            index: which parcel.
+            grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
+        """
+        ...
+
+    def advance(
+        self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
+    ) -> Advance:
+        """Move one parcel, changing its state.
+
+        Args:
+            index: which parcel.
+            motion: of all wheels, from now on.
+            grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
+            span_s: how far.
+            times_s: ``(k,)`` in ``(0, span_s]``, ascending: when its state is asked for on the way.
+            out: ``(k, 6)``: those states; of times after it ended, the last.
+        """
+        ...
+
+    def presence(self, bits: NDArray[np.bool_]) -> None:
+        """Set the presence bits ``(n, sensors)`` under every parcel."""
+        ...
