@@ -35,6 +35,7 @@ WHEEL_SIZE: Final = 10
 
 # ── further statuses and events
 ENDLESS_STEPS: Final = 5
+NOT_SOLVED: Final = 6
 OUTRAN: Final = 11
 
 UNITY: Final = 1.0
