@@ -243,7 +243,11 @@ def _branches(node: dict[str, Any], definitions: dict[str, Any], data: Any) -> l
         if chosen:
             return _branches({"$ref": chosen}, definitions, data)
         # without its tag a table is read as the member whose tag has a default, where there is one
-        members = [branch for ref in tag["mapping"].values() for branch in _branches({"$ref": ref}, definitions, data)]
+        members = [
+            branch
+            for ref in tag["mapping"].values()
+            for branch in _branches({"$ref": ref}, definitions, data)
+        ]
         untagged = [member for member in members if tag["propertyName"] not in member.get("required", ())]
         if tag["propertyName"] not in data and len(untagged) == 1:
             return untagged

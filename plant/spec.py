@@ -24,8 +24,8 @@ def tagged(key: str, default: str) -> Callable[[object], object]:
     """What a validator does to a table of a tagged union whose tag may be left out: fills in the default."""
 
     def fill(value: object) -> object:
-        if isinstance(value, dict) and key not in value:
-            return {key: default, **cast("dict[str, object]", value)}
-        return value
+        if not isinstance(value, dict):
+            return value
+        return {key: default, **cast("dict[str, object]", value)}
 
     return fill

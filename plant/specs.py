@@ -12,6 +12,7 @@ from plant.friction.registry import FrictionSpec
 from plant.geometry import PolygonError, check_convex, rectangle
 from plant.spec import Cell, Finite, Point, Positive, Spec, tagged
 
+
 class ArraySpec(Spec):
     """The lattice of cells, centred on the origin; row 0 at the bottom, column 0 at the left."""
 

@@ -46,8 +46,8 @@ class Traction(NamedTuple):
 class FrictionLaw(Spec):
     """A traction law with its parameters, as a scene gives them.
 
-    A subclass adds ``law: Literal["its_name"]``, its parameters, and a line in ``plant.friction.registry``. Solvers know
-    nothing of a law but its ``Traction``.
+    A subclass adds ``law: Literal["its_name"]``, its parameters, and a line in ``plant.friction.registry``. Solvers
+    know nothing of a law but its ``Traction``.
     """
 
     @abstractmethod

@@ -9,8 +9,9 @@ from plant.spec import NotNegative, Positive
 class MotorLaw(FrictionLaw):
     """A law whose wheels roll: the motor's force on the surface is ``f0 - b v``.
 
-    With the voltage ``u = G (ref - v)``, ``ref`` being the commanded surface speed, the force ``K u / R - (B + K^2/R) v``
-    gives ``f0 = K G ref / R`` and ``b = B + K^2/R + K G/R``. Along the surface, gears and wheel radius included.
+    With the voltage ``u = G (ref - v)``, ``ref`` being the commanded surface speed, the force
+    ``K u / R - (B + K^2/R) v`` gives ``f0 = K G ref / R`` and ``b = B + K^2/R + K G/R``. All along the surface, gears
+    and wheel radius included.
     """
 
     motor_constant_n_per_a: Positive
@@ -31,7 +32,9 @@ class MotorLaw(FrictionLaw):
     @property
     def free_speed(self) -> float:
         """``f0 / (b ref)``: the share of the commanded speed at which a wheel without load runs."""
-        return self.motor_constant_n_per_a * self.gain_v_s_per_m / self.resistance_ohm / self.damping_n_s_per_m
+        return (
+            self.motor_constant_n_per_a * self.gain_v_s_per_m / self.resistance_ohm / self.damping_n_s_per_m
+        )
 
     @property
     def own_motors(self) -> bool:

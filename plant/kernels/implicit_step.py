@@ -11,7 +11,7 @@ from __future__ import annotations
 from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.motion import plane, solve
+from plant.kernels.motion import solve
 
 EPSILON = 2.3e-16
 NEWTON_STEPS = 100
@@ -37,11 +37,15 @@ def sign(value):
 def grasp(surface, parcel, work, law, e, h):
     """List the wheels that pull, with the law's coefficients at the loads that ``settle`` found. Returns how many.
 
-    ``e`` is the motors' decay factor at the end of the step, h s away. Levers are those that the parcel's present velocity
-    leads to until then: a wheel that sticks all along sticks with the levers of the end, and so does the next step's.
+    ``e`` is the motors' decay factor at the end of the step, h s away. Levers and loads of the supports found are
+    those where the parcel's present velocity leads until then: a wheel that sticks all along sticks with the levers of
+    the end, and so does the next step's.
     """
     mem, y, seg, wheels = parcel.mem, parcel.y, work.seg, work.wheels
-    a0, bx, by = plane(seg)
+    ahead_x, ahead_y = h * y[at.UX], h * y[at.UY]
+    mx, my = ahead_x - seg[at.CX], ahead_y - seg[at.CY]
+    a0 = 1.0 / seg[at.N_ACTIVE]
+    bx, by = seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
     arm = work.pace[im.GYRATION]
     count = at.ZERO
     for i in range(parcel.ctl[at.N_MEMBERS]):
@@ -49,12 +53,11 @@ def grasp(surface, parcel, work, law, e, h):
         if mem[i, at.MARK] != at.ACTIVE or surface.grip[cell] == 0.0:
             continue
         rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
-        ahead_x, ahead_y = rx - h * y[at.UX], ry - h * y[at.UY]
         share = max(a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]), 0.0)
         vx = surface.steady[cell, 0] + e * surface.decay[cell, 0]
         vy = surface.steady[cell, 1] + e * surface.decay[cell, 1]
         row = wheels[count]
-        row[im.AX], row[im.AY] = -ahead_y / arm, ahead_x / arm
+        row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
         row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
         row[im.B] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * share
         row[im.C] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * share
@@ -152,8 +155,8 @@ def flattest(work, count, isotropic, h, w, before, after):
 def minimise(work, count, isotropic, h, w):
     """Newton's method from ``w`` to the least potential at the present multipliers.
 
-    Returns the size of the velocities to whose rounding it is right, or -1 where it did not get there. There is where a step changes nothing but rounding: the gradient's own rounding is large along stiff wheels and
-    says little.
+    Returns the size of the velocities to whose rounding it is right, or -1 where it did not get there. There is where
+    a step changes nothing but rounding: the gradient's own rounding is large along stiff wheels and says little.
     """
     grad, step, rhs, start = work.grad, work.step, work.rhs, work.start
     best, stalled = 1e300, 0
@@ -252,7 +255,7 @@ def new_velocity(work, count, law, h, w):
 
 @kernel
 def regime(work, count, isotropic, w):
-    """A number that tells which wheels are at their limits, and on which side: it changes where a law changes branch."""
+    """A number that tells which wheels are at their limits, on which side: it changes where a law changes branch."""
     total = 0.0
     for i in range(count):
         row = work.wheels[i]
@@ -262,5 +265,6 @@ def regime(work, count, isotropic, w):
             y = sign(fy) if abs(fy) >= row[im.C] else 0.0
         else:
             x, y = 0.0, 1.0 if (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.C] else 0.0
-        total += (4.0 * i + 1.0) * x + (4.0 * i + 3.0) * y
+        # weights of which no small sums cancel
+        total += (i + 1.37) ** 0.5 * x + (i + 1.91) ** 0.5 * y
     return total

@@ -31,7 +31,6 @@ from plant.solvers.solver import Advance, Body
 from plant.specs import ImplicitSpec, ParcelSpec
 from plant.wheels import Floats, WheelMotion
 
-
 FIRST_STEP_S = 1e-3
 """What a controlled run tries first."""
 

@@ -76,8 +76,8 @@ def test_coulomb_a_diagonal_drive_pulls_root_two_times_as_hard_with_independent_
         assert np.hypot(*plant.state[0, 3:5]) == pytest.approx(expected * 0.01, rel=1e-9)
 
 
-def test_coulomb_one_slipping_axis_leaves_the_other_its_grip_only_with_independent_wheels() -> None:
-    """A parcel carried along x at the wheels' speed is pushed along y: the box holds x, so does the cone, not y alike."""
+def test_coulomb_brakes_each_axis_by_itself_only_with_independent_wheels() -> None:
+    """A parcel that slides askew is braked along each axis alike by the box, against its motion by the cone."""
     body = parcel(position_m=(0.0, 0.0), angle_rad=0.0, velocity_m_s=(0.5, 0.4))
     ends = []
     for law in (COULOMB, CONE):
@@ -161,7 +161,9 @@ def test_full_sliding_is_coulomb_while_every_wheel_outruns_the_parcel() -> None:
 
 
 def test_rolling_follows_equations_27_and_28_integrated_by_scipy() -> None:
-    body = parcel(position_m=(0.013, 0.008), angle_rad=0.05, velocity_m_s=(0.05, -0.02), angular_velocity_rad_s=0.2)
+    body = parcel(
+        position_m=(0.013, 0.008), angle_rad=0.05, velocity_m_s=(0.05, -0.02), angular_velocity_rad_s=0.2
+    )
     plant = lawful(ROLLING, body, tolerance=1e-10)
     rng = np.random.default_rng(7)
     wheels = 0.02 * rng.standard_normal((len(plant.array), 2))
@@ -280,7 +282,9 @@ def test_between_opposed_wheels_the_equilibrium_moves_with_their_speeds_only_und
 def test_without_slip_where_a_parcel_ends_between_opposed_wheels_depends_on_how_it_came() -> None:
     """Rolling forces balance anywhere on the same supports: ``m v0 / (n b)`` further on, n cells."""
     ends = [_settled(ROLLING, 0.05, 0.05, velocity) for velocity in (0.0, 0.05, -0.08)]
-    cells = len(lawful(ROLLING, parcel(size_m=(1.58, 0.38), position_m=(0.0, 0.0), angle_rad=0.0))._solver.under(0))
+    cells = len(
+        lawful(ROLLING, parcel(size_m=(1.58, 0.38), position_m=(0.0, 0.0), angle_rad=0.0))._solver.under(0)
+    )
     assert ends == pytest.approx([0.0, 2.0 * 0.05 / (cells * B), -2.0 * 0.08 / (cells * B)], abs=1e-8)
 
 
@@ -292,14 +296,18 @@ def test_coulomb_loads_are_those_that_the_exact_solver_finds() -> None:
     plant = lawful(SLIDING, body, step_s=1e-6)
     wheels = np.random.default_rng(3).choice([-1.0, 1.0], (len(plant.array), 2))
     plant.advance(wheels, 1000)
-    assert plant.state[0, 3:5] * 1e6 == pytest.approx(MU * G * (share[:, None] * wheels[cells]).sum(axis=0), rel=1e-9)
+    assert plant.state[0, 3:5] * 1e6 == pytest.approx(
+        MU * G * (share[:, None] * wheels[cells]).sum(axis=0), rel=1e-9
+    )
 
 
 # --- what fits together -------------------------------------------------------------------------------------------
 
 
 def test_a_law_with_motors_of_its_own_refuses_the_effect() -> None:
-    with pytest.raises(ValueError, match=r"friction\.law rolling has motors of its own; leave effects\.motors out"):
+    with pytest.raises(
+        ValueError, match=r"friction\.law rolling has motors of its own; leave effects\.motors out"
+    ):
         lawful(ROLLING, motors=MotorsSpec())
 
 
