@@ -232,10 +232,11 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
     Raises:
         InputError: The plant refuses the scene.
     """
-    from plant.kernels.cache import folder, is_warm
+    from plant.kernels.cache import folder
     from plant.plant import Plant
+    from plant.solvers.registry import is_compiled
 
-    if not is_warm():
+    if not is_compiled(scene.solver):
         _, lasting = folder()
         once = "once" if lasting else "every time: the cache folder can't be written, see NUMBA_CACHE_DIR"
         warn(f"compiling the solver ({once}) ...")

@@ -223,16 +223,16 @@ class Plant:
     def _unstable(self, i: int, time_s: float, done: Advance) -> None:
         x, y = self._solver.bodies[i].state[:2]
         where = f"parcel {i} at t = {time_s:.6g} s, x = {x:.6g} m, y = {y:.6g} m"
-        if done.ending == "endless_changes":
-            named = "the supports"
-            if done.culprit >= 0:
-                named = "cell {},{}".format(*self.array.lattice.cells[done.culprit])
-            raise PlantUnstable(f"{where}: support changes without end, the last about {named}")
-        if done.ending == "endless_steps":
-            raise PlantUnstable(f"{where}: no step is short enough for the tolerance, time after time")
-        if done.ending == "no_loads":
-            raise PlantUnstable(f"{where}: no set of loads balances the parcel; this is a bug")
-        raise PlantUnstable(f"{where}: the motion is no longer finite")
+        named = "the supports"
+        if done.culprit >= 0:
+            named = "cell {},{}".format(*self.array.lattice.cells[done.culprit])
+        why = {
+            "endless_changes": f"support changes without end, the last about {named}",
+            "endless_steps": "no step is short enough for the tolerance, time after time",
+            "no_loads": "no set of loads balances the parcel; this is a bug",
+            "not_solved": "a step's problem was not solved to rounding; this is a bug",
+        }
+        raise PlantUnstable(f"{where}: {why.get(done.ending, 'the motion is no longer finite')}")
 
     def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:
         """Update ``status`` from the states ``(T, parcels, 6)`` at the instants ``(T,)``."""

@@ -1,4 +1,4 @@
-"""Compile the solver once, before any test: no test's time limit should have to hold a compiler's run."""
+"""Compile the solvers once, before any test: no test's time limit should have to hold a compiler's run."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         return
     from plant.friction.viscous import Viscous
     from plant.plant import Plant
-    from plant.specs import ArraySpec, ParcelSpec, PlantSpec
+    from plant.specs import ArraySpec, ExactSpec, ImplicitSpec, ParcelSpec, PlantSpec
 
-    session.config.get_terminal_writer().line("compiling the solver (once) ...")
+    session.config.get_terminal_writer().line("compiling the solvers (once) ...")
     parcel = ParcelSpec(size_m=(0.15, 0.15), mass_kg=1.0, position_m=(0.0, 0.0))
     friction = Viscous(coefficient_s_per_m=0.2)
-    plant = Plant(PlantSpec(array=ArraySpec(rows=2, columns=2), parcels=(parcel,), friction=friction))
-    plant.advance(np.zeros((4, 2)), 1_000_000)
+    for solver in (ExactSpec(), ImplicitSpec(name="implicit")):
+        array = ArraySpec(rows=2, columns=2)
+        plant = Plant(PlantSpec(array=array, parcels=(parcel,), friction=friction, solver=solver))
+        plant.advance(np.zeros((4, 2)), 1_000_000)

@@ -9,8 +9,9 @@ from plant.friction.law import FrictionLaw
 class MotorLaw(FrictionLaw):
     """A law whose wheels roll: the motor's force on the surface is ``f0 - b v``.
 
-    With the voltage ``u = G (ref - v)``, ``ref`` being the commanded surface speed, the force ``K u / R - (B + K^2/R) v``
-    gives ``f0 = K G ref / R`` and ``b = B + K^2/R + K G/R``. Along the surface, gears and wheel radius included.
+    With the voltage ``u = G (ref - v)``, ``ref`` being the commanded surface speed, the force
+    ``K u / R - (B + K^2/R) v`` gives ``f0 = K G ref / R`` and ``b = B + K^2/R + K G/R``. All along the surface, gears
+    and wheel radius included.
     """
 
     motor_constant_n_per_a: Positive

@@ -13,8 +13,8 @@ from plant.friction.motor import MotorLaw
 class Rolling(MotorLaw):
     """The wheels never slip: the motors' own slope is all that gives, eqs. 27-28.
 
-    Dissipation potential ``b |f0/b - v|^2 / 2``. The sign of the rotation in the paper's eq. 28 is corrected: ``v`` is the
-    underside's velocity above the cell, ``U + omega J (p - X)``. Which cells carry load matters, how much doesn't.
+    Dissipation potential ``b |f0/b - v|^2 / 2``. The sign of the rotation in the paper's eq. 28 is corrected: ``v`` is
+    the underside's velocity above the cell, ``U + omega J (p - X)``. Which cells carry load matters, how much doesn't.
     """
 
     law: Literal["rolling"]

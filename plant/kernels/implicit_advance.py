@@ -14,7 +14,7 @@ from plant.kernels import layout as at
 from plant.kernels.advance import finite
 from plant.kernels.changes import log
 from plant.kernels.footprint import box, inside
-from plant.kernels.implicit_step import grasp, new_velocity
+from plant.kernels.implicit_step import grasp, new_velocity, regime
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
 
@@ -71,9 +71,12 @@ def decay(par, time):
 
 @kernel
 def euler(surface, parcel, work, until, h):
-    """One implicit step of ``h`` that ends at ``until``, with the loads found last. Returns whether it could be solved."""
+    """One implicit step of ``h`` that ends at ``until``, with the loads found last.
+
+    Returns (whether it could be solved, the wheels' ``regime``).
+    """
     y, arm, start, w = parcel.y, work.pace[im.GYRATION], work.start, work.velocity
-    count = grasp(surface, parcel, work, work.law, decay(parcel.par, until))
+    count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
     start[0], start[1], start[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
     solved = new_velocity(work, count, work.law, h, w)
     # untouched where nothing pulls: scaling to and fro could cost its last digit
@@ -82,7 +85,7 @@ def euler(surface, parcel, work, until, h):
     y[0] += h * w[0]
     y[1] += h * w[1]
     y[at.THETA] += h * turning
-    return solved
+    return solved, regime(work, count, work.law[im.ISOTROPIC], w)
 
 
 @kernel
@@ -95,11 +98,15 @@ def cut(surface, parcel, work, now, h, parts):
         status = find_loads(surface, parcel, work)
         if status != at.MOVING:
             return status
-        solved = euler(surface, parcel, work, now + (j + 1) * part, part)
-        for k in range(3):
-            work.first[k] = y[at.UX + k] - work.begin[at.UX + k] if j == 0 else work.first[k]
-        if not solved or not finite(y):
+        solved, wheels = euler(surface, parcel, work, now + (j + 1) * part, part)
+        if j == 0:
+            work.first[3] = wheels
+            for k in range(3):
+                work.first[k] = y[at.UX + k] - work.begin[at.UX + k]
+        if not finite(y):
             return at.NOT_FINITE
+        if not solved:
+            return im.NOT_SOLVED
     return at.MOVING
 
 
@@ -141,24 +148,25 @@ def same(parcel, work, before):
 
 @kernel
 def unseen(surface, parcel, work, now, h, before):
-    """Error, m, by a change of supports in the first or last part of a step just taken, which extrapolation can't see.
+    """Error, m, by a change in the first or last part of a step just taken, which extrapolation can't see.
 
-    In the last no loads were found, and a change in the first looks like one at the start. The change of velocity in
-    the first part, against that in one more part with the loads at the step's end.
+    A change of supports, or of the branch of the law at some wheel. The last part had no look at its end, and a change
+    in the first looks like one at the start. Estimated by the change of velocity in the first part, against that in
+    one more part after the step's end.
     """
     y, part, error = parcel.y, h / PARTS, work.error
     status = find_loads(surface, parcel, work)
-    if status == at.MOVING and same(parcel, work, before):
-        return 0.0
     if status != at.MOVING:
         return 0.0 if h <= INSTANT else 1e300
     for k in range(6):
         work.end[k] = y[k]
-    euler(surface, parcel, work, now + h + part, part)
+    _, wheels = euler(surface, parcel, work, now + h + part, part)
     for k in range(3):
         error[at.UX + k] = (y[at.UX + k] - work.end[at.UX + k]) - work.first[k]
     for k in range(6):
         y[k] = work.end[k]
+    if wheels == work.first[3] and same(parcel, work, before):
+        return 0.0
     return LASTS * length(error, at.UX, parcel)
 
 

@@ -30,11 +30,12 @@ PACE_SIZE: Final = 6
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
 AX, AY, SX, SY, B, C, GX, GY, LX, LY = range(10)
-"""Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``, ``g`` of the law; multipliers L."""
+"""Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``, ``g``; multipliers L."""
 WHEEL_SIZE: Final = 10
 
 # ── further statuses and events
 ENDLESS_STEPS: Final = 5
+NOT_SOLVED: Final = 6
 OUTRAN: Final = 11
 
 UNITY: Final = 1.0

@@ -11,14 +11,14 @@ from __future__ import annotations
 from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.motion import plane, solve
+from plant.kernels.motion import solve
 
 EPSILON = 2.3e-16
 NEWTON_STEPS = 100
 MULTIPLIER_STEPS = 100
 FIRST_WEIGHT = 1e4
 """The augmented Lagrangian's weight at first: resistance of all sticking wheels together over the parcel's inertia."""
-LAST_WEIGHT = 1e8
+LAST_WEIGHT = 1e6
 FLAT = 1e-3
 """How flat the potential must be along a Newton step where the step ends, over its slope where it begins."""
 AGREED = 1e-12
@@ -34,13 +34,18 @@ def sign(value):
 
 
 @kernel
-def grasp(surface, parcel, work, law, e):
+def grasp(surface, parcel, work, law, e, h):
     """List the wheels that pull, with the law's coefficients at the loads that ``settle`` found. Returns how many.
 
-    ``e`` is the motors' decay factor at the end of the step.
+    ``e`` is the motors' decay factor at the end of the step, h s away. Levers and loads of the supports found are
+    those where the parcel's present velocity leads until then: a wheel that sticks all along sticks with the levers of
+    the end, and so does the next step's.
     """
     mem, y, seg, wheels = parcel.mem, parcel.y, work.seg, work.wheels
-    a0, bx, by = plane(seg)
+    ahead_x, ahead_y = h * y[at.UX], h * y[at.UY]
+    mx, my = ahead_x - seg[at.CX], ahead_y - seg[at.CY]
+    a0 = 1.0 / seg[at.N_ACTIVE]
+    bx, by = seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
     arm = work.pace[im.GYRATION]
     count = at.ZERO
     for i in range(parcel.ctl[at.N_MEMBERS]):
@@ -52,7 +57,7 @@ def grasp(surface, parcel, work, law, e):
         vx = surface.steady[cell, 0] + e * surface.decay[cell, 0]
         vy = surface.steady[cell, 1] + e * surface.decay[cell, 1]
         row = wheels[count]
-        row[im.AX], row[im.AY] = -ry / arm, rx / arm
+        row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
         row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
         row[im.B] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * share
         row[im.C] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * share
@@ -92,21 +97,19 @@ def pull(row, w, isotropic):
 
 @kernel
 def slope(work, count, isotropic, h, w):
-    """Gradient and Hessian of the step's problem at ``w``. Returns the size of the terms that the gradient sums."""
+    """Gradient and Hessian of the step's problem at ``w``. Returns the sum of all impulses' sizes."""
     wheels, start, grad, hessian = work.wheels, work.start, work.grad, work.hessian
-    size = 0.0
+    impulses = 0.0
     for k in range(3):
         grad[k] = w[k] - start[k]
-        size += abs(w[k]) + abs(start[k])
         for j in range(3):
             hessian[k, j] = 1.0 if j == k else 0.0
     for i in range(count):
         row = wheels[i]
         ax, ay = row[im.AX], row[im.AY]
         fx, fy, kxx, kxy, kyy = pull(row, w, isotropic)
-        size += h * (kxx * (abs(row[im.SX]) + abs(w[0])) + kyy * (abs(row[im.SY]) + abs(w[1])))
         fx, fy = h * (fx + row[im.GX]), h * (fy + row[im.GY])
-        size += abs(fx) + abs(fy)
+        impulses += abs(fx) + abs(fy)
         kxx, kxy, kyy = h * kxx, h * kxy, h * kyy
         grad[0] -= fx
         grad[1] -= fy
@@ -118,72 +121,81 @@ def slope(work, count, isotropic, h, w):
         hessian[1, 2] += kxy * ax + kyy * ay
         hessian[2, 2] += ax * (kxx * ax + 2.0 * kxy * ay) + kyy * ay * ay
     hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
-    return size
+    return impulses
 
 
 @kernel
 def slope_along(work, count, isotropic, h, w, t):
-    """Go to ``w + t step``: gradient there, and its component along the step. Returns (size, component)."""
+    """Go to ``w + t step``: gradient there. Returns (its component along the step, the impulses' sizes)."""
     trial, step, grad = work.trial, work.step, work.grad
     for k in range(3):
         trial[k] = w[k] + t * step[k]
-    size = slope(work, count, isotropic, h, trial)
-    return size, grad[0] * step[0] + grad[1] * step[1] + grad[2] * step[2]
+    impulses = slope(work, count, isotropic, h, trial)
+    return grad[0] * step[0] + grad[1] * step[1] + grad[2] * step[2], impulses
 
 
 @kernel
-def flattest(work, count, isotropic, h, w, before, after, size):
-    """Where the potential along a Newton step that overshoots is least (Illinois); the trial is left there."""
+def flattest(work, count, isotropic, h, w, before, after):
+    """Go where the potential along a Newton step that overshoots is least (Illinois). Returns the impulses' sizes."""
+    impulses = 0.0
     low, high, at_low, at_high = 0.0, 1.0, before, after
     for _ in range(60):
         t = (low * at_high - high * at_low) / (at_high - at_low)
-        size, here = slope_along(work, count, isotropic, h, w, t)
+        here, impulses = slope_along(work, count, isotropic, h, w, t)
         if abs(here) <= FLAT * abs(before) or not low < t < high:
             break
         if here > 0.0:
             high, at_high, at_low = t, here, 0.5 * at_low
         else:
             low, at_low, at_high = t, here, 0.5 * at_high
-    return size
+    return impulses
 
 
 @kernel
 def minimise(work, count, isotropic, h, w):
-    """Newton's method from ``w`` to the least potential at the present multipliers. Returns whether it got there."""
-    grad, step, rhs = work.grad, work.step, work.rhs
-    size, best, stalled = slope(work, count, isotropic, h, w), 1e300, 0
+    """Newton's method from ``w`` to the least potential at the present multipliers.
+
+    Returns the size of the velocities to whose rounding it is right, or -1 where it did not get there. There is where
+    a step changes nothing but rounding: the gradient's own rounding is large along stiff wheels and says little.
+    """
+    grad, step, rhs, start = work.grad, work.step, work.rhs, work.start
+    best, stalled = 1e300, 0
+    impulses = slope(work, count, isotropic, h, w)
     for _ in range(NEWTON_STEPS):
-        off = abs(grad[0]) + abs(grad[1]) + abs(grad[2])
-        # to rounding, or as near as rounding lets it: the last digit may come and go
-        stalled = stalled + 1 if off > 0.5 * best else 0
-        if off <= EPSILON * size or (stalled >= 4 and off <= 64.0 * EPSILON * size):
-            return True
-        best = min(best, off)
         for k in range(3):
             rhs[k] = -grad[k]
-        before = 0.0
         solve(work.hessian, work.hessian.shape[0], rhs, step, work.scratch)
+        off, scale, before = 0.0, impulses, 0.0
         for k in range(3):
+            off, scale = max(off, abs(step[k])), max(scale, abs(w[k]), abs(start[k]))
             before -= rhs[k] * step[k]
-        size, after = slope_along(work, count, isotropic, h, w, im.UNITY)
+        # the last digit may come and go
+        stalled = stalled + 1 if off > 0.5 * best else 0
+        if off <= EPSILON * scale or (stalled >= 4 and off <= 64.0 * EPSILON * scale):
+            return scale
+        best = min(best, off)
+        after, impulses = slope_along(work, count, isotropic, h, w, im.UNITY)
         if after > FLAT * abs(before):
-            size = flattest(work, count, isotropic, h, w, before, after, size)
+            impulses = flattest(work, count, isotropic, h, w, before, after)
         for k in range(3):
             w[k] = work.trial[k]
-    return False
+    return -1.0
 
 
 @kernel
-def follow(work, count, isotropic, w):
-    """Take the forces at ``w`` for multipliers. Returns (how much they changed, how much of that is rounding)."""
+def follow(work, count, isotropic, w, scale):
+    """Take the forces at ``w`` for multipliers. Returns (how much they changed, how much of that is rounding).
+
+    ``scale`` is the size of the velocities to whose rounding w is right.
+    """
     wheels = work.wheels
     change = rounding = 0.0
     for i in range(count):
         row = wheels[i]
-        fx, fy, _, _, _ = pull(row, w, isotropic)
+        fx, fy, kxx, _, kyy = pull(row, w, isotropic)
         change += abs(fx - row[im.LX]) + abs(fy - row[im.LY])
-        speeds = abs(row[im.SX]) + abs(row[im.SY]) + abs(w[0]) + abs(w[1])
-        rounding += EPSILON * (abs(fx) + abs(fy) + 4.0 * row[im.B] * speeds)
+        speeds = abs(row[im.SX]) + abs(row[im.SY]) + scale
+        rounding += EPSILON * (abs(fx) + abs(fy) + (kxx + kyy) * speeds)
         row[im.LX], row[im.LY] = fx, fy
     return change, rounding
 
@@ -225,16 +237,34 @@ def new_velocity(work, count, law, h, w):
     for k in range(3):
         w[k] = work.start[k]
     if law[im.SET_VALUED] == 0.0 or count == 0:
-        return minimise(work, count, isotropic, h, w)
+        return minimise(work, count, isotropic, h, w) >= 0.0
     weight = FIRST_WEIGHT
     for _ in range(MULTIPLIER_STEPS):
         for i in range(count):
             work.wheels[i, im.B] = weight / (h * count)
-        if not minimise(work, count, isotropic, h, w):
+        scale = minimise(work, count, isotropic, h, w)
+        if not scale >= 0.0:
             return False
-        change, rounding = follow(work, count, isotropic, w)
+        change, rounding = follow(work, count, isotropic, w, scale)
         if change <= 4.0 * rounding:
             stick(work, count, isotropic, w)
             return True
         weight = min(4.0 * weight, LAST_WEIGHT)
     return False
+
+
+@kernel
+def regime(work, count, isotropic, w):
+    """A number that tells which wheels are at their limits, on which side: it changes where a law changes branch."""
+    total = 0.0
+    for i in range(count):
+        row = work.wheels[i]
+        fx, fy, _, _, _ = pull(row, w, isotropic)
+        if isotropic == 0.0:
+            x = sign(fx) if abs(fx) >= row[im.C] else 0.0
+            y = sign(fy) if abs(fy) >= row[im.C] else 0.0
+        else:
+            x, y = 0.0, 1.0 if (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.C] else 0.0
+        # weights of which no small sums cancel
+        total += (i + 1.37) ** 0.5 * x + (i + 1.91) ** 0.5 * y
+    return total

@@ -39,6 +39,7 @@ ENDINGS: dict[int, Ending] = {
     layout.NOT_FINITE: "not_finite",
     layout.NO_LOADS: "no_loads",
     implicit_layout.ENDLESS_STEPS: "endless_steps",
+    implicit_layout.NOT_SOLVED: "not_solved",
 }
 """How a call ended, by the kernels' codes."""
 

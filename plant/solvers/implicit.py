@@ -78,7 +78,7 @@ def make_work(cells: int, capacity: int) -> Work:
         hessian=np.zeros((3, 3)),
         begin=np.zeros(6),
         end=np.zeros(6),
-        first=np.zeros(3),
+        first=np.zeros(4),
         error=np.zeros(6),
         table=np.zeros((4, 6)),
         kept=np.zeros((capacity, 2), dtype=np.int64),

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 from plant.array import CellArray
 from plant.friction.viscous import Viscous
+from plant.kernels import cache
 from plant.solvers.exact import Exact
 from plant.solvers.implicit import Implicit
 from plant.solvers.solver import Solver
-from plant.specs import ExactSpec, ImplicitSpec, PlantSpec
+from plant.specs import ExactSpec, ImplicitSpec, PlantSpec, SolverSpec
+
+_KERNELS = {"exact": "advance", "implicit": "implicit_advance"}
+"""The kernel module of each solver's entry point."""
+
+
+def is_compiled(spec: SolverSpec) -> bool:
+    """Whether a solver's kernels are on disk; the first run of a version takes seconds to compile them."""
+    return any(cache.folder()[0].rglob(f"{_KERNELS[spec.name]}.*.nbi"))
 
 
 def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from plant.wheels import Floats, WheelMotion
 
-Ending = Literal["moving", "tipped", "endless_changes", "endless_steps", "no_loads", "not_finite"]
+Ending = Literal[
+    "moving", "tipped", "endless_changes", "endless_steps", "no_loads", "not_solved", "not_finite"
+]
 
 
 class Body(NamedTuple):

@@ -122,6 +122,22 @@ def test_the_scene_these_tests_break_is_good() -> None:
             "[cells.speed_loop]\n[cells]",
             "cells.speed_loop: closes on motors: the scene needs effects.motors",
         ),
+        (
+            "coefficient_s_per_m = 0.2",
+            'law = "coulomb"\ncoefficient = 0.2',
+            'solver.name = "exact": solves law viscous, not coulomb; use implicit',
+        ),
+        (
+            "coefficient_s_per_m = 0.2",
+            'law = "culomb"',
+            'friction.law = "culomb": unknown law; nearest: coulomb',
+        ),
+        ("coefficient_s_per_m = 0.2", 'law = "coulomb"', "friction.coefficient: required"),
+        (
+            "coefficient_s_per_m = 0.2",
+            "coefficient = 0.2\ncoefficient_s_per_m = 0.2",
+            "friction.coefficient = 0.2: unknown key; nearest: coefficient_s_per_m",
+        ),
         # the firmware's own
         (
             '"elliptic"',
@@ -228,7 +244,10 @@ def test_an_unknown_name_is_answered_with_the_nearest_bundled_scene() -> None:
 
 
 def test_a_name_like_none_is_answered_with_all_bundled_scenes() -> None:
-    with pytest.raises(InputError, match="known: elliptic, heat, misaligned, prototype, squeeze"):
+    with pytest.raises(
+        InputError,
+        match="known: coulomb, elliptic, heat, misaligned, prototype, rolling, squeeze, stick_slip",
+    ):
         load_scene("zzzz")
 
 

@@ -6,6 +6,7 @@ from math import pi
 
 import pytest
 
+from deploy.overrides import Override
 from deploy.scene_files import load_scene
 from deploy.simulate import field_speeds
 from plant.array import CellArray
@@ -40,3 +41,31 @@ def test_the_squeeze_field_lays_its_parcel_along_the_line_where_it_came() -> Non
     x, y, theta = at_the_end("squeeze")
     assert (x, y) == pytest.approx((0.0, 0.3), abs=1e-3)
     assert theta == pytest.approx(pi / 2, abs=0.05)
+
+
+def test_coulomb_carries_its_parcel_off_at_the_wheels_speed() -> None:
+    scene = load_scene("coulomb")
+    plant = Plant(scene.plant_spec())
+    plant.advance(field_speeds(scene, plant.array.positions_m), scene.duration_ns)
+    assert plant.state[0, 3:].tolist() == [0.2, 0.0, 0.0]
+
+
+def test_where_a_rolling_parcel_ends_depends_on_how_it_came() -> None:
+    ends = []
+    for speed in (0.2, 0.1):
+        scene = load_scene("rolling", [Override.parse(f"parcels.0.velocity_m_s=[{speed},0]")])
+        plant = Plant(scene.plant_spec())
+        plant.advance(field_speeds(scene, plant.array.positions_m), scene.duration_ns)
+        assert plant.status[0].state == "at_rest" or abs(plant.state[0, 3]) < 1e-6
+        ends.append(float(plant.state[0, 0]))
+    assert ends[0] == pytest.approx(2.0 * ends[1], rel=1e-3)
+    assert ends[1] > 1e-4
+
+
+def test_wheels_that_slip_bring_the_parcel_to_the_middle_by_another_way_than_rolling_ones() -> None:
+    x, y, theta = at_the_end("stick_slip")
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=0.02)
+    scene = load_scene("stick_slip", [Override.parse("friction.coefficient=1e6")])
+    plant = Plant(scene.plant_spec())
+    plant.advance(field_speeds(scene, plant.array.positions_m), scene.duration_ns)
+    assert abs(plant.state[0, 2] - theta) > 1e-3

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from plant.friction.registry import FrictionSpec
 from plant.friction.viscous import Viscous
 from plant.kernels import layout
 from plant.plant import Plant
-from plant.specs import ArraySpec, EffectsSpec, ExactSpec, MotorsSpec, ParcelSpec, PlantSpec
+from plant.specs import ArraySpec, EffectsSpec, ExactSpec, ImplicitSpec, MotorsSpec, ParcelSpec, PlantSpec
 from tests.plant.reference import Bench
 
 Floats = NDArray[np.float64]
@@ -98,3 +99,16 @@ def turned(points: Floats, angle: float) -> Floats:
 def cells_of(plant: Plant, cells: Sequence[tuple[int, int]]) -> list[int]:
     """Indices of cells named by row and column."""
     return [plant.array.lattice.index(cell) for cell in cells]
+
+
+def lawful(
+    law: FrictionSpec,
+    *parcels: ParcelSpec,
+    tolerance: float = 1e-8,
+    step_s: float | None = None,
+    **values: object,
+) -> Plant:
+    """A plant under any law, integrated by ``implicit``."""
+    solver = ImplicitSpec(name="implicit", tolerance=tolerance, step_s=step_s)
+    base = spec(*(parcels or (parcel(),)), **values)  # type: ignore[arg-type]
+    return Plant(PlantSpec.model_validate(dict(base) | {"friction": law, "solver": solver}))
