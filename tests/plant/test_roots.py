@@ -187,6 +187,8 @@ def test_the_scale_of_the_polynomial_does_not_matter() -> None:
     g = _product([[-0.25, 1.0], [-0.2500001, 1.0], [-0.9, 1.0]])
     for scale in (1e-200, 1e-20, 1e200):
         assert first([c * scale for c in g], True) == pytest.approx(0.25, abs=1e-8)
+        # a test of signs by their product would find the start of the interval that it underflows in
+        assert first([-0.3 * scale, scale], True) == pytest.approx(0.3, abs=1e-15)
 
 
 def test_numpy_agrees_on_random_polynomials_of_high_order() -> None:

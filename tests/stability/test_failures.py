@@ -133,9 +133,8 @@ def test_speeds_whose_products_underflow_still_have_their_sign(
     assert plant.state[0, 3] == pytest.approx(direction * speed * gained, rel=1e-6, abs=1e-320)
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_loads_claimed_to_be_converged_are_so_all_along_the_way(solver: Solver, seed: int) -> None:
-    """H16, converged by its own word only: Drake #9241, #21514, #19842. Checked by the optimality conditions."""
+def _leaning(solver: Solver, seed: int) -> Plant | None:
+    """A parcel with its weight off the centre on an array with holes; None where it would not stand."""
     draw = np.random.default_rng([seed, 16])
     cells = [(r, c) for r in range(14) for c in range(14)]
     holes = tuple(cells[i] for i in draw.choice(196, 80, replace=False))
@@ -146,14 +145,24 @@ def test_loads_claimed_to_be_converged_are_so_all_along_the_way(solver: Solver, 
         angle_rad=float(draw.uniform(-3.0, 3.0)),
     )
     try:
-        plant = solver.plant(body, rows=14, columns=14, missing=holes, solver={"capture_m": 1e-12})
+        return solver.plant(body, rows=14, columns=14, missing=holes, solver={"capture_m": 1e-12})
     except PlantError:
-        return
-    drives = elliptic(plant, -2.0, -3.0)
-    for until in range(TICK_NS, SECOND, 5 * TICK_NS):
-        plant.advance(drives, until)
-        if plant.status[0].state != "moving":
-            break
-        plant.advance(drives, until)  # no further: finds the loads of this very instant
-        under, share = loads(plant)
-        assert is_least_norm(plant.array.positions_m[under], plant.state[0, :2], share) == ""
+        return None
+
+
+def test_loads_claimed_to_be_converged_are_so_all_along_the_way(solver: Solver) -> None:
+    """H16, converged by its own word only: Drake #9241, #21514, #19842. Checked by the optimality conditions."""
+    checked = lifted = 0
+    for plant in filter(None, (_leaning(solver, seed) for seed in range(20))):
+        drives = elliptic(plant, -2.0, -3.0)
+        for until in range(TICK_NS, SECOND, 5 * TICK_NS):
+            plant.advance(drives, until)
+            if plant.status[0].state != "moving":
+                break
+            plant.advance(drives, until)  # no further: finds the loads of this very instant
+            under, share = loads(plant)
+            assert is_least_norm(plant.array.positions_m[under], plant.state[0, :2], share) == ""
+            checked += 1
+            lifted += bool(np.any(share == 0.0))
+    assert checked > 200
+    assert lifted > 50

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from plant.errors import PlantError
@@ -25,8 +25,14 @@ every_solver = pytest.mark.parametrize("name", SOLVERS)
 
 
 def repeatable(examples: int) -> settings:
-    """The same examples every time, few enough for a minute's suite."""
-    return settings(max_examples=examples, deadline=None, derandomize=True, database=None)
+    """The same examples every time, however slow the machine is; few enough for a minute's suite."""
+    return settings(
+        max_examples=examples,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
 
 
 @dataclass(frozen=True)

@@ -61,23 +61,33 @@ def test_three_supports_nearly_on_a_line_share_as_the_lever_rule_says(
 
 
 @pytest.mark.parametrize(("beside_m", "stands"), [(0.0, True), (5e-10, True), (2e-9, False), (1e-6, False)])
-@pytest.mark.parametrize("columns", [1, 2, 6])
+@pytest.mark.parametrize("count", [1, 2, 7])
+@pytest.mark.parametrize("slanting", [False, True], ids=["row", "diagonal"])
 def test_supports_on_a_line_or_point_carry_what_stands_on_it_and_name_what_does_not(
-    solver: Solver, columns: int, beside_m: float, stands: bool
+    solver: Solver, slanting: bool, count: int, beside_m: float, stands: bool
 ) -> None:
-    """H12, rank-deficient: consim #34 (four feet, not full rank); never a singular matrix, never a NaN."""
-    body = parcel(size_m=(0.1 * columns + 0.02, 0.05), position_m=(0.0, beside_m), angle_rad=0.0)
+    """H12, rank-deficient: consim #34 (four feet, not full rank); never a singular matrix, never a NaN.
+
+    On a diagonal the sums that vanish on a row do so only to rounding.
+    """
+    cells = tuple((k if slanting else 0, k) for k in range(count))
+    angle = np.pi / 4.0 if slanting else 0.0
+    across = np.array([-np.sin(angle), np.cos(angle)])
+    body = parcel(
+        size_m=(0.15 * count + 0.02, 0.05),
+        position_m=tuple((beside_m * across).tolist()),
+        angle_rad=angle,
+    )
+    array = {"rows": count if slanting else 1, "columns": count, "cells": cells}
     if not stands:
-        with pytest.raises(
-            PlantError, match=f"would tip: its centre of mass lies outside the {columns} cells"
-        ):
-            solver.plant(body, rows=1, columns=columns)
+        with pytest.raises(PlantError, match=f"would tip: its centre of mass lies outside the {count} cells"):
+            solver.plant(body, **array)
         return
-    plant = solver.plant(body, rows=1, columns=columns)
-    assert loads(plant)[1] == pytest.approx([1.0 / columns] * columns, abs=1e-8)
-    plant.advance(np.zeros((columns, 2)), 60 * SECOND)
+    plant = solver.plant(body, **array)
+    assert loads(plant)[1] == pytest.approx([1.0 / count] * count, abs=1e-8)
+    plant.advance(np.zeros((count, 2)), 60 * SECOND)
     assert plant.status[0].state == "at_rest"
-    _, events = plant.advance(np.tile((0.0, 0.01), (columns, 1)), 61 * SECOND)
+    _, events = plant.advance(np.tile(0.01 * across, (count, 1)), 61 * SECOND)
     assert events[-1].kind == "off_array"
     assert events[-1].time_s < 60.02
     assert np.all(np.isfinite(plant.state))
