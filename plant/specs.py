@@ -14,7 +14,6 @@ from plant.geometry import PolygonError, check_convex, rectangle
 from plant.spec import tagged
 
 
-
 class ArraySpec(Spec):
     """The lattice of cells, centred on the origin; row 0 at the bottom, column 0 at the left."""
 
