@@ -117,6 +117,15 @@ def search(surface, parcel, work, order):
 
 
 @kernel
+def finite(y):
+    """True where every entry of the state is a number."""
+    for k in range(6):
+        if not isfinite(y[k]):
+            return False
+    return True
+
+
+@kernel
 def move(work, order, y, t, step):
     """Take the state to unit time ``t``; keep the accelerations there, before any event, in ``work.before``.
 
@@ -127,9 +136,8 @@ def move(work, order, y, t, step):
     before[1] = slope(ser[at.S_UY], order, t) / step
     before[2] = slope(ser[at.S_OM], order, t) / step
     sample(ser, order, y, t, work.state)
-    for k in range(6):
-        if not isfinite(work.state[k]):
-            return False
+    if not finite(work.state):
+        return False
     for k in range(6):
         y[k] = work.state[k]
     return True
