@@ -202,8 +202,14 @@ class Plant:
         if cell < 0:
             x, y = self._solver.bodies[i].state[:2].tolist()
             return Event(time_s, event.kind, i, (), (x, y))
-        x, y = self.array.positions_m[cell].tolist()
-        return Event(time_s, event.kind, i, (self.array.lattice.cells[cell],), (x, y))
+        places = self.array.positions_m
+        return Event(
+            time_s,
+            event.kind,
+            i,
+            (self.array.lattice.cells[cell],),
+            (places.item(2 * cell), places.item(2 * cell + 1)),
+        )
 
     def _tip(self, i: int, time_s: float, edge: tuple[int, int]) -> Event:
         """Name the edge a parcel tips about; off the array where nothing lies beyond it."""
