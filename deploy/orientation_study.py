@@ -12,8 +12,9 @@ from deploy.errors import InputError
 from deploy.simulate import field_speeds
 from plant.array import CellArray
 from plant.continuum import continuous_torque, linear_field, loaded_moments
+from plant.equilibrium import resting_place
 from plant.errors import PlantError
-from plant.turntable import Turntable, resting_place
+from plant.turntable import Turntable
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
