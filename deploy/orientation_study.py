@@ -61,8 +61,7 @@ class Study:
         moments = loaded_moments(parcel)
         if field is None or moments is None:
             return None
-        drag = self.scene.friction.coefficient_s_per_m * parcel.mass_kg * self.scene.gravity_m_s2
-        return drag * continuous_torque(angles_rad, field, moments)
+        return self.table.drag_n_s_per_m(parcel) * continuous_torque(angles_rad, field, moments)
 
 
 def study(scene: Scene, parcel: int, centre_m: Sequence[float] | None) -> Study:

@@ -42,6 +42,10 @@ class Turntable:
         self._speed = wheel_speed
         self._kappa = Viscous.from_spec(spec.friction).rate(spec.gravity_m_s2)
 
+    def drag_n_s_per_m(self, parcel: ParcelSpec) -> float:
+        """``mu W`` of a parcel: the force of all its supports together, per speed at which they slip."""
+        return self._kappa * parcel.mass_kg
+
     def turn(self, parcel: ParcelSpec, centre_m: Floats) -> TorqueProfile:
         """Turn a parcel once round.
 
@@ -81,7 +85,7 @@ class Turntable:
         fastest = float(np.max(np.hypot(speed[:, 0], speed[:, 1])))
         torque[np.abs(torque) <= _NOTHING * fastest * farthest] = 0.0
         force[np.abs(force) <= _NOTHING * fastest] = 0.0
-        drag = self._kappa * parcel.mass_kg
+        drag = self.drag_n_s_per_m(parcel)
         return TorqueProfile(centre_m.copy(), passed.angles_rad, drag * pitch * torque, drag * force, count)
 
 
