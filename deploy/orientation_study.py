@@ -78,8 +78,9 @@ def study(scene: Scene, parcel: int, centre_m: Sequence[float] | None) -> Study:
     array = CellArray(scene.array)
     speeds = field_speeds(scene, array.positions_m)
     spec = scene.plant_spec()
+    table = Turntable(spec, speeds)
     try:
         place = resting_place(spec, parcel, speeds) if centre_m is None else np.array(centre_m)
     except PlantError as error:
         raise InputError(f"scene {scene.name}: {error}: give a point with --at X,Y") from None
-    return Study(scene, parcel, array, speeds, Turntable(spec, speeds), place)
+    return Study(scene, parcel, array, speeds, table, place)
