@@ -12,9 +12,9 @@ from deploy.errors import InputError
 from deploy.simulate import field_speeds
 from plant.array import CellArray
 from plant.continuum import continuous_torque, linear_field, loaded_moments
+from plant.equilibrium import resting_place
 from plant.errors import PlantError
-from plant.friction.viscous import viscous_of
-from plant.turntable import Turntable, resting_place
+from plant.turntable import Turntable
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -61,12 +61,7 @@ class Study:
         moments = loaded_moments(parcel)
         if field is None or moments is None:
             return None
-        drag = (
-            viscous_of(self.scene.friction, "stable orientations").coefficient_s_per_m
-            * parcel.mass_kg
-            * self.scene.gravity_m_s2
-        )
-        return drag * continuous_torque(angles_rad, field, moments)
+        return self.table.drag_n_s_per_m(parcel) * continuous_torque(angles_rad, field, moments)
 
 
 def study(scene: Scene, parcel: int, centre_m: Sequence[float] | None) -> Study:
@@ -83,8 +78,9 @@ def study(scene: Scene, parcel: int, centre_m: Sequence[float] | None) -> Study:
     array = CellArray(scene.array)
     speeds = field_speeds(scene, array.positions_m)
     spec = scene.plant_spec()
+    table = Turntable(spec, speeds)
     try:
         place = resting_place(spec, parcel, speeds) if centre_m is None else np.array(centre_m)
     except PlantError as error:
         raise InputError(f"scene {scene.name}: {error}: give a point with --at X,Y") from None
-    return Study(scene, parcel, array, speeds, Turntable(spec, speeds), place)
+    return Study(scene, parcel, array, speeds, table, place)

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.words import counted, point, short
+from plant.crossings import TURN
 
 if TYPE_CHECKING:
     from deploy.orientation_sizes import SizeMap
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 def angles(one: Orientation) -> str:
     """``84.4626``, or ``355.19 to 4.81``, degrees."""
+    if one.high_rad - one.low_rad >= TURN:
+        return "all"
     low = _degrees(one.low_rad)
     return f"{low} to {_degrees(one.high_rad)}" if one.is_interval else low
 
@@ -54,10 +57,10 @@ def _table(found: tuple[Orientation, ...]) -> Table:
     table.add_column("degrees", style="cyan", no_wrap=True)
     table.add_column("")
     table.add_column("stable")
-    for heading in ("torque below", "above, N m"):
+    for heading in ("torque below, N m", "above"):
         table.add_column(heading, justify="right")
     for one in found:
-        what = f"{one.nature}, no torque" if one.is_interval else f"{one.nature}, torque switches"
+        what = f"{one.nature} {'interval' if one.is_interval else 'angle'}"
         beside = ("–" if torque is None else short(torque) for torque in (one.before_n_m, one.after_n_m))
         table.add_row(angles(one), what, "yes" if one.stable else "no", *beside)
     return table

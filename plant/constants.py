@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from plant.array import CellArray
 from plant.errors import PlantError
-from plant.footing import Footing, share_matrix
+from plant.footing import Footing, moved, share_matrix
 from plant.friction.viscous import viscous_of
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -98,12 +98,7 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     place = _equilibrium(stiffness, offset, natural)
     inside = False
     if place is not None:
-        there = parcel.model_copy(update={"position_m": (float(place[0]), float(place[1]))})
-        inside = bool(np.array_equal(Footing(array, there).carrying(), cells))
-    motion: Floats = np.zeros((4, 4))
-    motion[:2, 2:] = np.eye(2)
-    motion[2:, :2] = stiffness / mass
-    motion[2:, 2:] = -mu * spec.gravity_m_s2 * np.eye(2)
+        inside = bool(np.array_equal(Footing(array, moved(parcel, place)).carrying(), cells))
     return ConstantsOfMotion(
         supports=tuple(array.lattice.cells[int(i)] for i in cells.tolist()),
         loads_n=weight * shares,
@@ -115,9 +110,18 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
         d_n_m_s=damping,
         equilibrium_m=place,
         equilibrium_inside=inside,
-        eigenvalues_per_s=np.sort_complex(np.linalg.eigvals(motion).astype(np.complex128)),
+        eigenvalues_per_s=translation_rates(stiffness / mass, mu * spec.gravity_m_s2),
         angular_acceleration_rad_s2=torque / footing.inertia_kg_m2,
     )
+
+
+def translation_rates(stiffness: Floats, mu_g: float) -> NDArray[np.complex128]:
+    """Eigenvalues of ``X'' = stiffness X - mu_g X'``: ``(4,)``, 1/s; ``stiffness`` is ``(2, 2)`` per mass, 1/s^2."""
+    motion: Floats = np.zeros((4, 4))
+    motion[:2, 2:] = np.eye(2)
+    motion[2:, :2] = stiffness
+    motion[2:, 2:] = -mu_g * np.eye(2)
+    return np.sort_complex(np.linalg.eigvals(motion).astype(np.complex128))
 
 
 def _equilibrium(stiffness: Floats, offset: Floats, natural: float) -> Floats | None:

@@ -6,6 +6,9 @@ plane as on springs, and the torque depends on second moments of the loaded bott
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import final
+
 import numpy as np
 
 from plant.footing import footprint
@@ -16,15 +19,29 @@ _LINEAR = 1e-9
 """How far off a linear field a speed may be, over the largest: rounding."""
 
 
-def linear_field(positions_m: Floats, wheel_speed: Floats) -> Floats | None:
-    """The matrix K of a field ``V = K p + v``.
+@final
+@dataclass(frozen=True, slots=True)
+class LinearField:
+    """A field ``V = K p + v``.
+
+    Attributes:
+        rate_per_s: ``(2, 2)`` K.
+        offset_m_s: ``(2,)`` v.
+    """
+
+    rate_per_s: Floats
+    offset_m_s: Floats
+
+
+def linear_field(positions_m: Floats, wheel_speed: Floats) -> LinearField | None:
+    """The linear field that wheels run at.
 
     Args:
         positions_m: ``(n, 2)`` cells.
         wheel_speed: ``(n, 2)`` their speeds, m/s.
 
     Returns:
-        ``(2, 2)``, 1/s; None where the field isn't linear, or the cells lie on a line and don't tell.
+        None where the field isn't linear, or the cells lie on a line and don't tell.
     """
     centre = positions_m.mean(axis=0)
     rows = np.concatenate([positions_m - centre, np.ones((len(positions_m), 1))], axis=1)
@@ -34,7 +51,8 @@ def linear_field(positions_m: Floats, wheel_speed: Floats) -> Floats | None:
     off = float(np.max(np.abs(rows @ found - wheel_speed)))
     if rank < 3 or off > _LINEAR * float(np.max(np.abs(wheel_speed))):
         return None
-    return np.asarray(found[:2].T / scale, dtype=np.float64)
+    rate: Floats = np.asarray(found[:2].T / scale, dtype=np.float64)
+    return LinearField(rate, found[2] - rate @ centre)
 
 
 def loaded_moments(parcel: ParcelSpec) -> Floats | None:
@@ -54,14 +72,14 @@ def loaded_moments(parcel: ParcelSpec) -> Floats | None:
     return np.asarray((points * (areas * (rows @ plane))[:, None]).T @ points, dtype=np.float64)
 
 
-def continuous_torque(angles_rad: Floats, field_per_s: Floats, moments_m2: Floats) -> Floats:
-    """Torque per ``mu W`` of a linear field on a parcel whose centre of mass is where the field stands still, m²/s.
+def continuous_torque(angles_rad: Floats, field: LinearField, moments_m2: Floats) -> Floats:
+    """Torque per ``mu W`` of a linear field on a parcel, m²/s.
 
     For a rectangle and ``V = (k_x x, k_y y)`` it is ``(k_y - k_x) (L^2 - B^2) / 24 sin(2 theta)``.
 
     Args:
         angles_rad: ``(k,)``.
-        field_per_s: ``(2, 2)``, from `linear_field`.
+        field: any; where the centre of mass is, and v with it, doesn't count.
         moments_m2: ``(2, 2)``, from `loaded_moments`.
     """
     c, s = np.cos(angles_rad), np.sin(angles_rad)
@@ -70,7 +88,7 @@ def continuous_torque(angles_rad: Floats, field_per_s: Floats, moments_m2: Float
     along_x = c * c * xx - 2.0 * c * s * xy + s * s * yy
     along_y = s * s * xx + 2.0 * c * s * xy + c * c * yy
     across = c * s * (xx - yy) + (c * c - s * s) * xy
-    (kxx, kxy), (kyx, kyy) = field_per_s
+    (kxx, kxy), (kyx, kyy) = field.rate_per_s
     return np.asarray((kyy - kxx) * across + kyx * along_x - kxy * along_y, dtype=np.float64)
 
 

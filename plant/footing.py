@@ -25,6 +25,11 @@ def footprint(parcel: ParcelSpec) -> Floats:
     return geometry.counter_clockwise(parcel.polygon()) - np.array(centre)
 
 
+def moved(parcel: ParcelSpec, place_m: Floats) -> ParcelSpec:
+    """The parcel with its centre of mass at ``(2,)`` m."""
+    return parcel.model_copy(update={"position_m": (float(place_m[0]), float(place_m[1]))})
+
+
 def share_matrix(offsets_m: Floats) -> Floats:
     """Load shares ``P [1; X - c]`` of cells that all carry, about their centroid c (eqs. 11-13).
 
@@ -62,7 +67,7 @@ class Footing:
     def cover(self, under: Cells) -> None:
         """Turn the parcel to where the cells ``under``, and no others, are below it: loads depend on no more."""
         count = len(under)
-        self._parcel.mem[:count] = 0
+        self._parcel.mem[:count] = 0  # all of them pressed, as ever: what was lifted before is no first guess
         self._parcel.mem[:count, layout.CELL] = under
         self._parcel.ctl[layout.N_MEMBERS] = count
 

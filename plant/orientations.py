@@ -86,7 +86,7 @@ class TorqueProfile:
         """Where the torque changes its sign or vanishes, by ascending angle."""
         # 1, 0, -1, or NaN where the parcel doesn't stand
         sign = np.sign(self.torque_n_m)
-        begins = np.flatnonzero(~_same(sign, np.roll(sign, 1)))
+        begins = np.flatnonzero(sign != np.roll(sign, 1))
         if not len(begins):
             return (Orientation(0.0, TURN, "neutral", None, None),) if sign[0] == 0.0 else ()
         found: list[Orientation] = []
@@ -103,10 +103,6 @@ class TorqueProfile:
     def stable(self) -> tuple[Orientation, ...]:
         """The attracting ones of `orientations`: an angle where the torque falls through zero, or an interval."""
         return tuple(one for one in self.orientations() if one.stable)
-
-
-def _same(a: Floats, b: Floats) -> NDArray[np.bool_]:
-    return (a == b) | (np.isnan(a) & np.isnan(b))
 
 
 def _orientation(low: float, high: float, before: float, after: float) -> Orientation:

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from plant import geometry
 from plant.array import CellArray
-from plant.constants import constants_of_motion
 from plant.crossings import Crossings, crossings
 from plant.errors import PlantError
-from plant.footing import Footing, footprint, share_matrix
+from plant.footing import Footing, footprint, moved, share_matrix
 from plant.friction.viscous import viscous_of
 from plant.orientations import TorqueProfile
 from plant.specs import ParcelSpec, PlantSpec
@@ -27,8 +26,6 @@ _NOTHING = 1e-11
 """Of the largest torque or force that the wheels below could have: less is rounding."""
 _LIFTED = 1e-12
 """A share of the mean load that rounding can't tell from none."""
-_ATTEMPTS = 50
-"""Steps from the equilibrium of one support set to that of the next."""
 
 
 @final
@@ -44,6 +41,10 @@ class Turntable:
         self._array = CellArray(spec.array)
         self._speed = wheel_speed
         self._kappa = viscous_of(spec.friction, "stable orientations").rate(spec.gravity_m_s2)
+
+    def drag_n_s_per_m(self, parcel: ParcelSpec) -> float:
+        """``mu W`` of a parcel: the force of all its supports together, per speed at which they slip."""
+        return self._kappa * parcel.mass_kg
 
     def turn(self, parcel: ParcelSpec, centre_m: Floats) -> TorqueProfile:
         """Turn a parcel once round.
@@ -72,7 +73,7 @@ class Turntable:
             if np.all(_loads(plane[step], offset[under] / pitch) >= -_LIFTED * plane[step, 0]):
                 continue
             if footing is None:
-                footing = Footing(self._array, _moved(parcel, centre_m))
+                footing = Footing(self._array, moved(parcel, centre_m))
             footing.cover(near[under])
             cells = footing.carrying()
             count[step] = len(cells)
@@ -84,52 +85,8 @@ class Turntable:
         fastest = float(np.max(np.hypot(speed[:, 0], speed[:, 1])))
         torque[np.abs(torque) <= _NOTHING * fastest * farthest] = 0.0
         force[np.abs(force) <= _NOTHING * fastest] = 0.0
-        drag = self._kappa * parcel.mass_kg
+        drag = self.drag_n_s_per_m(parcel)
         return TorqueProfile(centre_m.copy(), passed.angles_rad, drag * pitch * torque, drag * force, count)
-
-
-def resting_place(spec: PlantSpec, index: int, wheel_speed: Floats) -> Floats:
-    """Where the centre of mass of a parcel comes to rest, at the angle it starts with: ``(2,)`` m.
-
-    The equilibrium of its supports, then of the supports there, until they are the same; along a line of equilibria,
-    the nearest. In a linear field it is the same at every angle, otherwise only about the same.
-
-    Args:
-        spec: array, parcels and friction.
-        index: which parcel.
-        wheel_speed: ``(n, 2)`` m/s, of every cell.
-
-    Raises:
-        PlantError: there is none, it doesn't hold the parcel, or the supports on the way chase each other.
-    """
-    parcel = spec.parcels[index]
-    place: Floats = np.array(parcel.position_m)
-    fastest = float(np.max(np.hypot(wheel_speed[:, 0], wheel_speed[:, 1])))
-    mu_g = viscous_of(spec.friction, "stable orientations").rate(spec.gravity_m_s2)
-    for _ in range(_ATTEMPTS):
-        parcels = list(spec.parcels)
-        parcels[index] = _moved(parcel, place)
-        try:
-            motion = constants_of_motion(
-                spec.model_copy(update={"parcels": tuple(parcels)}), index, wheel_speed
-            )
-        except PlantError:
-            break
-        strongest = motion.damping_n_s_per_m * fastest
-        force = motion.f0_n + motion.k_s_n_per_m @ place
-        if np.max(np.abs(force)) <= _NOTHING * strongest:
-            if np.max(motion.eigenvalues_per_s.real) > _NOTHING * mu_g:
-                break
-            return place
-        # a field that changes by no more than rounding from one cell to the next draws nowhere
-        weak = _NOTHING * strongest / spec.array.pitch_m
-        stiffness = np.where(np.abs(motion.k_s_n_per_m) <= weak, 0.0, motion.k_s_n_per_m)
-        place = place - np.linalg.pinv(stiffness, rcond=1e-9) @ force
-    raise PlantError(f"parcels[{index}]: from its start no point is found to which the field draws it")
-
-
-def _moved(parcel: ParcelSpec, place: Floats) -> ParcelSpec:
-    return parcel.model_copy(update={"position_m": (float(place[0]), float(place[1]))})
 
 
 def _all_pressed(

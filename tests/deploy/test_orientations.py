@@ -51,12 +51,21 @@ def test_a_run_ends_where_the_table_says(capsys: pytest.CaptureFixture[str], tmp
 
 
 def test_the_table_is_in_degrees_and_fits_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["orientations", "elliptic"]) == 0
+    assert main(["orientations", "elliptic", "--set", "parcels.0.size_m=[0.68,0.42]"]) == 0
     shown = capsys.readouterr()
     assert shown.err == ""
-    assert all(len(line) <= 80 for line in shown.out.splitlines())
-    assert "\n177.6793 to 182.3207  attracting, no torque  yes          0.01338    -0.01338\n" in shown.out
-    assert "\n357.6793 to 2.3207    attracting" in shown.out
+    lines = shown.out.splitlines()
+    assert all(len(line) <= 80 for line in lines)
+    rows = [" ".join(line.split()) for line in lines if line[:1].isdigit() and "a turn" not in line]
+    assert len(rows) == 12
+    assert rows[0] == "10.2705 attracting angle yes 0.001962 -0.01261"
+    assert rows[2] == "86.4365 to 93.5635 attracting interval yes 0.01585 -0.01585"
+    assert rows[-1].startswith("356.4365 to 3.5635 repelling interval no ")
+
+
+def test_a_square_in_this_array_may_lie_at_any_angle(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["orientations", "elliptic", "--set", "parcels.0.size_m=[0.4,0.4]"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].split() == ["all", "neutral", "interval", "no", "–", "–"]
 
 
 def test_what_the_table_can_t_promise_is_said(capsys: pytest.CaptureFixture[str]) -> None:
