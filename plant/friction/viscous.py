@@ -37,5 +37,6 @@ def viscous_of(law: FrictionLaw, what: str) -> Viscous:
         PlantError: it is another; ``what`` says what was asked for.
     """
     if not isinstance(law, Viscous):
-        raise PlantError(f"friction.law: there are {what} for the law viscous only")
+        name = law.model_dump()["law"]
+        raise PlantError(f'friction.law = "{name}": there are {what} for the law viscous only')
     return law
