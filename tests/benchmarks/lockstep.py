@@ -40,9 +40,10 @@ Method. Lockstep of one plant and its workers over Zenoh, TCP on loopback; the p
 each worker a forked process of its own, client of it. A tick: senses (presence bits, encoder travel) to every worker,
 messages ("u", float64) over every link that crosses a border, drives back. The bare side is plain Zenoh code
 (FifoChannel, recv, put) that exchanges payloads of the same number and sizes and reads none of them; the lockstep
-side is bus.lockstep with cells that compute nothing. Both are started once; then they take turns of a fraction of a
-second, each first in every other pair, so that what else the machine does meets both alike. "ratio" is the median,
-over {pairs} pairs of neighbouring turns, of lockstep ticks/s by bare ticks/s, between the quartiles; rates are medians.
+side is bus.lockstep with cells that compute nothing. Both are started {sessions} times anew; each time they take
+turns of a fraction of a second, each first in every other pair, so that what else the machine does meets both alike. "ratio" is
+the median, over {pairs} pairs of neighbouring turns each time, of lockstep ticks/s by bare ticks/s, between the
+quartiles; rates are medians.
 "cpu" is processor time a tick of all processes together, which a busy machine disturbs less than the rate.
 """
 
@@ -106,8 +107,8 @@ def take_turn(side: Side, tally: Tally, ticks: int) -> None:
     tally.cpu_s += time.process_time() - spent
 
 
-def run_case(case: Case, pairs: int) -> dict[str, Any]:
-    """Rates of both sides, and the lockstep's ratios to the bare exchange."""
+def run_session(case: Case, pairs: int) -> dict[str, Tally]:
+    """Both sides on processes of their own, in turns."""
     sides: dict[str, Side] = {}
     tallies = {name: Tally([]) for name in SIDES}
     try:
@@ -126,6 +127,17 @@ def run_case(case: Case, pairs: int) -> dict[str, Any]:
         for side in sides.values():
             for worker in side.workers:
                 worker.process.kill()
+    return tallies
+
+
+def run_case(case: Case, sessions: int, pairs: int) -> dict[str, Any]:
+    """Rates of both sides, and the lockstep's ratios to the bare exchange."""
+    tallies = {name: Tally([]) for name in SIDES}
+    for _ in range(sessions):
+        for name, tally in run_session(case, pairs).items():
+            tallies[name].rates += tally.rates
+            tallies[name].ticks += tally.ticks
+            tallies[name].cpu_s += tally.cpu_s
     bare, lockstep = tallies["bare"], tallies["lockstep"]
     ratios = [ours / theirs for theirs, ours in zip(bare.rates, lockstep.rates, strict=True)]
     low, ratio, high = statistics.quantiles(ratios, n=4)
@@ -144,15 +156,19 @@ def run_case(case: Case, pairs: int) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeat", type=int, default=20, help="turns of each side")
+    parser.add_argument("--sessions", type=int, default=5, help="times to start both sides anew")
+    parser.add_argument("--repeat", type=int, default=8, help="turns of each side in a session")
     parser.add_argument("--case", type=int, action="append", help=f"only this case, 0..{len(CASES) - 1}")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    rows = [run_case(case, options.repeat) for case in (CASES[i] for i in options.case or range(len(CASES)))]
+    rows = [
+        run_case(case, options.sessions, options.repeat)
+        for case in (CASES[i] for i in options.case or range(len(CASES)))
+    ]
     if options.json:
         print(json.dumps(rows))
         return
-    print(METHOD.format(pairs=options.repeat))
+    print(METHOD.format(sessions=options.sessions, pairs=options.repeat))
     head = "".join(f"{side + ', ticks/s':>20}{'cpu, us':>9}" for side in SIDES)
     print(f"{'case':32}{head}{'ratio':>8}{'quartiles':>14}{'cpu':>6}  target")
     for row in rows:

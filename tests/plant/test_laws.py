@@ -321,5 +321,7 @@ def test_constants_of_motion_are_refused_for_other_laws_than_viscous() -> None:
     given = PlantSpec.model_validate(
         dict(spec(parcel())) | {"friction": COULOMB, "solver": {"name": "implicit"}}
     )
-    with pytest.raises(PlantError, match='"coulomb": there are constants of motion .* for the law viscous only'):
+    with pytest.raises(
+        PlantError, match=r'"coulomb": there are constants of motion .* for the law viscous only'
+    ):
         constants_of_motion(given, 0, np.zeros((400, 2)))
