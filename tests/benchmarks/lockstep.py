@@ -41,9 +41,9 @@ each worker a forked process of its own, client of it. A tick: senses (presence 
 messages ("u", float64) over every link that crosses a border, drives back. The bare side is plain Zenoh code
 (FifoChannel, recv, put) that exchanges payloads of the same number and sizes and reads none of them; the lockstep
 side is bus.lockstep with cells that compute nothing. Both are started {sessions} times anew; each time they take
-turns of a fraction of a second, each first in every other pair, so that what else the machine does meets both alike. "ratio" is
-the median, over {pairs} pairs of neighbouring turns each time, of lockstep ticks/s by bare ticks/s, between the
-quartiles; rates are medians.
+turns of a fraction of a second, each first in every other pair, so that what else the machine does meets both alike.
+"ratio" is the median, over {pairs} pairs of neighbouring turns each time, of lockstep ticks/s by bare ticks/s, between
+the quartiles; rates are medians.
 "cpu" is processor time a tick of all processes together, which a busy machine disturbs less than the rate.
 """
 
