@@ -73,12 +73,15 @@ def study(scene: Scene, parcel: int, centre_m: Sequence[float] | None) -> Study:
         centre_m: Where its centre of mass is; None: where the field brings it to rest.
 
     Raises:
-        InputError: The firmware is another, or the field brings the parcel to rest at no point.
+        InputError: The firmware or the law is another, or the field brings the parcel to rest at no point.
     """
     array = CellArray(scene.array)
     speeds = field_speeds(scene, array.positions_m)
     spec = scene.plant_spec()
-    table = Turntable(spec, speeds)
+    try:
+        table = Turntable(spec, speeds)
+    except PlantError as error:
+        raise InputError(f"scene {scene.name}: {error}") from None
     try:
         place = resting_place(spec, parcel, speeds) if centre_m is None else np.array(centre_m)
     except PlantError as error:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _POINT = "X,Y"
 _SIZES = "LMIN:LMAX:N,BMIN:BMAX:N"
 
+_MOST = 1000
+"""Lengths, or widths, of one map: a million sizes take a quarter of an hour."""
 AtOption = Annotated[
     str | None,
     typer.Option(
@@ -131,6 +133,8 @@ def _ranges(text: str) -> tuple[Floats, Floats]:
         found: list[Floats] = []
         for side in text.split(","):
             low, high, count = side.split(":")
+            if int(count) > _MOST:
+                raise InputError(f"--sizes {text}: {int(count):,} lengths or widths; at most {_MOST:,}")
             found.append(np.linspace(float(low), float(high), int(count)))
         lengths, widths = found
     except ValueError:

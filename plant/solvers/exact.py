@@ -8,7 +8,6 @@ the unilateral normal forces, ``capture`` for chatter.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -16,18 +15,9 @@ from numpy.typing import NDArray
 
 from plant.array import CellArray
 from plant.kernels import layout
-from plant.solvers.bodies import (
-    ENDINGS,
-    LOG_CAPACITY,
-    Parcel,
-    SensorCover,
-    Surface,
-    body_of,
-    logged,
-    make_parcel,
-    members,
-)
-from plant.solvers.solver import Advance, Body
+from plant.solvers.bodies import Parcel
+from plant.solvers.compiled import CompiledSolver
+from plant.solvers.solver import Advance
 from plant.specs import ExactSpec, ParcelSpec
 from plant.wheels import Floats, WheelMotion
 
@@ -96,7 +86,7 @@ def make_work(cells: int, capacity: int) -> Work:
 
 
 @final
-class Exact:
+class Exact(CompiledSolver):
     """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for the viscous law.
 
     Args:
@@ -112,67 +102,39 @@ class Exact:
     ) -> None:
         from plant.kernels import entry  # compiles or loads: only where a plant is really built
 
+        super().__init__(array, parcels, rate)
         self._entry: Any = entry
-        self._array = array
-        self.parcels = [make_parcel(parcel, array) for parcel in parcels]
         for parcel in self.parcels:
-            _prepare(parcel, kappa, rate, spec)
-        self.bodies: Sequence[Body] = [body_of(parcel) for parcel in self.parcels]
-        capacity = max((len(parcel.mem) for parcel in self.parcels), default=1)
-        self._work = make_work(len(array), capacity)
-        self._still: Floats = np.zeros((len(array), 2))
-        self._log: Floats = np.zeros((LOG_CAPACITY, 4))
+            _prepare(parcel, kappa, spec)
+        self._work = make_work(len(array), self._capacity)
         self._allowed = [self._refill(parcel) for parcel in self.parcels]
-        self._cover = SensorCover(array)
 
     @staticmethod
     def _refill(parcel: Parcel) -> float:
         """Changes allowed for every simulated second."""
         return float(EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem))
 
-    def under(self, index: int) -> NDArray[np.int64]:
-        """The cells under a parcel now, in no order, its boundary included."""
-        return members(self.parcels[index])
-
-    def stand(self, index: int, grip: Floats) -> bool:
-        """Find a parcel's loads at its start. False where its supports can't carry it."""
-        none = np.zeros(0)
-        still = WheelMotion(self._still, self._still, 0.0)
-        return self.advance(index, still, grip, 0.0, none, np.zeros((0, 6))).ending == "moving"
-
     def advance(
         self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
     ) -> Advance:
         """Move one parcel by ``span_s``; see ``plant.kernels.advance.advance``."""
         parcel = self.parcels[index]
-        surface = Surface(self._array.positions_m, self._array.grid, motion.steady, motion.decay, grip)
         # a bucket that fills with simulated time and holds one second's worth, so that chatter spread over many
         # short calls is bounded like chatter in a long one
         rate = self._refill(parcel)
         budget = min(self._allowed[index], rate) + rate * span_s
         ctl = parcel.ctl
         spent, changes = int(ctl[layout.N_CHANGES]), int(ctl[layout.N_EVENTS])
+        surface = self._surface(motion, grip)
         moved = self._entry.advance(surface, parcel, self._work, span_s, int(budget), times_s, out, self._log)
         self._allowed[index] = budget - (int(ctl[layout.N_CHANGES]) - spent)
-        return Advance(
-            float(moved),
-            ENDINGS[int(ctl[layout.STATUS])],
-            (int(ctl[layout.TIP_A]), int(ctl[layout.TIP_B])),
-            int(ctl[layout.CULPRIT]),
-            int(ctl[layout.N_EVENTS]) - changes,
-            logged(parcel, self._log),
-        )
-
-    def presence(self, bits: NDArray[np.bool_]) -> None:
-        """Set the presence bits ``(n, sensors)`` under every parcel."""
-        self._cover.mark(self.parcels, bits)
+        return self._done(parcel, moved, changes, int(ctl[layout.CULPRIT]))
 
 
-def _prepare(parcel: Parcel, kappa: float, rate: float, spec: ExactSpec) -> None:
+def _prepare(parcel: Parcel, kappa: float, spec: ExactSpec) -> None:
     """Add what this solver needs to know of a parcel."""
     par = parcel.par
     par[layout.KAPPA] = kappa
-    par[layout.RATE] = rate
     par[layout.TOLERANCE] = spec.tolerance
     par[layout.CAPTURE] = spec.capture_m
     par[layout.MEMORY] = min(1.0 / kappa, 10.0)

@@ -7,7 +7,6 @@ does so exactly. See ``plant/kernels``: ``implicit_step`` for that problem, ``im
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -16,18 +15,9 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
-from plant.solvers.bodies import (
-    ENDINGS,
-    LOG_CAPACITY,
-    Parcel,
-    SensorCover,
-    Surface,
-    body_of,
-    logged,
-    make_parcel,
-    members,
-)
-from plant.solvers.solver import Advance, Body
+from plant.solvers.bodies import Parcel
+from plant.solvers.compiled import CompiledSolver
+from plant.solvers.solver import Advance
 from plant.specs import ImplicitSpec, ParcelSpec
 from plant.wheels import Floats, WheelMotion
 
@@ -111,7 +101,7 @@ def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
 
 
 @final
-class Implicit:
+class Implicit(CompiledSolver):
     """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for any law.
 
     Args:
@@ -134,54 +124,23 @@ class Implicit:
     ) -> None:
         from plant.kernels import implicit_entry  # compiles or loads: only where a plant is really built
 
+        super().__init__(array, parcels, rate)
         self._entry: Any = implicit_entry
-        self._array = array
-        self.parcels = [make_parcel(parcel, array) for parcel in parcels]
-        for parcel in self.parcels:
-            parcel.par[layout.RATE] = rate
-        self.bodies: Sequence[Body] = [body_of(parcel) for parcel in self.parcels]
-        capacity = max((len(parcel.mem) for parcel in self.parcels), default=1)
-        work = make_work(len(array), capacity)
+        work = make_work(len(array), self._capacity)
         self._work = [
             work._replace(
                 law=coefficients(traction, parcel_spec.mass_kg, gravity_m_s2), pace=first_pace(parcel, spec)
             )
             for parcel_spec, parcel in zip(parcels, self.parcels, strict=True)
         ]
-        self._still: Floats = np.zeros((len(array), 2))
-        self._log: Floats = np.zeros((LOG_CAPACITY, 4))
-        self._cover = SensorCover(array)
-
-    def under(self, index: int) -> NDArray[np.int64]:
-        """The cells under a parcel now, in no order, its boundary included."""
-        return members(self.parcels[index])
-
-    def stand(self, index: int, grip: Floats) -> bool:
-        """Find a parcel's loads at its start. False where its supports can't carry it."""
-        none = np.zeros(0)
-        still = WheelMotion(self._still, self._still, 0.0)
-        return self.advance(index, still, grip, 0.0, none, np.zeros((0, 6))).ending == "moving"
 
     def advance(
         self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
     ) -> Advance:
         """Move one parcel by ``span_s``; see ``plant.kernels.implicit_advance.advance``."""
         parcel = self.parcels[index]
-        surface = Surface(self._array.positions_m, self._array.grid, motion.steady, motion.decay, grip)
-        ctl = parcel.ctl
-        changes = int(ctl[layout.N_EVENTS])
+        changes = int(parcel.ctl[layout.N_EVENTS])
         moved = self._entry.implicit_advance(
-            surface, parcel, self._work[index], span_s, times_s, out, self._log
+            self._surface(motion, grip), parcel, self._work[index], span_s, times_s, out, self._log
         )
-        return Advance(
-            float(moved),
-            ENDINGS[int(ctl[layout.STATUS])],
-            (int(ctl[layout.TIP_A]), int(ctl[layout.TIP_B])),
-            -1,
-            int(ctl[layout.N_EVENTS]) - changes,
-            logged(parcel, self._log),
-        )
-
-    def presence(self, bits: NDArray[np.bool_]) -> None:
-        """Set the presence bits ``(n, sensors)`` under every parcel."""
-        self._cover.mark(self.parcels, bits)
+        return self._done(parcel, moved, changes)

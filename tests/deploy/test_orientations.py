@@ -98,6 +98,14 @@ def test_where_a_parcel_does_not_stand_the_json_has_no_torque(capsys: pytest.Cap
         (["elliptic", "--sizes", "1:2:3"], "--sizes 1:2:3: must be LMIN:LMAX:N,BMIN:BMAX:N"),
         (["elliptic", "--sizes", "1:2:3,1:2:x"], "--sizes 1:2:3,1:2:x: must be LMIN:LMAX:N,BMIN:BMAX:N"),
         (["elliptic", "--sizes", "0:2:3,1:2:3"], "--sizes 0:2:3,1:2:3: lengths and widths must be > 0"),
+        (
+            ["elliptic", "--sizes", "1:2:9999,1:2:3"],
+            "--sizes 1:2:9999,1:2:3: 9,999 lengths or widths; at most 1,000",
+        ),
+        (
+            ["coulomb"],
+            'scene coulomb: friction.law = "coulomb": there are stable orientations for the law viscous',
+        ),
         (["elliptic", "--sizes", "1:2:0,1:2:3"], "--sizes 1:2:0,1:2:3: lengths and widths must be > 0"),
         (
             [

@@ -64,7 +64,12 @@ def _shortened(name: str, duration_s: float) -> Scene:
 
 @pytest.mark.parametrize(
     ("name", "duration_s", "ways"),
-    [("elliptic", 0.09, WAYS), ("heat", 0.09, WAYS), ("prototype", 0.15, WAYS + EACH)],
+    [
+        ("elliptic", 0.09, WAYS),
+        ("heat", 0.09, WAYS),
+        ("coulomb", 0.06, WAYS),  # another solver
+        ("prototype", 0.15, WAYS + EACH),
+    ],
 )
 def test_the_digest_depends_neither_on_processes_nor_on_transport_nor_on_wire_form(
     name: str, duration_s: float, ways: list[Way], tmp_path: Path
