@@ -16,8 +16,10 @@ from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
 from deploy.faults import Fault
 from deploy.scene_checks import cross_problems, normal_parameters
 from deploy.scene_errors import CROSS
+from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
-from plant.specs import ArraySpec, EffectsSpec, ExactSpec, ParcelSpec, PlantSpec, SolverSpec
+from plant.solver_specs import ExactSpec, SolverSpec
+from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 
 if TYPE_CHECKING:
     from bus.lattice import Lattice

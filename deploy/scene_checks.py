@@ -11,8 +11,10 @@ from cell_firmware.errors import FirmwareError, ParametersError
 from cell_firmware.specs import CellsSpec
 from deploy.faults import Fault
 from deploy.scene_errors import Path, Problem, problems_of, strictly
+from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
-from plant.specs import ArraySpec, EffectsSpec, SolverSpec, disagreements
+from plant.solver_specs import SolverSpec
+from plant.specs import ArraySpec, disagreements
 
 _FIRMWARE: Path = ("cells", "firmware")
 _PARAMETERS: Path = ("cells", "parameters")

@@ -18,8 +18,10 @@ from deploy.overrides import Override, apply
 from deploy.scene import Scene
 from deploy.scene_checks import cross_problems
 from deploy.scene_errors import CROSS, Problem, SceneError, nearest, problems_of, strictly, strictly_any
+from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
-from plant.specs import ArraySpec, EffectsSpec, SolverSpec
+from plant.solver_specs import SolverSpec
+from plant.specs import ArraySpec
 
 
 def bundled_names() -> tuple[str, ...]:

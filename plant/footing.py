@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from plant import geometry
 from plant.kernels import layout
+from plant.solver_specs import ExactSpec
 from plant.solvers.exact import Exact
-from plant.specs import ExactSpec, ParcelSpec
+from plant.specs import ParcelSpec
 from plant.wheels import Floats
 
 if TYPE_CHECKING:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from bus.lattice import Lattice
 from bus.spec import CellName, Finite, Positive, Spec, Vector
+from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
 from plant.geometry import PolygonError, check_convex, rectangle
-from plant.spec import tagged
+from plant.solver_specs import ExactSpec, SolverSpec
 
 
 class ArraySpec(Spec):
@@ -94,70 +95,18 @@ class ParcelSpec(Spec):
         return rectangle(*self.size_m)
 
 
-class MotorsSpec(Spec):
-    """First-order motors: ``dV/dt = (gain u - V) / time constant``, one per wheel."""
-
-    time_constant_s: Positive = 0.06
-    speed_per_volt_m_s: Positive = 0.1
-    """No-load surface speed per volt."""
-    supply_v: Positive = 12.0
-    """Commands saturate at plus and minus this voltage."""
-
-
-class EffectsSpec(Spec):
-    """Effects the scene asks for; an absent one is not simulated and costs nothing."""
-
-    motors: MotorsSpec | None = None
-
-
-Tolerance = Annotated[float, Field(ge=1e-14, le=1e-2, allow_inf_nan=False)]
-
-
-class ExactSpec(Spec):
-    """Event-driven, analytic between events."""
-
-    laws: ClassVar[tuple[str, ...] | None] = ("viscous",)
-    """Which laws it solves; None: all."""
-    name: Literal["exact"] = "exact"
-    tolerance: Tolerance = 1e-9
-    """Metres at the footprint, over the run."""
-    capture_m: Annotated[float, Field(gt=0, le=1e-2, allow_inf_nan=False)] = 1e-6
-    """Chatter below this amplitude is captured."""
-
-    def accuracy(self) -> dict[str, str | float]:
-        """Name of the solver, and what its accuracy hangs on."""
-        return {"name": self.name, "tolerance": self.tolerance}
-
-
-class ImplicitSpec(Spec):
-    """A convex problem a step, for any law."""
-
-    laws: ClassVar[tuple[str, ...] | None] = None
-    """Which laws it solves; None: all."""
-    name: Literal["implicit"]
-    tolerance: Tolerance = 1e-6
-    """Metres at the footprint, a second of motion or a jump of the force; not used where ``step_s`` is given."""
-    step_s: Annotated[float, Field(gt=0, le=1.0, allow_inf_nan=False)] | None = None
-    """Steps of this length, none longer; left out: steps as the tolerance asks."""
-
-    def accuracy(self) -> dict[str, str | float]:
-        """Name of the solver, and what its accuracy hangs on."""
-        if self.step_s is not None:
-            return {"name": self.name, "step_s": self.step_s}
-        return {"name": self.name, "tolerance": self.tolerance}
-
-
-SolverSpec = Annotated[
-    Annotated[ExactSpec | ImplicitSpec, Field(discriminator="name")],
-    BeforeValidator(tagged("name", "exact")),
-]
-"""How the motion is integrated, told apart by ``name``."""
-
-
 def disagreements(
     friction: FrictionSpec | None, effects: EffectsSpec | None, solver: SolverSpec | None
 ) -> Iterator[tuple[tuple[str, str], str, str]]:
     """What does not agree between the parts given: the path of a value, the value, and the rule that it breaks."""
+    if solver is not None and effects is not None:
+        for name, effect in effects.asked():
+            if effect.solvers is not None and solver.name not in effect.solvers:
+                yield (
+                    ("solver", "name"),
+                    solver.name,
+                    f"leaves out effects.{name}; use {' or '.join(effect.solvers)}",
+                )
     if friction is None:
         return
     if solver is not None and solver.laws is not None and friction.law not in solver.laws:

@@ -14,7 +14,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         return
     from plant.friction.viscous import Viscous
     from plant.plant import Plant
-    from plant.specs import ArraySpec, ExactSpec, ImplicitSpec, ParcelSpec, PlantSpec
+    from plant.solver_specs import ExactSpec, ImplicitSpec
+    from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 
     session.config.get_terminal_writer().line("compiling the solvers (once) ...")
     parcel = ParcelSpec(size_m=(0.15, 0.15), mass_kg=1.0, position_m=(0.0, 0.0))

@@ -11,8 +11,20 @@ from typing import final
 
 import numpy as np
 
-from plant.specs import MotorsSpec
+from bus.spec import Positive
+from plant.effects.effect import EffectSpec
 from plant.wheels import Floats, WheelMotion
+
+
+@final
+class MotorsSpec(EffectSpec):
+    """First-order motors: ``dV/dt = (gain u - V) / time constant``, one per wheel."""
+
+    time_constant_s: Positive = 0.06
+    speed_per_volt_m_s: Positive = 0.1
+    """No-load surface speed per volt."""
+    supply_v: Positive = 12.0
+    """Commands saturate at plus and minus this voltage."""
 
 
 @final

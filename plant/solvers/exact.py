@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from plant.array import CellArray
 from plant.kernels import layout
+from plant.solver_specs import ExactSpec
 from plant.solvers.bodies import Parcel
 from plant.solvers.compiled import CompiledSolver
 from plant.solvers.solver import Advance
-from plant.specs import ExactSpec, ParcelSpec
+from plant.specs import ParcelSpec
 from plant.wheels import Floats, WheelMotion
 
 EVENTS_PER_SECOND = 4_000

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
+from plant.solver_specs import ImplicitSpec
 from plant.solvers.bodies import Parcel
 from plant.solvers.compiled import CompiledSolver
 from plant.solvers.solver import Advance
-from plant.specs import ImplicitSpec, ParcelSpec
+from plant.specs import ParcelSpec
 from plant.wheels import Floats, WheelMotion
 
 FIRST_STEP_S = 1e-3

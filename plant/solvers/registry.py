@@ -5,10 +5,11 @@ from __future__ import annotations
 from plant.array import CellArray
 from plant.friction.viscous import Viscous
 from plant.kernels import cache
+from plant.solver_specs import ExactSpec, ImplicitSpec, SolverSpec
 from plant.solvers.exact import Exact
 from plant.solvers.implicit import Implicit
 from plant.solvers.solver import Solver
-from plant.specs import ExactSpec, ImplicitSpec, PlantSpec, SolverSpec
+from plant.specs import PlantSpec
 
 _KERNELS = {"exact": "advance", "implicit": "implicit_advance"}
 """The kernel module of each solver's entry point."""

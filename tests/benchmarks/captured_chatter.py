@@ -17,7 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from plant.errors import PlantError, PlantUnstable
 from plant.friction.viscous import Viscous
 from plant.plant import Plant
-from plant.specs import ArraySpec, ExactSpec, ParcelSpec, PlantSpec
+from plant.solver_specs import ExactSpec
+from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 
 SECONDS = 6
 SAMPLE_NS = 20_000_000

@@ -7,11 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from plant.effects.motors import MotorsSpec
+from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
 from plant.friction.viscous import Viscous
 from plant.kernels import layout
 from plant.plant import Plant
-from plant.specs import ArraySpec, EffectsSpec, ExactSpec, ImplicitSpec, MotorsSpec, ParcelSpec, PlantSpec
+from plant.solver_specs import ExactSpec, ImplicitSpec
+from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 from tests.plant.reference import Bench
 
 Floats = NDArray[np.float64]

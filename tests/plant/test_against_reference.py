@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from plant.effects.motors import MotorsSpec
 from plant.plant import Event, Plant
-from plant.specs import MotorsSpec
 from tests.plant.reference import Bench
 from tests.plant.scenes import SECOND, TICK_NS, bench, cells_of, elliptic, members, parcel, spec, study
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from plant.effects.motors import MotorsSpec
 from plant.plant import Plant
-from plant.specs import MotorsSpec
 from tests.plant.scenes import TICK_NS, parcel, spec
 
 MOTORS = [None, MotorsSpec()]

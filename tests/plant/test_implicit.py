@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
+from plant.effects.motors import MotorsSpec
 from plant.errors import PlantUnstable
 from plant.friction.coulomb import Coulomb
 from plant.friction.registry import FrictionSpec
 from plant.friction.stick_slip import StickSlip
 from plant.plant import Plant
-from plant.specs import MotorsSpec
 from tests.plant.reference import balances
 from tests.plant.scenes import (
     SECOND,

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from plant.constants import constants_of_motion
+from plant.effects.motors import MotorsSpec
 from plant.errors import PlantError
 from plant.friction.coulomb import Coulomb
 from plant.friction.coulomb_sliding import CoulombSliding
@@ -15,7 +16,7 @@ from plant.friction.rolling import Rolling
 from plant.friction.stick_slip import StickSlip
 from plant.friction.viscous import Viscous
 from plant.plant import Plant
-from plant.specs import MotorsSpec, PlantSpec
+from plant.specs import PlantSpec
 from tests.plant.scenes import SECOND, Floats, G, lawful, loads, parcel, spec
 
 MU = 0.3

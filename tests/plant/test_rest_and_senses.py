@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from plant.effects.motors import MotorsSpec
 from plant.errors import PlantError
 from plant.plant import Plant
-from plant.specs import MotorsSpec
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, elliptic, members, parcel, spec, study, turned
 
 KAPPA = MU * G

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from plant.effects.motors import MotorsSpec
 from plant.plant import Plant
-from plant.specs import MotorsSpec
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, parcel, spec
 
 KAPPA = MU * G

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.specs import MotorsSpec
+from plant.effects.motors import MotorsSpec
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, elliptic, parcel
 from tests.stability.solvers import Solver
 

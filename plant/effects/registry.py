@@ -1,0 +1,22 @@
+"""Every effect there is: a new one is a file and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bus.spec import Spec
+from plant.effects.effect import EffectSpec
+from plant.effects.motors import MotorsSpec
+
+
+class EffectsSpec(Spec):
+    """Effects the scene asks for; an absent one is not simulated and costs nothing."""
+
+    motors: MotorsSpec | None = None
+
+    def asked(self) -> Iterator[tuple[str, EffectSpec]]:
+        """Name and settings of the effects that are there."""
+        for name in type(self).model_fields:
+            effect = getattr(self, name)
+            if effect is not None:
+                yield name, effect
