@@ -17,7 +17,7 @@ from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
 from plant.solvers.solver import Advance, Solver, SolverEvent
 from plant.specs import PlantSpec
-from plant.wheels import Floats, IdealWheels, WheelMotion, Wheels
+from plant.wheels import Floats, IdealWheels, Wheels
 
 LossPolicy = Literal["coast", "brake", "hold"]
 
@@ -48,7 +48,10 @@ class Plant:
         self._grip: Floats = np.ones(n)
         self._now_ns = 0
         self._none: Floats = np.zeros(0)
-        self._nothing: Floats = np.zeros((0, 6))
+        self._nothing: Floats = np.zeros((0, len(spec.parcels), 6))
+        self._all = np.arange(len(spec.parcels), dtype=np.int64)
+        self._live = self._all
+        """Parcels that move: neither tipped nor off the array."""
         bodies = self._solver.bodies
         radius: Floats = np.array([body.radius_m for body in bodies])
         self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in spec.parcels]
@@ -90,7 +93,7 @@ class Plant:
     @property
     def state(self) -> Floats:
         """``(parcels, 6)``: x, y, theta, vx, vy, omega; a copy."""
-        return np.array([body.state for body in self._solver.bodies]).reshape(-1, 6)
+        return self._solver.state.copy()
 
     @property
     def wheel_speed(self) -> Floats:
@@ -100,7 +103,7 @@ class Plant:
     def sense(self) -> Sense:
         """What the cells sense now."""
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
-        self._solver.presence(presence)
+        self._solver.presence(self._all, presence)
         travel = self._wheels.travel
         return Sense(presence, None if travel is None else _read_only(travel))
 
@@ -169,30 +172,28 @@ class Plant:
         start = self._now_ns * 1e-9
         # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
         motion = self._wheels.command(np.array(drives, dtype=np.float64, order="C"))
+        live = self._live
+        out = self._nothing if samples is None else samples[1:]
         events: list[Event] = []
-        for i in range(len(self._solver.bodies)):
-            out = self._nothing if samples is None else np.empty((len(times_s), 6))
-            events.extend(self._move_parcel(i, motion, start, span, times_s, out))
-            if samples is not None:
-                samples[1:, i] = out
+        for done in self._solver.advance(live, motion, self._grip, span, times_s, out):
+            events.extend(self._news(done, start, times_s, out))
+        if samples is not None:
+            over = np.setdiff1d(self._all, live)
+            samples[1:, over] = self._solver.state[over]
         self._wheels.elapse(motion, span)
         self._now_ns = until_ns
         return events
 
-    def _move_parcel(
-        self, i: int, motion: WheelMotion, start: float, span: float, times_s: Floats, out: Floats
-    ) -> list[Event]:
-        parcel = self._solver.bodies[i].state
-        if self.status[i].state in ("tipped", "off_array"):
-            out[:] = parcel
-            return []
-        done = self._solver.advance(i, motion, self._grip, span, times_s, out)
+    def _news(self, done: Advance, start: float, times_s: Floats, out: Floats) -> list[Event]:
+        """Note what happened to a parcel in a move that began at ``start``."""
+        i = done.parcel
         self.support_changes += done.changes
         events = [self._event(i, start, event) for event in done.events]
         if done.ending == "tipped":
-            parcel[3:] = 0.0
-            out[times_s > done.moved_s, 3:] = 0.0
+            self._solver.state[i, 3:] = 0.0
+            out[times_s > done.moved_s, i, 3:] = 0.0
             events.append(self._tip(i, start + done.moved_s, done.edge))
+            self._live = self._live[self._live != i]
         elif done.ending != "moving":
             self._unstable(i, start + done.moved_s, done)
         return events
@@ -200,7 +201,7 @@ class Plant:
     def _event(self, i: int, start: float, event: SolverEvent) -> Event:
         cell, time_s = event.cell, start + event.after_s
         if cell < 0:
-            x, y = self._solver.bodies[i].state[:2].tolist()
+            x, y = self._solver.state[i, :2].tolist()
             return Event(time_s, event.kind, i, (), (x, y))
         places = self.array.positions_m
         return Event(
@@ -213,7 +214,7 @@ class Plant:
 
     def _tip(self, i: int, time_s: float, edge: tuple[int, int]) -> Event:
         """Name the edge a parcel tips about; off the array where nothing lies beyond it."""
-        state = self._solver.bodies[i].state
+        state = self._solver.state[i]
         a, b = edge
         place = (float(state[0]), float(state[1]))
         if a < 0:
@@ -227,7 +228,7 @@ class Plant:
         return Event(time_s, outcome, i, cells, place, detail)
 
     def _unstable(self, i: int, time_s: float, done: Advance) -> None:
-        x, y = self._solver.bodies[i].state[:2]
+        x, y = self._solver.state[i, :2]
         where = f"parcel {i} at t = {time_s:.6g} s, x = {x:.6g} m, y = {y:.6g} m"
         named = "the supports"
         if done.culprit >= 0:

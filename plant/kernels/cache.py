@@ -31,7 +31,7 @@ def key() -> str:
     for path in sorted(here.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     # numba also looks at where the cached file is and when it changed: another checkout has a folder of its own
-    entry = here / "advance.py"
+    entry = here / "block.py"
     for part in (
         version("numba"),
         version("llvmlite"),

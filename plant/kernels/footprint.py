@@ -6,6 +6,10 @@ from math import cos, sin
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
+from plant.kernels.pick import parcel_of
+
+EDGE_SLACK = 4.0
+"""A sensor this many roundings outside the edge is covered: that of a parcel at rest on it must not flicker."""
 
 
 @kernel
@@ -38,16 +42,30 @@ def inside(px, py, normal, offset, y, c, s, slack):
 
 
 @kernel
-def cover(surface, parcel, sensors, reach, slack, bits):
-    """Set the presence bits ``(n, sensors)`` of every sensor under the parcel; ``reach`` bounds the sensors' offset."""
-    y, grid = parcel.y, surface.grid
-    c, s = cos(y[at.THETA]), sin(y[at.THETA])
-    first_row, last_row, first_column, last_column = box(parcel.vertices, y, parcel.par, grid, reach + slack)
-    for row in range(first_row, last_row + 1):
-        for column in range(first_column, last_column + 1):
-            cell = grid[row, column]
-            if cell >= 0:
-                for k in range(sensors.shape[0]):
-                    px, py = surface.pos[cell, 0] + sensors[k, 0], surface.pos[cell, 1] + sensors[k, 1]
-                    if inside(px, py, parcel.normal, parcel.offset, y, c, s, slack):
-                        bits[cell, k] = True
+def cover(surface, parcels, which, sensors, reach, bits):
+    """Set the presence bits ``(n, sensors)`` of every sensor under some of the parcels.
+
+    Args:
+        surface: ``plant.solvers.bodies.Surface``.
+        parcels: ``plant.kernels.parcels.Parcels``.
+        which: numbers of those that count.
+        sensors: ``(s, 2)`` m, from a cell's centre; the same for every cell.
+        reach: m, of the farthest sensor from its cell's centre.
+        bits: only ever set.
+    """
+    grid = surface.grid
+    for n in range(which.shape[0]):
+        parcel = parcel_of(parcels, which[n])
+        y, slack = parcel.y, EDGE_SLACK * parcel.par[at.ON_SURFACE]
+        c, s = cos(y[at.THETA]), sin(y[at.THETA])
+        first_row, last_row, first_column, last_column = box(
+            parcel.vertices, y, parcel.par, grid, reach + slack
+        )
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                cell = grid[row, column]
+                if cell >= 0:
+                    for k in range(sensors.shape[0]):
+                        px, py = surface.pos[cell, 0] + sensors[k, 0], surface.pos[cell, 1] + sensors[k, 1]
+                        if inside(px, py, parcel.normal, parcel.offset, y, c, s, slack):
+                            bits[cell, k] = True

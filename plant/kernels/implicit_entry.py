@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from numba import njit
 
-from plant.kernels import cache
-from plant.kernels import implicit_advance as _advance
+from plant.kernels import cache, implicit_block
 
 with cache.kept_here():
-    implicit_advance = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(_advance.advance.py_func)
+    advance_block = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(
+        implicit_block.advance_block.py_func
+    )

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from plant import geometry
 from plant.array import CellArray
 from plant.kernels import implicit_layout, layout
+from plant.kernels.parcels import Parcel, Parcels
 from plant.solvers.solver import Body, Ending, SolverEvent
 from plant.specs import ParcelSpec
 from plant.wheels import Floats
-
-LOG_CAPACITY = 4096
-"""Events of one parcel kept per call; more are counted but not listed."""
 
 KINDS = {
     layout.ENTER: "support_gained",
@@ -54,18 +52,6 @@ class Surface(NamedTuple):
     grip: Floats
 
 
-class Parcel(NamedTuple):
-    """One parcel, as the kernels read and change it (see ``plant.kernels.layout``)."""
-
-    vertices: Floats
-    normal: Floats
-    offset: Floats
-    par: Floats
-    y: Floats
-    mem: NDArray[np.int64]
-    ctl: NDArray[np.int64]
-
-
 def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:
     """A parcel at its start with the cells under it, and without what only one solver needs to know.
 
@@ -98,19 +84,32 @@ def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:
         mem=np.zeros((capacity, layout.MEM_COLUMNS), dtype=np.int64),
         ctl=np.zeros(layout.CTL_SIZE, dtype=np.int64),
     )
+    parcel.ctl[layout.CULPRIT] = layout.NO_CELL
     _find_members(parcel, array)
     return parcel
 
 
 def _find_members(parcel: Parcel, array: CellArray) -> None:
     """Cells under the parcel at its start, the boundary included."""
+    near = _cells_within(array, parcel.y[:2], float(parcel.par[layout.RADIUS]))
     c, s = math.cos(parcel.y[layout.THETA]), math.sin(parcel.y[layout.THETA])
-    offset = array.positions_m - parcel.y[:2]
+    offset = array.positions_m[near] - parcel.y[:2]
     body = np.stack([c * offset[:, 0] + s * offset[:, 1], -s * offset[:, 0] + c * offset[:, 1]], axis=1)
     depth = np.min(parcel.offset - body @ parcel.normal.T, axis=1)
-    under = np.flatnonzero(depth >= -parcel.par[layout.ON_SURFACE])
+    under = near[depth >= -parcel.par[layout.ON_SURFACE]]
     parcel.mem[: len(under), layout.CELL] = under
     parcel.ctl[layout.N_MEMBERS] = len(under)
+
+
+def _cells_within(array: CellArray, centre_m: Floats, reach_m: float) -> NDArray[np.int64]:
+    """The cells less than ``reach_m`` from a point along x and along y, and a few more; ascending."""
+    most = np.array(array.grid.shape[::-1])
+    low = np.floor((centre_m - reach_m - array.origin_m) / array.pitch_m) - 1.0
+    high = np.ceil((centre_m + reach_m - array.origin_m) / array.pitch_m) + 2.0
+    left, below = np.clip(low, 0, most).astype(np.int64)
+    right, above = np.clip(high, 0, most).astype(np.int64)
+    near = array.grid[below:above, left:right]
+    return np.sort(near[near >= 0])
 
 
 def body_of(parcel: Parcel) -> Body:
@@ -123,14 +122,34 @@ def members(parcel: Parcel) -> NDArray[np.int64]:
     return parcel.mem[: int(parcel.ctl[layout.N_MEMBERS]), layout.CELL].copy()
 
 
-def logged(parcel: Parcel, log: Floats) -> Sequence[SolverEvent]:
-    """What the kernel noted in the last call, without the tipping."""
-    count = min(int(parcel.ctl[layout.N_LOGGED]), len(log))
-    if not count:
-        return ()
+def pack(parcels: Sequence[Parcel]) -> Parcels:
+    """The parcels side by side in arrays of their own; ``plant.kernels.parcels.parcel_of`` finds each again."""
+
+    def joined(name: str, empty: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([empty, *(getattr(parcel, name) for parcel in parcels)])
+
+    def starts(lengths: Sequence[int]) -> NDArray[np.int64]:
+        return np.cumsum([0, *lengths], dtype=np.int64)
+
+    m = len(parcels)
+    return Parcels(
+        corner=starts([len(parcel.vertices) for parcel in parcels]),
+        vertices=joined("vertices", np.zeros((0, 2))),
+        normal=joined("normal", np.zeros((0, 2))),
+        offset=joined("offset", np.zeros(0)),
+        slot=starts([len(parcel.mem) for parcel in parcels]),
+        mem=joined("mem", np.zeros((0, layout.MEM_COLUMNS), dtype=np.int64)),
+        par=joined("par", np.zeros(0)).reshape(m, layout.PAR_SIZE),
+        y=joined("y", np.zeros(0)).reshape(m, 6),
+        ctl=joined("ctl", np.zeros(0, dtype=np.int64)).reshape(m, layout.CTL_SIZE),
+    )
+
+
+def listed(log: Floats) -> list[SolverEvent]:
+    """What a kernel logged of one parcel, without its tipping."""
     return [
         SolverEvent(after_s, KINDS[int(kind)], int(cell))
-        for after_s, kind, cell, _ in log[:count].tolist()
+        for after_s, kind, cell, _ in log.tolist()
         if int(kind) != layout.TIP
     ]
 
@@ -151,9 +170,6 @@ class SensorCover:
         still: Floats = np.zeros((len(array), 2))
         self._surface = Surface(array.positions_m, array.grid, still, still, still[:, 0])
 
-    def mark(self, parcels: Sequence[Parcel], bits: NDArray[np.bool_]) -> None:
-        """Set the presence bits ``(n, sensors)`` under the parcels."""
-        for parcel in parcels:
-            # a sensor exactly under the edge is covered: the edge of a parcel at rest must not flicker
-            slack = 4.0 * parcel.par[layout.ON_SURFACE]
-            self._entry.cover(self._surface, parcel, self._sensors_m, self._reach, slack, bits)
+    def mark(self, parcels: Parcels, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
+        """Set the presence bits ``(n, sensors)`` under those of the parcels."""
+        self._entry.cover(self._surface, parcels, indices, self._sensors_m, self._reach, bits)

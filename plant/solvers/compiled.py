@@ -4,24 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant.array import CellArray
 from plant.kernels import layout
-from plant.solvers.bodies import (
-    ENDINGS,
-    LOG_CAPACITY,
-    Parcel,
-    SensorCover,
-    Surface,
-    body_of,
-    logged,
-    make_parcel,
-    members,
-)
-from plant.solvers.solver import Advance, Body
+from plant.kernels.parcels import Parcel, Parcels
+from plant.solvers.bodies import ENDINGS, SensorCover, Surface, body_of, make_parcel, members, pack
+from plant.solvers.solver import Advance, Body, SolverEvent
 from plant.specs import ParcelSpec
 from plant.wheels import Floats, WheelMotion
 
@@ -33,17 +25,27 @@ class CompiledSolver(ABC):
         array: the surface.
         parcels: footprint, mass and start of each.
         rate: of the motors, 1/s; 0 without.
+
+    Attributes:
+        packed: all parcels, side by side.
+        parcels: each by itself: parts of ``packed``.
+        capacity: cells that fit under any of them.
+        state: ``(m, 6)``: part of ``packed``.
+        bodies: the parcels as the plant sees them.
     """
 
     def __init__(self, array: CellArray, parcels: tuple[ParcelSpec, ...], rate: float) -> None:
+        from plant.kernels import pick  # loads numba: only where a plant is really built
+
         self._array = array
-        self.parcels = [make_parcel(parcel, array) for parcel in parcels]
-        for parcel in self.parcels:
-            parcel.par[layout.RATE] = rate
+        self.packed: Parcels = pack([make_parcel(parcel, array) for parcel in parcels])
+        self.packed.par[:, layout.RATE] = rate
+        kernels: Any = pick
+        self.parcels: list[Parcel] = [kernels.parcel_of.py_func(self.packed, i) for i in range(len(parcels))]
+        self.capacity: int = max((len(parcel.mem) for parcel in self.parcels), default=1)
+        self.state: Floats = self.packed.y
         self.bodies: Sequence[Body] = [body_of(parcel) for parcel in self.parcels]
-        self._capacity = max((len(parcel.mem) for parcel in self.parcels), default=1)
         self._still: Floats = np.zeros((len(array), 2))
-        self._log: Floats = np.zeros((LOG_CAPACITY, 4))
         self._cover = SensorCover(array)
 
     def under(self, index: int) -> NDArray[np.int64]:
@@ -51,33 +53,65 @@ class CompiledSolver(ABC):
         return members(self.parcels[index])
 
     def stand(self, index: int, grip: Floats) -> bool:
-        """Find a parcel's loads at its start. False where its supports can't carry it."""
-        none = np.zeros(0)
+        """Find a parcel's loads where it is. False where its supports can't carry it."""
         still = WheelMotion(self._still, self._still, 0.0)
-        return self.advance(index, still, grip, 0.0, none, np.zeros((0, 6))).ending == "moving"
+        out = np.zeros((0, len(self.parcels), 6))
+        news = self.advance(np.array([index]), still, grip, 0.0, np.zeros(0), out)
+        return not news or news[0].ending == "moving"
 
-    def presence(self, bits: NDArray[np.bool_]) -> None:
-        """Set the presence bits ``(n, sensors)`` under every parcel."""
-        self._cover.mark(self.parcels, bits)
+    def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
+        """Set the presence bits ``(n, sensors)`` under those parcels."""
+        self._cover.mark(self.packed, indices, bits)
 
     @abstractmethod
     def advance(
-        self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
-    ) -> Advance:
-        """Move one parcel by ``span_s``, changing its state; see ``plant.solvers.solver.Solver``."""
+        self,
+        indices: NDArray[np.int64],
+        motion: WheelMotion,
+        grip: Floats,
+        span_s: float,
+        times_s: Floats,
+        out: Floats,
+    ) -> list[Advance]:
+        """Move some parcels by ``span_s``; see ``plant.solvers.solver.Solver``."""
 
     def _surface(self, motion: WheelMotion, grip: Floats) -> Surface:
         """The cells and their wheels for one call of a kernel."""
         return Surface(self._array.positions_m, self._array.grid, motion.steady, motion.decay, grip)
 
-    def _done(self, parcel: Parcel, moved_s: float, changes: int, culprit: int = layout.NO_CELL) -> Advance:
-        """What a kernel's call came to; ``changes`` is how many there had been before it."""
-        ctl = parcel.ctl
+    def _done(self, index: int, moved_s: float, changes: int, events: Sequence[SolverEvent]) -> Advance:
+        """What a call of a kernel came to for one parcel, ``changes`` being those of its supports."""
+        ctl = self.packed.ctl[index]
         return Advance(
-            float(moved_s),
+            index,
+            moved_s,
             ENDINGS[int(ctl[layout.STATUS])],
             (int(ctl[layout.TIP_A]), int(ctl[layout.TIP_B])),
-            culprit,
-            int(ctl[layout.N_EVENTS]) - changes,
-            logged(parcel, self._log),
+            int(ctl[layout.CULPRIT]),
+            changes,
+            events,
         )
+
+
+class OneByOne(CompiledSolver):
+    """A solver that is called once for every parcel."""
+
+    def advance(
+        self,
+        indices: NDArray[np.int64],
+        motion: WheelMotion,
+        grip: Floats,
+        span_s: float,
+        times_s: Floats,
+        out: Floats,
+    ) -> list[Advance]:
+        """Move some parcels by ``span_s``, one after another."""
+        surface = self._surface(motion, grip)
+        done = [self._advance_one(i, surface, span_s, times_s, out[:, i]) for i in indices.tolist()]
+        return [one for one in done if one.ending != "moving" or one.changes or one.events]
+
+    @abstractmethod
+    def _advance_one(
+        self, index: int, surface: Surface, span_s: float, times_s: Floats, out: Floats
+    ) -> Advance:
+        """Move one parcel by ``span_s``; ``out`` ``(k, 6)`` are its states at ``times_s``."""

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from plant.array import CellArray
 from plant.kernels import layout
+from plant.kernels.parcels import Parcel
 from plant.solver_specs import ExactSpec
-from plant.solvers.bodies import Parcel
-from plant.solvers.compiled import CompiledSolver
-from plant.solvers.solver import Advance
+from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import ParcelSpec
-from plant.wheels import Floats, WheelMotion
+from plant.wheels import Floats
 
 EVENTS_PER_SECOND = 4_000
 """Changes of one parcel's supports in a simulated second beyond which its motion counts as unstable, ..."""
@@ -87,7 +86,7 @@ def make_work(cells: int, capacity: int) -> Work:
 
 
 @final
-class Exact(CompiledSolver):
+class Exact(ThreadedSolver[Work]):
     """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for the viscous law.
 
     Args:
@@ -102,34 +101,32 @@ class Exact(CompiledSolver):
         self, array: CellArray, parcels: tuple[ParcelSpec, ...], kappa: float, rate: float, spec: ExactSpec
     ) -> None:
         from plant.kernels import entry  # compiles or loads: only where a plant is really built
+        from plant.kernels.block import ALLOWANCE_SIZE
 
         super().__init__(array, parcels, rate)
         self._entry: Any = entry
-        for parcel in self.parcels:
+        self._allowance: Floats = np.zeros((len(parcels), ALLOWANCE_SIZE))
+        for parcel, allowance in zip(self.parcels, self._allowance, strict=True):
             _prepare(parcel, kappa, spec)
-        self._work = make_work(len(array), self._capacity)
-        self._allowed = [self._refill(parcel) for parcel in self.parcels]
+            allowance[:] = EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem)
 
-    @staticmethod
-    def _refill(parcel: Parcel) -> float:
-        """Changes allowed for every simulated second."""
-        return float(EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem))
+    def _make_work(self) -> Work:
+        return make_work(len(self._array), self.capacity)
 
-    def advance(
-        self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
-    ) -> Advance:
-        """Move one parcel by ``span_s``; see ``plant.kernels.advance.advance``."""
-        parcel = self.parcels[index]
-        # a bucket that fills with simulated time and holds one second's worth, so that chatter spread over many
-        # short calls is bounded like chatter in a long one
-        rate = self._refill(parcel)
-        budget = min(self._allowed[index], rate) + rate * span_s
-        ctl = parcel.ctl
-        spent, changes = int(ctl[layout.N_CHANGES]), int(ctl[layout.N_EVENTS])
-        surface = self._surface(motion, grip)
-        moved = self._entry.advance(surface, parcel, self._work, span_s, int(budget), times_s, out, self._log)
-        self._allowed[index] = budget - (int(ctl[layout.N_CHANGES]) - spent)
-        return self._done(parcel, moved, changes, int(ctl[layout.CULPRIT]))
+    def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
+        surface, span_s, times_s, out = errand
+        return self._entry.advance_block(
+            surface,
+            self.packed,
+            desk.work,
+            self._allowance,
+            block,
+            span_s,
+            times_s,
+            out,
+            desk.log,
+            desk.report,
+        )
 
 
 def _prepare(parcel: Parcel, kappa: float, spec: ExactSpec) -> None:

@@ -15,19 +15,18 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
+from plant.kernels.parcels import Parcel
 from plant.solver_specs import ImplicitSpec
-from plant.solvers.bodies import Parcel
-from plant.solvers.compiled import CompiledSolver
-from plant.solvers.solver import Advance
+from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import ParcelSpec
-from plant.wheels import Floats, WheelMotion
+from plant.wheels import Floats
 
 FIRST_STEP_S = 1e-3
 """What a controlled run tries first."""
 
 
 class Work(NamedTuple):
-    """Scratch of the kernels, one set a thread, and what they know of one parcel's law and steps."""
+    """Scratch of the kernels, one set a thread, with room for one parcel's law and pace."""
 
     law: Floats
     pace: Floats
@@ -102,7 +101,7 @@ def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
 
 
 @final
-class Implicit(CompiledSolver):
+class Implicit(ThreadedSolver[Work]):
     """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for any law.
 
     Args:
@@ -127,21 +126,18 @@ class Implicit(CompiledSolver):
 
         super().__init__(array, parcels, rate)
         self._entry: Any = implicit_entry
-        work = make_work(len(array), self._capacity)
-        self._work = [
-            work._replace(
-                law=coefficients(traction, parcel_spec.mass_kg, gravity_m_s2), pace=first_pace(parcel, spec)
-            )
-            for parcel_spec, parcel in zip(parcels, self.parcels, strict=True)
-        ]
+        self._laws: Floats = np.zeros((len(parcels), implicit_layout.LAW_SIZE))
+        self._paces: Floats = np.zeros((len(parcels), implicit_layout.PACE_SIZE))
+        for i, (parcel_spec, parcel) in enumerate(zip(parcels, self.parcels, strict=True)):
+            self._laws[i] = coefficients(traction, parcel_spec.mass_kg, gravity_m_s2)
+            self._paces[i] = first_pace(parcel, spec)
 
-    def advance(
-        self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
-    ) -> Advance:
-        """Move one parcel by ``span_s``; see ``plant.kernels.implicit_advance.advance``."""
-        parcel = self.parcels[index]
-        changes = int(parcel.ctl[layout.N_EVENTS])
-        moved = self._entry.implicit_advance(
-            self._surface(motion, grip), parcel, self._work[index], span_s, times_s, out, self._log
+    def _make_work(self) -> Work:
+        return make_work(len(self._array), self.capacity)
+
+    def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
+        surface, span_s, times_s, out = errand
+        laws, paces = self._laws, self._paces
+        return self._entry.advance_block(
+            surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report
         )
-        return self._done(parcel, moved, changes)

@@ -11,7 +11,7 @@ from plant.solvers.implicit import Implicit
 from plant.solvers.solver import Solver
 from plant.specs import PlantSpec
 
-_KERNELS = {"exact": "advance", "implicit": "implicit_advance"}
+_KERNELS = {"exact": "block", "implicit": "implicit_block"}
 """The kernel module of each solver's entry point."""
 
 

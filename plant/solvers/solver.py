@@ -47,6 +47,7 @@ class Advance(NamedTuple):
     """How one parcel came along.
 
     Attributes:
+        parcel: which.
         moved_s: what was asked, or less where it ended before.
         ending: ``moving``, or why it ended before.
         edge: the two cells about which it tipped, the same twice for a corner, -1 where nothing is under it.
@@ -55,6 +56,7 @@ class Advance(NamedTuple):
         events: those listed, in the order of time; without the tipping.
     """
 
+    parcel: int
     moved_s: float
     ending: Ending
     edge: tuple[int, int]
@@ -75,6 +77,11 @@ class Solver(Protocol):
         """The parcels, in the order of the scene."""
         ...
 
+    @property
+    def state(self) -> Floats:
+        """``(m, 6)`` states of all parcels, the solver's own; its rows are those of ``bodies``."""
+        ...
+
     def under(self, index: int) -> NDArray[np.int64]:
         """The cells under a parcel now, in no order, its boundary included."""
         ...
@@ -89,20 +96,30 @@ class Solver(Protocol):
         ...
 
     def advance(
-        self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
-    ) -> Advance:
-        """Move one parcel, changing its state.
+        self,
+        indices: NDArray[np.int64],
+        motion: WheelMotion,
+        grip: Floats,
+        span_s: float,
+        times_s: Floats,
+        out: Floats,
+    ) -> list[Advance]:
+        """Move parcels, changing their states; what becomes of one doesn't depend on which others are moved with it.
 
         Args:
-            index: which parcel.
+            indices: ``(b,)`` which parcels, none twice.
             motion: of all wheels, from now on.
             grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
             span_s: how far.
-            times_s: ``(k,)`` in ``(0, span_s]``, ascending: when its state is asked for on the way.
-            out: ``(k, 6)``: those states; of times after it ended, the last.
+            times_s: ``(k,)`` in ``(0, span_s]``, ascending: when states are asked for on the way.
+            out: ``(k, m, 6)``: those states, of the parcels moved; of times after one ended, its last.
+
+        Returns:
+            Those to which something happened, in the order of ``indices``: all others moved ``span_s``, on the
+            supports they had.
         """
         ...
 
-    def presence(self, bits: NDArray[np.bool_]) -> None:
-        """Set the presence bits ``(n, sensors)`` under every parcel."""
+    def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
+        """Set the presence bits ``(n, sensors)`` under some of the parcels."""
         ...

@@ -30,7 +30,7 @@ from plant.kernels import layout
 from plant.kernels.advance import advance
 from plant.kernels.series import taylor
 from plant.plant import Plant
-from plant.solvers.exact import Surface
+from plant.solvers.bodies import Surface
 
 TICK_S = 0.004096
 HALFWAY_NS = 1_500_000_000
@@ -81,7 +81,7 @@ def kernel_costs(problem: Problem, turns: int) -> tuple[float, float, float, flo
     plant: Plant = problem.plant(TOLERANCE)
     plant.advance(problem.speeds, HALFWAY_NS)
     solver = plant._solver
-    parcel, work = solver.parcels[0], solver._work
+    parcel, work = solver.parcels[0], solver.desk(0).work
     still, grip = np.zeros_like(problem.speeds), np.ones(len(problem.speeds))
     surfaces = tuple(
         Surface(plant.array.positions_m, plant.array.grid, problem.speeds * factor, still, grip)

@@ -84,7 +84,7 @@ def members(plant: Plant, index: int = 0) -> NDArray[np.int64]:
 
 def loads(plant: Plant) -> tuple[NDArray[np.int64], Floats]:
     """Cells under the parcel of a plant of one parcel, and the share of its weight on each, as the solver has them."""
-    inner, seg = plant._solver.parcels[0], plant._solver._work.segs[0]
+    inner, seg = plant._solver.parcels[0], plant._solver.desk(0).work.segs[0]
     listed = inner.mem[: inner.ctl[layout.N_MEMBERS]]
     offset = plant.array.positions_m[listed[:, layout.CELL]] - inner.y[:2] - seg[[layout.CX, layout.CY]]
     inverse = np.array([[seg[layout.PXX], seg[layout.PXY]], [seg[layout.PXY], seg[layout.PYY]]])

@@ -51,7 +51,7 @@ def test_a_change_of_any_kernel_file_changes_the_key(copied: Path, name: str) ->
     path.write_text(text + "\n# a change\n")
     assert _module(copied).key() != before
     path.write_text(text)
-    if name != "advance.py":  # the file that holds the cached function counts with its time
+    if name != "block.py":  # the file that holds the cached function counts with its time
         assert _module(copied).key() == before
 
 
@@ -109,8 +109,8 @@ sense, _ = plant.advance(np.zeros((400, 2)), TICK_NS)
 from plant.kernels import entry
 print(json.dumps({
     "warm": warm,
-    "hits": [sum(kernel.stats.cache_hits.values()) for kernel in (entry.advance, entry.cover)],
-    "misses": [sum(kernel.stats.cache_misses.values()) for kernel in (entry.advance, entry.cover)],
+    "hits": [sum(kernel.stats.cache_hits.values()) for kernel in (entry.advance_block, entry.cover)],
+    "misses": [sum(kernel.stats.cache_misses.values()) for kernel in (entry.advance_block, entry.cover)],
     "present": int(sense.presence.sum()),
 }))
 """

@@ -1,0 +1,50 @@
+"""Many parcels in one call of the implicit solver's kernel, one after another."""
+
+from __future__ import annotations
+
+from plant.kernels import implicit_layout as im
+from plant.kernels import layout as at
+from plant.kernels.implicit_advance import advance
+from plant.kernels.jit import kernel
+from plant.kernels.parcels import LOG_CAPACITY
+from plant.kernels.pick import note_news, parcel_of
+
+
+@kernel
+def advance_block(surface, parcels, work, laws, paces, block, span, times, out, events, report):
+    """Move the parcels of ``block`` by ``span`` seconds, as many as the log is sure to have room for.
+
+    Args:
+        surface: ``plant.solvers.bodies.Surface``: the cells and their wheels.
+        parcels: ``plant.kernels.parcels.Parcels``: all there are; those of the block are changed in place.
+        work: ``plant.solvers.implicit.Work``: scratch, into which a parcel's law and pace are copied for its turn.
+        laws: ``(m, LAW_SIZE)``: each parcel's law; see ``plant.kernels.implicit_layout``.
+        paces: ``(m, PACE_SIZE)``: settings and memory of each parcel's steps; changed in place.
+        block: ``(b,)`` which parcels.
+        span: s; 0 only finds the loads and whether the parcels stand.
+        times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way.
+        out: ``(k, m, 6)``: those states.
+        events: ``(rows, 4)``: log, at least ``LOG_CAPACITY`` rows.
+        report: ``(b, REPORT_SIZE)``: see ``plant.kernels.parcels``.
+
+    Returns:
+        How many of the block were moved, and to how many of these something happened.
+    """
+    used, noted = at.ZERO, at.ZERO
+    for n in range(block.shape[0]):
+        if used + LOG_CAPACITY > events.shape[0]:
+            return n, noted
+        i = block[n]
+        parcel = parcel_of(parcels, i)
+        changes = parcel.ctl[at.N_EVENTS]
+        for k in range(im.LAW_SIZE):
+            work.law[k] = laws[i, k]
+        for k in range(im.PACE_SIZE):
+            work.pace[k] = paces[i, k]
+        log = events[used : used + LOG_CAPACITY]
+        moved = advance(surface, parcel, work, span, times, out[:, i], log)
+        for k in range(im.PACE_SIZE):
+            paces[i, k] = work.pace[k]
+        noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
+        used += logged
+    return block.shape[0], noted

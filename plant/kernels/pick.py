@@ -1,0 +1,36 @@
+"""One parcel out of all, and what happened to it."""
+
+from __future__ import annotations
+
+from plant.kernels import layout as at
+from plant.kernels.jit import kernel
+from plant.kernels.parcels import CHANGES, LOG_CAPACITY, LOGGED, MOVED, WHICH, Parcel
+
+
+@kernel
+def parcel_of(parcels, i):
+    """Parcel ``i``: parts of the arrays of all, not copies."""
+    corner, end = parcels.corner[i], parcels.corner[i + 1]
+    return Parcel(
+        parcels.vertices[corner:end],
+        parcels.normal[corner:end],
+        parcels.offset[corner:end],
+        parcels.par[i],
+        parcels.y[i],
+        parcels.mem[parcels.slot[i] : parcels.slot[i + 1]],
+        parcels.ctl[i],
+    )
+
+
+@kernel
+def note_news(ctl, i, moved, changes, report, noted):
+    """Report parcel ``i`` if anything happened to it; ``changes`` is how many there had been before the call.
+
+    Returns (rows of the report in use, rows of the log that it took).
+    """
+    logged = min(ctl[at.N_LOGGED], LOG_CAPACITY)
+    if ctl[at.STATUS] == at.MOVING and ctl[at.N_EVENTS] == changes and logged == 0:
+        return noted, logged
+    row = report[noted]
+    row[WHICH], row[MOVED], row[CHANGES], row[LOGGED] = i, moved, ctl[at.N_EVENTS] - changes, logged
+    return noted + 1, logged

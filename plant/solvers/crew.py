@@ -1,0 +1,84 @@
+"""Threads that share the parcels of one call between them.
+
+Kernels hold no lock of the interpreter while they run (``nogil``), so plain threads do; and unlike threads of numba's
+own they leave nothing behind that a process could not be forked with.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import TypeVar, final
+
+Done = TypeVar("Done")
+
+PER_THREAD = 16
+"""A thread is not woken for fewer parcels than this."""
+TURNS = 4
+"""How many shares a thread gets on average: parcels differ in cost, and who is done early takes from the rest."""
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@final
+class Crew:
+    """This thread and its helpers, which start when they are first needed and end with the crew.
+
+    What is computed must not depend on who computes it: shares are taken by whoever is free.
+
+    Args:
+        threads: how many at most, this one included; None: one for every processor.
+    """
+
+    def __init__(self, threads: int | None = None) -> None:
+        self.threads: int = threads or processors()
+        self._pool: ThreadPoolExecutor | None = None
+        self._process = 0
+
+    def share(self, count: int, do: Callable[[int, slice], Done]) -> list[Done]:
+        """Have ``range(count)`` done in shares.
+
+        Args:
+            count: how many there are.
+            do: called with the thread's number, from 0, and the share; never twice at once for one thread.
+
+        Returns:
+            What ``do`` returned, in the order of the shares.
+        """
+        threads = min(self.threads, count // PER_THREAD)
+        if threads < 2:
+            return [do(0, slice(0, count))]
+        shares = min(TURNS * threads, count // PER_THREAD)
+        todo = deque(range(shares))
+        done: dict[int, Done] = {}
+
+        def labour(thread: int) -> None:
+            while True:
+                try:
+                    share = todo.popleft()
+                except IndexError:
+                    return
+                done[share] = do(thread, slice(share * count // shares, (share + 1) * count // shares))
+
+        helpers = [self._helpers().submit(labour, thread) for thread in range(1, threads)]
+        try:
+            labour(0)
+            for helper in helpers:
+                helper.result()
+        finally:
+            # whatever happened, nobody goes on changing parcels behind the caller's back
+            todo.clear()
+            wait(helpers)
+        return [done[share] for share in range(shares)]
+
+    def _helpers(self) -> ThreadPoolExecutor:
+        """The helpers' threads; a forked process has none of its parent's, and starts its own."""
+        if self._pool is None or self._process != os.getpid():
+            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="mdms-parcels")
+            self._process = os.getpid()
+        return self._pool

@@ -1,0 +1,112 @@
+"""Solvers whose kernels move blocks of parcels: as many blocks at a time as there are processors."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.array import CellArray
+from plant.kernels.parcels import CHANGES, LOG_CAPACITY, LOGGED, MOVED, REPORT_SIZE, WHICH
+from plant.solvers.bodies import Surface, listed
+from plant.solvers.compiled import CompiledSolver
+from plant.solvers.crew import Crew
+from plant.solvers.solver import Advance
+from plant.specs import ParcelSpec
+from plant.wheels import Floats, WheelMotion
+
+Work = TypeVar("Work")
+
+
+class Errand(NamedTuple):
+    """What is the same for all parcels of a call."""
+
+    surface: Surface
+    span_s: float
+    times_s: Floats
+    out: Floats
+
+
+class Desk(NamedTuple, Generic[Work]):
+    """What one thread works with.
+
+    Attributes:
+        work: scratch of the solver's kernels.
+        log: ``(rows, 4)``: see ``plant.kernels.layout``.
+        report: ``(m, REPORT_SIZE)``: see ``plant.kernels.parcels``.
+    """
+
+    work: Work
+    log: Floats
+    report: Floats
+
+
+class ThreadedSolver(CompiledSolver, Generic[Work]):
+    """A ``plant.solvers.solver.Solver`` but for one block of parcels.
+
+    What becomes of a parcel depends neither on the other parcels of its block nor on the thread.
+
+    Args:
+        array: the surface.
+        parcels: footprint, mass and start of each.
+        rate: of the motors, 1/s; 0 without.
+
+    Attributes:
+        crew: the threads.
+    """
+
+    def __init__(self, array: CellArray, parcels: tuple[ParcelSpec, ...], rate: float) -> None:
+        super().__init__(array, parcels, rate)
+        self.crew = Crew()
+        self._desks: dict[int, Desk[Work]] = {}
+
+    @abstractmethod
+    def _make_work(self) -> Work:
+        """Scratch for one thread."""
+
+    @abstractmethod
+    def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
+        """Move the parcels of a block, as many as ``desk.log`` is sure to have room for.
+
+        Returns:
+            How many of the block were moved, and how many rows of ``desk.report`` were written.
+        """
+
+    def desk(self, thread: int) -> Desk[Work]:
+        """What a thread works with, made when it first does."""
+        if thread not in self._desks:
+            log, report = np.zeros((2 * LOG_CAPACITY, 4)), np.zeros((len(self.parcels), REPORT_SIZE))
+            self._desks[thread] = Desk(self._make_work(), log, report)
+        return self._desks[thread]
+
+    def advance(
+        self,
+        indices: NDArray[np.int64],
+        motion: WheelMotion,
+        grip: Floats,
+        span_s: float,
+        times_s: Floats,
+        out: Floats,
+    ) -> list[Advance]:
+        """Move some parcels by ``span_s``; see ``plant.solvers.solver.Solver``."""
+        errand = Errand(self._surface(motion, grip), span_s, times_s, out)
+
+        def move(thread: int, share: slice) -> list[Advance]:
+            return self._move(self.desk(thread), indices[share], errand)
+
+        return [news for share in self.crew.share(len(indices), move) for news in share]
+
+    def _move(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> list[Advance]:
+        """Move a block, in as many calls as its events need. Returns the parcels to which something happened."""
+        news: list[Advance] = []
+        while len(block):
+            moved, noted = self._advance_block(desk, block, errand)
+            block = block[moved:]
+            row = 0
+            for told in desk.report[:noted].tolist():
+                events = listed(desk.log[row : row + int(told[LOGGED])])
+                news.append(self._done(int(told[WHICH]), told[MOVED], int(told[CHANGES]), events))
+                row += int(told[LOGGED])
+        return news
