@@ -44,14 +44,36 @@ ENDINGS: dict[int, Ending] = {
 """How a call ended, by the kernels' codes."""
 
 
+class Springs(NamedTuple):
+    """The cells' springs under one parcel, where they are not all equal (see ``plant.kernels.uneven_springs``).
+
+    Attributes:
+        rate: ``(n,)`` over the mean.
+        height: ``(n,)`` m.
+        per_m: mean rate over the parcel's weight, 1/m.
+        span: largest height, over the sag of one mean spring under the whole parcel.
+        moments: ``(3,)`` scratch: ``sum k h`` and ``sum k h r`` of the active supports.
+    """
+
+    rate: Floats
+    height: Floats
+    per_m: float
+    span: float
+    moments: Floats
+
+
 class Surface(NamedTuple):
-    """The cells and their wheels, as the kernels read them."""
+    """The cells and their wheels, as the kernels read them.
+
+    What is None by default belongs to effects: a kernel is compiled for what is there, and for nothing else.
+    """
 
     pos: Floats
     grid: NDArray[np.int64]
     steady: Floats
     decay: Floats
     grip: Floats
+    springs: Springs | None = None
 
 
 class Parcel(NamedTuple):

@@ -19,7 +19,8 @@ from plant.solver_specs import ImplicitSpec
 from plant.solvers.bodies import Parcel
 from plant.solvers.compiled import CompiledSolver
 from plant.solvers.solver import Advance
-from plant.specs import ParcelSpec
+from plant.solvers.springs import make_springs
+from plant.specs import PlantSpec
 from plant.wheels import Floats, WheelMotion
 
 FIRST_STEP_S = 1e-3
@@ -106,34 +107,27 @@ class Implicit(CompiledSolver):
     """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for any law.
 
     Args:
-        array: the surface.
-        parcels: footprint, mass and start of each.
-        traction: the law.
-        gravity_m_s2: of the scene.
-        rate: of the motors, 1/s; 0 without.
+        scene: the scene's physics.
         spec: length of a step, or tolerance.
+        array: the surface.
+        rate: of the motors, 1/s; 0 without.
     """
 
-    def __init__(
-        self,
-        array: CellArray,
-        parcels: tuple[ParcelSpec, ...],
-        traction: Traction,
-        gravity_m_s2: float,
-        rate: float,
-        spec: ImplicitSpec,
-    ) -> None:
+    def __init__(self, scene: PlantSpec, spec: ImplicitSpec, array: CellArray, rate: float) -> None:
         from plant.kernels import implicit_entry  # compiles or loads: only where a plant is really built
 
-        super().__init__(array, parcels, rate)
+        super().__init__(array, scene.parcels, rate)
         self._entry: Any = implicit_entry
         work = make_work(len(array), self._capacity)
+        traction = scene.friction.traction()
+        masses = [parcel.mass_kg for parcel in scene.parcels]
         self._work = [
             work._replace(
-                law=coefficients(traction, parcel_spec.mass_kg, gravity_m_s2), pace=first_pace(parcel, spec)
+                law=coefficients(traction, mass_kg, scene.gravity_m_s2), pace=first_pace(parcel, spec)
             )
-            for parcel_spec, parcel in zip(parcels, self.parcels, strict=True)
+            for mass_kg, parcel in zip(masses, self.parcels, strict=True)
         ]
+        self._springs = [make_springs(scene, array, mass_kg) for mass_kg in masses]
 
     def advance(
         self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
@@ -141,7 +135,8 @@ class Implicit(CompiledSolver):
         """Move one parcel by ``span_s``; see ``plant.kernels.implicit_advance.advance``."""
         parcel = self.parcels[index]
         changes = int(parcel.ctl[layout.N_EVENTS])
+        surface = self._surface(motion, grip)._replace(springs=self._springs[index])
         moved = self._entry.implicit_advance(
-            self._surface(motion, grip), parcel, self._work[index], span_s, times_s, out, self._log
+            surface, parcel, self._work[index], span_s, times_s, out, self._log
         )
         return self._done(parcel, moved, changes)
