@@ -123,16 +123,18 @@ class Scene(Spec):
             effects=self.effects,
             solver=self.solver,
             gravity_m_s2=self.gravity_m_s2,
+            seed=self.seed,
         )
 
     def canonical(self) -> bytes:
         """What is simulated, as bytes: the same for every way of writing the same scene.
 
         Sorted JSON of all values, defaults and the firmware's own included. Left out is what cannot change
-        what is simulated: the title, the limits on the wall clock, the folder of a firmware's file. The code
-        of user firmware is not covered.
+        what is simulated: the title, the limits on the wall clock, the folder of a firmware's file, effects that
+        are absent. The code of user firmware is not covered.
         """
         data = self.model_dump(mode="json", exclude=_ASIDE)
+        data["effects"] = {name: table for name, table in data["effects"].items() if table is not None}
         data["cells"]["firmware"] = self.cells.firmware.rpartition("/")[2]
         data["cells"]["parameters"] = normal_parameters(self.cells)
         data["cells"]["speed_loop"] = self.speed_loop and self.speed_loop.model_dump(mode="json")

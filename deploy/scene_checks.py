@@ -14,7 +14,7 @@ from deploy.scene_errors import Path, Problem, problems_of, strictly
 from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
 from plant.solver_specs import SolverSpec
-from plant.specs import ArraySpec, disagreements
+from plant.specs import ArraySpec, disagreements, misplaced
 
 _FIRMWARE: Path = ("cells", "firmware")
 _PARAMETERS: Path = ("cells", "parameters")
@@ -41,6 +41,8 @@ def cross_problems(
     problems = [Problem(path, rule, value) for path, value, rule in disagreements(friction, effects, solver)]
     if array is not None:
         problems += _fault_problems(array, faults)
+        if effects is not None:
+            problems += [Problem(path, rule, value) for path, value, rule in misplaced(array, effects)]
     if cells is not None:
         if effects is not None and effects.motors is None and cells.speed_loop is not None:
             problems.append(

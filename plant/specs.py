@@ -117,6 +117,17 @@ def disagreements(
         yield ("friction", "law"), friction.law, rule
 
 
+def misplaced(array: ArraySpec, effects: EffectsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+    """What effects say of cells that does not fit the array: the path of a value, the value, and the broken rule."""
+    asked = list(effects.asked())
+    if not asked:
+        return
+    lattice = array.lattice()
+    for name, effect in asked:
+        for path, value, rule in effect.misplaced(lattice):
+            yield ("effects", name, *path), value, rule
+
+
 class PlantSpec(Spec):
     """All the plant needs to know of a scene."""
 
@@ -126,9 +137,13 @@ class PlantSpec(Spec):
     effects: EffectsSpec = EffectsSpec()
     solver: SolverSpec = ExactSpec()
     gravity_m_s2: Positive = 9.81
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Of everything that is left to chance."""
 
     @model_validator(mode="after")
     def _agrees(self) -> PlantSpec:
         for path, value, rule in disagreements(self.friction, self.effects, self.solver):
             raise ValueError(f"{'.'.join(path)} {value} {rule}")
+        for path, value, rule in misplaced(self.array, self.effects):
+            raise ValueError(f"{'.'.join(map(str, path))} {value}: {rule}")
         return self

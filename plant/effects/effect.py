@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import ClassVar
 
+from bus.lattice import Lattice
 from bus.spec import Spec
 
 
@@ -12,3 +14,7 @@ class EffectSpec(Spec):
 
     solvers: ClassVar[tuple[str, ...] | None] = None
     """Names of the solvers that know the effect; None: it doesn't concern them."""
+
+    def misplaced(self, lattice: Lattice) -> Iterator[tuple[tuple[str | int, ...], object, str]]:  # noqa: ARG002
+        """What does not fit the array's cells: path from the effect's table, value, and the rule that it breaks."""
+        yield from ()

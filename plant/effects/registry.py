@@ -7,12 +7,14 @@ from collections.abc import Iterator
 from bus.spec import Spec
 from plant.effects.effect import EffectSpec
 from plant.effects.motors import MotorsSpec
+from plant.effects.uneven_supports import UnevenSupportsSpec
 
 
 class EffectsSpec(Spec):
     """Effects the scene asks for; an absent one is not simulated and costs nothing."""
 
     motors: MotorsSpec | None = None
+    uneven_supports: UnevenSupportsSpec | None = None
 
     def asked(self) -> Iterator[tuple[str, EffectSpec]]:
         """Name and settings of the effects that are there."""

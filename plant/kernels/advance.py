@@ -160,8 +160,8 @@ def advance(surface, parcel, work, span, budget, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
 
     Args:
-        surface: ``plant.solvers.bodies.Surface``: the cells and their wheels.
-        parcel: ``plant.solvers.bodies.Parcel``: footprint, constants and state; changed in place.
+        surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
+        parcel: ``plant.kernels.parcels.Parcel``: footprint, constants and state; changed in place.
         work: ``plant.solvers.exact.Work``: scratch.
         span: s; 0 only finds the loads and whether the parcel stands.
         budget: events allowed in this call before the motion is called unstable.

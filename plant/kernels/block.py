@@ -24,7 +24,7 @@ def advance_block(surface, parcels, work, allowance, block, span, times, out, ev
     short calls is bounded like chatter in a long one.
 
     Args:
-        surface: ``plant.solvers.bodies.Surface``: the cells and their wheels.
+        surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
         parcels: ``plant.kernels.parcels.Parcels``: all there are; those of the block are changed in place.
         work: ``plant.solvers.exact.Work``: scratch.
         allowance: ``(m, ALLOWANCE_SIZE)``; changed in place.

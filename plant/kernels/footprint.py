@@ -46,7 +46,7 @@ def cover(surface, parcels, which, sensors, reach, bits):
     """Set the presence bits ``(n, sensors)`` of every sensor under some of the parcels.
 
     Args:
-        surface: ``plant.solvers.bodies.Surface``.
+        surface: ``plant.kernels.surface.Surface``.
         parcels: ``plant.kernels.parcels.Parcels``.
         which: numbers of those that count.
         sensors: ``(s, 2)`` m, from a cell's centre; the same for every cell.

@@ -281,8 +281,8 @@ def advance(surface, parcel, work, span, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
 
     Args:
-        surface: ``plant.solvers.bodies.Surface``: the cells and their wheels.
-        parcel: ``plant.solvers.bodies.Parcel``: footprint, constants and state; changed in place.
+        surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
+        parcel: ``plant.kernels.parcels.Parcel``: footprint, constants and state; changed in place.
         work: ``plant.solvers.implicit.Work``: law and pace of the parcel, and scratch.
         span: s; 0 only finds the loads and whether the parcel stands.
         times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way; steps end there.

@@ -8,6 +8,7 @@ from plant.kernels.implicit_advance import advance
 from plant.kernels.jit import kernel
 from plant.kernels.parcels import LOG_CAPACITY
 from plant.kernels.pick import note_news, parcel_of
+from plant.kernels.springs import surface_under
 
 
 @kernel
@@ -15,7 +16,7 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
     """Move the parcels of ``block`` by ``span`` seconds, as many as the log is sure to have room for.
 
     Args:
-        surface: ``plant.solvers.bodies.Surface``: the cells and their wheels.
+        surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
         parcels: ``plant.kernels.parcels.Parcels``: all there are; those of the block are changed in place.
         work: ``plant.solvers.implicit.Work``: scratch, into which a parcel's law and pace are copied for its turn.
         laws: ``(m, LAW_SIZE)``: each parcel's law; see ``plant.kernels.implicit_layout``.
@@ -42,7 +43,7 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
         for k in range(im.PACE_SIZE):
             work.pace[k] = paces[i, k]
         log = events[used : used + LOG_CAPACITY]
-        moved = advance(surface, parcel, work, span, times, out[:, i], log)
+        moved = advance(surface_under(surface, i), parcel, work, span, times, out[:, i], log)
         for k in range(im.PACE_SIZE):
             paces[i, k] = work.pace[k]
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)

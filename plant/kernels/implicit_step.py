@@ -12,6 +12,7 @@ from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
 from plant.kernels.motion import solve
+from plant.kernels.springs import height, plane_at, stiffness
 
 EPSILON = 2.3e-16
 NEWTON_STEPS = 100
@@ -44,8 +45,7 @@ def grasp(surface, parcel, work, law, e, h):
     mem, y, seg, wheels = parcel.mem, parcel.y, work.seg, work.wheels
     ahead_x, ahead_y = h * y[at.UX], h * y[at.UY]
     mx, my = ahead_x - seg[at.CX], ahead_y - seg[at.CY]
-    a0 = 1.0 / seg[at.N_ACTIVE]
-    bx, by = seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
+    a0, bx, by = plane_at(surface, seg, mx, my)
     arm = work.pace[im.GYRATION]
     count = at.ZERO
     for i in range(parcel.ctl[at.N_MEMBERS]):
@@ -53,7 +53,8 @@ def grasp(surface, parcel, work, law, e, h):
         if mem[i, at.MARK] != at.ACTIVE or surface.grip[cell] == 0.0:
             continue
         rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
-        share = max(a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]), 0.0)
+        pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - height(surface, cell)
+        share = max(stiffness(surface, cell) * pressed, 0.0)
         vx = surface.steady[cell, 0] + e * surface.decay[cell, 0]
         vy = surface.steady[cell, 1] + e * surface.decay[cell, 1]
         row = wheels[count]

@@ -64,9 +64,9 @@ NOT_FINITE: Final = 3
 NO_LOADS: Final = 4
 
 # ── seg: float64 constants of one support set, measured about its centroid c
-N_ACTIVE: Final = 0
+N_ACTIVE: Final = 0  # sum of their stiffnesses: how many, where springs are equal
 CX, CY = 1, 2  # c - X0
-PXX, PXY, PYY = 3, 4, 5  # (pseudo-)inverse of sum r r'
+PXX, PXY, PYY = 3, 4, 5  # (pseudo-)inverse of sum k r r'
 RANK: Final = 6
 LINE_X, LINE_Y = 7, 8  # unit normal of the line of supports, where the rank is 1
 W0, W1X, W1Y, W2XX, W2XY, W2YY, G0, G1X, G1Y = range(9, 18)  # moments of the driven wheels

@@ -8,9 +8,9 @@ from __future__ import annotations
 from plant.kernels import layout as at
 from plant.kernels.events import SLACK, crossing, negate, note
 from plant.kernels.jit import kernel
-from plant.kernels.loads import LOAD_ZERO
 from plant.kernels.modes import FRACTION_ZERO
 from plant.kernels.roots import horner
+from plant.kernels.springs import LOAD_ZERO
 
 
 @kernel

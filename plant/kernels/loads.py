@@ -11,66 +11,83 @@ from plant.kernels import layout as at
 from plant.kernels.hull import outside_hull
 from plant.kernels.jit import kernel
 from plant.kernels.moments import segment
-from plant.kernels.motion import plane, solve
-
-LOAD_ZERO = 1e-12
-"""A share of the mean load that rounding can't tell from none."""
+from plant.kernels.motion import solve
+from plant.kernels.springs import height, negligible, plane_at, stiffness
 
 
 @kernel
-def potential(pos, mem, ctl, y, mark, length, ox, oy, z, w):
-    """Half the squared loads minus the work of the weight: convex, least at the springs' plane ``z``."""
+def pressed(surface, parcel, z, origin, cell):
+    """Place of a cell in pitches from ``origin`` (x, y from the parcel, pitch), and how far the plane z presses it."""
+    rx = (surface.pos[cell, 0] - parcel.y[0] - origin[0]) / origin[2]
+    ry = (surface.pos[cell, 1] - parcel.y[1] - origin[1]) / origin[2]
+    return rx, ry, z[0] + z[1] * rx + z[2] * ry - height(surface, cell)
+
+
+@kernel
+def potential(surface, parcel, mark, origin, z, w):
+    """The springs' energy minus the work of the weight: convex, least at the springs' plane ``z``."""
+    mem = parcel.mem
     total = -(z[0] * w[0] + z[1] * w[1] + z[2] * w[2])
-    for i in range(ctl[at.N_MEMBERS]):
+    for i in range(parcel.ctl[at.N_MEMBERS]):
         if mem[i, mark] != at.ABSENT:
             cell = mem[i, at.CELL]
-            rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
-            n = z[0] + z[1] * rx + z[2] * ry
+            _, _, n = pressed(surface, parcel, z, origin, cell)
             if n > 0.0:
-                total += 0.5 * n * n
+                total += 0.5 * stiffness(surface, cell) * n * n
     return total
 
 
 @kernel
-def gradient(pos, mem, ctl, y, mark, length, ox, oy, z, w, hessian, slope):
+def gradient(surface, parcel, mark, origin, z, w, hessian, slope):
     """Gradient and Hessian of ``potential``. Returns how many cells carry load on the plane ``z``."""
+    mem = parcel.mem
     for i in range(3):
         slope[i] = -w[i]
         for j in range(3):
             hessian[i, j] = 0.0
     count = 0
-    for i in range(ctl[at.N_MEMBERS]):
+    for i in range(parcel.ctl[at.N_MEMBERS]):
         if mem[i, mark] != at.ABSENT:
             cell = mem[i, at.CELL]
-            rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
-            n = z[0] + z[1] * rx + z[2] * ry
+            rx, ry, n = pressed(surface, parcel, z, origin, cell)
             if n > 0.0:
+                k = stiffness(surface, cell)
                 count += 1
-                slope[0] += n
-                slope[1] += n * rx
-                slope[2] += n * ry
-                hessian[0, 0] += 1.0
-                hessian[0, 1] += rx
-                hessian[0, 2] += ry
-                hessian[1, 1] += rx * rx
-                hessian[1, 2] += rx * ry
-                hessian[2, 2] += ry * ry
+                slope[0] += k * n
+                slope[1] += k * n * rx
+                slope[2] += k * n * ry
+                hessian[0, 0] += k
+                hessian[0, 1] += k * rx
+                hessian[0, 2] += k * ry
+                hessian[1, 1] += k * rx * rx
+                hessian[1, 2] += k * rx * ry
+                hessian[2, 2] += k * ry * ry
     hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
     return count
 
 
 @kernel
+def topmost(surface, parcel, mark):
+    """Height of the highest cell of a mode: a plane above it presses them all."""
+    top = -1e300
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        if parcel.mem[i, mark] != at.ABSENT:
+            top = max(top, height(surface, parcel.mem[i, at.CELL]))
+    return top
+
+
+@kernel
 def contact(surface, parcel, seg, mark, scratch, newton):
     """Mark every cell under the parcel as carrying load or lifted, at the minimum of ``potential``."""
-    pos, mem, ctl, y = surface.pos, parcel.mem, parcel.ctl, parcel.y
+    mem, ctl = parcel.mem, parcel.ctl
     z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
     hessian = newton[5:8]
-    length, ox, oy = parcel.par[at.PITCH], seg[at.CX], seg[at.CY]
-    w[0], w[1], w[2] = 1.0, -ox / length, -oy / length
-    z[0], z[1], z[2] = 1.0 / ctl[at.N_MEMBERS], 0.0, 0.0
-    value = potential(pos, mem, ctl, y, mark, length, ox, oy, z, w)
+    origin = (seg[at.CX], seg[at.CY], parcel.par[at.PITCH])
+    w[0], w[1], w[2] = 1.0, -origin[0] / origin[2], -origin[1] / origin[2]
+    z[0], z[1], z[2] = 1.0 / ctl[at.N_MEMBERS] + topmost(surface, parcel, mark), 0.0, 0.0
+    value = potential(surface, parcel, mark, origin, z, w)
     for _ in range(200):
-        count = gradient(pos, mem, ctl, y, mark, length, ox, oy, z, w, hessian, slope)
+        count = gradient(surface, parcel, mark, origin, z, w, hessian, slope)
         size = abs(slope[0]) + abs(slope[1]) + abs(slope[2])
         if size <= 1e-14:
             break
@@ -86,7 +103,7 @@ def contact(surface, parcel, seg, mark, scratch, newton):
         for _ in range(60):
             for i in range(3):
                 trial[i] = z[i] + t * step[i]
-            following = potential(pos, mem, ctl, y, mark, length, ox, oy, trial, w)
+            following = potential(surface, parcel, mark, origin, trial, w)
             if following <= value + 1e-4 * t * descent:
                 improved = following < value
                 break
@@ -98,16 +115,15 @@ def contact(surface, parcel, seg, mark, scratch, newton):
         value = following
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, mark] != at.ABSENT:
-            cell = mem[i, at.CELL]
-            rx, ry = (pos[cell, 0] - y[0] - ox) / length, (pos[cell, 1] - y[1] - oy) / length
-            mem[i, mark] = at.ACTIVE if z[0] + z[1] * rx + z[2] * ry > 0.0 else at.LIFTED
+            _, _, n = pressed(surface, parcel, z, origin, mem[i, at.CELL])
+            mem[i, mark] = at.ACTIVE if n > 0.0 else at.LIFTED
 
 
 @kernel
 def violated(surface, parcel, seg, mark):
     """True where a cell marked as loaded would pull, or one marked as lifted would be pressed."""
-    a0, bx, by = plane(seg)
-    zero = LOAD_ZERO * a0
+    a0, bx, by = plane_at(surface, seg, -seg[at.CX], -seg[at.CY])
+    zero = negligible(surface, a0)
     for i in range(parcel.ctl[at.N_MEMBERS]):
         state = parcel.mem[i, mark]
         if state == at.ABSENT:
@@ -115,7 +131,7 @@ def violated(surface, parcel, seg, mark):
         cell = parcel.mem[i, at.CELL]
         rx = surface.pos[cell, 0] - parcel.y[0] - seg[at.CX]
         ry = surface.pos[cell, 1] - parcel.y[1] - seg[at.CY]
-        n = a0 + bx * rx + by * ry
+        n = a0 + bx * rx + by * ry - height(surface, cell)
         if state == at.ACTIVE and n < -zero:
             return True
         if state == at.LIFTED and n > zero:
@@ -134,7 +150,7 @@ def exchange(surface, parcel, seg, mark):
     ``contact`` finds the supports to the rounding of its potential, half the digits of a load; loads nearer to zero
     than that are sorted out here, one by one.
     """
-    a0, bx, by = plane(seg)
+    a0, bx, by = plane_at(surface, seg, -seg[at.CX], -seg[at.CY])
     mem = parcel.mem
     worst, which = 0.0, -1
     for i in range(parcel.ctl[at.N_MEMBERS]):
@@ -142,7 +158,7 @@ def exchange(surface, parcel, seg, mark):
             cell = mem[i, at.CELL]
             rx = surface.pos[cell, 0] - parcel.y[0] - seg[at.CX]
             ry = surface.pos[cell, 1] - parcel.y[1] - seg[at.CY]
-            n = a0 + bx * rx + by * ry
+            n = a0 + bx * rx + by * ry - height(surface, cell)
             wrong = -n if mem[i, mark] == at.ACTIVE else n
             if wrong > worst:
                 worst, which = wrong, i

@@ -9,45 +9,49 @@ from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
+from plant.kernels.springs import note_heights, stiffness
 
 
 @kernel
-def centre_and_plane(pos, mem, ctl, y, par, seg, mark):
-    """Number, centroid and inverse second moment of the active supports, with its rank."""
-    count = at.ZERO
-    cx, cy = 0.0, 0.0
+def centre_and_plane(surface, parcel, seg, mark):
+    """Stiffness, centroid and inverse second moment of the active supports, with its rank, and their heights."""
+    pos, mem, ctl, y = surface.pos, parcel.mem, parcel.ctl, parcel.y
+    total, cx, cy = 0.0, 0.0, 0.0
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
-            count += 1
-            cx += pos[cell, 0] - y[0]
-            cy += pos[cell, 1] - y[1]
-    seg[at.N_ACTIVE] = count
-    if count == 0:
+            k = stiffness(surface, cell)
+            total += k
+            cx += k * (pos[cell, 0] - y[0])
+            cy += k * (pos[cell, 1] - y[1])
+    seg[at.N_ACTIVE] = total
+    if total == 0.0:
         seg[at.RANK] = -1
         return
-    cx /= count
-    cy /= count
+    cx /= total
+    cy /= total
     seg[at.CX], seg[at.CY] = cx, cy
     xx, xy, yy = 0.0, 0.0, 0.0
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
+            k = stiffness(surface, cell)
             rx = pos[cell, 0] - y[0] - cx
             ry = pos[cell, 1] - y[1] - cy
-            xx += rx * rx
-            xy += rx * ry
-            yy += ry * ry
-    invert_symmetric(xx, xy, yy, count, par[at.ON_LINE], seg)
+            xx += k * rx * rx
+            xy += k * rx * ry
+            yy += k * ry * ry
+    invert_symmetric(xx, xy, yy, total, parcel.par[at.ON_LINE], seg)
+    note_heights(surface, parcel, seg, mark)
 
 
 @kernel
-def invert_symmetric(xx, xy, yy, count, on_line, seg):
+def invert_symmetric(xx, xy, yy, total, on_line, seg):
     """(Pseudo-)inverse of ``[[xx, xy], [xy, yy]]``: rank 1 where the supports lie on a line, 0 where on a point."""
     mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     spread = (half * half + xy * xy) ** 0.5
     large = mean + spread
-    zero = count * on_line * on_line * 1e-6
+    zero = total * on_line * on_line * 1e-6
     if large <= zero:
         seg[at.PXX] = seg[at.PXY] = seg[at.PYY] = 0.0
         seg[at.RANK] = 0
@@ -122,7 +126,7 @@ def load_moments(pos, grip, mem, ctl, y, seg, mark):
 def segment(surface, parcel, seg, mark):
     """All constants of the support set whose marks are in column ``mark`` of ``parcel.mem``."""
     pos, grip, mem, ctl, y, par = surface.pos, surface.grip, parcel.mem, parcel.ctl, parcel.y, parcel.par
-    centre_and_plane(pos, mem, ctl, y, par, seg, mark)
+    centre_and_plane(surface, parcel, seg, mark)
     load_moments(pos, grip, mem, ctl, y, seg, mark)
     wheel_moments(pos, surface.steady, grip, mem, ctl, y, seg, mark, at.STEADY)
     if par[at.RATE] > 0.0:

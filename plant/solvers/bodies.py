@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from plant import geometry
 from plant.array import CellArray
 from plant.kernels import implicit_layout, layout
 from plant.kernels.parcels import Parcel, Parcels
+from plant.kernels.surface import Surface
 from plant.solvers.solver import Body, Ending, SolverEvent
 from plant.specs import ParcelSpec
 from plant.wheels import Floats
@@ -40,16 +41,6 @@ ENDINGS: dict[int, Ending] = {
     implicit_layout.NOT_SOLVED: "not_solved",
 }
 """How a call ended, by the kernels' codes."""
-
-
-class Surface(NamedTuple):
-    """The cells and their wheels, as the kernels read them."""
-
-    pos: Floats
-    grid: NDArray[np.int64]
-    steady: Floats
-    decay: Floats
-    grip: Floats
 
 
 def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.kernels import layout
 from plant.kernels.parcels import Parcel, Parcels
-from plant.solvers.bodies import ENDINGS, SensorCover, Surface, body_of, make_parcel, members, pack
+from plant.kernels.surface import Surface
+from plant.solvers.bodies import ENDINGS, SensorCover, body_of, make_parcel, members, pack
 from plant.solvers.solver import Advance, Body, SolverEvent
 from plant.specs import ParcelSpec
 from plant.wheels import Floats, WheelMotion

@@ -17,8 +17,9 @@ from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
 from plant.kernels.parcels import Parcel
 from plant.solver_specs import ImplicitSpec
+from plant.solvers.springs import make_springs
 from plant.solvers.threaded import Desk, Errand, ThreadedSolver
-from plant.specs import ParcelSpec
+from plant.specs import PlantSpec
 from plant.wheels import Floats
 
 FIRST_STEP_S = 1e-3
@@ -105,31 +106,24 @@ class Implicit(ThreadedSolver[Work]):
     """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for any law.
 
     Args:
-        array: the surface.
-        parcels: footprint, mass and start of each.
-        traction: the law.
-        gravity_m_s2: of the scene.
-        rate: of the motors, 1/s; 0 without.
+        scene: the scene's physics.
         spec: length of a step, or tolerance.
+        array: the surface.
+        rate: of the motors, 1/s; 0 without.
     """
 
-    def __init__(
-        self,
-        array: CellArray,
-        parcels: tuple[ParcelSpec, ...],
-        traction: Traction,
-        gravity_m_s2: float,
-        rate: float,
-        spec: ImplicitSpec,
-    ) -> None:
+    def __init__(self, scene: PlantSpec, spec: ImplicitSpec, array: CellArray, rate: float) -> None:
         from plant.kernels import implicit_entry  # compiles or loads: only where a plant is really built
 
-        super().__init__(array, parcels, rate)
+        super().__init__(array, scene.parcels, rate)
         self._entry: Any = implicit_entry
-        self._laws: Floats = np.zeros((len(parcels), implicit_layout.LAW_SIZE))
-        self._paces: Floats = np.zeros((len(parcels), implicit_layout.PACE_SIZE))
-        for i, (parcel_spec, parcel) in enumerate(zip(parcels, self.parcels, strict=True)):
-            self._laws[i] = coefficients(traction, parcel_spec.mass_kg, gravity_m_s2)
+        traction = scene.friction.traction()
+        masses = [parcel.mass_kg for parcel in scene.parcels]
+        self._springs = make_springs(scene, array)
+        self._laws: Floats = np.zeros((len(masses), implicit_layout.LAW_SIZE))
+        self._paces: Floats = np.zeros((len(masses), implicit_layout.PACE_SIZE))
+        for i, (mass_kg, parcel) in enumerate(zip(masses, self.parcels, strict=True)):
+            self._laws[i] = coefficients(traction, mass_kg, scene.gravity_m_s2)
             self._paces[i] = first_pace(parcel, spec)
 
     def _make_work(self) -> Work:
@@ -137,6 +131,7 @@ class Implicit(ThreadedSolver[Work]):
 
     def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
+        surface = surface._replace(springs=self._springs)
         laws, paces = self._laws, self._paces
         return self._entry.advance_block(
             surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report

@@ -31,7 +31,7 @@ def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
     match spec.solver, spec.friction:
         case ExactSpec() as how, Viscous() as law:
             return Exact(array, spec.parcels, law.rate(spec.gravity_m_s2), rate, how)
-        case ImplicitSpec() as how, law:
-            return Implicit(array, spec.parcels, law.traction(), spec.gravity_m_s2, rate, how)
+        case ImplicitSpec() as how, _:
+            return Implicit(spec, how, array, rate)
         case how, law:
             raise AssertionError(f"this is a bug: the spec lets {how.name} solve {law.law}")

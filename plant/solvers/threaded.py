@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from plant.array import CellArray
 from plant.kernels.parcels import CHANGES, LOG_CAPACITY, LOGGED, MOVED, REPORT_SIZE, WHICH
-from plant.solvers.bodies import Surface, listed
+from plant.kernels.surface import Surface
+from plant.solvers.bodies import listed
 from plant.solvers.compiled import CompiledSolver
 from plant.solvers.crew import Crew
 from plant.solvers.solver import Advance

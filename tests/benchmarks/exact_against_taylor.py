@@ -29,8 +29,8 @@ from heyoka_events import HeyokaSide
 from plant.kernels import layout
 from plant.kernels.advance import advance
 from plant.kernels.series import taylor
+from plant.kernels.surface import Surface
 from plant.plant import Plant
-from plant.solvers.bodies import Surface
 
 TICK_S = 0.004096
 HALFWAY_NS = 1_500_000_000

@@ -1,0 +1,99 @@
+"""Effect ``uneven_supports``: cells differ in spring rate and height, ``N_i = K_i (z(p_i) - h_i)+``.
+
+The paper's cells are equal springs at one height. Those of a real array are not, and a few carry most of the load.
+Rates are log-normal about their mean, heights normal about zero, both by the scene's seed; named cells may have their
+own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, final
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from bus.lattice import Lattice
+from bus.spec import CellName, Finite, NotNegative, Positive, Spec
+from plant.chance import generator
+from plant.effects.effect import EffectSpec
+from plant.wheels import Floats
+
+
+class SupportSpec(Spec):
+    """One cell's own support; what is left out is drawn like every other's."""
+
+    cell: CellName
+    stiffness_n_per_m: Positive | None = None
+    height_m: Finite | None = None
+
+
+@final
+class UnevenSupportsSpec(EffectSpec):
+    """Cells of unequal spring rates and heights."""
+
+    solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
+    stiffness_n_per_m: Positive
+    """Mean spring rate of a cell."""
+    stiffness_spread: Annotated[float, Field(ge=0, le=2, allow_inf_nan=False)] = 0.0
+    """Standard deviation of the logarithm of the rates, which are log-normal: about their relative spread."""
+    height_spread_m: NotNegative = 0.0
+    """Standard deviation of the heights, which are normal."""
+    cells: tuple[SupportSpec, ...] = ()
+    """Cells whose rate or height is known."""
+
+    @field_validator("cells")
+    @classmethod
+    def _once(cls, value: tuple[SupportSpec, ...]) -> tuple[SupportSpec, ...]:
+        names = [support.cell for support in value]
+        for row, column in names:
+            if names.count((row, column)) > 1:
+                raise ValueError(f"cells names [{row}, {column}] twice")
+        return value
+
+    def misplaced(self, lattice: Lattice) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+        """Listed cells that don't exist."""
+        for number, support in enumerate(self.cells):
+            if support.cell not in lattice:
+                yield ("cells", number, "cell"), list(support.cell), "the array has no cell there"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Supports:
+    """What every cell's support is.
+
+    Attributes:
+        stiffness_n_per_m: mean rate.
+        rate: ``(n,)`` each cell's, over the mean.
+        height_m: ``(n,)`` without load.
+    """
+
+    stiffness_n_per_m: float
+    rate: Floats
+    height_m: Floats
+
+
+def supports(spec: UnevenSupportsSpec, lattice: Lattice, seed: int) -> Supports:
+    """Draw every cell's support, and put in those that are known.
+
+    Two numbers are drawn for every cell in row-major order, used or not: giving one cell its own changes no other.
+
+    Args:
+        spec: the effect's settings.
+        lattice: which cells exist.
+        seed: of the scene.
+    """
+    draw = generator(seed, "uneven_supports").standard_normal((len(lattice), 2))
+    spread = spec.stiffness_spread
+    # the mean of exp(s g) is exp(s^2 / 2)
+    rate: Floats = np.exp(spread * draw[:, 0] - 0.5 * spread * spread)
+    height: Floats = spec.height_spread_m * draw[:, 1]
+    for one in spec.cells:
+        cell = lattice.index(one.cell)
+        if one.stiffness_n_per_m is not None:
+            rate[cell] = one.stiffness_n_per_m / spec.stiffness_n_per_m
+        if one.height_m is not None:
+            height[cell] = one.height_m
+    return Supports(spec.stiffness_n_per_m, rate, height)

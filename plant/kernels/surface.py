@@ -1,0 +1,60 @@
+"""The cells as kernels read them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+class Springs(NamedTuple):
+    """The cells' springs under one parcel, where they are not all equal (see ``plant.kernels.uneven_springs``).
+
+    Attributes:
+        rate: ``(n,)`` over the mean.
+        height: ``(n,)`` m.
+        per_m: mean rate over the parcel's weight, 1/m.
+        span: largest height, over the sag of one mean spring under the whole parcel.
+        moments: ``(3,)`` scratch: ``sum k h`` and ``sum k h r`` of the active supports.
+    """
+
+    rate: Floats
+    height: Floats
+    per_m: float
+    span: float
+    moments: Floats
+
+
+class AllSprings(NamedTuple):
+    """The cells' springs as each of m parcels feels them.
+
+    Attributes:
+        rate: as ``Springs.rate``.
+        height: likewise.
+        per_m: ``(m,)``.
+        span: ``(m,)``.
+        moments: ``(m, 3)``.
+    """
+
+    rate: Floats
+    height: Floats
+    per_m: Floats
+    span: Floats
+    moments: Floats
+
+
+class Surface(NamedTuple):
+    """The cells and their wheels, as the kernels read them.
+
+    What is None by default belongs to effects: a kernel is compiled for what is there, and for nothing else.
+    """
+
+    pos: Floats
+    grid: NDArray[np.int64]
+    steady: Floats
+    decay: Floats
+    grip: Floats
+    springs: Springs | AllSprings | None = None

@@ -1,0 +1,67 @@
+"""Springs of their own rates and heights (effect ``uneven_supports``): ``N_i = K_i (z(p_i) - h_i)+``.
+
+Only a solver whose scene asks for it imports this; kernels for equal springs are compiled without it.
+
+In shares of the weight W, with the mean rate K: ``N_i / W = k_i (z - h_i)+`` where ``k_i = K_i / K`` and z and h_i are
+lengths over ``W / K``. On the supports S, with their centroid weighted by k,
+
+    z = a + b . r     a = (1 + sum k h) / sum k     b = (sum k r r')^-1 (X - c + sum k h r)
+"""
+
+from __future__ import annotations
+
+from plant.kernels import layout as at
+from plant.kernels.springs import (
+    LOAD_ZERO,
+    answer,
+    height,
+    negligible,
+    note_heights,
+    plane_at,
+    stiffness,
+    surface_under,
+)
+from plant.kernels.surface import Springs, Surface
+
+
+@answer(surface_under, own=True)
+def _own(surface, i):
+    of = surface.springs
+    springs = Springs(of.rate, of.height, of.per_m[i], of.span[i], of.moments[i])
+    return Surface(surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs)
+
+
+@answer(stiffness, own=True)
+def _rate(surface, cell):
+    return surface.springs.rate[cell]
+
+
+@answer(height, own=True)
+def _height(surface, cell):
+    return surface.springs.per_m * surface.springs.height[cell]
+
+
+@answer(note_heights, own=True)
+def _moments(surface, parcel, seg, mark):
+    moments, mem, y = surface.springs.moments, parcel.mem, parcel.y
+    moments[0] = moments[1] = moments[2] = 0.0
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        if mem[i, mark] == at.ACTIVE:
+            cell = mem[i, at.CELL]
+            raised = stiffness(surface, cell) * height(surface, cell)
+            moments[0] += raised
+            moments[1] += raised * (surface.pos[cell, 0] - y[0] - seg[at.CX])
+            moments[2] += raised * (surface.pos[cell, 1] - y[1] - seg[at.CY])
+
+
+@answer(plane_at, own=True)
+def _plane(surface, seg, mx, my):
+    moments = surface.springs.moments
+    tx, ty = mx + moments[1], my + moments[2]
+    bx, by = seg[at.PXX] * tx + seg[at.PXY] * ty, seg[at.PXY] * tx + seg[at.PYY] * ty
+    return (1.0 + moments[0]) / seg[at.N_ACTIVE], bx, by
+
+
+@answer(negligible, own=True)
+def _of_the_span(surface, a0):
+    return LOAD_ZERO * (1.0 + abs(a0) + surface.springs.span)

@@ -1,0 +1,37 @@
+"""The springs under all parcels, for solvers whose kernels know of springs that are not all equal."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+
+from plant.array import CellArray
+from plant.effects.uneven_supports import supports
+from plant.kernels.surface import AllSprings
+from plant.specs import PlantSpec
+
+
+def make_springs(scene: PlantSpec, array: CellArray) -> AllSprings | None:
+    """The springs under the parcels, None where all are equal.
+
+    Kernels compiled from now on know of uneven springs, if the scene has them.
+
+    Args:
+        scene: the scene's physics.
+        array: the surface.
+    """
+    uneven = scene.effects.uneven_supports
+    if uneven is None:
+        return None
+    import_module("plant.kernels.uneven_springs")
+    drawn = supports(uneven, array.lattice, scene.seed)
+    weight = scene.gravity_m_s2 * np.array([parcel.mass_kg for parcel in scene.parcels])
+    per_m = drawn.stiffness_n_per_m / weight
+    return AllSprings(
+        rate=drawn.rate,
+        height=drawn.height_m,
+        per_m=per_m,
+        span=per_m * float(np.max(np.abs(drawn.height_m))),
+        moments=np.zeros((len(scene.parcels), 3)),
+    )
