@@ -89,6 +89,12 @@ def edges(vertices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     return normal, np.sum(normal * vertices, axis=1)
 
 
+def placed(footprint: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners ``(m, 2)`` of a footprint about its centre of mass at the pose x, y, theta, ..."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return footprint @ np.array([[c, s], [-s, c]]) + pose[:2]
+
+
 def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]] | None:
     """Depth in m and place ``(2,)`` in m of the overlap of two convex polygons, or None.
 

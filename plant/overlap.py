@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant import geometry
+from plant.broad_phase import close_boxes, close_pairs
 
 Floats = NDArray[np.float64]
 Place = tuple[float, float]
@@ -25,33 +26,21 @@ class OverlapWatch:
 
     def __init__(self, footprints: Sequence[Floats], radius: Floats) -> None:
         self._footprints = footprints
-        self._first, self._second = np.triu_indices(len(footprints), k=1)
-        self._near = radius[self._first] + radius[self._second]
+        self._radius = radius
         self._met: set[tuple[int, int]] = set()
 
-    def _candidates(self, state: Floats) -> NDArray[np.intp]:
-        """Pairs whose circles touch, for the states ``(parcels, 6)``."""
-        gap = state[self._first, :2] - state[self._second, :2]
-        return np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) < self._near)
-
     def _placed(self, i: int, pose: Floats) -> Floats:
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        return self._footprints[i] @ np.array([[c, s], [-s, c]]) + pose[:2]
+        return geometry.placed(self._footprints[i], pose)
 
     def pairs(self, state: Floats) -> Iterator[tuple[int, int, float, Place]]:
         """Pairs that overlap now: both indices, depth in m, place in m."""
-        if len(self._first) == 0:
-            return
-        for pair in self._candidates(state):
-            i, j = int(self._first[pair]), int(self._second[pair])
+        for i, j in close_pairs(state[:, :2], self._radius).tolist():
             found = geometry.overlap(self._placed(i, state[i]), self._placed(j, state[j]))
             if found is not None:
                 yield i, j, found[0], (float(found[1][0]), float(found[1][1]))
 
     def changes(self, state: Floats) -> list[tuple[str, int, int, float, Place]]:
         """What is new since the last look: ``overlap`` or ``apart``, the pair, depth and place."""
-        if len(self._first) == 0:
-            return []
         now = {(i, j): (depth, place) for i, j, depth, place in self.pairs(state)}
         changes = [("overlap", i, j, *now[i, j]) for i, j in now if (i, j) not in self._met]
         changes += [
@@ -64,9 +53,14 @@ class OverlapWatch:
 
     def close_calls(self, states: Floats) -> Iterator[int]:
         """Instants among the states ``(T, parcels, 6)`` at which some pair's circles touch, or one has met before."""
-        if len(self._first) == 0:
+        if len(self._radius) < 2:
             return
-        gap = states[:, self._first, :2] - states[:, self._second, :2]
-        near = np.any(np.hypot(gap[..., 0], gap[..., 1]) < self._near, axis=1)
+        reach = self._radius[:, None]
+        centre = states[:, :, :2]
+        near = np.zeros(len(states), dtype=np.bool_)
+        # only pairs whose ways come near each other are followed through all instants
+        for i, j in close_boxes(centre.min(axis=0) - reach, centre.max(axis=0) + reach).tolist():
+            gap = centre[:, i] - centre[:, j]
+            near |= np.hypot(gap[:, 0], gap[:, 1]) < self._radius[i] + self._radius[j]
         for k in np.flatnonzero(near | np.roll(near, 1)):
             yield int(k)
