@@ -38,10 +38,7 @@ class Lattice:
         self._index = {cell: i for i, cell in enumerate(ordered)}
         self.rows: NDArray[np.int64] = np.array([r for r, _ in ordered], dtype=np.int64)
         self.columns: NDArray[np.int64] = np.array([c for _, c in ordered], dtype=np.int64)
-        self.neighbours: NDArray[np.int64] = np.array(
-            [[self._index.get((r + dr, c + dc), -1) for dr, dc in _STEP] for r, c in ordered],
-            dtype=np.int64,
-        ).reshape(len(ordered), 4)
+        self.neighbours: NDArray[np.int64] = _neighbours(self.rows, self.columns)
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -52,3 +49,16 @@ class Lattice:
 
     def __contains__(self, cell: object) -> bool:
         return cell in self._index
+
+
+def _neighbours(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """``(n, 4)`` neighbours of cells in row-major order, by a search for each among all."""
+    if len(rows) == 0:
+        return np.empty((0, 4), dtype=np.int64)
+    # one number a place, ascending like the cells; wide enough that no step leads into another row's
+    width = int(columns.max() - columns.min()) + 3
+    places = rows * width + columns
+    steps = np.array([row * width + column for row, column in _STEP])
+    wanted = places[:, None] + steps
+    found = np.minimum(np.searchsorted(places, wanted), len(places) - 1)
+    return np.where(places[found] == wanted, found, -1)

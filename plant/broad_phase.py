@@ -28,7 +28,7 @@ def close_boxes(low: Floats, high: Floats) -> Pairs:
     axis = int(np.argmax(np.ptp(low, axis=0)))
     order = np.argsort(low[:, axis], kind="stable")
     begins = low[order, axis]
-    ends: Pairs = np.searchsorted(begins, high[order, axis], side="left")
+    ends = np.asarray(np.searchsorted(begins, high[order, axis], side="left"), dtype=np.intp)
     places = np.arange(count)
     later = np.maximum(ends - places - 1, 0)
     first = np.repeat(places, later)

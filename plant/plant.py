@@ -134,7 +134,7 @@ class Plant:
         start_ns, before = self._now_ns, self.state
         events = self._move(drives, until_ns, self._none, None)
         after = self.state
-        if self._rest.may_change(after, self.status):
+        if self._rest.may_change(after, self._live):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
         events.extend(self._meetings(after, until_ns * 1e-9))
         return self.sense(), events
@@ -243,7 +243,7 @@ class Plant:
 
     def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:
         """Update ``status`` from the states ``(T, parcels, 6)`` at the instants ``(T,)``."""
-        for i, status in self._rest.changes(states, times_ns, self.status):
+        for i, status in self._rest.changes(states, times_ns, self._live):
             self.status[i] = status
 
     def _meetings(self, state: Floats, time_s: float) -> list[Event]:

@@ -56,13 +56,12 @@ def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:
     normal, offset = geometry.edges(vertices)
     radius = float(np.max(np.hypot(vertices[:, 0], vertices[:, 1])))
     inertia = spec.inertia_kg_m2 or spec.mass_kg * geometry.polar_moment_per_mass(spec.polygon())
-    far = float(np.max(np.abs(array.positions_m))) + radius
     par = np.zeros(layout.PAR_SIZE)
     par[layout.MASS_OVER_INERTIA] = spec.mass_kg / inertia
     par[layout.RADIUS] = radius
     par[layout.PITCH] = array.pitch_m
     par[layout.ORIGIN_X], par[layout.ORIGIN_Y] = array.origin_m
-    par[layout.ON_SURFACE] = 32.0 * np.finfo(np.float64).eps * far
+    par[layout.ON_SURFACE] = 32.0 * np.finfo(np.float64).eps * (array.far_m + radius)
     par[layout.ON_LINE] = 1e-8 * array.pitch_m
     across = math.ceil(2.0 * radius / array.pitch_m) + 2
     capacity = min(len(array), across * across) + 1

@@ -14,8 +14,6 @@ from typing import TypeVar, final
 
 Done = TypeVar("Done")
 
-PER_THREAD = 16
-"""A thread is not woken for fewer parcels than this."""
 TURNS = 4
 """How many shares a thread gets on average: parcels differ in cost, and who is done early takes from the rest."""
 
@@ -40,20 +38,21 @@ class Crew:
         self._pool: ThreadPoolExecutor | None = None
         self._process = 0
 
-    def share(self, count: int, do: Callable[[int, slice], Done]) -> list[Done]:
+    def share(self, count: int, do: Callable[[int, slice], Done], least: int) -> list[Done]:
         """Have ``range(count)`` done in shares.
 
         Args:
             count: how many there are.
             do: called with the thread's number, from 0, and the share; never twice at once for one thread.
+            least: a share is no smaller, and for fewer than two of them nobody is woken.
 
         Returns:
             What ``do`` returned, in the order of the shares.
         """
-        threads = min(self.threads, count // PER_THREAD)
+        threads = min(self.threads, count // least)
         if threads < 2:
             return [do(0, slice(0, count))]
-        shares = min(TURNS * threads, count // PER_THREAD)
+        shares = min(TURNS * threads, count // least)
         todo = deque(range(shares))
         done: dict[int, Done] = {}
 

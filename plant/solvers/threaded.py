@@ -20,6 +20,11 @@ from plant.wheels import Floats, WheelMotion
 
 Work = TypeVar("Work")
 
+WORTH_WAKING = 32
+"""Waking a thread costs as much as moving so many parcels by a tick, or one of them by a second."""
+SENSED_WORTH_WAKING = 128
+"""... and as much as looking for the sensors under so many."""
+
 
 class Errand(NamedTuple):
     """What is the same for all parcels of a call."""
@@ -97,7 +102,16 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
         def move(thread: int, share: slice) -> list[Advance]:
             return self._move(self.desk(thread), indices[share], errand)
 
-        return [news for share in self.crew.share(len(indices), move) for news in share]
+        least = max(1, round(WORTH_WAKING / (1.0 + WORTH_WAKING * span_s)))
+        return [news for share in self.crew.share(len(indices), move, least) for news in share]
+
+    def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
+        """Set the presence bits ``(n, sensors)`` under those parcels."""
+
+        def mark(_: int, share: slice) -> None:
+            self._cover.mark(self.packed, indices[share], bits)
+
+        self.crew.share(len(indices), mark, SENSED_WORTH_WAKING)
 
     def _move(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> list[Advance]:
         """Move a block, in as many calls as its events need. Returns the parcels to which something happened."""
