@@ -1,4 +1,4 @@
-"""Effect ``uneven_supports``: cells differ in spring rate and height, ``N_i = K_i (z(p_i) - h_i)+``.
+"""Effect ``uneven_supports``: cells differ in spring rate and height, ``N_i = K_i (z(p_i) + h_i)+``, z the sag.
 
 The paper's cells are equal springs at one height. Those of a real array are not, and a few carry most of the load.
 Rates are log-normal about their mean, heights normal about zero, both by the scene's seed; named cells may have their

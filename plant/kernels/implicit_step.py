@@ -12,7 +12,7 @@ from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
 from plant.kernels.motion import solve
-from plant.kernels.springs import height, plane_at, stiffness
+from plant.kernels.springs import gap, plane_at, stiffness
 
 EPSILON = 2.3e-16
 NEWTON_STEPS = 100
@@ -53,7 +53,7 @@ def grasp(surface, parcel, work, law, e, h):
         if mem[i, at.MARK] != at.ACTIVE or surface.grip[cell] == 0.0:
             continue
         rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
-        pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - height(surface, cell)
+        pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - gap(surface, cell)
         share = max(stiffness(surface, cell) * pressed, 0.0)
         vx = surface.steady[cell, 0] + e * surface.decay[cell, 0]
         vy = surface.steady[cell, 1] + e * surface.decay[cell, 1]

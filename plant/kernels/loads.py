@@ -12,7 +12,7 @@ from plant.kernels.hull import outside_hull
 from plant.kernels.jit import kernel
 from plant.kernels.moments import segment
 from plant.kernels.motion import solve
-from plant.kernels.springs import height, negligible, plane_at, stiffness
+from plant.kernels.springs import gap, negligible, plane_at, stiffness
 
 
 @kernel
@@ -20,7 +20,7 @@ def pressed(surface, parcel, z, origin, cell):
     """Place of a cell in pitches from ``origin`` (x, y from the parcel, pitch), and how far the plane z presses it."""
     rx = (surface.pos[cell, 0] - parcel.y[0] - origin[0]) / origin[2]
     ry = (surface.pos[cell, 1] - parcel.y[1] - origin[1]) / origin[2]
-    return rx, ry, z[0] + z[1] * rx + z[2] * ry - height(surface, cell)
+    return rx, ry, z[0] + z[1] * rx + z[2] * ry - gap(surface, cell)
 
 
 @kernel
@@ -67,13 +67,13 @@ def gradient(surface, parcel, mark, origin, z, w, hessian, slope):
 
 
 @kernel
-def topmost(surface, parcel, mark):
-    """Height of the highest cell of a mode: a plane above it presses them all."""
-    top = -1e300
+def widest_gap(surface, parcel, mark):
+    """The widest gap of a mode's cells: a level plane beyond it presses them all."""
+    widest = -1e300
     for i in range(parcel.ctl[at.N_MEMBERS]):
         if parcel.mem[i, mark] != at.ABSENT:
-            top = max(top, height(surface, parcel.mem[i, at.CELL]))
-    return top
+            widest = max(widest, gap(surface, parcel.mem[i, at.CELL]))
+    return widest
 
 
 @kernel
@@ -84,7 +84,7 @@ def contact(surface, parcel, seg, mark, scratch, newton):
     hessian = newton[5:8]
     origin = (seg[at.CX], seg[at.CY], parcel.par[at.PITCH])
     w[0], w[1], w[2] = 1.0, -origin[0] / origin[2], -origin[1] / origin[2]
-    z[0], z[1], z[2] = 1.0 / ctl[at.N_MEMBERS] + topmost(surface, parcel, mark), 0.0, 0.0
+    z[0], z[1], z[2] = 1.0 / ctl[at.N_MEMBERS] + widest_gap(surface, parcel, mark), 0.0, 0.0
     value = potential(surface, parcel, mark, origin, z, w)
     for _ in range(200):
         count = gradient(surface, parcel, mark, origin, z, w, hessian, slope)
@@ -131,7 +131,7 @@ def violated(surface, parcel, seg, mark):
         cell = parcel.mem[i, at.CELL]
         rx = surface.pos[cell, 0] - parcel.y[0] - seg[at.CX]
         ry = surface.pos[cell, 1] - parcel.y[1] - seg[at.CY]
-        n = a0 + bx * rx + by * ry - height(surface, cell)
+        n = a0 + bx * rx + by * ry - gap(surface, cell)
         if state == at.ACTIVE and n < -zero:
             return True
         if state == at.LIFTED and n > zero:
@@ -158,7 +158,7 @@ def exchange(surface, parcel, seg, mark):
             cell = mem[i, at.CELL]
             rx = surface.pos[cell, 0] - parcel.y[0] - seg[at.CX]
             ry = surface.pos[cell, 1] - parcel.y[1] - seg[at.CY]
-            n = a0 + bx * rx + by * ry - height(surface, cell)
+            n = a0 + bx * rx + by * ry - gap(surface, cell)
             wrong = -n if mem[i, mark] == at.ACTIVE else n
             if wrong > worst:
                 worst, which = wrong, i

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.springs import note_heights, stiffness
+from plant.kernels.springs import note_gaps, stiffness
 
 
 @kernel
 def centre_and_plane(surface, parcel, seg, mark):
-    """Stiffness, centroid and inverse second moment of the active supports, with its rank, and their heights."""
+    """Stiffness, centroid and inverse second moment of the active supports, with its rank, and their gaps."""
     pos, mem, ctl, y = surface.pos, parcel.mem, parcel.ctl, parcel.y
     total, cx, cy = 0.0, 0.0, 0.0
     for i in range(ctl[at.N_MEMBERS]):
@@ -42,7 +42,7 @@ def centre_and_plane(surface, parcel, seg, mark):
             xy += k * rx * ry
             yy += k * ry * ry
     invert_symmetric(xx, xy, yy, total, parcel.par[at.ON_LINE], seg)
-    note_heights(surface, parcel, seg, mark)
+    note_gaps(surface, parcel, seg, mark)
 
 
 @kernel

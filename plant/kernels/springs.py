@@ -27,24 +27,24 @@ def stiffness(surface, cell):
     """Rate of a cell's spring over the mean one's."""
 
 
-def height(surface, cell):
-    """Height of a cell's spring without load, over the sag of one mean spring under the whole parcel."""
+def gap(surface, cell):
+    """How far below the mean level a cell's spring ends, over the sag of one mean spring under the whole parcel."""
 
 
-def note_heights(surface, parcel, seg, mark):
-    """Keep what the active supports' heights add to the springs' plane; ``seg`` has their centroid."""
+def note_gaps(surface, parcel, seg, mark):
+    """Keep what the active supports' gaps add to the springs' plane; ``seg`` has their centroid."""
 
 
 def plane_at(surface, seg, mx, my):
     """The springs' plane with the load's centre at (mx, my) from the centroid of the supports (eqs. 3-13).
 
     Returns (a, bx, by): the load share of a cell at r from the centroid is its stiffness times
-    ``a + b . r`` less its height.
+    ``a + b . r`` less its gap.
     """
 
 
 def negligible(surface, a0):
-    """How far below the plane of mean height ``a0`` a spring may end that rounding can't tell from touching it."""
+    """How far from a plane ``a0`` at the centroid a spring may end that rounding can't tell from touching it."""
 
 
 def answer(question, own):
@@ -80,13 +80,13 @@ def _equal(_surface, _cell):
     return 1.0
 
 
-@answer(height, own=False)
+@answer(gap, own=False)
 def _level(_surface, _cell):
     return 0.0
 
 
-@answer(note_heights, own=False)
-def _no_heights(_surface, _parcel, _seg, _mark):
+@answer(note_gaps, own=False)
+def _no_gaps(_surface, _parcel, _seg, _mark):
     return
 
 

@@ -15,14 +15,14 @@ class Springs(NamedTuple):
 
     Attributes:
         rate: ``(n,)`` over the mean.
-        height: ``(n,)`` m.
+        gap_m: ``(n,)`` how far below the mean level they end.
         per_m: mean rate over the parcel's weight, 1/m.
-        span: largest height, over the sag of one mean spring under the whole parcel.
-        moments: ``(3,)`` scratch: ``sum k h`` and ``sum k h r`` of the active supports.
+        span: widest gap or its opposite, over the sag of one mean spring under the whole parcel.
+        moments: ``(3,)`` scratch: ``sum k g`` and ``sum k g r`` of the active supports.
     """
 
     rate: Floats
-    height: Floats
+    gap_m: Floats
     per_m: float
     span: float
     moments: Floats
@@ -33,14 +33,14 @@ class AllSprings(NamedTuple):
 
     Attributes:
         rate: as ``Springs.rate``.
-        height: likewise.
+        gap_m: likewise.
         per_m: ``(m,)``.
         span: ``(m,)``.
         moments: ``(m, 3)``.
     """
 
     rate: Floats
-    height: Floats
+    gap_m: Floats
     per_m: Floats
     span: Floats
     moments: Floats

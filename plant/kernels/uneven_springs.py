@@ -1,11 +1,11 @@
-"""Springs of their own rates and heights (effect ``uneven_supports``): ``N_i = K_i (z(p_i) - h_i)+``.
+"""Springs of their own rates and heights (effect ``uneven_supports``): ``N_i = K_i (z(p_i) + h_i)+``, z the sag.
 
 Only a solver whose scene asks for it imports this; kernels for equal springs are compiled without it.
 
-In shares of the weight W, with the mean rate K: ``N_i / W = k_i (z - h_i)+`` where ``k_i = K_i / K`` and z and h_i are
-lengths over ``W / K``. On the supports S, with their centroid weighted by k,
+In shares of the weight W, with the mean rate K: ``N_i / W = k_i (z - g_i)+`` where ``k_i = K_i / K``, and the sag z and
+the gap ``g_i = -h_i`` are lengths over ``W / K``. On the supports S, with their centroid weighted by k,
 
-    z = a + b . r     a = (1 + sum k h) / sum k     b = (sum k r r')^-1 (X - c + sum k h r)
+    z = a + b . r     a = (1 + sum k g) / sum k     b = (sum k r r')^-1 (X - c + sum k g r)
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from plant.kernels import layout as at
 from plant.kernels.springs import (
     LOAD_ZERO,
     answer,
-    height,
+    gap,
     negligible,
-    note_heights,
+    note_gaps,
     plane_at,
     stiffness,
     surface_under,
@@ -27,7 +27,7 @@ from plant.kernels.surface import Springs, Surface
 @answer(surface_under, own=True)
 def _own(surface, i):
     of = surface.springs
-    springs = Springs(of.rate, of.height, of.per_m[i], of.span[i], of.moments[i])
+    springs = Springs(of.rate, of.gap_m, of.per_m[i], of.span[i], of.moments[i])
     return Surface(surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs)
 
 
@@ -36,22 +36,22 @@ def _rate(surface, cell):
     return surface.springs.rate[cell]
 
 
-@answer(height, own=True)
-def _height(surface, cell):
-    return surface.springs.per_m * surface.springs.height[cell]
+@answer(gap, own=True)
+def _gap(surface, cell):
+    return surface.springs.per_m * surface.springs.gap_m[cell]
 
 
-@answer(note_heights, own=True)
+@answer(note_gaps, own=True)
 def _moments(surface, parcel, seg, mark):
     moments, mem, y = surface.springs.moments, parcel.mem, parcel.y
     moments[0] = moments[1] = moments[2] = 0.0
     for i in range(parcel.ctl[at.N_MEMBERS]):
         if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
-            raised = stiffness(surface, cell) * height(surface, cell)
-            moments[0] += raised
-            moments[1] += raised * (surface.pos[cell, 0] - y[0] - seg[at.CX])
-            moments[2] += raised * (surface.pos[cell, 1] - y[1] - seg[at.CY])
+            pulled = stiffness(surface, cell) * gap(surface, cell)
+            moments[0] += pulled
+            moments[1] += pulled * (surface.pos[cell, 0] - y[0] - seg[at.CX])
+            moments[2] += pulled * (surface.pos[cell, 1] - y[1] - seg[at.CY])
 
 
 @answer(plane_at, own=True)

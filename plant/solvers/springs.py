@@ -30,7 +30,7 @@ def make_springs(scene: PlantSpec, array: CellArray) -> AllSprings | None:
     per_m = drawn.stiffness_n_per_m / weight
     return AllSprings(
         rate=drawn.rate,
-        height=drawn.height_m,
+        gap_m=-drawn.height_m,
         per_m=per_m,
         span=per_m * float(np.max(np.abs(drawn.height_m))),
         moments=np.zeros((len(scene.parcels), 3)),
