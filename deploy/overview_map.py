@@ -188,7 +188,9 @@ def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
     footprint, shade = track.footprints_m[parcel], colour(parcel)
     few = len(track.footprints_m) <= _FEW
     path = states[whole]
-    axes.plot(path[:, 0], path[:, 1], color=shade, lw=1.6 if few else 1.0, alpha=0.9, zorder=4)
+    axes.plot(
+        path[:, 0], path[:, 1], color=shade, lw=1.6 if few else 0.8, alpha=0.9 if few else 0.5, zorder=4
+    )
     axes.plot(path[:1, 0], path[:1, 1], "o", ms=4 if few else 2.5, mfc="white", mec=shade, zorder=5)
     times = np.linspace(track.time_s[whole[0]], track.time_s[whole[-1]], _OUTLINES if few else 2)
     passed = np.unique(np.searchsorted(track.time_s[whole], times).clip(max=len(whole) - 1))[:-1]

@@ -41,6 +41,8 @@ class OverlapWatch:
 
     def changes(self, state: Floats) -> list[tuple[str, int, int, float, Place]]:
         """What is new since the last look: ``overlap`` or ``apart``, the pair, depth and place."""
+        if len(self._radius) < 2:
+            return []
         now = {(i, j): (depth, place) for i, j, depth, place in self.pairs(state)}
         changes = [("overlap", i, j, *now[i, j]) for i, j in now if (i, j) not in self._met]
         changes += [

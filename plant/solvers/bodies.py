@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,13 +135,33 @@ def pack(parcels: Sequence[Parcel]) -> Parcels:
     )
 
 
-def listed(log: Floats) -> list[SolverEvent]:
-    """What a kernel logged of one parcel, without its tipping."""
-    return [
-        SolverEvent(after_s, KINDS[int(kind)], int(cell))
-        for after_s, kind, cell, _ in log.tolist()
-        if int(kind) != layout.TIP
-    ]
+@final
+class LoggedEvents(Sequence[SolverEvent]):
+    """What a kernel logged of one parcel, without its tipping; made into events by whoever reads it.
+
+    Threads that move parcels leave that undone: it needs the interpreter, which only one of them has at a time.
+
+    Args:
+        rows: ``(k, 4)``: see ``plant.kernels.layout``; kept.
+    """
+
+    def __init__(self, rows: Floats) -> None:
+        tipped = len(rows) > 0 and rows[-1, layout.EV_KIND] == layout.TIP
+        self._rows = rows[:-1] if tipped else rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __iter__(self) -> Iterator[SolverEvent]:
+        for after_s, kind, cell, _ in self._rows.tolist():
+            yield SolverEvent(after_s, KINDS[int(kind)], int(cell))
+
+    @overload
+    def __getitem__(self, index: int) -> SolverEvent: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[SolverEvent]: ...
+    def __getitem__(self, index: int | slice) -> SolverEvent | Sequence[SolverEvent]:
+        return list(self)[index]
 
 
 class SensorCover:

@@ -82,13 +82,13 @@ class CompiledSolver(ABC):
 
     def _done(self, index: int, moved_s: float, changes: int, events: Sequence[SolverEvent]) -> Advance:
         """What a call of a kernel came to for one parcel, ``changes`` being those of its supports."""
-        ctl = self.packed.ctl[index]
+        ctl: list[int] = self.packed.ctl[index].tolist()
         return Advance(
             index,
             moved_s,
-            ENDINGS[int(ctl[layout.STATUS])],
-            (int(ctl[layout.TIP_A]), int(ctl[layout.TIP_B])),
-            int(ctl[layout.CULPRIT]),
+            ENDINGS[ctl[layout.STATUS]],
+            (ctl[layout.TIP_A], ctl[layout.TIP_B]),
+            ctl[layout.CULPRIT],
             changes,
             events,
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.kernels.parcels import CHANGES, LOG_CAPACITY, LOGGED, MOVED, REPORT_SIZE, WHICH
 from plant.kernels.surface import Surface
-from plant.solvers.bodies import listed
+from plant.solvers.bodies import LoggedEvents
 from plant.solvers.compiled import CompiledSolver
 from plant.solvers.crew import Crew
 from plant.solvers.solver import Advance
@@ -119,9 +119,11 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
         while len(block):
             moved, noted = self._advance_block(desk, block, errand)
             block = block[moved:]
+            report: list[list[float]] = desk.report[:noted].tolist()
+            log = desk.log[: int(sum(told[LOGGED] for told in report))].copy()
             row = 0
-            for told in desk.report[:noted].tolist():
-                events = listed(desk.log[row : row + int(told[LOGGED])])
+            for told in report:
+                begin, row = row, row + int(told[LOGGED])
+                events = LoggedEvents(log[begin:row])
                 news.append(self._done(int(told[WHICH]), told[MOVED], int(told[CHANGES]), events))
-                row += int(told[LOGGED])
         return news

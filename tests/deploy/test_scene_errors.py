@@ -246,7 +246,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_bundled_scene() -> None:
 def test_a_name_like_none_is_answered_with_all_bundled_scenes() -> None:
     with pytest.raises(
         InputError,
-        match="known: coulomb, elliptic, heat, misaligned, prototype, rolling, squeeze, stick_slip",
+        match="known: coulomb, elliptic, heat, large, misaligned, prototype, rolling, squeeze, stick_slip",
     ):
         load_scene("zzzz")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
+import numpy as np
 import pytest
 
 from deploy.overrides import Override
@@ -69,3 +70,24 @@ def test_wheels_that_slip_bring_the_parcel_to_the_middle_by_another_way_than_rol
     plant = Plant(scene.plant_spec())
     plant.advance(field_speeds(scene, plant.array.positions_m), scene.duration_ns)
     assert abs(plant.state[0, 2] - theta) > 1e-3
+
+
+def test_all_fifty_parcels_of_large_follow_one_linear_map_and_never_meet() -> None:
+    scene = load_scene("large")
+    plant = Plant(scene.plant_spec())
+    course = plant.trajectory(
+        field_speeds(scene, plant.array.positions_m), scene.duration_ns, 10 * scene.cells.period_ns
+    )
+    # in the complex plane z'' = kappa (w z - z'), w = rate + i rotation, from rest
+    kappa, w = 0.2 * scene.gravity_m_s2, -0.12 + 0.4j
+    root = np.sqrt(kappa * kappa + 4.0 * kappa * w)
+    fast, slow = (-kappa - root) / 2.0, (-kappa + root) / 2.0
+    t = scene.duration_ns * 1e-9
+    factor = (fast * np.exp(slow * t) - slow * np.exp(fast * t)) / (fast - slow)
+    start = np.array([complex(*parcel.position_m) for parcel in scene.parcels])
+    assert len(start) == 50
+    assert len(plant.array) == 10_000
+    assert plant.state[:, 0] + 1j * plant.state[:, 1] == pytest.approx(factor * start, abs=1e-8)
+    assert {status.state for status in plant.status} == {"moving"}
+    assert plant.support_changes > 50_000
+    assert not [event for event in course.events if event.kind == "overlap"]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import plant.solvers.threaded as threaded
 from plant.effects.motors import MotorsSpec
 from plant.kernels.parcels import LOG_CAPACITY
 from plant.plant import Plant
@@ -89,8 +90,10 @@ def test_a_parcel_beside_others_moves_as_it_does_alone(solver: str) -> None:
     assert np.array_equal(together.sense().presence, presence)
 
 
-def test_ticks_of_many_parcels_go_as_those_of_each() -> None:
-    """Through ticks, with motors: what a call leaves for the next is each parcel's own as well."""
+def test_ticks_of_many_parcels_go_as_those_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through ticks, with motors, every thread awake: what a call leaves for the next is each parcel's own as well."""
+    monkeypatch.setattr(threaded, "WORTH_WAKING", 1)
+    monkeypatch.setattr(threaded, "SENSED_WORTH_WAKING", 1)
     motors = MotorsSpec(time_constant_s=0.05)
     bodies = _crowd()
     plants = [_plant("exact", bodies, 2, motors), *(_plant("exact", [body], 1, motors) for body in bodies)]
@@ -101,6 +104,9 @@ def test_ticks_of_many_parcels_go_as_those_of_each() -> None:
         for plant, so_far in zip(plants, told, strict=True):
             so_far.extend(plant.advance(drives, tick * TICK_NS)[1])
     together, *alone = plants
+    assert len(together._solver._desks) == 2
+    presence = np.any([plant.sense().presence for plant in alone], axis=0)
+    assert np.array_equal(together.sense().presence, presence)
     for i, plant in enumerate(alone):
         assert plant.state.tobytes() == together.state[i : i + 1].tobytes()
         assert _own(told[i + 1], 0) == _own(told[0], i)
