@@ -63,14 +63,14 @@ def study(**values: object) -> Plant:
     return Plant(spec(parcel(), **values))  # type: ignore[arg-type]
 
 
-def bench(plant: Plant, drives: Floats, index: int = 0, **settings: object) -> Bench:
-    """The reference plant for one parcel of ``plant``."""
+def bench(plant: Plant, drives: Floats, index: int = 0, mu: float = MU, **settings: object) -> Bench:
+    """The reference plant for one parcel of ``plant`` under viscous friction ``mu``."""
     constants = plant._solver.parcels[index].par
     return Bench(
         cells=plant.array.positions_m,
         steady=drives,
         corners=plant.footprints_m[index],
-        kappa=float(constants[layout.KAPPA]),
+        kappa=mu * G,
         mass_over_inertia=float(constants[layout.MASS_OVER_INERTIA]),
         **settings,  # type: ignore[arg-type]
     )
@@ -84,7 +84,8 @@ def members(plant: Plant, index: int = 0) -> NDArray[np.int64]:
 
 def loads(plant: Plant) -> tuple[NDArray[np.int64], Floats]:
     """Cells under the parcel of a plant of one parcel, and the share of its weight on each, as the solver has them."""
-    inner, seg = plant._solver.parcels[0], plant._solver.desk(0).work.segs[0]
+    inner, work = plant._solver.parcels[0], plant._solver.desk(0).work
+    seg = work.segs[0] if hasattr(work, "segs") else work.seg
     listed = inner.mem[: inner.ctl[layout.N_MEMBERS]]
     offset = plant.array.positions_m[listed[:, layout.CELL]] - inner.y[:2] - seg[[layout.CX, layout.CY]]
     inverse = np.array([[seg[layout.PXX], seg[layout.PXY]], [seg[layout.PXY], seg[layout.PYY]]])

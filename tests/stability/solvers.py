@@ -1,15 +1,51 @@
-"""The solvers that the hard cases are put to, each as a scene would ask for it."""
+"""The solvers that the hard cases are put to, and what each claims of itself.
+
+A hard case names the claims that it takes (``claiming``) and runs with every solver that makes them. A claim is fixed
+here by what a solver is and promises, not by what it happens to pass. Another solver is one entry in ``SOLVERS``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from importlib.util import find_spec
+from typing import Any, TypeVar
 
+import pytest
+from pydantic import TypeAdapter
+
+from plant.friction.registry import FrictionSpec
 from plant.kernels import layout
 from plant.plant import Plant
+from plant.solver_specs import SolverSpec
 from plant.specs import ParcelSpec, PlantSpec
+from tests.plant.laws import LAWS, VISCOUS
 from tests.plant.scenes import spec
+
+LEVER_M = 0.1
+"""No parcel of the scenes here is smaller: an error at the footprint over this is the most that its angle is off."""
+
+
+class Claim(Enum):
+    """What a solver may claim, in the words of its user."""
+
+    MOTION = "the motion, to the error that its settings promise"
+    EVENTS = "every change of supports, however brief, at its time"
+    CHATTER = "few changes where supports chatter, and the right place and angle in the end"
+    LOADS = (
+        "loads that balance to rounding and never pull; a parcel that tips does so where and when it should"
+    )
+    REST = "a parcel at rest stays, to the bit"
+    PACE = "steps grow as a motion ends: rest costs next to nothing"
+    STICKING = "a parcel that sticks does so to the bit"
+    ENERGY = "no kinetic energy from wheels that stand, in steps of any length"
+    STIFFNESS = "friction, inertia and motors of any size"
+    SCALES = "motions of any speed, for any time"
+    LAGS = "wheels that lag behind their command, however short the lag is against a step"
+    FAR = "the same digits a thousand kilometres away, but for those of the place"
+    SYMMETRY = "what space does not change, the motion does not change; symmetric scenes stay so to 1e-12"
+    FAILURES = "a motion that has no numbers any more ends, and says where and when"
 
 
 @dataclass(frozen=True)
@@ -17,28 +53,122 @@ class Solver:
     """A solver under test.
 
     Attributes:
-        settings: A scene's ``[solver]`` table, at the solver's tightest.
-        steps: How many steps a plant of one parcel has taken so far.
+        settings: a scene's ``[solver]`` table.
+        declines: what it doesn't claim, and why.
+        error_m: what its settings promise to be off by at the footprint after a second of motion; 0 where that is
+            rounding, which each case then states for its scene.
+        located: settings that keep it from anything but following every crossing.
+        package: of which it is made, if it isn't always there.
     """
 
     settings: dict[str, Any]
-    steps: Callable[[Plant], int]
+    declines: Mapping[Claim, str] = field(default_factory=dict[Claim, str])
+    error_m: float = 0.0
+    located: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    package: str | None = None
 
-    def spec(self, *parcels: ParcelSpec, **scene: Any) -> PlantSpec:
+    def claims(self, *needed: Claim) -> bool:
+        """Whether it claims all of them."""
+        return not any(claim in self.declines for claim in needed)
+
+    def solves(self, law: FrictionSpec) -> bool:
+        """Whether it takes scenes with this law."""
+        laws = SPEC.validate_python(self.settings).laws
+        return laws is None or law.law in laws
+
+    def within(self, rounding: float, span_s: float = 1.0) -> float:
+        """By how much an entry of the state may be off after ``span_s``; ``rounding`` is the least there can be."""
+        return max(rounding, self.error_m * span_s / LEVER_M)
+
+    def spec(self, *parcels: ParcelSpec, law: FrictionSpec | None = None, **scene: Any) -> PlantSpec:
         """A scene of ``tests.plant.scenes.spec`` for this solver; ``solver`` holds what is set otherwise."""
-        settings = self.settings | scene.pop("solver", {})
+        settings = self.settings | dict(scene.pop("solver", {}))
         plain = spec(*parcels, **scene)
-        return PlantSpec.model_validate(plain.model_dump() | {"solver": settings})
+        friction = plain.friction if law is None else law
+        return PlantSpec.model_validate(dict(plain) | {"friction": friction, "solver": settings})
 
-    def plant(self, *parcels: ParcelSpec, **scene: Any) -> Plant:
+    def plant(self, *parcels: ParcelSpec, law: FrictionSpec | None = None, **scene: Any) -> Plant:
         """A plant of the scene that ``spec`` describes."""
-        return Plant(self.spec(*parcels, **scene))
+        return Plant(self.spec(*parcels, law=law, **scene))
 
+    def steps(self, plant: Plant) -> int:
+        """How many steps a plant of one parcel has taken so far."""
+        return int(plant._solver.parcels[0].ctl[layout.N_STEPS])
+
+
+SPEC: TypeAdapter[Any] = TypeAdapter(SolverSpec)
+"""Of the settings of every solver that there is."""
+
+LOOKS = "looks at supports at the ends of its steps: what begins and ends within one is not seen"
+LOST = "ends, but the place is lost with the numbers; an infinite speed of a wheel is taken for none"
+GIVEN = "the length of its steps is given"
+FOLLOWS = "follows chatter through step by step; nothing replaces its limit"
 
 SOLVERS = {
     "exact": Solver(
         settings={"name": "exact", "tolerance": 1e-12, "capture_m": 1e-6},
-        steps=lambda plant: int(plant._solver.parcels[0].ctl[layout.N_STEPS]),
+        located={"capture_m": 1e-12},
+    ),
+    "implicit": Solver(
+        settings={"name": "implicit", "tolerance": 1e-6},
+        error_m=1e-6,
+        declines={
+            Claim.EVENTS: LOOKS,
+            Claim.CHATTER: FOLLOWS,
+            Claim.ENERGY: "extrapolates from steps of several lengths, which only each by itself never adds any",
+            Claim.SCALES: "its tolerance is that of a second of motion: far shorter and longer ones are not meant",
+            Claim.LAGS: "after a rest, a step may be longer than the motors' transient, and not see it",
+            Claim.FAR: "what a step may be off by is less than the rounding of such a place; it does not get on",
+            Claim.FAILURES: LOST,
+        },
+    ),
+    "implicit, fixed steps": Solver(
+        settings={"name": "implicit", "step_s": 2e-2},
+        declines={
+            Claim.MOTION: "errors fall with the step, but no figure is promised for one",
+            Claim.PACE: GIVEN,
+            Claim.EVENTS: LOOKS,
+            Claim.CHATTER: FOLLOWS,
+            Claim.LAGS: GIVEN,
+            Claim.SCALES: GIVEN,
+            Claim.FAILURES: LOST,
+        },
     ),
 }
-"""Every hard case runs with every one of them. A new solver is one entry."""
+"""Every solver, under every set of settings that claims differ with."""
+
+Case = TypeVar("Case", bound=Callable[..., None])
+
+
+def _params(names: list[str], *more: Any) -> list[Any]:
+    """Parameters of a test, which where a solver's package isn't installed are skipped."""
+    found = []
+    for name in names:
+        package = SOLVERS[name].package
+        absent = package is not None and find_spec(package) is None
+        marks = [pytest.mark.skip(reason=f"{package} is not installed")] if absent else []
+        found.append(pytest.param(SOLVERS[name], *more, id="-".join([name, *map(str, more)]), marks=marks))
+    return found
+
+
+def claiming(*needed: Claim, laws: list[str] | None = None) -> Callable[[Case], Case]:
+    """Run a hard case with every solver that claims what it needs.
+
+    The test gets it as ``solver``. With ``laws`` it runs with each of them that the solver solves, and gets their names
+    of ``tests.plant.laws.LAWS`` as ``law``; without, scenes are viscous.
+    """
+
+    def parametrised(case: Case) -> Case:
+        vars(case)["needs"] = needed
+        params: list[Any] = []
+        for law in laws or ["viscous"]:
+            able = [
+                name
+                for name, solver in SOLVERS.items()
+                if solver.claims(*needed) and solver.solves(LAWS[law] if laws else VISCOUS)
+            ]
+            assert able, f"{case.__name__}: no solver claims it under {law}"
+            params += _params(able, law) if laws else _params(able)
+        return pytest.mark.parametrize(("solver", "law") if laws else "solver", params)(case)
+
+    return parametrised

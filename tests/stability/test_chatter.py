@@ -17,7 +17,7 @@ from plant.errors import PlantError, PlantUnstable
 from plant.plant import Plant
 from plant.reports import Event
 from tests.plant.scenes import SECOND, TICK_NS, elliptic, parcel
-from tests.stability.solvers import SOLVERS, Solver
+from tests.stability.solvers import SOLVERS, Claim, Solver, claiming
 
 PUBLISHED = {
     (0.68, 0.42): 0.17925400095,
@@ -73,6 +73,7 @@ def _ends_captured(events: list[Event]) -> bool:
     return bool(last) and last[-1] == "captured"
 
 
+@claiming(Claim.CHATTER)
 @pytest.mark.parametrize("size", PUBLISHED)
 def test_chatter_of_the_study_scene_is_captured_in_bounded_events_at_the_published_angle(
     solver: Solver, size: tuple[float, float]
@@ -86,6 +87,7 @@ def test_chatter_of_the_study_scene_is_captured_in_bounded_events_at_the_publish
     assert np.abs(plant.state[0, 3:]).max() < 1e-6
 
 
+@claiming(Claim.CHATTER)
 @pytest.mark.parametrize("size", PUBLISHED)
 def test_chatter_is_captured_just_as_well_tick_by_tick(solver: Solver, size: tuple[float, float]) -> None:
     plant = _sized(solver, size, tolerance=1e-9)
@@ -95,6 +97,7 @@ def test_chatter_is_captured_just_as_well_tick_by_tick(solver: Solver, size: tup
     assert plant.state[0, 2] == pytest.approx(PUBLISHED[size], abs=1e-6)
 
 
+@claiming(Claim.CHATTER)
 @pytest.mark.parametrize("start", ["study", "centre"])
 @pytest.mark.parametrize("field", FIELDS)
 def test_every_size_of_the_sweep_settles_in_a_thousand_changes_where_its_chatter_has_its_limit(
@@ -115,6 +118,7 @@ def test_every_size_of_the_sweep_settles_in_a_thousand_changes_where_its_chatter
     assert ended >= (8 if field == "elliptic" else 0)
 
 
+@claiming(Claim.CHATTER)
 @pytest.mark.parametrize("width", [0.2, 0.26, 0.32, 0.38, 0.44, 0.56, 0.62])
 @pytest.mark.parametrize("length", [0.4, 0.52, 0.64, 0.76, 0.88])
 def test_sizes_far_from_those_of_the_sweep_settle_too(solver: Solver, length: float, width: float) -> None:
@@ -124,6 +128,7 @@ def test_sizes_far_from_those_of_the_sweep_settle_too(solver: Solver, length: fl
     assert np.abs(plant.state[0, :2]).max() < 1e-6
 
 
+@claiming(Claim.CHATTER)
 def test_chatter_located_event_by_event_agrees_with_chatter_captured(solver: Solver) -> None:
     located = _sized(solver, (0.68, 0.42), capture_m=1e-12)
     captured = _sized(solver, (0.68, 0.42), capture_m=1e-6)
@@ -135,6 +140,7 @@ def test_chatter_located_event_by_event_agrees_with_chatter_captured(solver: Sol
     assert a.state[:, 0, :2] == pytest.approx(b.state[:, 0, :2], abs=1e-10)
 
 
+@claiming(Claim.CHATTER)
 @pytest.mark.parametrize("capture_m", [1e-4, 1e-6, 1e-8])
 def test_a_smaller_capture_ends_at_the_same_angle(solver: Solver, capture_m: float) -> None:
     plant = _sized(solver, (0.68, 0.42), capture_m=capture_m)
@@ -142,6 +148,7 @@ def test_a_smaller_capture_ends_at_the_same_angle(solver: Solver, capture_m: flo
     assert plant.state[0, 2] == pytest.approx(PUBLISHED[0.68, 0.42], abs=max(1e-6, capture_m))
 
 
+@claiming(Claim.CHATTER)
 @pytest.mark.parametrize("field", [(-1.0, -2.0), (-1.0, -1.5), (-0.5, -0.7)])
 @pytest.mark.parametrize("size", [(0.5, 0.3), (0.6, 0.3), (0.4, 0.3), (0.9, 0.7), (0.88, 0.5), (0.5, 0.5)])
 def test_sizes_whose_edges_can_lie_on_whole_rows_of_cells_come_to_rest(
@@ -183,6 +190,7 @@ def _round_scene(solver: Solver, seed: int) -> tuple[Plant, np.ndarray] | None:
     return plant, fields[int(draw.integers(len(fields)))]
 
 
+@claiming(Claim.CHATTER)
 @pytest.mark.parametrize("batch", range(6))
 def test_scenes_in_round_numbers_never_escape(solver: Solver, batch: int) -> None:
     ended = []
@@ -197,6 +205,7 @@ def test_scenes_in_round_numbers_never_escape(solver: Solver, batch: int) -> Non
     assert {"at_rest", "off_array"} <= set(ended)
 
 
+@claiming(Claim.CHATTER)
 def test_a_captured_parcel_whose_drives_turn_round_is_let_go(solver: Solver) -> None:
     plant = _sized(solver, (0.68, 0.42))
     plant.advance(elliptic(plant), 20 * SECOND)
@@ -209,6 +218,7 @@ def test_a_captured_parcel_whose_drives_turn_round_is_let_go(solver: Solver) -> 
     assert np.abs(plant.state[0, 3:]).max() < 1e-6
 
 
+@claiming(Claim.CHATTER)
 def test_a_captured_parcel_carries_on_along_its_surface_as_if_chatter_had_no_amplitude(
     solver: Solver,
 ) -> None:
@@ -220,6 +230,7 @@ def test_a_captured_parcel_carries_on_along_its_surface_as_if_chatter_had_no_amp
     assert a[:, :2] == pytest.approx(b[:, :2], abs=1e-10)
 
 
+@claiming(Claim.CHATTER)
 def test_a_trajectory_of_the_study_scene_is_never_captured_before_it_chatters(solver: Solver) -> None:
     plant = solver.plant(parcel())
     _, events = plant.advance(elliptic(plant), 10 * SECOND)

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from plant.plant import Plant
 from plant.reports import Event
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, cells_of, elliptic, parcel
-from tests.stability.solvers import Solver
+from tests.stability.solvers import Claim, Solver, claiming
 
 KAPPA = MU * G
 CHANGES_OF_THE_STUDY = 86
@@ -32,6 +32,7 @@ def _alternate(events: list[Event]) -> bool:
     return True
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("tick_ns", [TICK_NS, 50_000_000, SECOND])
 def test_a_corner_that_clips_a_cell_between_two_steps_is_seen_at_its_times(
     solver: Solver, tick_ns: int
@@ -46,6 +47,7 @@ def test_a_corner_that_clips_a_cell_between_two_steps_is_seen_at_its_times(
     assert [event.time_s for event in clipped] == pytest.approx([0.8036, 0.8099], abs=1e-4)
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("depth_m", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
 def test_however_briefly_a_turning_corner_covers_a_cell_it_is_seen_in_and_out(
     solver: Solver, depth_m: float
@@ -62,6 +64,7 @@ def test_however_briefly_a_turning_corner_covers_a_cell_it_is_seen_in_and_out(
         assert mine[1].time_s - mine[0].time_s == pytest.approx(lost - gained, rel=1e-6)
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("depth_m", [-1e-12, -1e-9, -1e-6])
 def test_a_turning_corner_that_passes_a_cell_without_covering_it_changes_nothing(
     solver: Solver, depth_m: float
@@ -71,6 +74,7 @@ def test_a_turning_corner_that_passes_a_cell_without_covering_it_changes_nothing
     assert (cell,) not in {event.cells for event in events}
 
 
+@claiming(Claim.EVENTS)
 def test_a_corner_that_meets_a_cell_to_the_last_bit_leaves_it_as_it_was(solver: Solver) -> None:
     """H11, even multiplicity: LSODAR's manual says that such roots are "probably missed"; here rounding may decide."""
     events, cell = _sweep(solver, 0.0)
@@ -90,6 +94,7 @@ def _sweep(solver: Solver, depth_m: float) -> tuple[list[Event], tuple[int, int]
     return events, (11, 12)
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("overshoot_m", [1e-3, 1e-6, 1e-9, 1e-12])
 def test_an_edge_that_turns_back_just_past_a_column_gains_and_loses_it(
     solver: Solver, overshoot_m: float
@@ -109,6 +114,7 @@ def test_an_edge_that_turns_back_just_past_a_column_gains_and_loses_it(
     assert [gained, lost] == pytest.approx([low, high], abs=10.0 * within)
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("shortfall_m", [1e-12, 1e-9, 1e-6])
 def test_an_edge_that_turns_back_just_before_a_column_leaves_it(solver: Solver, shortfall_m: float) -> None:
     """H11, and the double root that is none."""
@@ -145,6 +151,7 @@ def _carried(solver: Solver, x: float, speed: float = 0.5) -> tuple[Plant, np.nd
     return plant, np.tile((speed, 0.0), (len(plant.array), 1))
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("tick_ns", [62_500_000, 125_000_000, 250_000_000, 500_000_000, 4 * SECOND])
 def test_crossings_exactly_on_the_ticks_happen_once_each(solver: Solver, tick_ns: int) -> None:
     """H2, event on a step's end: DifferentialEquations.jl #258, DiffEqBase #266, scipy #19418 and #17066."""
@@ -160,6 +167,7 @@ def test_crossings_exactly_on_the_ticks_happen_once_each(solver: Solver, tick_ns
     assert plant.state[0] == pytest.approx([1.0, 0.0, 0.0, 0.5, 0.0, 0.0], abs=1e-13)
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_a_start_with_cells_exactly_under_both_edges_loses_one_side_once(
     solver: Solver, direction: float
@@ -177,6 +185,7 @@ def test_a_start_with_cells_exactly_under_both_edges_loses_one_side_once(
     assert gained == {column + (5 if direction > 0 else -5) for column in behind}
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("pull", [0.5, -0.5])
 def test_at_rest_with_cells_under_an_edge_the_first_motion_decides(solver: Solver, pull: float) -> None:
     """H2 and H3: value and rate are zero at the start, the sign is in the second derivative."""
@@ -193,6 +202,7 @@ def test_at_rest_with_cells_under_an_edge_the_first_motion_decides(solver: Solve
     assert [event.time_s for event in events] == pytest.approx([5 * TICK_NS * 1e-9] * 4, abs=1e-6)
 
 
+@claiming(Claim.EVENTS)
 def test_stopping_a_nanosecond_before_and_after_every_event_changes_none(solver: Solver) -> None:
     """H3, root on the wrong side: DifferentialEquations.jl #551; in FMPy #730 a sensor flipped back after its event."""
     whole = solver.plant(parcel())
@@ -214,6 +224,7 @@ def test_stopping_a_nanosecond_before_and_after_every_event_changes_none(solver:
     assert broken.state == pytest.approx(whole.state, abs=1e-10)
 
 
+@claiming(Claim.EVENTS)
 def test_a_row_gained_at_one_instant_is_one_change_and_the_symmetric_scene_stays_symmetric(
     solver: Solver,
 ) -> None:
@@ -231,6 +242,7 @@ def test_a_row_gained_at_one_instant_is_one_change_and_the_symmetric_scene_stays
         assert len({column for _, column in cells}) == 1
 
 
+@claiming(Claim.EVENTS, Claim.SYMMETRY)
 @pytest.mark.parametrize("motion", ["diagonal", "turning"])
 def test_four_sides_that_change_at_one_instant_stay_alike(solver: Solver, motion: str) -> None:
     """H4 on both axes at once: a square on the diagonal, and one that turns in a field of fourfold symmetry."""
@@ -250,6 +262,7 @@ def test_four_sides_that_change_at_one_instant_stay_alike(solver: Solver, motion
         assert all(count % 4 == 0 for count in together.values())
 
 
+@claiming(Claim.EVENTS)
 @pytest.mark.parametrize("tick_ns", [1_000_000, TICK_NS, 50_000_000, 333_333_333])
 def test_events_inside_a_tick_are_neither_lost_nor_moved_to_its_end(solver: Solver, tick_ns: int) -> None:
     """H20: OMSimulator #1609 made none of nine events, FMPy #331 moved them to the communication step."""

@@ -16,12 +16,9 @@ from plant.reports import Event
 from plant.specs import ParcelSpec
 from tests.plant.reference import is_least_norm
 from tests.plant.scenes import SECOND, Floats, bench, loads, parcel
-from tests.stability.solvers import SOLVERS
+from tests.stability.solvers import Claim, Solver, claiming
 
 SIDE = 12
-LOCATED = {"capture_m": 1e-12}
-"""Every crossing located: capture replaces swings below it by their limit, which none of these compare."""
-every_solver = pytest.mark.parametrize("name", SOLVERS)
 
 
 def repeatable(examples: int) -> settings:
@@ -92,35 +89,36 @@ def scenes(draw: st.DrawFn) -> Drawn:
     )
 
 
-def built(name: str, body: ParcelSpec, **scene: Any) -> Plant:
-    """The plant; scenes whose parcel doesn't stand are none."""
+def built(solver: Solver, body: ParcelSpec, **scene: Any) -> Plant:
+    """The plant, every crossing located; scenes whose parcel doesn't stand are none."""
     try:
-        return SOLVERS[name].plant(body, **{"rows": SIDE, "columns": SIDE, "solver": LOCATED} | scene)
+        return solver.plant(body, **{"rows": SIDE, "columns": SIDE, "solver": solver.located} | scene)
     except PlantError:
         assume(False)
         raise
 
 
 def ran(
-    name: str, drawn: Drawn, span_ns: int, motion: Floats | None = None, **change: Any
+    solver: Solver, drawn: Drawn, span_ns: int, motion: Floats | None = None, **change: Any
 ) -> tuple[Plant, list[Event]]:
     """The scene moved on by ``span_ns``; ``motion`` is a 2 x 2 map of the field's places and speeds."""
-    plant = built(name, drawn.body(), missing=tuple(sorted(drawn.holes)), **change)
+    plant = built(solver, drawn.body(), missing=tuple(sorted(drawn.holes)), **change)
     turn = np.eye(2) if motion is None else motion
     _, events = plant.advance(drawn.speeds(plant.array.positions_m @ turn) @ turn.T, span_ns)
     return plant, events
 
 
-@every_solver
+@claiming(Claim.LOADS)
 @given(drawn=scenes())
 @repeatable(120)
-def test_loads_never_pull_and_balance_to_a_millionth_of_a_millionth(name: str, drawn: Drawn) -> None:
-    plant = built(name, drawn.body(), missing=tuple(sorted(drawn.holes)))
+def test_loads_never_pull_and_balance_to_a_millionth_of_a_millionth(solver: Solver, drawn: Drawn) -> None:
+    plant = built(solver, drawn.body(), missing=tuple(sorted(drawn.holes)))
     cells, share = loads(plant)
     lever = plant.array.positions_m[cells] - plant.state[0, :2]
     assert share.min() >= -1e-15
     assert abs(share.sum() - 1.0) <= 1e-12
-    assert np.abs(share @ lever).max() <= 1e-12 * np.abs(lever).max()
+    # of a cell right under the centre of mass the lever is rounding itself
+    assert np.abs(share @ lever).max() <= 1e-12 * max(np.abs(lever).max(), 1e-3)
     assert is_least_norm(plant.array.positions_m[cells], plant.state[0, :2], share) == ""
 
 
@@ -134,17 +132,18 @@ def _short_stay(events: list[Event]) -> bool:
     return False
 
 
-@every_solver
+@claiming(Claim.MOTION)
 @given(drawn=scenes())
 @repeatable(15)
-def test_the_motion_is_that_of_scipy_at_1e_13(name: str, drawn: Drawn) -> None:
-    plant = built(name, drawn.body(), missing=tuple(sorted(drawn.holes)))
+def test_the_motion_is_that_of_scipy_at_1e_13(solver: Solver, drawn: Drawn) -> None:
+    plant = built(solver, drawn.body(), missing=tuple(sorted(drawn.holes)))
     drives = drawn.speeds(plant.array.positions_m)
     reference, start = bench(plant, drives), plant.state[0]
     _, events = plant.advance(drives, 300_000_000)
     assume(plant.status[0].state == "moving" and not _short_stay(events))
-    assert plant.state[0] == pytest.approx(reference.run(start, 0.3), abs=1e-9)
-    assert len(events) == len(reference.events)
+    assert plant.state[0] == pytest.approx(reference.run(start, 0.3), abs=solver.within(1e-9))
+    if solver.claims(Claim.EVENTS):
+        assert len(events) == len(reference.events)
 
 
 def _moved(drawn: Drawn, turn: Floats, quarter: float, spin: float) -> Drawn:
@@ -165,14 +164,14 @@ def _moved(drawn: Drawn, turn: Floats, quarter: float, spin: float) -> Drawn:
     )
 
 
-def _same(name: str, drawn: Drawn, turn: Floats, quarter: float, spin: float) -> None:
+def _same(solver: Solver, drawn: Drawn, turn: Floats, quarter: float, spin: float) -> None:
     """The scene and its image under the map move alike."""
-    plain, events = ran(name, drawn, SECOND)
+    plain, events = ran(solver, drawn, SECOND)
     assume(plain.status[0].state == "moving")
-    image, images = ran(name, _moved(drawn, turn, quarter, spin), SECOND, turn)
+    image, images = ran(solver, _moved(drawn, turn, quarter, spin), SECOND, turn)
     x, y, theta, ux, uy, omega = plain.state[0]
     expected = [*(turn @ (x, y)), spin * theta + quarter, *(turn @ (ux, uy)), spin * omega]
-    assert image.state[0] == pytest.approx(expected, abs=1e-8)
+    assert image.state[0] == pytest.approx(expected, abs=solver.within(1e-8))
     assert _crossings(images) == _crossings(events)
 
 
@@ -181,27 +180,27 @@ def _crossings(events: list[Event]) -> int:
     return sum(event.kind in ("support_gained", "support_lost") for event in events)
 
 
-@every_solver
+@claiming(Claim.SYMMETRY)
 @given(drawn=scenes())
 @repeatable(40)
-def test_a_quarter_turn_of_everything_turns_the_motion(name: str, drawn: Drawn) -> None:
-    _same(name, drawn, np.array([[0.0, -1.0], [1.0, 0.0]]), 0.5 * np.pi, 1.0)
+def test_a_quarter_turn_of_everything_turns_the_motion(solver: Solver, drawn: Drawn) -> None:
+    _same(solver, drawn, np.array([[0.0, -1.0], [1.0, 0.0]]), 0.5 * np.pi, 1.0)
 
 
-@every_solver
+@claiming(Claim.SYMMETRY)
 @given(drawn=scenes())
 @repeatable(40)
-def test_a_mirror_mirrors_the_motion(name: str, drawn: Drawn) -> None:
-    _same(name, drawn, np.diag([1.0, -1.0]), 0.0, -1.0)
+def test_a_mirror_mirrors_the_motion(solver: Solver, drawn: Drawn) -> None:
+    _same(solver, drawn, np.diag([1.0, -1.0]), 0.0, -1.0)
 
 
-@every_solver
+@claiming(Claim.SYMMETRY)
 @given(drawn=scenes(), rows=st.integers(-2, 2), columns=st.integers(-2, 2))
 @repeatable(40)
 def test_a_shift_on_a_larger_array_shifts_the_motion_and_numbers_the_cells_anew(
-    name: str, drawn: Drawn, rows: int, columns: int
+    solver: Solver, drawn: Drawn, rows: int, columns: int
 ) -> None:
-    plain, events = ran(name, drawn, SECOND)
+    plain, events = ran(solver, drawn, SECOND)
     assume(plain.status[0].state == "moving")
     # four more on each side: the same cells shifted, other indices, and none of the others ever under the parcel
     cells = tuple(
@@ -209,31 +208,31 @@ def test_a_shift_on_a_larger_array_shifts_the_motion_and_numbers_the_cells_anew(
     )
     shift = 0.1 * np.array([columns, rows])
     body = drawn.body().model_copy(update={"position_m": tuple(np.array(drawn.at[:2]) + shift)})
-    moved = built(name, body, rows=SIDE + 8, columns=SIDE + 8, cells=cells)
+    moved = built(solver, body, rows=SIDE + 8, columns=SIDE + 8, cells=cells)
     _, others = moved.advance(drawn.speeds(moved.array.positions_m - shift), SECOND)
-    assert moved.state[0] - [*shift, 0, 0, 0, 0] == pytest.approx(plain.state[0], abs=1e-8)
+    assert moved.state[0] - [*shift, 0, 0, 0, 0] == pytest.approx(plain.state[0], abs=solver.within(1e-8))
     assert _crossings(others) == _crossings(events)
 
 
-@every_solver
+@claiming(Claim.SYMMETRY)
 @given(drawn=scenes(), factor=st.sampled_from([1e-3, 0.3, 7.0, 1e5]))
 @repeatable(40)
 def test_mass_does_not_move_the_centre_otherwise_nor_inertia_where_it_scales_too(
-    name: str, drawn: Drawn, factor: float
+    solver: Solver, drawn: Drawn, factor: float
 ) -> None:
-    plain, _ = ran(name, drawn, SECOND)
+    plain, _ = ran(solver, drawn, SECOND)
     body = drawn.body().model_copy(update={"mass_kg": 2.0 * factor, "inertia_kg_m2": drawn.inertia * factor})
-    heavy = built(name, body, missing=tuple(sorted(drawn.holes)))
+    heavy = built(solver, body, missing=tuple(sorted(drawn.holes)))
     heavy.advance(drawn.speeds(heavy.array.positions_m), SECOND)
     assert heavy.status[0].state == plain.status[0].state
-    assert heavy.state[0] == pytest.approx(plain.state[0], abs=1e-8)
+    assert heavy.state[0] == pytest.approx(plain.state[0], abs=solver.within(1e-8))
 
 
-@every_solver
+@claiming(Claim.ENERGY)
 @given(drawn=scenes(), dead=st.integers(0, 2**16))
 @repeatable(40)
-def test_kinetic_energy_never_rises_on_stopped_wheels(name: str, drawn: Drawn, dead: int) -> None:
-    plant = built(name, drawn.body(), missing=tuple(sorted(drawn.holes)))
+def test_kinetic_energy_never_rises_on_stopped_wheels(solver: Solver, drawn: Drawn, dead: int) -> None:
+    plant = built(solver, drawn.body(), missing=tuple(sorted(drawn.holes)))
     coasting = np.flatnonzero(np.random.default_rng(dead).random(len(plant.array)) < 0.3)
     plant.lose([int(i) for i in coasting], "coast")
     state = plant.trajectory(np.zeros((len(plant.array), 2)), SECOND, 2_000_000).state[:, 0]

@@ -12,7 +12,7 @@ from plant.plant import Plant
 from plant.reports import Event
 from tests.plant.reference import is_least_norm
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, bench, elliptic, loads, members, parcel
-from tests.stability.solvers import Solver
+from tests.stability.solvers import Claim, Solver, claiming
 
 KAPPA = MU * G
 
@@ -38,6 +38,7 @@ def _triangle(plant: Plant) -> list[float]:
     return [float(part / whole) for part in parts]
 
 
+@claiming(Claim.LOADS)
 @pytest.mark.parametrize("flat", [(1, 1, 2), (5, 3, 8), (13, 8, 21), (55, 34, 89)])
 def test_three_supports_nearly_on_a_line_share_as_the_lever_rule_says(
     solver: Solver, flat: tuple[int, int, int]
@@ -60,6 +61,7 @@ def test_three_supports_nearly_on_a_line_share_as_the_lever_rule_says(
     assert max(_balance(plant)) < 1e-16 * size**4
 
 
+@claiming(Claim.LOADS)
 @pytest.mark.parametrize(("beside_m", "stands"), [(0.0, True), (5e-10, True), (2e-9, False), (1e-6, False)])
 @pytest.mark.parametrize("count", [1, 2, 7])
 @pytest.mark.parametrize("slanting", [False, True], ids=["row", "diagonal"])
@@ -93,6 +95,7 @@ def test_supports_on_a_line_or_point_carry_what_stands_on_it_and_name_what_does_
     assert np.all(np.isfinite(plant.state))
 
 
+@claiming(Claim.LOADS, Claim.MOTION)
 @pytest.mark.parametrize("outwards_m", [0.0, -1e-9, -1e-5])
 def test_a_centre_of_mass_carried_along_the_very_rim_does_not_fall_off(
     solver: Solver, outwards_m: float
@@ -102,11 +105,12 @@ def test_a_centre_of_mass_carried_along_the_very_rim_does_not_fall_off(
     plant = solver.plant(body)
     _, events = plant.advance(np.tile((0.3, 0.0), (400, 1)), 2 * SECOND)
     assert plant.status[0].state == "moving"
-    assert plant.state[0, 1] == pytest.approx(0.95 + outwards_m, abs=1e-12)
-    assert plant.state[0, 2] == pytest.approx(0.0, abs=1e-9)
+    assert plant.state[0, 1] == pytest.approx(0.95 + outwards_m, abs=solver.within(1e-12, 2.0))
+    assert plant.state[0, 2] == pytest.approx(0.0, abs=solver.within(1e-9, 2.0))
     assert "support_gained" in {event.kind for event in events}
 
 
+@claiming(Claim.LOADS, Claim.MOTION)
 def test_ten_thousand_supports_balance_and_move_as_one_parcel(solver: Solver) -> None:
     """H12, hyperstatic: ten thousand loads for three balances, in closed form."""
     body = parcel(size_m=(30.0, 30.0), position_m=(0.37, -0.21), angle_rad=0.3)
@@ -122,7 +126,7 @@ def test_ten_thousand_supports_balance_and_move_as_one_parcel(solver: Solver) ->
     for axis, k in ((0, 0.1), (1, 0.2)):
         slow, fast = np.roots([1.0, KAPPA, KAPPA * k]).real
         way = start[axis] * (fast * np.exp(slow) - slow * np.exp(fast)) / (fast - slow)
-        assert plant.state[0, axis] == pytest.approx(way, abs=1e-12)
+        assert plant.state[0, axis] == pytest.approx(way, abs=solver.within(1e-12))
 
 
 def _leaning(solver: Solver, x: float, speed: float) -> tuple[Plant, np.ndarray]:
@@ -136,6 +140,7 @@ LIFTS_AT = {0: 0.1, 1: 0.4 / 3.0, 2: 0.5 / 3.0}
 """Where the centre of mass is when a column's load vanishes: with four, five and three columns the plane ends there."""
 
 
+@claiming(Claim.LOADS, Claim.EVENTS)
 @pytest.mark.parametrize("ticked", [False, True])
 def test_a_support_that_was_dropped_comes_back_where_it_was_dropped(solver: Solver, ticked: bool) -> None:
     """H12, negative loads: dropped for good, they leave the parcel leaning on two columns (FCLIB has such problems)."""
@@ -155,6 +160,7 @@ def test_a_support_that_was_dropped_comes_back_where_it_was_dropped(solver: Solv
         assert is_least_norm(plant.array.positions_m[cells], plant.state[0, :2], share) == ""
 
 
+@claiming(Claim.MOTION)
 def test_a_parcel_larger_than_the_array_moves_on_all_of_it(solver: Solver) -> None:
     """Larger than the array: one support set for ever, no edge ever near, the cells in its middle only."""
     body = parcel(size_m=(5.0, 4.0), position_m=(0.02, -0.03), angle_rad=0.4, angular_velocity_rad_s=0.5)
@@ -164,9 +170,10 @@ def test_a_parcel_larger_than_the_array_moves_on_all_of_it(solver: Solver) -> No
     _, events = plant.advance(elliptic(plant), 2 * SECOND)
     assert events == []
     assert len(members(plant)) == 9
-    assert plant.state[0] == pytest.approx(expected, abs=1e-11)
+    assert plant.state[0] == pytest.approx(expected, abs=solver.within(1e-11, 2.0))
 
 
+@claiming(Claim.LOADS, Claim.REST, Claim.MOTION)
 def test_a_parcel_smaller_than_the_pitch_is_carried_to_the_rim_of_its_only_cell(solver: Solver) -> None:
     """Smaller than the pitch: it stands on one cell exactly, tips off it at once, and not before the wheel turns."""
     plant = solver.plant(parcel(size_m=(0.05, 0.05), position_m=(0.0, 0.0)), rows=3, columns=3)
@@ -182,17 +189,19 @@ def test_a_parcel_smaller_than_the_pitch_is_carried_to_the_rim_of_its_only_cell(
 HALF_A_MINUTE = 30 * SECOND
 
 
+@claiming(Claim.LOADS)
 def test_a_parcel_smaller_than_the_pitch_between_cells_is_refused(solver: Solver) -> None:
     """Smaller than the pitch, and nothing under it."""
     with pytest.raises(PlantError, match="stands on nothing"):
         solver.plant(parcel(size_m=(0.05, 0.05), position_m=(0.05, 0.05)), rows=3, columns=3)
 
 
+@claiming(Claim.LOADS, Claim.MOTION)
 def test_a_parcel_crosses_a_hole_narrower_than_itself_as_in_the_plain_plant(solver: Solver) -> None:
     """Crossing a hole: supports lift at the gap, and the motion is that of the reference."""
     hole = tuple((r, c) for r in range(20) for c in (9, 10))
     body = parcel(size_m=(0.69, 0.25), position_m=(-0.4, 0.02), angle_rad=0.05)
-    plant = solver.plant(body, missing=hole, solver={"capture_m": 1e-12})
+    plant = solver.plant(body, missing=hole, solver=solver.located)
     drives = np.tile((0.5, 0.0), (len(plant.array), 1))
     reference = bench(plant, drives)
     expected = reference.run(plant.state[0], 1.6)
@@ -200,5 +209,6 @@ def test_a_parcel_crosses_a_hole_narrower_than_itself_as_in_the_plain_plant(solv
     assert plant.status[0].state == "moving"
     assert plant.state[0, 0] > 0.0
     assert "load_vanished" in {event.kind for event in events}
-    assert len(events) == len(reference.events)
-    assert plant.state[0] == pytest.approx(expected, abs=1e-9)
+    if solver.claims(Claim.EVENTS):
+        assert len(events) == len(reference.events)
+    assert plant.state[0] == pytest.approx(expected, abs=solver.within(1e-9, 1.6))
