@@ -21,7 +21,7 @@ for effect in sys.argv[2:]:
 from numba import njit, typeof
 from plant.kernels import implicit_block, implicit_entry, loads, pick
 from tests.plant.scenes import lawful
-from tests.plant.test_laws import VISCOUS
+from tests.plant.laws import VISCOUS
 
 class Called(Exception):
     pass

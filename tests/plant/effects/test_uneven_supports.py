@@ -14,9 +14,9 @@ from plant.errors import PlantError
 from plant.kernels import layout
 from plant.plant import Plant
 from plant.specs import ParcelSpec, PlantSpec
+from tests.plant.laws import VISCOUS
 from tests.plant.reference import balances
 from tests.plant.scenes import SECOND, Floats, G, elliptic, lawful, parcel
-from tests.plant.test_laws import VISCOUS
 
 WEIGHT = 2.0 * G
 
