@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -21,7 +22,6 @@ class CellArray:
         positions_m: ``(n, 2)`` cell centres.
         grid: ``(rows, columns)`` int64, index of each cell or -1.
         origin_m: centre of cell (0, 0), whether it exists or not.
-        far_m: greatest coordinate of a cell, either way.
         sensors_m: ``(s, 2)`` presence sensors relative to a cell's centre.
     """
 
@@ -37,13 +37,17 @@ class CellArray:
         self.positions_m: NDArray[np.float64] = np.empty((len(self.lattice), 2))
         self.positions_m[:, 0] = 0.5 * (2 * columns - (spec.columns - 1)) * spec.pitch_m
         self.positions_m[:, 1] = 0.5 * (2 * rows - (spec.rows - 1)) * spec.pitch_m
-        self.far_m: float = float(np.max(np.abs(self.positions_m)))
         self.grid: NDArray[np.int64] = np.full((spec.rows, spec.columns), -1, dtype=np.int64)
         self.grid[rows, columns] = np.arange(len(self.lattice), dtype=np.int64)
         self.sensors_m: NDArray[np.float64] = np.array(spec.sensors_m, dtype=np.float64).reshape(-1, 2)
 
     def __len__(self) -> int:
         return len(self.lattice)
+
+    @cached_property
+    def far_m(self) -> float:
+        """Greatest coordinate of a cell, along either axis and either way, m."""
+        return float(np.max(np.abs(self.positions_m)))
 
     def cells_beyond(self, a: int, b: int, towards_m: NDArray[np.float64]) -> bool:
         """Whether any cell lies across the edge from cell ``a`` to ``b``, on the side of ``towards_m`` ``(2,)``.
