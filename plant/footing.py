@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant import geometry
+from plant.friction.law import Traction
 from plant.kernels import layout
 from plant.solver_specs import ExactSpec
 from plant.solvers.exact import Exact
@@ -59,8 +60,8 @@ class Footing:
     """
 
     def __init__(self, array: CellArray, parcel: ParcelSpec) -> None:
-        # loads depend on no rate of friction: any does
-        self._solver = Exact(array, (parcel,), 1.0, 0.0, ExactSpec())
+        # loads depend on no law of traction: any does
+        self._solver = Exact(array, (parcel,), Traction(push_per_load=1.0), 1.0, 0.0, ExactSpec())
         self._parcel = self._solver.parcels[0]
         self._driven: Floats = np.ones(len(array))
         self.inertia_kg_m2: float = parcel.mass_kg / float(self._parcel.par[layout.MASS_OVER_INERTIA])

@@ -15,7 +15,7 @@ Tolerance = Annotated[float, Field(ge=1e-14, le=1e-2, allow_inf_nan=False)]
 class ExactSpec(Spec):
     """Event-driven, analytic between events."""
 
-    laws: ClassVar[tuple[str, ...] | None] = ("viscous",)
+    laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb_sliding", "rolling", "stick_slip")
     """Which laws it solves; None: all."""
     name: Literal["exact"] = "exact"
     tolerance: Tolerance = 1e-9

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from math import cos, exp, isfinite, sin
+from math import cos, exp, inf, isfinite, sin
 
 from plant.kernels import layout as at
+from plant.kernels.branches import branch_changes
 from plant.kernels.capture import groups_hold, try_capture
 from plant.kernels.changes import apply, log
 from plant.kernels.events import bend, entering, leaving
@@ -12,8 +13,11 @@ from plant.kernels.jit import kernel
 from plant.kernels.load_events import loading
 from plant.kernels.modes import settled
 from plant.kernels.motion import onto_surfaces, surface_rates
+from plant.kernels.outrun import outrunning, watch
 from plant.kernels.roots import horner
 from plant.kernels.series import taylor
+from plant.kernels.slips import underside
+from plant.kernels.turning import next_turn
 
 UNIT_TIME = (at.S_X, at.S_Y, at.S_TH, at.S_UX, at.S_UY, at.S_OM, at.S_C, at.S_S, at.S_E1, at.S_E2)
 """The series that events are read from, ..."""
@@ -99,9 +103,9 @@ def prepare(surface, parcel, work, now, e, events):
 
 
 @kernel
-def search(surface, parcel, work, order):
+def search(surface, parcel, work, order, step):
     """All events of the step that may be its earliest. Returns (how many, time of the earliest or 1)."""
-    mem, ctl, ser, found = parcel.mem, parcel.ctl, work.ser, work.found
+    mem, ctl, par, ser, found = parcel.mem, parcel.ctl, parcel.par, work.ser, work.found
     centre, lever = bend(ser, order)
     count, end = leaving(surface, parcel, work, order, centre, lever, 1.0, at.ZERO)
     for i in range(ctl[at.N_MEMBERS]):
@@ -110,6 +114,13 @@ def search(surface, parcel, work, order):
     for i in range(ctl[at.N_MEMBERS]):
         work.where[mem[i, at.CELL]] = 0
     count, end = loading(surface, parcel, work, order, end, count)
+    limited, along = par[at.LIMIT] < inf, par[at.PUSH_PER_SHARE] != 0.0
+    if limited or along:
+        underside(ser, order, step)
+    if limited:
+        count, end = branch_changes(surface, parcel, work, order, end, count)
+    if along:
+        count, end = outrunning(surface, parcel, work, order, end, count)
     earliest = 1.0
     for i in range(count):
         earliest = min(earliest, found[i, at.EV_TIME])
@@ -193,6 +204,9 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         stuck = instant >= crowd
         hurried = changed and 2 * used > budget
         ahead = span - now if stuck or hurried else min(span - now, LOOK_AHEAD * par[at.GAP])
+        if par[at.PUSH_PER_SHARE] != 0.0:
+            watch(surface, parcel, now, e, events)
+            ahead = min(ahead, next_turn(surface, parcel, e))
         order, step = taylor(parcel, work, e, cos(y[at.THETA]), sin(y[at.THETA]), ahead)
         ctl[at.N_STEPS] += 1
         calm, slow = dwell(ser, y, par)
@@ -202,7 +216,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             used += 1
             ctl[at.N_CHANGES] += 1
         else:
-            count, earliest = search(surface, parcel, work, order)
+            count, earliest = search(surface, parcel, work, order, step)
         ends_at = now + earliest * step
         if earliest == 1.0 and step == span - now:
             ends_at = span

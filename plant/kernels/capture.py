@@ -76,7 +76,7 @@ def evaluate(surface, parcel, work, e, c, s):
 
     0 where some mode's supports don't carry the parcel, or span no plane.
     """
-    if settle_modes(surface, parcel, work) != at.MOVING or work.segs[0, at.RANK] < 2:
+    if settle_modes(surface, parcel, work, e) != at.MOVING or work.segs[0, at.RANK] < 2:
         return 0.0
     surfaces(surface, parcel, work.grp)
     ax, ay, al, conditioning = accelerations(parcel, work, e, c, s)

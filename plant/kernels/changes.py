@@ -19,12 +19,13 @@ def log(events, ctl, time, kind, cell, edge):
 
 @kernel
 def enter(mem, ctl, cell):
-    """Add a cell that carries load in every mode, until ``settle`` says otherwise."""
+    """Add a cell that carries load in every mode, its wheels within their limits, until ``modes`` says otherwise."""
     slot = ctl[at.N_MEMBERS]
     ctl[at.N_MEMBERS] += 1
     mem[slot, at.CELL], mem[slot, at.SIDE] = cell, 0
     for m in range(at.MODES):
         mem[slot, at.MARK + m] = at.ACTIVE
+        mem[slot, at.BRANCH + 2 * m] = mem[slot, at.BRANCH + 2 * m + 1] = 0
 
 
 @kernel
@@ -38,6 +39,9 @@ def apply(surface, parcel, work, count, together, time, events, c, s):
     crossed = at.ZERO
     for i in range(count):
         kind, cell = int(found[i, at.EV_KIND]), int(found[i, at.EV_CELL])
+        if kind == at.SWITCH:
+            # of a wheel: nothing about the supports
+            continue
         edge, distance = at.ZERO, 1.0
         if kind in (at.ENTER, at.LEAVE):
             edge, distance = edge_of(surface.pos, parcel.normal, parcel.offset, cell, parcel.y, c, s)

@@ -247,7 +247,7 @@ def note_outrun(surface, parcel, work, now, e, events):
             ):
                 first = cell
     if first >= 0 and pace[im.OUTRUN] == 0.0:
-        log(events, ctl, now, im.OUTRAN, first, at.NO_CELL)
+        log(events, ctl, now, at.OUTRAN, first, at.NO_CELL)
     pace[im.OUTRUN] = 1.0 if first >= 0 else 0.0
 
 

@@ -33,10 +33,9 @@ AX, AY, SX, SY, B, C, GX, GY, LX, LY = range(10)
 """Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``, ``g``; multipliers L."""
 WHEEL_SIZE: Final = 10
 
-# ── further statuses and events
+# ── further statuses
 ENDLESS_STEPS: Final = 5
 NOT_SOLVED: Final = 6
-OUTRAN: Final = 11
 
 UNITY: Final = 1.0
 ONE_PART: Final = 1

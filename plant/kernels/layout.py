@@ -24,7 +24,7 @@ MODES: Final = 1 << MAX_GROUPS
 surface. Without captured groups mode 0 is all there is."""
 
 # ── par: float64 constants of one parcel on one surface
-KAPPA: Final = 0  # mu g, 1/s
+KAPPA: Final = 0  # slope of the law's force by slip, per kilogram, 1/s: mu g where it is viscous
 MASS_OVER_INERTIA: Final = 1  # 1/m^2
 RADIUS: Final = 2  # farthest corner from the centre of mass, m
 RATE: Final = 3  # 1 / motor time constant, 1/s; 0 without motors
@@ -37,7 +37,15 @@ ON_SURFACE: Final = 9  # a distance that rounding can't tell from zero, m
 ON_LINE: Final = 10  # how far off a line of supports a centre of mass still stands, m
 MEMORY: Final = 11  # how long an error in velocity lasts, s
 GAP: Final = 12  # mean time between events of late, s (changes as the parcel moves)
-PAR_SIZE: Final = 13
+# the law's force per kilogram, over KAPPA: clamp(resistance (s - v), -limit, +limit) + push, m/s; resistance and limit
+# are a coefficient times the cell's share of the weight, plus a constant
+PER_SHARE: Final = 13  # of the resistance
+CONSTANT: Final = 14
+LIMIT_PER_SHARE: Final = 15  # m/s
+LIMIT: Final = 16  # m/s; infinite: no limit
+FREE_SPEED: Final = 17  # s as a share of the wheel's surface speed
+PUSH_PER_SHARE: Final = 18  # along the wheel's motion, m/s
+PAR_SIZE: Final = 19
 
 # ── y: float64 state of one parcel
 X, Y, THETA, UX, UY, OMEGA = range(6)
@@ -46,15 +54,19 @@ X, Y, THETA, UX, UY, OMEGA = range(6)
 CELL, EDGE, GROUP, SIDE, MARK = range(5)
 """``MARK + m`` is the cell's mark in mode m. ``SIDE`` is 0 where the cell isn't captured; a captured one sits on
 ``EDGE`` and is under the parcel on the far side of ``GROUP``'s surface (1) or on its near side (-1)."""
-MEM_COLUMNS: Final = MARK + MODES
+BRANCH: Final = MARK + MODES
+"""``BRANCH + 2 m`` and the next: on which branch of the law its wheels along x and y are in mode m: 0 within the limit,
+1 or -1 at it, pulling that way."""
+MEM_COLUMNS: Final = BRANCH + 2 * MODES
 ACTIVE: Final = 0  # carries load
 LIFTED: Final = 1  # under the parcel, but the plane of the springs is above it
 ABSENT: Final = 2  # captured, and in this mode not under the parcel
 
 # ── ctl: int64 counters and flags of one parcel
 N_MEMBERS, N_GROUPS, STATUS, N_EVENTS, N_STEPS, TIP_A, TIP_B, N_LOGGED, N_CAPTURES = range(9)
-CULPRIT, N_CHANGES, N_CROSSED = range(9, 12)
-CTL_SIZE: Final = 12
+CULPRIT, N_CHANGES, N_CROSSED, OUTRUN = range(9, 13)
+"""``OUTRUN`` is 0, or 1 and up for a wheel that the parcel outruns: ``outrun.watch``."""
+CTL_SIZE: Final = 13
 
 # ── statuses
 MOVING: Final = 0
@@ -69,20 +81,24 @@ CX, CY = 1, 2  # c - X0
 PXX, PXY, PYY = 3, 4, 5  # (pseudo-)inverse of sum k r r'
 RANK: Final = 6
 LINE_X, LINE_Y = 7, 8  # unit normal of the line of supports, where the rank is 1
-W0, W1X, W1Y, W2XX, W2XY, W2YY, G0, G1X, G1Y = range(9, 18)  # moments of the driven wheels
-STEADY: Final = 18  # moments of wheel velocity: steady part ...
-DECAY: Final = 27  # ... and the part that decays with the motors
-K0X, K0Y, K1XX, K1XY, K1YX, K1YY, T0, T1X, T1Y = range(9)
-DRIVEN: Final = 36  # 1 where every wheel under the parcel is driven
-SEG_SIZE: Final = 37
+UNIFORM: Final = 9  # 1 where every wheel resists in proportion to its load alone: viscous, and none coasts
+S0X, S0Y, S1X, S1Y, C2 = range(10, 25, 3)
+"""Sums over the wheels that pull, each linear in the loads' plane: three coefficients, of a0, bx and by. The resistance
+along x and along y, its moments about the centroid (S1X: what pulls along x, times the lever y), its turning."""
+STEADY: Final = 25  # sums of what drives, by the steady part of the wheels' speed, ...
+DECAY: Final = 34  # ... and by the part that decays with the motors
+DX, DY, T = range(0, 9, 3)
+"""From there on: along x, along y, and their moment about the centroid."""
+SEG_SIZE: Final = 43
 
 # ── grp: float64 (MAX_GROUPS, .), a group's surface: sigma = B + A_C cos + A_S sin + A_1 E1 + A_2 E2, see series.taylor
 B, A_C, A_S, A_1, A_2, N_CELLS = range(6)
 GRP_SIZE: Final = 6
 
 # ── ser: float64 (rows, MAX_ORDER + 4), Taylor coefficients: what all modes share ...
-S_X, S_Y, S_TH, S_UX, S_UY, S_OM, S_C, S_S, S_E1, S_E2, S_EXP, S_SHARE = range(12)
-"""``S_SHARE + 2**h`` is the fraction of the motion that is on group h's far side, ``S_SHARE + b`` the product of the
+S_X, S_Y, S_TH, S_UX, S_UY, S_OM, S_C, S_S, S_E1, S_E2, S_EXP, S_VX, S_VY, S_SHARE = range(14)
+"""``S_VX`` and ``S_VY``: velocity of the parcel's underside above ``X0``, only where single wheels are looked at.
+``S_SHARE + 2**h`` is the fraction of the motion that is on group h's far side, ``S_SHARE + b`` the product of the
 fractions of all groups whose bits are set in b."""
 # ... and, from row MODES_AT + m * MODE_ROWS on, what belongs to mode m
 MODES_AT: Final = S_SHARE + MODES
@@ -99,17 +115,18 @@ MODES_AT: Final = S_SHARE + MODES
     M_DBX,
     M_DBY,
     M_TB,
-    M_S0,
-    M_BBX,
-    M_BBY,
+    M_S0X,
+    M_S0Y,
     M_S1X,
     M_S1Y,
+    M_QX,
+    M_QY,
     M_C2,
     M_AX,
     M_AY,
     M_AL,
-) = range(21)
-MODE_ROWS: Final = 21
+) = range(22)
+MODE_ROWS: Final = 22
 SER_ROWS: Final = MODES_AT + MODES * MODE_ROWS
 SER_COLUMNS: Final = MAX_ORDER + 4
 
@@ -126,3 +143,6 @@ LINE: Final = 7
 CAPTURE_BEGINS: Final = 8
 CAPTURE_ENDS: Final = 9
 TIP: Final = 10
+OUTRAN: Final = 11
+SWITCH: Final = 12
+"""A wheel reaches another branch of the law, or is outrun, or no longer: ends the step, and nothing else."""

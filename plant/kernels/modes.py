@@ -8,9 +8,13 @@ whose fraction keeps the parcel on it (Filippov). Every further group doubles th
 
 from __future__ import annotations
 
+from math import inf
+
 from plant.kernels import layout as at
+from plant.kernels.branches import settle_branches
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
+from plant.kernels.moments import moments
 from plant.kernels.motion import accelerations, surfaces
 
 FRACTION_ZERO = 1e-9
@@ -83,13 +87,25 @@ def least_share(parcel, work):
 
 
 @kernel
-def settle_modes(surface, parcel, work):
-    """Loads of every mode; a captured mode must span a plane. Returns the status."""
+def grasp(surface, parcel, seg, m, e, mixes):
+    """Branches of the law that mode m's wheels are on, its loads being settled, and what its wheels sum to.
+
+    ``mixes`` where ``motion.accelerations`` is to be asked for.
+    """
+    if parcel.par[at.LIMIT] < inf:
+        settle_branches(surface, parcel, seg, m, e)
+    moments(surface, parcel, seg, m, e, mixes)
+
+
+@kernel
+def settle_modes(surface, parcel, work, e):
+    """Loads and sums of every mode; a captured mode must span a plane. Returns the status."""
     groups = parcel.ctl[at.N_GROUPS]
     for m in range(1 << groups):
         status = settle(surface, parcel, work.segs[m], at.MARK + m, work.scratch, work.newton)
         if status != at.MOVING:
             return status
+        grasp(surface, parcel, work.segs[m], m, e, at.COMPLETE)
         if groups > 0 and work.segs[m, at.RANK] < 2:
             return at.TIPPED
     return at.MOVING
@@ -104,7 +120,7 @@ def settled(surface, parcel, work, e, c, s):
     """
     mem, ctl = parcel.mem, parcel.ctl
     while ctl[at.N_GROUPS] > 0:
-        status = settle_modes(surface, parcel, work)
+        status = settle_modes(surface, parcel, work, e)
         if status != at.MOVING:
             while ctl[at.N_GROUPS] > 0:
                 release_inside(mem, ctl, ctl[at.N_GROUPS] - 1)
@@ -121,4 +137,7 @@ def settled(surface, parcel, work, e, c, s):
             return status
         release(mem, ctl, group, far)
         ctl[at.N_CAPTURES] += 1
-    return settle(surface, parcel, work.segs[0], at.MARK, work.scratch, work.newton)
+    status = settle(surface, parcel, work.segs[0], at.MARK, work.scratch, work.newton)
+    if status == at.MOVING:
+        grasp(surface, parcel, work.segs[0], at.ZERO, e, at.UNDONE)
+    return status

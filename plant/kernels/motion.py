@@ -19,30 +19,38 @@ def plane(seg):
 
 
 @kernel
+def linear(seg, first, a0, bx, by):
+    """One of a support set's sums on the plane ``a0 + b . r``; ``first`` is its first coefficient."""
+    return a0 * seg[first] + bx * seg[first + 1] + by * seg[first + 2]
+
+
+@kernel
+def drive(seg, row, e, a0, bx, by):
+    """What drives now, along ``row`` of ``seg``, the part that decays with the motors included."""
+    s, d = at.STEADY + row, at.DECAY + row
+    total = a0 * (seg[s] + e * seg[d]) + bx * (seg[s + 1] + e * seg[d + 1])
+    return total + by * (seg[s + 2] + e * seg[d + 2])
+
+
+@kernel
 def traction(seg, e, y, par):
-    """Acceleration that one support set's loads give (eqs. 16-17, 21-22 with loads kept general).
+    """Acceleration that one support set's wheels give (eqs. 16-17, 21-22 with loads and the law kept general).
 
     ``e`` is the motors' decay factor now. Returns (ax, ay, alpha).
     """
     a0, bx, by = plane(seg)
-    s, d = at.STEADY, at.DECAY
-    dx = a0 * (seg[s + at.K0X] + e * seg[d + at.K0X]) + bx * (seg[s + at.K1XX] + e * seg[d + at.K1XX])
-    dx += by * (seg[s + at.K1XY] + e * seg[d + at.K1XY])
-    dy = a0 * (seg[s + at.K0Y] + e * seg[d + at.K0Y]) + bx * (seg[s + at.K1YX] + e * seg[d + at.K1YX])
-    dy += by * (seg[s + at.K1YY] + e * seg[d + at.K1YY])
-    turn = a0 * (seg[s + at.T0] + e * seg[d + at.T0]) + bx * (seg[s + at.T1X] + e * seg[d + at.T1X])
-    turn += by * (seg[s + at.T1Y] + e * seg[d + at.T1Y])
-    s0 = a0 * seg[at.W0] + bx * seg[at.W1X] + by * seg[at.W1Y]
-    s1x = a0 * seg[at.W1X] + bx * seg[at.W2XX] + by * seg[at.W2XY]
-    s1y = a0 * seg[at.W1Y] + bx * seg[at.W2XY] + by * seg[at.W2YY]
-    c2 = a0 * seg[at.G0] + bx * seg[at.G1X] + by * seg[at.G1Y]
-    xix, xiy = -seg[at.CX], -seg[at.CY]
-    bx, by = s1x - s0 * xix, s1y - s0 * xiy
-    c = c2 - 2.0 * (xix * s1x + xiy * s1y) + (xix * xix + xiy * xiy) * s0
+    dx, dy = drive(seg, at.DX, e, a0, bx, by), drive(seg, at.DY, e, a0, bx, by)
+    turn = drive(seg, at.T, e, a0, bx, by)
+    s0x, s0y = linear(seg, at.S0X, a0, bx, by), linear(seg, at.S0Y, a0, bx, by)
+    s1x, s1y = linear(seg, at.S1X, a0, bx, by), linear(seg, at.S1Y, a0, bx, by)
+    xix, xiy, ux, uy, om = -seg[at.CX], -seg[at.CY], y[at.UX], y[at.UY], y[at.OMEGA]
+    # the resistances' moments about the centre of mass: of those along x with the lever y, and the other way round
+    qx, qy = s1x - s0x * xiy, s1y - s0y * xix
+    c = linear(seg, at.C2, a0, bx, by) - 2.0 * (xix * s1y + xiy * s1x) + (xix * xix * s0y + xiy * xiy * s0x)
     kappa = par[at.KAPPA]
-    ax = kappa * (dx - s0 * y[at.UX] + y[at.OMEGA] * by)
-    ay = kappa * (dy - s0 * y[at.UY] - y[at.OMEGA] * bx)
-    torque = turn - (xix * dy - xiy * dx) - (bx * y[at.UY] - by * y[at.UX]) - y[at.OMEGA] * c
+    ax = kappa * (dx - s0x * ux + om * qx)
+    ay = kappa * (dy - s0y * uy - om * qy)
+    torque = turn - (xix * dy - xiy * dx) - (qy * uy - qx * ux) - om * c
     return ax, ay, kappa * par[at.MASS_OVER_INERTIA] * torque
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.motion import differences, solve
+from plant.kernels.motion import differences, linear, solve
 
 
 @kernel
@@ -26,7 +26,7 @@ def product(ser, a, b, k):
 def linear_terms(seg, motors, ser, o, k):
     """Coefficient k of a mode's springs' plane ``a0 + b . r`` and of all that is linear in it.
 
-    That is D, T, C2 and, where wheels coast, S0 and S1.
+    That is D, T, C2 and, unless wheels resist in proportion to their loads alone, S0 and S1.
 
     ``o`` is the first row of the mode in ``ser``.
     """
@@ -35,19 +35,20 @@ def linear_terms(seg, motors, ser, o, k):
     bx, by = seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
     ser[o + at.M_A0, k], ser[o + at.M_BX, k], ser[o + at.M_BY, k] = a0, bx, by
     s = at.STEADY
-    ser[o + at.M_DX, k] = a0 * seg[s + at.K0X] + bx * seg[s + at.K1XX] + by * seg[s + at.K1XY]
-    ser[o + at.M_DY, k] = a0 * seg[s + at.K0Y] + bx * seg[s + at.K1YX] + by * seg[s + at.K1YY]
-    ser[o + at.M_T, k] = a0 * seg[s + at.T0] + bx * seg[s + at.T1X] + by * seg[s + at.T1Y]
-    if seg[at.DRIVEN] == 0.0:
-        ser[o + at.M_S0, k] = a0 * seg[at.W0] + bx * seg[at.W1X] + by * seg[at.W1Y]
-        ser[o + at.M_S1X, k] = a0 * seg[at.W1X] + bx * seg[at.W2XX] + by * seg[at.W2XY]
-        ser[o + at.M_S1Y, k] = a0 * seg[at.W1Y] + bx * seg[at.W2XY] + by * seg[at.W2YY]
-    ser[o + at.M_C2, k] = a0 * seg[at.G0] + bx * seg[at.G1X] + by * seg[at.G1Y]
+    ser[o + at.M_DX, k] = linear(seg, s + at.DX, a0, bx, by)
+    ser[o + at.M_DY, k] = linear(seg, s + at.DY, a0, bx, by)
+    ser[o + at.M_T, k] = linear(seg, s + at.T, a0, bx, by)
+    if seg[at.UNIFORM] == 0.0:
+        ser[o + at.M_S0X, k] = linear(seg, at.S0X, a0, bx, by)
+        ser[o + at.M_S0Y, k] = linear(seg, at.S0Y, a0, bx, by)
+        ser[o + at.M_S1X, k] = linear(seg, at.S1X, a0, bx, by)
+        ser[o + at.M_S1Y, k] = linear(seg, at.S1Y, a0, bx, by)
+    ser[o + at.M_C2, k] = linear(seg, at.C2, a0, bx, by)
     if motors:
         d = at.DECAY
-        ser[o + at.M_DBX, k] = a0 * seg[d + at.K0X] + bx * seg[d + at.K1XX] + by * seg[d + at.K1XY]
-        ser[o + at.M_DBY, k] = a0 * seg[d + at.K0Y] + bx * seg[d + at.K1YX] + by * seg[d + at.K1YY]
-        ser[o + at.M_TB, k] = a0 * seg[d + at.T0] + bx * seg[d + at.T1X] + by * seg[d + at.T1Y]
+        ser[o + at.M_DBX, k] = linear(seg, d + at.DX, a0, bx, by)
+        ser[o + at.M_DBY, k] = linear(seg, d + at.DY, a0, bx, by)
+        ser[o + at.M_TB, k] = linear(seg, d + at.T, a0, bx, by)
         ser[o + at.M_DX, k] += product(ser, at.S_EXP, o + at.M_DBX, k)
         ser[o + at.M_DY, k] += product(ser, at.S_EXP, o + at.M_DBY, k)
         ser[o + at.M_T, k] += product(ser, at.S_EXP, o + at.M_TB, k)
@@ -66,24 +67,31 @@ def acceleration_terms(seg, par, ser, o, k):
         yy += y * ser[o + at.M_XIY, k - j]
     torque = ser[o + at.M_T, k] - moment_x + moment_y
     square = xx + yy
-    if seg[at.DRIVEN] == 1.0:
+    if seg[at.UNIFORM] == 1.0:
         ser[o + at.M_CC, k] = ser[o + at.M_C2, k] - square
         ax = kappa * (ser[o + at.M_DX, k] - ser[at.S_UX, k])
         ay = kappa * (ser[o + at.M_DY, k] - ser[at.S_UY, k])
     else:
-        # coasting wheels carry load but pull nothing: resistance no longer acts at the centre of mass
-        xix, xiy, s0, s1x, s1y = o + at.M_XIX, o + at.M_XIY, o + at.M_S0, o + at.M_S1X, o + at.M_S1Y
-        bbx, bby = o + at.M_BBX, o + at.M_BBY
-        ser[bbx, k] = ser[s1x, k] - product(ser, s0, xix, k)
-        ser[bby, k] = ser[s1y, k] - product(ser, s0, xiy, k)
-        cross = product(ser, xix, s1x, k) + product(ser, xiy, s1y, k)
-        cross += product(ser, xix, bbx, k) + product(ser, xiy, bby, k)
+        # resistance that isn't spread as the loads are does not act at the centre of mass
+        xix, xiy, s0x, s0y, s1x, s1y = (
+            o + at.M_XIX,
+            o + at.M_XIY,
+            o + at.M_S0X,
+            o + at.M_S0Y,
+            o + at.M_S1X,
+            o + at.M_S1Y,
+        )
+        qx, qy = o + at.M_QX, o + at.M_QY
+        ser[qx, k] = ser[s1x, k] - product(ser, s0x, xiy, k)
+        ser[qy, k] = ser[s1y, k] - product(ser, s0y, xix, k)
+        cross = product(ser, xix, s1y, k) + product(ser, xiy, s1x, k)
+        cross += product(ser, xix, qy, k) + product(ser, xiy, qx, k)
         ser[o + at.M_CC, k] = ser[o + at.M_C2, k] - cross
-        pull_x = product(ser, s0, at.S_UX, k) - product(ser, at.S_OM, bby, k)
-        pull_y = product(ser, s0, at.S_UY, k) + product(ser, at.S_OM, bbx, k)
+        pull_x = product(ser, s0x, at.S_UX, k) - product(ser, at.S_OM, qx, k)
+        pull_y = product(ser, s0y, at.S_UY, k) + product(ser, at.S_OM, qy, k)
         ax = kappa * (ser[o + at.M_DX, k] - pull_x)
         ay = kappa * (ser[o + at.M_DY, k] - pull_y)
-        torque -= product(ser, bbx, at.S_UY, k) - product(ser, bby, at.S_UX, k)
+        torque -= product(ser, qy, at.S_UY, k) - product(ser, qx, at.S_UX, k)
     torque -= product(ser, at.S_OM, o + at.M_CC, k)
     al = kappa * par[at.MASS_OVER_INERTIA] * torque
     ser[o + at.M_AX, k], ser[o + at.M_AY, k], ser[o + at.M_AL, k] = ax, ay, al

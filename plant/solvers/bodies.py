@@ -27,7 +27,7 @@ KINDS = {
     layout.ONLY_FAR: "released",
     layout.CORNER: "released",
     layout.CAPTURE_BEGINS: "captured",
-    implicit_layout.OUTRAN: "outrun",
+    layout.OUTRAN: "outrun",
 }
 """Words of the plant's events, by the kernels' codes."""
 

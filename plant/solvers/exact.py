@@ -1,21 +1,23 @@
 """The ``exact`` solver: event-driven, analytic between events, no crossing missed.
 
-Between two changes of the support set the motion is a Taylor series (translation linear, rotation linear with
-polynomial coefficients), so a step is as long as the series is accurate, and event times are isolated roots of
-polynomials. See ``plant/kernels``: ``series`` for the motion, ``events`` and ``roots`` for its events, ``loads`` for
-the unilateral normal forces, ``capture`` for chatter.
+Between two changes of the support set, or of the branch of the law that some wheel is on, the motion is a Taylor
+series (translation linear, rotation linear with polynomial coefficients), so a step is as long as the series is
+accurate, and event times are isolated roots of polynomials. See ``plant/kernels``: ``series`` for the motion,
+``events`` and ``roots`` for its events, ``loads`` for the unilateral normal forces, ``branches`` for wheels at the
+limit of their traction, ``capture`` for chatter.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant.array import CellArray
+from plant.friction.law import Traction
 from plant.kernels import layout
-from plant.kernels.parcels import Parcel
 from plant.solver_specs import ExactSpec
 from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import ParcelSpec
@@ -25,6 +27,10 @@ EVENTS_PER_SECOND = 4_000
 """Changes of one parcel's supports in a simulated second beyond which its motion counts as unstable, ..."""
 EVENTS_PER_MEMBER = 20
 """... plus this many for every cell that fits under it."""
+
+
+LONGEST_MEMORY_S = 10.0
+"""An error in velocity counts as the way it leads in no longer than this."""
 
 
 class Work(NamedTuple):
@@ -87,18 +93,25 @@ def make_work(cells: int, capacity: int) -> Work:
 
 @final
 class Exact(ThreadedSolver[Work]):
-    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for the viscous law.
+    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver``.
 
     Args:
         array: the surface.
         parcels: footprint, mass and start of each.
-        kappa: ``mu g``, 1/s.
+        traction: a law whose branches are polynomial: any that is not set-valued and takes each wheel by itself.
+        gravity_m_s2: of the scene.
         rate: of the motors, 1/s; 0 without.
         spec: tolerance and capture.
     """
 
     def __init__(
-        self, array: CellArray, parcels: tuple[ParcelSpec, ...], kappa: float, rate: float, spec: ExactSpec
+        self,
+        array: CellArray,
+        parcels: tuple[ParcelSpec, ...],
+        traction: Traction,
+        gravity_m_s2: float,
+        rate: float,
+        spec: ExactSpec,
     ) -> None:
         from plant.kernels import entry  # compiles or loads: only where a plant is really built
         from plant.kernels.block import ALLOWANCE_SIZE
@@ -106,8 +119,10 @@ class Exact(ThreadedSolver[Work]):
         super().__init__(array, parcels, rate)
         self._entry: Any = entry
         self._allowance: Floats = np.zeros((len(parcels), ALLOWANCE_SIZE))
-        for parcel, allowance in zip(self.parcels, self._allowance, strict=True):
-            _prepare(parcel, kappa, spec)
+        for given, parcel, allowance in zip(parcels, self.parcels, self._allowance, strict=True):
+            _set_law(parcel.par, traction, given.mass_kg, gravity_m_s2)
+            parcel.par[layout.TOLERANCE] = spec.tolerance
+            parcel.par[layout.CAPTURE] = spec.capture_m
             allowance[:] = EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem)
 
     def _make_work(self) -> Work:
@@ -129,11 +144,32 @@ class Exact(ThreadedSolver[Work]):
         )
 
 
-def _prepare(parcel: Parcel, kappa: float, spec: ExactSpec) -> None:
-    """Add what this solver needs to know of a parcel."""
-    par = parcel.par
+def _set_law(par: Floats, traction: Traction, mass_kg: float, gravity_m_s2: float) -> None:
+    """The law per kilogram of one parcel, as ``plant.kernels.layout`` has it, and how long its errors in velocity last.
+
+    Args:
+        par: the parcel's constants.
+        traction: the law.
+        mass_kg: of the parcel.
+        gravity_m_s2: of the scene.
+    """
+    per_share, constant = traction.stiffness_per_load * gravity_m_s2, traction.stiffness / mass_kg
+    push = traction.push_per_load * gravity_m_s2
+    slope = per_share + constant
+    limited = slope > 0.0 and not math.isinf(traction.limit)
+    assert not traction.set_valued, "this is a bug: the spec lets exact solve a set-valued law"
+    assert not limited or not (traction.isotropic or per_share), (
+        "this is a bug: a law's ends are not polynomial"
+    )
+    # without resistance the scale is arbitrary: pushes are then of 1 m/s
+    kappa = slope or push
     par[layout.KAPPA] = kappa
-    par[layout.TOLERANCE] = spec.tolerance
-    par[layout.CAPTURE] = spec.capture_m
-    par[layout.MEMORY] = min(1.0 / kappa, 10.0)
+    par[layout.PER_SHARE] = per_share / kappa
+    par[layout.CONSTANT] = constant / kappa
+    par[layout.LIMIT_PER_SHARE] = traction.limit_per_load * gravity_m_s2 / kappa if limited else 0.0
+    par[layout.LIMIT] = traction.limit / mass_kg / kappa if limited else math.inf
+    par[layout.FREE_SPEED] = traction.free_speed
+    par[layout.PUSH_PER_SHARE] = push / kappa
+    damped = slope > 0.0 and not limited
+    par[layout.MEMORY] = min(1.0 / kappa, LONGEST_MEMORY_S) if damped else LONGEST_MEMORY_S
     par[layout.GAP] = par[layout.MEMORY]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from plant.array import CellArray
-from plant.friction.viscous import Viscous
 from plant.kernels import cache
 from plant.solver_specs import ExactSpec, ImplicitSpec, SolverSpec
 from plant.solvers.exact import Exact
@@ -28,10 +27,8 @@ def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
         array: the surface.
         rate: of the motors, 1/s; 0 without.
     """
-    match spec.solver, spec.friction:
-        case ExactSpec() as how, Viscous() as law:
-            return Exact(array, spec.parcels, law.rate(spec.gravity_m_s2), rate, how)
-        case ImplicitSpec() as how, _:
+    match spec.solver:
+        case ExactSpec() as how:
+            return Exact(array, spec.parcels, spec.friction.traction(), spec.gravity_m_s2, rate, how)
+        case ImplicitSpec() as how:
             return Implicit(spec, how, array, rate)
-        case how, law:
-            raise AssertionError(f"this is a bug: the spec lets {how.name} solve {law.law}")

@@ -125,7 +125,8 @@ def test_the_scene_these_tests_break_is_good() -> None:
         (
             "coefficient_s_per_m = 0.2",
             'law = "coulomb"\ncoefficient = 0.2',
-            'solver.name = "exact": solves law viscous, not coulomb; use implicit',
+            'solver.name = "exact": solves law viscous, coulomb_sliding, rolling, stick_slip, not coulomb; '
+            "use implicit",
         ),
         (
             "coefficient_s_per_m = 0.2",

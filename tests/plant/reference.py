@@ -129,12 +129,22 @@ class Bench:
             velocity = velocity + self.decay[supports] * np.exp(-self.rate * t)
         offset = self.cells[supports] - y[:2]
         under = y[3:5] + y[5] * np.stack([-offset[:, 1], offset[:, 0]], axis=1)
-        pull = self.kappa * loads[:, None] * (velocity - under)
+        pull = self.pull(loads, velocity, under)
         if self.grip is not None:
             pull = pull * self.grip[supports][:, None]
         force = pull.sum(axis=0)
         torque = float(np.sum(offset[:, 0] * pull[:, 1] - offset[:, 1] * pull[:, 0]))
         return np.array([y[3], y[4], y[5], force[0], force[1], self.mass_over_inertia * torque])
+
+    def pull(self, loads: Floats, velocity: Floats, under: Floats) -> Floats:
+        """Force of the wheels ``(n, 2)`` per kilogram: viscous, eq. 14.
+
+        Args:
+            loads: ``(n,)`` shares of the weight.
+            velocity: ``(n, 2)`` of the wheels, m/s.
+            under: ``(n, 2)`` of the underside above them, m/s.
+        """
+        return self.kappa * loads[:, None] * (velocity - under)
 
     def contact(self, y: Floats, members: NDArray[np.int64]) -> NDArray[np.int64] | None:
         """Which of the cells under the parcel carry load."""
