@@ -20,7 +20,7 @@ from deploy.scene_checks import cross_problems
 from deploy.scene_errors import CROSS, Problem, SceneError, nearest, problems_of, strictly, strictly_any
 from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
-from plant.solver_specs import SolverSpec
+from plant.solver_specs import SolverSpec, settings_of
 from plant.specs import ArraySpec
 
 
@@ -91,6 +91,7 @@ def parse_scene(
         raise InputError(f"scene {name}: not TOML: {error}") from None
     if folder is not None:
         _resolve_firmware(data, folder)
+    _change_solver(data, overrides)
     apply(data, overrides)
     try:
         return strictly(Scene, data).named(name)
@@ -107,6 +108,19 @@ def _resolve_firmware(data: dict[str, Any], folder: Path) -> None:
     firmware: Any = cast("dict[str, Any]", cells).get("firmware") if isinstance(cells, dict) else None
     if isinstance(firmware, str) and firmware.partition(":")[0].endswith(".py"):
         cells["firmware"] = str(folder.resolve() / firmware)
+
+
+def _change_solver(data: dict[str, Any], overrides: Sequence[Override]) -> None:
+    """Another solver than the file's is asked for: what the file sets that only its own one has is left out."""
+    table: Any = data.get("solver")
+    chosen = [override.value for override in overrides if override.path == ("solver", "name")]
+    if not chosen or not isinstance(table, dict):
+        return
+    own = cast("dict[str, Any]", table)
+    wanted = settings_of(chosen[-1])
+    if wanted:
+        for key in settings_of(own.get("name", "exact")) - wanted:
+            own.pop(key, None)
 
 
 def _cross_problems(data: dict[str, Any]) -> list[Problem]:

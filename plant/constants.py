@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from plant.array import CellArray
 from plant.errors import PlantError
-from plant.footing import Footing, moved, share_matrix
+from plant.footing import Footing, moved
 from plant.friction.viscous import viscous_of
+from plant.loads import share_matrix
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 

@@ -32,21 +32,6 @@ def moved(parcel: ParcelSpec, place_m: Floats) -> ParcelSpec:
     return parcel.model_copy(update={"position_m": (float(place_m[0]), float(place_m[1]))})
 
 
-def share_matrix(offsets_m: Floats) -> Floats:
-    """Load shares ``P [1; X - c]`` of cells that all carry, about their centroid c (eqs. 11-13).
-
-    Args:
-        offsets_m: ``(n, 2)`` cells, from their centroid.
-
-    Returns:
-        ``(n, 3)``: mean share, and the (pseudo-)inverse of their second moments.
-    """
-    p: Floats = np.full((len(offsets_m), 3), 1.0 / len(offsets_m))
-    # what rounding leaves across a slanting line of supports is nothing
-    p[:, 1:] = offsets_m @ np.linalg.pinv(offsets_m.T @ offsets_m, rcond=1e-12, hermitian=True)
-    return p
-
-
 @final
 class Footing:
     """One parcel, alone on the array and at rest, at its start pose until other cells are put below it.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
@@ -10,6 +10,8 @@ from bus.spec import Spec
 from plant.spec import tagged
 
 Tolerance = Annotated[float, Field(ge=1e-14, le=1e-2, allow_inf_nan=False)]
+Accuracy = dict[str, str | float]
+"""Name of a solver, and what its accuracy hangs on."""
 
 
 class ExactSpec(Spec):
@@ -23,7 +25,7 @@ class ExactSpec(Spec):
     capture_m: Annotated[float, Field(gt=0, le=1e-2, allow_inf_nan=False)] = 1e-6
     """Chatter below this amplitude is captured."""
 
-    def accuracy(self) -> dict[str, str | float]:
+    def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
         return {"name": self.name, "tolerance": self.tolerance}
 
@@ -39,15 +41,73 @@ class ImplicitSpec(Spec):
     step_s: Annotated[float, Field(gt=0, le=1.0, allow_inf_nan=False)] | None = None
     """Steps of this length, none longer; left out: steps as the tolerance asks."""
 
-    def accuracy(self) -> dict[str, str | float]:
+    def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
         if self.step_s is not None:
             return {"name": self.name, "step_s": self.step_s}
         return {"name": self.name, "tolerance": self.tolerance}
 
 
+class QuasiStaticSpec(Spec):
+    """Inertia neglected: at every instant the velocity at which all pulls balance."""
+
+    laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb", "rolling", "stick_slip")
+    """Which laws it solves; None: all."""
+    name: Literal["quasi_static"]
+    tolerance: Annotated[float, Field(ge=1e-11, le=1e-2, allow_inf_nan=False)] = 1e-6
+    """Metres at the footprint, a second of motion; not used where ``step_s`` is given."""
+    step_s: Annotated[float, Field(ge=1e-9, le=1.0, allow_inf_nan=False)] | None = None
+    """Steps of this length, none longer; left out: steps as the tolerance asks."""
+
+    def accuracy(self) -> Accuracy:
+        """Name of the solver, and what its accuracy hangs on."""
+        if self.step_s is not None:
+            return {"name": self.name, "step_s": self.step_s}
+        return {"name": self.name, "tolerance": self.tolerance}
+
+
+class FixedStepSpec(Spec):
+    """Explicit steps of one length, supports looked at anew each time: the papers' own loop, to compare with."""
+
+    laws: ClassVar[tuple[str, ...] | None] = None
+    """Which laws it solves; None: all."""
+    name: Literal["fixed_step"]
+    method: Literal["euler", "rk4"] = "rk4"
+    """Euler's, or the classic Runge-Kutta method of four stages."""
+    step_s: Annotated[float, Field(ge=1e-9, le=1.0, allow_inf_nan=False)] = 1e-3
+    """Steps of this length, none longer; they end at ticks and samples."""
+
+    def accuracy(self) -> Accuracy:
+        """Name of the solver, and what its accuracy hangs on."""
+        return {"name": self.name, "method": self.method, "step_s": self.step_s}
+
+
+class SciPySpec(Spec):
+    """``scipy.integrate.solve_ivp``, restarted at every event it sees, to compare with."""
+
+    laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb_sliding", "rolling", "stick_slip")
+    """Which laws it solves; None: all."""
+    name: Literal["scipy"]
+    method: Literal["RK45", "DOP853", "Radau", "LSODA"] = "DOP853"
+    """Of ``solve_ivp``."""
+    tolerance: Annotated[float, Field(ge=1e-13, le=1e-2, allow_inf_nan=False)] = 1e-9
+    """``rtol`` and ``atol``: of one step, in SI units."""
+
+    def accuracy(self) -> Accuracy:
+        """Name of the solver, and what its accuracy hangs on."""
+        return {"name": self.name, "method": self.method, "tolerance": self.tolerance}
+
+
+AnySolver = ExactSpec | ImplicitSpec | QuasiStaticSpec | FixedStepSpec | SciPySpec
 SolverSpec = Annotated[
-    Annotated[ExactSpec | ImplicitSpec, Field(discriminator="name")],
-    BeforeValidator(tagged("name", "exact")),
+    Annotated[AnySolver, Field(discriminator="name")], BeforeValidator(tagged("name", "exact"))
 ]
 """How the motion is integrated, told apart by ``name``."""
+
+
+def settings_of(name: object) -> frozenset[str]:
+    """The keys of a solver's table, its name included; none where there is no such solver."""
+    for spec in get_args(AnySolver):
+        if get_args(spec.model_fields["name"].annotation) == (name,):
+            return frozenset(spec.model_fields)
+    return frozenset()

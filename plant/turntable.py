@@ -16,8 +16,9 @@ from plant import geometry
 from plant.array import CellArray
 from plant.crossings import Crossings, crossings
 from plant.errors import PlantError
-from plant.footing import Footing, footprint, moved, share_matrix
+from plant.footing import Footing, footprint, moved
 from plant.friction.viscous import viscous_of
+from plant.loads import share_matrix
 from plant.orientations import TorqueProfile
 from plant.specs import ParcelSpec, PlantSpec
 from plant.wheels import Floats

@@ -14,13 +14,18 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         return
     from plant.friction.viscous import Viscous
     from plant.plant import Plant
-    from plant.solver_specs import ExactSpec, ImplicitSpec
+    from plant.solver_specs import ExactSpec, FixedStepSpec, ImplicitSpec, QuasiStaticSpec
     from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 
     session.config.get_terminal_writer().line("compiling the solvers (once) ...")
     parcel = ParcelSpec(size_m=(0.15, 0.15), mass_kg=1.0, position_m=(0.0, 0.0))
     friction = Viscous(coefficient_s_per_m=0.2)
-    for solver in (ExactSpec(), ImplicitSpec(name="implicit")):
+    others = (
+        ImplicitSpec(name="implicit"),
+        FixedStepSpec(name="fixed_step"),
+        QuasiStaticSpec(name="quasi_static"),
+    )
+    for solver in (ExactSpec(), *others):
         array = ArraySpec(rows=2, columns=2)
         plant = Plant(PlantSpec(array=array, parcels=(parcel,), friction=friction, solver=solver))
         plant.advance(np.zeros((4, 2)), 1_000_000)

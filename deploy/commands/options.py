@@ -28,11 +28,23 @@ DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="SECONDS", help="Instead of the scene's duration_s.")
 ]
 SolverOption = Annotated[
-    str | None, typer.Option("--solver", metavar="NAME", help="Instead of the scene's solver.name.")
+    str | None,
+    typer.Option(
+        "--solver",
+        metavar="NAME",
+        help="Instead of the scene's solver.name: exact, implicit, quasi_static, fixed_step or scipy. "
+        "What the scene sets for its own solver and NAME doesn't have is left out.",
+    ),
 ]
 ToleranceOption = Annotated[
     float | None,
     typer.Option("--tolerance", metavar="METRES", help="Instead of the scene's solver.tolerance."),
+]
+StepOption = Annotated[
+    float | None,
+    typer.Option(
+        "--step", metavar="SECONDS", help="Instead of the scene's solver.step_s, where the solver has steps."
+    ),
 ]
 OutputOption = Annotated[
     Path | None, typer.Option("--output", metavar="DIR", help="Folder for everything a run leaves behind.")
@@ -60,9 +72,9 @@ class Asked:
     as_json: JsonOption = False
     quiet: QuietOption = False
 
-    def load(self) -> Scene:
+    def load(self, *, step: float | None = None) -> Scene:
         """The scene asked for; see `load_scene`."""
-        return load_scene(self.scene, self.sets, self.seed, self.duration, self.solver, self.tolerance)
+        return load_scene(self.scene, self.sets, self.seed, self.duration, self.solver, self.tolerance, step)
 
 
 def load_scene(
@@ -72,6 +84,7 @@ def load_scene(
     duration: float | None = None,
     solver: str | None = None,
     tolerance: float | None = None,
+    step: float | None = None,
 ) -> Scene:
     """The scene with what the options change in it, validated as if the file had said so.
 
@@ -82,6 +95,7 @@ def load_scene(
         duration: Value of ``--duration``, s.
         solver: Value of ``--solver``.
         tolerance: Value of ``--tolerance``, m.
+        step: Value of ``--step``, s.
 
     Raises:
         InputError: What is wrong, all of it at once, one line each.
@@ -92,6 +106,7 @@ def load_scene(
         ("--duration", ("duration_s",), duration),
         ("--solver", ("solver", "name"), solver),
         ("--tolerance", ("solver", "tolerance"), tolerance),
+        ("--step", ("solver", "step_s"), step),
     )
     for option, path, value in shorthands:
         if value is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deploy.commands.options import Asked
+from deploy.commands.options import Asked, StepOption
 from deploy.commands.outcome import carry_out
 from deploy.commands.spread import spread
 
@@ -14,13 +14,19 @@ if TYPE_CHECKING:
 
 
 @spread
-def simulate(asked: Asked) -> None:
+def simulate(asked: Asked, *, step: StepOption = None) -> None:
     """Simulate a scene without cells: wheel speeds straight from its velocity field.
 
     This is the simulator of the papers: ideal wheels that run at the field's speed from the start. The scene's
     firmware must be velocity_field. Leaves summary.json and overview.png in the output folder.
+
+    As exact as it gets; as the papers' own loop would have it; as SciPy does:
+
+      [cyan]mdms simulate elliptic --tolerance 1e-12[/cyan]
+      [cyan]mdms simulate elliptic --solver fixed_step --step 1e-3[/cyan]
+      [cyan]mdms simulate elliptic --solver scipy --set solver.method=LSODA[/cyan]
     """
-    scene = asked.load()
+    scene = asked.load(step=step)
 
     def work(interruption: Interruption) -> Outcome:
         from deploy.simulate import simulate as simulate_scene

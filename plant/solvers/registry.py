@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from plant.array import CellArray
 from plant.kernels import cache
-from plant.solver_specs import ExactSpec, ImplicitSpec, SolverSpec
+from plant.solver_specs import ExactSpec, FixedStepSpec, ImplicitSpec, QuasiStaticSpec, SciPySpec, SolverSpec
 from plant.solvers.exact import Exact
+from plant.solvers.fixed_step import FixedStep
 from plant.solvers.implicit import Implicit
+from plant.solvers.quasi_static import QuasiStatic
+from plant.solvers.scipy import SciPy
 from plant.solvers.solver import Solver
 from plant.specs import PlantSpec
 
-_KERNELS = {"exact": "block", "implicit": "implicit_block"}
-"""The kernel module of each solver's entry point."""
+_KERNELS = {
+    "exact": "block",
+    "implicit": "implicit_block",
+    "quasi_static": "quasi_block",
+    "fixed_step": "fixed_block",
+}
+"""The kernel module of each compiled solver's entry point."""
 
 
 def is_compiled(spec: SolverSpec) -> bool:
     """Whether a solver's kernels are on disk; the first run of a version takes seconds to compile them."""
-    return any(cache.folder()[0].rglob(f"{_KERNELS[spec.name]}.*.nbi"))
+    return spec.name not in _KERNELS or any(cache.folder()[0].rglob(f"{_KERNELS[spec.name]}.*.nbi"))
 
 
 def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
@@ -32,3 +40,9 @@ def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
             return Exact(array, spec.parcels, spec.friction.traction(), spec.gravity_m_s2, rate, how)
         case ImplicitSpec() as how:
             return Implicit(spec, how, array, rate)
+        case QuasiStaticSpec() as how:
+            return QuasiStatic(spec, how, array, rate)
+        case FixedStepSpec() as how:
+            return FixedStep(spec, how, array, rate)
+        case SciPySpec() as how:
+            return SciPy(spec, how, array)

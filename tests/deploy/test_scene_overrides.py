@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from deploy.commands.options import load_scene
 from deploy.errors import InputError
 from deploy.overrides import Override, apply
 from deploy.scene_errors import SceneError
+from deploy.scene_files import scene_text
 
 
 def overridden(*texts: str) -> dict[str, Any]:
@@ -143,3 +145,51 @@ def test_motors_can_be_added_to_any_scene() -> None:
     assert scene.effects.motors is not None
     assert scene.effects.motors.time_constant_s == 0.05
     assert scene.speed_loop is not None
+
+
+def test_another_solver_keeps_of_the_file_s_settings_those_it_has() -> None:
+    assert load_scene("elliptic", solver="implicit").solver.accuracy() == {
+        "name": "implicit",
+        "tolerance": 1e-9,
+    }
+    stepped = load_scene("elliptic", solver="fixed_step", step=2e-3)
+    assert stepped.solver.accuracy() == {"name": "fixed_step", "method": "rk4", "step_s": 2e-3}
+    chosen = load_scene("elliptic", ["solver.name=scipy", "solver.method=LSODA"])
+    assert chosen.solver.accuracy() == {"name": "scipy", "method": "LSODA", "tolerance": 1e-9}
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (
+            {"step": 1e-3},
+            "solver.step_s = 0.001: unknown key; known: capture_m, name, tolerance (from --step 0.001)",
+        ),
+        (
+            {"solver": "fixed_step", "tolerance": 1e-6},
+            "solver.tolerance = 1e-06: unknown key; known: method, name, step_s (from --tolerance 1e-06)",
+        ),
+        (
+            {"solver": "fixed_step", "step": 0.0},
+            "solver.step_s = 0.0: must be >= 1e-09 (from --step 0.0)",
+        ),
+        (
+            {"solver": "scipy", "sets": ["friction={ law = 'coulomb', coefficient = 0.3 }"]},
+            'solver.name = "scipy": solves law viscous, coulomb_sliding, rolling, stick_slip, not coulomb; use',
+        ),
+    ],
+)
+def test_a_setting_that_is_not_the_solver_s_is_refused_by_its_option(
+    options: dict[str, Any], line: str
+) -> None:
+    with pytest.raises(SceneError) as caught:
+        load_scene("elliptic", **options)
+    assert str(caught.value).startswith(f"scene elliptic: {line}")
+    assert str(caught.value).count("\n") == 0
+
+
+def test_a_misspelt_setting_of_the_file_is_refused_whatever_solver_is_asked_for(tmp_path: Path) -> None:
+    scene = tmp_path / "x.toml"
+    scene.write_text(scene_text("elliptic").replace("tolerance", "tolerence"))
+    with pytest.raises(SceneError, match=r"solver\.tolerence = 1e-09: unknown key; nearest: tolerance"):
+        load_scene(str(scene), solver="implicit")

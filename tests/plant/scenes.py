@@ -13,7 +13,7 @@ from plant.friction.registry import FrictionSpec
 from plant.friction.viscous import Viscous
 from plant.kernels import layout
 from plant.plant import Plant
-from plant.solver_specs import ExactSpec, ImplicitSpec
+from plant.solver_specs import ExactSpec
 from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 from tests.plant.reference import Bench
 
@@ -105,6 +105,15 @@ def cells_of(plant: Plant, cells: Sequence[tuple[int, int]]) -> list[int]:
     return [plant.array.lattice.index(cell) for cell in cells]
 
 
+def solved(
+    solver: dict[str, object], *parcels: ParcelSpec, law: FrictionSpec | None = None, **values: object
+) -> Plant:
+    """A plant of `spec` with a scene's ``[solver]`` table, and under another law where one is given."""
+    base = spec(*(parcels or (parcel(),)), **values)  # type: ignore[arg-type]
+    friction = base.friction if law is None else law
+    return Plant(PlantSpec.model_validate(dict(base) | {"friction": friction, "solver": solver}))
+
+
 def lawful(
     law: FrictionSpec,
     *parcels: ParcelSpec,
@@ -113,6 +122,5 @@ def lawful(
     **values: object,
 ) -> Plant:
     """A plant under any law, integrated by ``implicit``."""
-    solver = ImplicitSpec(name="implicit", tolerance=tolerance, step_s=step_s)
-    base = spec(*(parcels or (parcel(),)), **values)  # type: ignore[arg-type]
-    return Plant(PlantSpec.model_validate(dict(base) | {"friction": law, "solver": solver}))
+    solver: dict[str, object] = {"name": "implicit", "tolerance": tolerance, "step_s": step_s}
+    return solved(solver, *parcels, law=law, **values)

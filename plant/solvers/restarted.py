@@ -1,0 +1,276 @@
+"""What solvers have in common that hand a smooth motion to somebody else's integrator, from one event to the next.
+
+All of it in NumPy: cells under a parcel, those that carry it, and the loop around the integrator: stand, integrate
+until an event function crosses zero, change the cells under the parcel or those that carry it, go on.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.array import CellArray
+from plant.friction.law import Traction
+from plant.kernels import layout
+from plant.kernels.parcels import Parcel
+from plant.loads import Supports, farthest_edge, find_supports
+from plant.solvers.bodies import body_of, make_parcel, members
+from plant.solvers.solver import Advance, Body, Ending, SolverEvent
+from plant.specs import ParcelSpec, PlantSpec
+from plant.wheels import Floats, WheelMotion
+
+Cells = NDArray[np.int64]
+
+CHANGES_PER_SECOND = 1_000
+"""Changes of one parcel's supports in a simulated second beyond which its motion counts as unstable, ..."""
+CHANGES_PER_MEMBER = 20
+"""... plus this many for every cell that fits under it."""
+
+
+class NotFiniteError(ArithmeticError):
+    """A rate is no number."""
+
+
+class StalledError(ArithmeticError):
+    """The integrator found no step short enough."""
+
+
+@dataclass(slots=True)
+class Moving:
+    """One parcel.
+
+    Attributes:
+        shape: footprint, constants and state.
+        mass_kg: of the parcel.
+        under: ``(n,)`` cells under it.
+        supports: those of them that carry it.
+        allowed: changes of supports until its motion counts as unstable.
+        outrun: whether it outruns a wheel that the law takes to be faster.
+    """
+
+    shape: Parcel
+    mass_kg: float
+    under: Cells
+    supports: Supports | None
+    allowed: float
+    outrun: bool = False
+
+    def depth_m(self, points_m: Floats) -> Floats:
+        """How far inside the footprint points ``(k, 2)`` lie; negative outside."""
+        x, y, angle = self.shape.y[:3].tolist()
+        c, s = np.cos(angle), np.sin(angle)
+        body = (points_m - (x, y)) @ np.array([[c, -s], [s, c]])
+        return np.min(self.shape.offset - body @ self.shape.normal.T, axis=1)
+
+
+class Reached(NamedTuple):
+    """Where an integration ended; the state is the parcel's own.
+
+    Attributes:
+        at_s: when.
+        crossed: cells on whose edge an event was found.
+        loads: whether a load vanished or came back, or the centre of mass left a line of supports.
+        noted: what else happened on the way.
+    """
+
+    at_s: float
+    crossed: Cells
+    loads: bool
+    noted: Sequence[SolverEvent] = ()
+
+
+class RestartedSolver(ABC):
+    """A ``plant.solvers.solver.Solver`` but for the integration between two events.
+
+    Args:
+        scene: the scene's physics.
+        array: the surface.
+
+    Attributes:
+        array: the surface.
+        traction: the law.
+        state: ``(m, 6)``.
+        bodies: the parcels as the plant sees them.
+    """
+
+    def __init__(self, scene: PlantSpec, array: CellArray) -> None:
+        self.array = array
+        self.traction: Traction = scene.friction.traction()
+        self._gravity = scene.gravity_m_s2
+        self.state: Floats = np.zeros((len(scene.parcels), 6))
+        self._parcels: list[Moving] = [
+            _moving(spec, array, self.state[i]) for i, spec in enumerate(scene.parcels)
+        ]
+        self.bodies: Sequence[Body] = [body_of(parcel.shape) for parcel in self._parcels]
+        self._sensors: Floats = (array.positions_m[:, None] + array.sensors_m).reshape(-1, 2)
+
+    def weight_n(self, parcel: Moving) -> float:
+        """What its supports carry in all."""
+        return parcel.mass_kg * self._gravity
+
+    def under(self, index: int) -> NDArray[np.int64]:
+        """The cells under a parcel now, in no order, its boundary included."""
+        return self._parcels[index].under
+
+    def stand(self, index: int, grip: Floats) -> bool:
+        """Find a parcel's loads at its start. False where its supports can't carry it."""
+        del grip  # a wheel that turns freely carries all the same
+        parcel = self._parcels[index]
+        return self._settle(parcel)
+
+    def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
+        """Set the presence bits ``(n, sensors)`` under those parcels."""
+        for index in indices.tolist():
+            parcel = self._parcels[index]
+            away = self._sensors - parcel.shape.y[:2]
+            near = np.flatnonzero(np.hypot(away[:, 0], away[:, 1]) < 1.01 * parcel.shape.par[layout.RADIUS])
+            # a sensor exactly under the edge is covered: the edge of a parcel at rest must not flicker
+            covered = parcel.depth_m(self._sensors[near]) >= -4.0 * parcel.shape.par[layout.ON_SURFACE]
+            bits.reshape(-1)[near[covered]] = True
+
+    def advance(
+        self,
+        indices: NDArray[np.int64],
+        motion: WheelMotion,
+        grip: Floats,
+        span_s: float,
+        times_s: Floats,
+        out: Floats,
+    ) -> list[Advance]:
+        """Move some parcels by ``span_s``, one after another; see ``plant.solvers.solver.Solver``."""
+        done = [self._advance_one(i, motion, grip, span_s, times_s, out[:, i]) for i in indices.tolist()]
+        return [one for one in done if one.ending != "moving" or one.events]
+
+    def _advance_one(
+        self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
+    ) -> Advance:
+        """Move one parcel; ``out`` ``(k, 6)`` are its states at ``times_s``."""
+        parcel, now = self._parcels[index], 0.0
+        ending: Ending = "moving"
+        events: list[SolverEvent] = []
+        refill = CHANGES_PER_SECOND + CHANGES_PER_MEMBER * len(parcel.shape.mem)
+        parcel.allowed = min(parcel.allowed, refill) + refill * span_s
+        if parcel.supports is None:
+            self._settle(parcel)
+        with np.errstate(all="ignore"):  # what overflows is told by its state
+            while now < span_s:
+                ending, now = self._next(parcel, motion, grip, now, span_s, times_s, out, events)
+                if ending != "moving":
+                    break
+        out[times_s > now] = parcel.shape.y
+        changes = sum(event.kind != "outrun" for event in events)
+        last = events[-1].cell if events else -1
+        return Advance(index, now, ending, self._edge(parcel), last, changes, events)
+
+    @abstractmethod
+    def _integrate(
+        self,
+        parcel: Moving,
+        motion: WheelMotion,
+        grip: Floats,
+        now_s: float,
+        until_s: float,
+        times_s: Floats,
+        out: Floats,
+    ) -> Reached:
+        """Integrate on the present supports until an event, ``until_s`` at the latest.
+
+        Takes the parcel's state there and fills the rows of ``out`` whose ``times_s`` lie in between. Times count from
+        the start of the call, as those of ``motion`` do.
+
+        Raises:
+            NotFiniteError: a rate is no number.
+            StalledError: no step is short enough.
+        """
+
+    def _next(
+        self,
+        parcel: Moving,
+        motion: WheelMotion,
+        grip: Floats,
+        now_s: float,
+        until_s: float,
+        times_s: Floats,
+        out: Floats,
+        events: list[SolverEvent],
+    ) -> tuple[Ending, float]:
+        """To the next event, and over it. Returns (how it stands then, when)."""
+        if parcel.supports is None:
+            return "tipped", now_s
+        try:
+            reached = self._integrate(parcel, motion, grip, now_s, until_s, times_s, out)
+        except NotFiniteError:
+            return "not_finite", now_s
+        except StalledError:
+            return "endless_steps", now_s
+        events.extend(reached.noted)
+        before = parcel.under, parcel.supports.carrying
+        for cell in reached.crossed.tolist():
+            self._cross(parcel, cell)
+        stands = True
+        if len(reached.crossed) or reached.loads:
+            stands = self._settle(parcel)
+            told = self._changes(parcel, *before, reached.at_s)
+            events.extend(told)
+            parcel.allowed -= max(len(told), 1)
+        ending: Ending = "moving" if stands else "tipped"
+        return ("endless_changes" if parcel.allowed < 0.0 else ending), reached.at_s
+
+    def _cross(self, parcel: Moving, cell: int) -> None:
+        """A cell comes under the parcel, or leaves it."""
+        if cell in parcel.under:
+            stay = parcel.under != cell
+            carrying = None if parcel.supports is None else parcel.supports.carrying[stay]
+            parcel.under = parcel.under[stay]
+        else:
+            parcel.under = np.append(parcel.under, cell)
+            carrying = None if parcel.supports is None else np.append(parcel.supports.carrying, True)
+        if parcel.supports is not None and carrying is not None:
+            parcel.supports = parcel.supports._replace(carrying=carrying)
+
+    def _settle(self, parcel: Moving) -> bool:
+        """Find which of the cells under a parcel carry it. False where none can."""
+        carried = parcel.supports
+        guess = np.ones(len(parcel.under), dtype=np.bool_) if carried is None else carried.carrying
+        offsets = self.array.positions_m[parcel.under] - parcel.shape.y[:2]
+        found = find_supports(offsets, guess, self.array.pitch_m)
+        if found is not None:
+            found = found._replace(centroid_m=found.centroid_m + parcel.shape.y[:2])
+        parcel.supports = found
+        return found is not None
+
+    def _changes(
+        self, parcel: Moving, under: Cells, carrying: NDArray[np.bool_], at_s: float
+    ) -> list[SolverEvent]:
+        """What is not as it was."""
+        now = parcel.under
+        told = [SolverEvent(at_s, "support_lost", int(cell)) for cell in np.setdiff1d(under, now)]
+        told += [SolverEvent(at_s, "support_gained", int(cell)) for cell in np.setdiff1d(now, under)]
+        if parcel.supports is None:
+            return told
+        carried = dict(zip(under.tolist(), carrying.tolist(), strict=True))
+        for cell, carries in zip(now.tolist(), parcel.supports.carrying.tolist(), strict=True):
+            if carried.get(cell, carries) != carries:
+                told.append(SolverEvent(at_s, "load_returned" if carries else "load_vanished", cell))
+        return told
+
+    def _edge(self, parcel: Moving) -> tuple[int, int]:
+        """The cells about which a parcel tips; -1 where nothing is under it, or it stands."""
+        if parcel.supports is not None or not len(parcel.under):
+            return -1, -1
+        offsets = self.array.positions_m[parcel.under] - parcel.shape.y[:2]
+        _, a, b = farthest_edge(offsets, self.array.pitch_m)
+        return int(parcel.under[a]), int(parcel.under[b])
+
+
+def _moving(spec: ParcelSpec, array: CellArray, state: Floats) -> Moving:
+    """A parcel at its start, which is put into ``state`` ``(6,)`` and kept there."""
+    shape = make_parcel(spec, array)
+    state[:] = shape.y
+    shape = shape._replace(y=state)
+    return Moving(shape, spec.mass_kg, members(shape), None, float(CHANGES_PER_SECOND))

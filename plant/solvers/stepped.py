@@ -1,0 +1,62 @@
+"""What solvers have in common whose kernels take one step after another under any law."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.array import CellArray
+from plant.kernels import implicit_layout, layout
+from plant.solvers.implicit import FIRST_STEP_S, coefficients
+from plant.solvers.springs import make_springs
+from plant.solvers.threaded import Desk, Errand, ThreadedSolver
+from plant.specs import PlantSpec
+from plant.wheels import Floats
+
+Work = TypeVar("Work")
+
+
+class SteppedSolver(ThreadedSolver[Work]):
+    """A ``plant.solvers.solver.Solver`` but for its kernel and its threads' scratch.
+
+    Args:
+        scene: the scene's physics.
+        array: the surface.
+        rate: of the motors, 1/s; 0 without.
+        entry: the kernel's module; ``entry.advance_block`` is called as ``plant.kernels.implicit_block``'s is.
+        step_s: length of a step; 0 where the tolerance tells it.
+        tolerance: m at the footprint; 0 where steps are of one length.
+    """
+
+    def __init__(
+        self,
+        scene: PlantSpec,
+        array: CellArray,
+        rate: float,
+        entry: Any,
+        *,
+        step_s: float = 0.0,
+        tolerance: float = 0.0,
+    ) -> None:
+        super().__init__(array, scene.parcels, rate)
+        self._entry: Any = entry
+        self._springs: Any = make_springs(scene, array)
+        traction = scene.friction.traction()
+        self._laws: Floats = np.zeros((len(scene.parcels), implicit_layout.LAW_SIZE))
+        self._paces: Floats = np.zeros((len(scene.parcels), implicit_layout.PACE_SIZE))
+        for i, spec in enumerate(scene.parcels):
+            self._laws[i] = coefficients(traction, spec.mass_kg, scene.gravity_m_s2)
+        self._paces[:, implicit_layout.GYRATION] = self.packed.par[:, layout.MASS_OVER_INERTIA] ** -0.5
+        self._paces[:, implicit_layout.FIXED] = step_s
+        self._paces[:, implicit_layout.TOLERANCE] = tolerance
+        self._paces[:, implicit_layout.NEXT] = FIRST_STEP_S
+
+    def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
+        surface, span_s, times_s, out = errand
+        surface = surface._replace(springs=self._springs)
+        laws, paces = self._laws, self._paces
+        return self._entry.advance_block(
+            surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report
+        )
