@@ -22,6 +22,7 @@ class FarArray(CellArray):
         super().__init__(spec)
         self.positions_m += (FAR, -FAR)
         self.origin_m = (self.origin_m[0] + FAR, self.origin_m[1] - FAR)
+        self.far_m = float(np.max(np.abs(self.positions_m)))
 
 
 class ShuffledArray(CellArray):
@@ -72,6 +73,18 @@ def test_cells_numbered_anew_carry_the_parcel_alike(
         plant.advance(elliptic(plant), 10 * SECOND)
     assert shuffled.state == pytest.approx(plain.state, abs=solver.within(1e-11, 10.0))
     assert shuffled.support_changes == plain.support_changes > 10
+
+
+@claiming(Claim.SYMMETRY)
+@pytest.mark.parametrize("size", [(0.54, 0.32), (0.6, 0.4)], ids=["between cells", "edges on rows"])
+def test_what_is_symmetric_stays_so_through_ten_seconds_of_support_changes(
+    solver: Solver, size: tuple[float, float]
+) -> None:
+    """H4: a parcel aligned with the lattice is drawn along the field's axis, and neither turns nor leaves it."""
+    plant = solver.plant(parcel(size_m=size, position_m=(0.55, 0.0), angle_rad=0.0))
+    trajectory = plant.trajectory(elliptic(plant), 10 * SECOND, SECOND // 100)
+    assert np.abs(trajectory.state[:, 0, [1, 2, 4, 5]]).max() <= 1e-12
+    assert plant.support_changes > 20
 
 
 FIELD = np.array([[-1.0, 0.4], [0.1, -1.7]])

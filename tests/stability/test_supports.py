@@ -7,9 +7,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from plant.array import CellArray
 from plant.errors import PlantError
 from plant.plant import Plant
 from plant.reports import Event
+from plant.specs import ArraySpec
 from tests.plant.reference import is_least_norm
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, bench, elliptic, loads, members, parcel
 from tests.stability.solvers import Claim, Solver, claiming
@@ -59,6 +61,38 @@ def test_three_supports_nearly_on_a_line_share_as_the_lever_rule_says(
     assert len(cells_under) == 3
     assert share == pytest.approx(_triangle(plant), abs=1e-16 * size**4)
     assert max(_balance(plant)) < 1e-16 * size**4
+
+
+class BentArray(CellArray):
+    """A row of cells whose middle one lies ``off_m`` beside it."""
+
+    off_m = 0.0
+
+    def __init__(self, spec: ArraySpec) -> None:
+        super().__init__(spec)
+        self.positions_m[len(self.positions_m) // 2, 1] += self.off_m
+
+
+@claiming(Claim.LOADS)
+@pytest.mark.parametrize("off_m", [1e-15, 1e-12, 1e-9, 1e-6, 1e-3])
+def test_a_row_of_which_one_cell_is_a_hair_beside_it_carries_by_the_lever_rule(
+    solver: Solver, off_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """H12, nearly deficient: 1e-9 m off a line of supports; one load is wanted, and the inverse has ten digits less."""
+    monkeypatch.setattr(BentArray, "off_m", off_m)
+    monkeypatch.setattr("plant.plant.CellArray", BentArray)
+    # between the outer two, on their line: the third carries nothing where the three are a triangle
+    body = parcel(size_m=(0.35, 0.05), position_m=(0.02, 0.0), angle_rad=0.0)
+    plant = solver.plant(body, rows=1, columns=3)
+    cells, share = loads(plant)
+    assert cells.tolist() == [0, 1, 2]
+    # what lies nearer than 1e-8 of the pitch is on the line: the moment about it is what that leaves out
+    on_line = off_m <= 1e-9
+    assert max(_balance(plant)) < 1e-12 + (off_m / 0.3 if on_line else 0.0)
+    by_rule = [0.4, 0.0, 0.6] if not on_line else [1.0 / 3.0 - 0.1, 1.0 / 3.0, 1.0 / 3.0 + 0.1]
+    assert share == pytest.approx(by_rule, abs=1e-8)
+    plant.advance(np.zeros((3, 2)), SECOND)
+    assert plant.status[0].state == "at_rest"
 
 
 @claiming(Claim.LOADS)
