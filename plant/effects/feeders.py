@@ -31,9 +31,9 @@ class FeedSpec(ParcelSpec):
     """A feeder: where a kind of parcel appears, how often and when. Poses and speeds are those of its parcels."""
 
     name: Name
-    count: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    count: Annotated[int, Field(ge=1, le=10_000)] | None = None
     """How many parcels; not with ``times_s``, which says it."""
-    times_s: Annotated[tuple[Time, ...], Field(min_length=1, max_length=100_000)] | None = None
+    times_s: Annotated[tuple[Time, ...], Field(min_length=1, max_length=10_000)] | None = None
     """When each parcel is due, ascending."""
     every_s: Interval | None = None
     """Or one parcel at ``first_s`` and one every so often from then on."""
