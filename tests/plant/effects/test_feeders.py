@@ -115,6 +115,7 @@ def test_the_seed_decides_and_nothing_else_does() -> None:
     assert list(west.parcels(1)) != list(west.parcels(2))
     elsewhere = FeedSpec.model_validate(random | {"name": "north"})
     assert west.due_ns(1) != elsewhere.due_ns(1)
+    assert list(west.parcels(1)) != list(elsewhere.parcels(1))
     narrower = FeedSpec.model_validate(random | {"angle_spread_rad": 0.0})
     assert narrower.due_ns(1) == west.due_ns(1)
     both = FeedersSpec(feed=(elsewhere, west))
@@ -245,6 +246,16 @@ def test_feeders_and_exits_that_share_a_place_take_turns_in_the_order_of_the_sce
     count = plant.traffic()
     assert count is not None
     assert [one.left for one in count.exits] == [1, 0]
+
+
+def test_fed_parcels_that_meet_are_named_in_their_order_whoever_came_first() -> None:
+    late, early = feed(name="l", times_s=[0.3]), feed(name="e", times_s=[0.1], position_m=(-0.44, 0.0))
+    plant = Plant(fed_plant(late, early))
+    drives = eastward(plant)
+    drives[plant.array.positions_m[:, 0] > -0.6] = 0.0
+    met = [event for _ in range(500) for event in plant.advance(drives, plant.time_ns + TICK_NS)[1]]
+    (overlap,) = [event for event in met if event.kind == "overlap"]
+    assert (overlap.parcel, overlap.detail[:13]) == (0, "with parcel 1")
 
 
 def test_a_tipped_parcel_blocks_its_feeder() -> None:
