@@ -44,7 +44,14 @@ def _models(*roots: type[BaseModel]) -> Iterator[type[BaseModel]]:
 
 
 def _field_docs(model: type[BaseModel]) -> dict[str, str]:
-    """Each field's docstring, on one line."""
+    """Each field's docstring, on one line, those it inherits too."""
+    bases = (
+        base for base in reversed(model.__mro__) if issubclass(base, BaseModel) and base is not BaseModel
+    )
+    return {field: words for base in bases for field, words in _own_field_docs(base).items()}
+
+
+def _own_field_docs(model: type[BaseModel]) -> dict[str, str]:
     (definition,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
     assert isinstance(definition, ast.ClassDef)
     found: dict[str, str] = {}

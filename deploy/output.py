@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,8 +21,7 @@ from deploy.overview import draw_overview
 from deploy.recording_format import Header
 from deploy.summary import FILE_NAME as SUMMARY
 from deploy.summary import ParcelOutcome, Summary
-from plant.geometry import centroid
-from plant.specs import ParcelSpec
+from deploy.track import Exit
 
 if TYPE_CHECKING:
     from deploy.replay import Recording
@@ -82,9 +81,16 @@ def _without_last_run(folder: Path) -> Path:
     return folder
 
 
-def header(run: str, scene: Scene, array: CellArray) -> Header:
-    """What the recording says of its run."""
-    return Header(
+def header(run: str, scene: Scene, array: CellArray, footprints_m: Sequence[NDArray[np.float64]]) -> Header:
+    """What the recording says of its run.
+
+    Args:
+        run: Its name.
+        scene: What runs.
+        array: The scene's cells.
+        footprints_m: Of every parcel, those that are fed too; ``(v, 2)`` about its centre of mass, in its axes.
+    """
+    made = Header(
         run=run,
         title=scene.title,
         scene_name=scene.name,
@@ -95,14 +101,18 @@ def header(run: str, scene: Scene, array: CellArray) -> Header:
         cells=[list(cell) for cell in array.lattice.cells],
         positions_m=array.positions_m.tolist(),
         sensors_m=[list(point) for point in scene.array.sensors_m],
-        footprints_m=[footprint(parcel).tolist() for parcel in scene.parcels],
+        footprints_m=[corners.tolist() for corners in footprints_m],
     )
+    if scene.effects.feeders is not None:
+        made["own_parcels"] = len(scene.parcels)
+        made["exits"] = [{"name": name, "corners_m": corners.tolist()} for name, corners in exits(scene)]
+    return made
 
 
-def footprint(parcel: ParcelSpec) -> NDArray[np.float64]:
-    """``(v, 2)`` corners of a parcel about its centre of mass, in its axes."""
-    corners = np.array(parcel.polygon(), dtype=np.float64)
-    return corners - np.array(parcel.centre_of_mass_m or centroid(parcel.polygon()))
+def exits(scene: Scene) -> list[Exit]:
+    """Name and corners of every exit, in world coordinates."""
+    feeders = scene.effects.feeders
+    return [] if feeders is None else [(exit_.name, exit_.corners()) for exit_ in feeders.exits]
 
 
 def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:

@@ -25,6 +25,7 @@ LABEL: Any = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.
 _CELL = "#eceff3"
 _CELL_LARGE = "#f3f5f8"
 _ARROW = "#7d8a9a"
+_EXIT = "#4b7a3f"
 
 _SQUARES = 2500
 """Up to this many cells each is a square of its own; beyond, gaps would be under a pixel."""
@@ -69,6 +70,7 @@ def draw_map(axes: Axes, track: Track) -> None:
     _draw_cells(axes, track)
     _draw_arrows(axes, track)
     _draw_lost(axes, track)
+    _draw_exits(axes, track)
     for parcel in range(len(track.footprints_m)):
         _draw_parcel(axes, track, parcel)
     _draw_incidents(axes, track)
@@ -170,6 +172,28 @@ def _draw_lost(axes: Axes, track: Track) -> None:
     )
 
 
+def _draw_exits(axes: Axes, track: Track) -> None:
+    """Each exit with its name, at whichever of its corners lies farthest up and to the right."""
+    for name, corners in track.exits:
+        axes.fill(*corners.T, fc="none", ec=_EXIT, hatch="////", lw=0, alpha=0.3, zorder=1.5)
+        axes.fill(*corners.T, fill=False, ec=_EXIT, lw=1.2, ls=(0, (4, 2)), zorder=2.7)
+        x, y = corners[np.argmax(corners.sum(axis=1))]
+        axes.annotate(
+            name,
+            (x, y),
+            xytext=(-3, -4),
+            textcoords="offset points",
+            ha="right",
+            va="top",
+            color=_EXIT,
+            fontsize=8,
+            fontweight="bold",
+            bbox=LABEL,
+            zorder=7,
+            parse_math=False,
+        )
+
+
 def _outline(footprint: NDArray[np.float64], state: NDArray[np.float64]) -> NDArray[np.float64]:
     """Corners of a footprint at a pose."""
     cosine, sine = np.cos(state[2]), np.sin(state[2])
@@ -178,7 +202,7 @@ def _outline(footprint: NDArray[np.float64], state: NDArray[np.float64]) -> NDAr
 
 
 def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
-    """Path, outlines at regular times growing more solid, and the last with its front marked."""
+    """Path, outlines at regular times growing more solid, and the last with its front where it is still there."""
     from matplotlib.patheffects import withStroke
 
     states = track.parcels[:, parcel]
@@ -200,6 +224,10 @@ def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
         axes.fill(*corners.T, fill=False, ec=shade, lw=1.0, alpha=weight, zorder=3)
     last = path[-1]
     corners = _outline(footprint, last)
+    if parcel in _left(track):
+        axes.fill(*corners.T, fill=False, ec=shade, lw=1.0, alpha=0.6, zorder=3)
+        axes.plot(*last[:2], ">", ms=4 if few else 3, color=shade, zorder=6)
+        return
     axes.fill(*corners.T, fc=shade, ec="none", alpha=0.22, zorder=3.5)
     axes.fill(*corners.T, fill=False, ec=shade, lw=2.0 if few else 1.3, joinstyle="round", zorder=5)
     front = np.array([[0.0, 0.0], [float(footprint[:, 0].max()), 0.0]])
@@ -217,6 +245,11 @@ def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
             path_effects=[withStroke(linewidth=2.5, foreground="white")],
             zorder=7,
         )
+
+
+def _left(track: Track) -> set[int]:
+    """Parcels that left through an exit."""
+    return {event["parcel"] for event in track.events if event["kind"] == "left"}
 
 
 def incidents(track: Track) -> list[tuple[float, str, int | None]]:

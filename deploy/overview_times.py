@@ -49,6 +49,8 @@ def draw_times(panels: Sequence[Axes], track: Track, *, stacked: bool) -> None:
         axes.grid(visible=True, color="#e3e7ec", lw=0.7)
         axes.set_axisbelow(True)
         axes.margins(x=0)
+        if len(track.time_s) > 1:  # all of it, also where no parcel is there
+            axes.set_xlim(track.time_s[0], track.time_s[-1])
         low, high = axes.get_ylim()
         if high - low < _LEAST_SPAN:
             middle = 0.5 * (low + high)

@@ -23,8 +23,8 @@ HEADER_RECORD = "mdms.header"
 """Name of the metadata record at the start of the file; the header is JSON under its key ``json``."""
 
 
-class Header(TypedDict):
-    """What a recording says of its run, once, at the start. Plain JSON throughout."""
+class Always(TypedDict):
+    """What every recording says of its run."""
 
     run: str
     """Identifies the run; the RUN of its keys on the bus."""
@@ -44,7 +44,16 @@ class Header(TypedDict):
     sensors_m: list[list[float]]
     """Presence sensors relative to the cell's centre."""
     footprints_m: list[list[list[float]]]
-    """Corners of each parcel about its centre of mass, in the parcel's axes."""
+    """Corners of each parcel about its centre of mass, in the parcel's axes; those that are fed follow the others."""
+
+
+class Header(Always, total=False):
+    """What a recording says of its run, once, at the start. Plain JSON throughout."""
+
+    own_parcels: int
+    """How many parcels are there from the start; those after them only from their event ``fed`` on. Absent: all are."""
+    exits: list[dict[str, Any]]
+    """``name`` and ``corners_m``, in world coordinates, of each exit. Absent: there are none."""
 
 
 def _object(properties: dict[str, Any], required: list[str]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from deploy.recording_format import (
     TICK,
     Header,
 )
-from deploy.track import Track
+from deploy.track import Track, while_there
 
 
 @final
@@ -113,15 +113,22 @@ class Recording:
     def track(self) -> Track:
         """What a picture needs; the wheel speeds are those at the end."""
         header = self.header
+        footprints = [np.array(corners, dtype=np.float64) for corners in header["footprints_m"]]
         return Track(
             title=header["title"],
             scene=header["scene_name"],
             pitch_m=header["pitch_m"],
             cells=[(row, column) for row, column in header["cells"]],
             positions_m=np.array(header["positions_m"], dtype=np.float64).reshape(-1, 2),
-            footprints_m=[np.array(corners, dtype=np.float64) for corners in header["footprints_m"]],
+            footprints_m=footprints,
             time_s=self.time_s,
-            parcels=self.parcels,
+            parcels=while_there(
+                self.parcels, self.time_s, header.get("own_parcels", len(footprints)), self.events
+            ),
+            exits=[
+                (exit_["name"], np.array(exit_["corners_m"], dtype=np.float64))
+                for exit_ in header.get("exits", ())
+            ],
             wheel_speeds=self.held_wheel_speeds.at(-1) if len(self.tick) else None,
             events=self.events,
             faults=self.faults,

@@ -102,7 +102,9 @@ class _Run:
             self.interruption.check()
             folder = output_folder(self.scene, self.options.output)
             with (
-                Recorder(folder, header(self.plan.run, self.scene, plant.array)) as recorder,
+                Recorder(
+                    folder, header(self.plan.run, self.scene, plant.array, plant.footprints_m)
+                ) as recorder,
                 Progress(self.scene.duration_ns, quiet=self.quiet) as progress,
             ):
                 ledger = Ledger(
@@ -214,6 +216,7 @@ class _Run:
             messages=messages,
             faults=ledger.faults,
             cells_lost=ledger.cells_lost,
+            feeders=plant.traffic(),
             digest=self.digest.hexdigest,
             output=str(folder),
         )

@@ -105,6 +105,12 @@ class Scene(Spec):
             return None
         return self.cells.speed_loop or SpeedLoopSpec()
 
+    @property
+    def parcel_count(self) -> int:
+        """How many parcels there are or will be: the scene's own and those that are fed."""
+        feeders = self.effects.feeders
+        return len(self.parcels) + (0 if feeders is None else feeders.total)
+
     def tick_at(self, at_s: float) -> int:
         """The first tick that does not begin before a scheduled time ``at_s`` (s, >= 0)."""
         at_ns = Fraction(repr(at_s)) * 1_000_000_000

@@ -16,11 +16,11 @@ from deploy.errors import InputError
 from deploy.faults.schedule import crash_aborts, deaths
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import event_record
-from deploy.output import footprint, illustrate, output_folder, parcel_outcomes
+from deploy.output import exits, illustrate, output_folder, parcel_outcomes
 from deploy.progress import Progress
 from deploy.run import Outcome, load_plant, status_of
 from deploy.summary import Summary
-from deploy.track import Track
+from deploy.track import Track, while_there
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
@@ -189,17 +189,20 @@ class _Simulation:
 
     def _track(self, plant: Plant, digest: str | None) -> Track:
         scene, array = self.scene, plant.array
+        events = [event_record(event) for event in self.events]
+        time_s = np.concatenate(self.times).astype(np.float64) * 1e-9
         return Track(
             title=scene.title,
             scene=self.named.name,
             pitch_m=array.pitch_m,
             cells=array.lattice.cells,
             positions_m=array.positions_m,
-            footprints_m=[footprint(parcel) for parcel in scene.parcels],
-            time_s=np.concatenate(self.times).astype(np.float64) * 1e-9,
-            parcels=np.concatenate(self.states),
+            footprints_m=plant.footprints_m,
+            time_s=time_s,
+            parcels=while_there(np.concatenate(self.states), time_s, len(scene.parcels), events),
             wheel_speeds=plant.wheel_speed,
-            events=[event_record(event) for event in self.events],
+            exits=exits(scene),
+            events=events,
             faults=self.faults,
             status=self.status,
             digest=digest,
@@ -225,6 +228,7 @@ class _Simulation:
             support_changes=plant.support_changes,
             faults=self.faults,
             cells_lost=[(fault["cell"][0], fault["cell"][1]) for fault in self.faults],
+            feeders=plant.traffic(),
             digest=self._digest(),
             output=str(folder),
         )

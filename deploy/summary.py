@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import DeployError
+from plant.reports import TrafficCount
 
 FILE_NAME = "summary.json"
 
@@ -23,7 +24,7 @@ class ParcelOutcome:
     """Where a parcel ended.
 
     Attributes:
-        state: ``moving``, ``at_rest``, ``tipped`` or ``off_array``.
+        state: ``waiting``, ``moving``, ``at_rest``, ``tipped`` or ``off_array``.
         time_s: Since when it is in that state.
         detail: About which edge it tipped, or whatever else there is to say.
     """
@@ -81,6 +82,7 @@ class Summary:
         support_changes: How often a cell came under or out from under a parcel's load.
         faults: Scheduled, live and found: each at least ``time_s`` and ``kind``.
         cells_lost: ``(row, column)`` of each.
+        feeders: What came and went; None where the scene has no feeders.
         digest: See ``deploy/digest.py``; None where there is none.
         output: The folder with everything the run left behind; None where it left nothing.
     """
@@ -102,6 +104,7 @@ class Summary:
     messages: Messages = field(default_factory=Messages)
     faults: Sequence[Mapping[str, Any]] = ()
     cells_lost: Sequence[tuple[int, int]] = ()
+    feeders: TrafficCount | None = None
     digest: str | None = None
     output: str | None = None
     reason: str | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import hypot
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from deploy.summary import ParcelOutcome, Summary
+    from plant.reports import TrafficCount, Transit
 
 _STYLES = {"ok": "bold green", "interrupted": "bold yellow"}
 _MANY = 12
@@ -76,6 +77,8 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
         lines.append(("cells lost", _cell_names(summary.cells_lost)))
     if len(summary.parcels) > _MANY:
         lines.append(("parcels", _states(summary.parcels)))
+    if summary.feeders is not None:
+        lines += _traffic(summary.feeders)
     if summary.digest:
         lines.append(("digest", summary.digest))
     if summary.output:
@@ -126,6 +129,25 @@ def _cell_names(cells: Sequence[tuple[int, int]]) -> str:
 def _states(parcels: Sequence[ParcelOutcome]) -> str:
     counts = Counter(parcel.state for parcel in parcels)
     return ", ".join(f"{number:,} {state.replace('_', ' ')}" for state, number in counts.most_common())
+
+
+def _traffic(count: TrafficCount) -> Iterator[tuple[str, str]]:
+    """Name and text of what came by each feeder, and of who left by each exit and how long that took."""
+    for feeder in count.feed:
+        text = f"{feeder.fed:,} fed, {feeder.waiting:,} waiting"
+        if feeder.held_back:
+            text += f"; {feeder.held_back:,} held back, up to {feeder.longest_hold_s:.3g} s"
+        yield f"feeder {feeder.name}", text
+    for one in count.exits:
+        yield f"exit {one.name}", f"{one.left:,} left" + _after(one.transit_s)
+    if count.left and count.left_per_s is not None:
+        yield "throughput", f"{count.left_per_s:.3g} parcels/s"
+
+
+def _after(transit_s: Transit | None) -> str:
+    if transit_s is None:
+        return ""
+    return f" after {transit_s.mean:.3g} s ({transit_s.shortest:.3g} to {transit_s.longest:.3g})"
 
 
 def _parcels(parcels: Sequence[ParcelOutcome]) -> Table:

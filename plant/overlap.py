@@ -12,6 +12,7 @@ from plant import geometry
 from plant.broad_phase import close_boxes, close_pairs
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 Place = tuple[float, float]
 
 
@@ -32,18 +33,34 @@ class OverlapWatch:
     def _placed(self, i: int, pose: Floats) -> Floats:
         return geometry.placed(self._footprints[i], pose)
 
-    def pairs(self, state: Floats) -> Iterator[tuple[int, int, float, Place]]:
-        """Pairs that overlap now: both indices, depth in m, place in m."""
-        for i, j in close_pairs(state[:, :2], self._radius).tolist():
+    def pairs(self, state: Floats, there: Indices) -> Iterator[tuple[int, int, float, Place]]:
+        """Pairs that overlap now: both indices, depth in m, place in m.
+
+        Args:
+            state: ``(parcels, 6)``.
+            there: ascending indices of the parcels that are there.
+        """
+        for pair in close_pairs(state[there, :2], self._radius[there]):
+            i, j = there[pair].tolist()
             found = geometry.overlap(self._placed(i, state[i]), self._placed(j, state[j]))
             if found is not None:
                 yield i, j, found[0], (float(found[1][0]), float(found[1][1]))
 
-    def changes(self, state: Floats) -> list[tuple[str, int, int, float, Place]]:
-        """What is new since the last look: ``overlap`` or ``apart``, the pair, depth and place."""
+    def in_the_way(self, i: int, state: Floats, there: Indices) -> int | None:
+        """The first parcel, of those that are there, that parcel ``i`` would overlap at its pose."""
+        gap = state[there, :2] - state[i, :2]
+        near = np.hypot(gap[:, 0], gap[:, 1]) < self._radius[there] + self._radius[i]
+        placed = self._placed(i, state[i])
+        for j in there[near].tolist():
+            if geometry.overlap(placed, self._placed(j, state[j])) is not None:
+                return j
+        return None
+
+    def changes(self, state: Floats, there: Indices) -> list[tuple[str, int, int, float, Place]]:
+        """What is new since the last look: ``overlap`` or ``apart``, the pair, depth and place; see `pairs`."""
         if len(self._radius) < 2:
             return []
-        now = {(i, j): (depth, place) for i, j, depth, place in self.pairs(state)}
+        now = {(i, j): (depth, place) for i, j, depth, place in self.pairs(state, there)}
         changes = [("overlap", i, j, *now[i, j]) for i, j in now if (i, j) not in self._met]
         changes += [
             ("apart", i, j, 0.0, (float(state[i, 0]), float(state[i, 1])))

@@ -12,11 +12,13 @@ from plant.array import CellArray
 from plant.effects.motors import Motors
 from plant.errors import PlantError, PlantUnstable
 from plant.overlap import OverlapWatch
-from plant.reports import Event, ParcelStatus, Sense, Trajectory
+from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
 from plant.solvers.solver import Advance, Solver, SolverEvent
 from plant.specs import PlantSpec
+from plant.start import check_places, check_standing
+from plant.traffic import Traffic
 from plant.wheels import Floats, IdealWheels, Wheels
 
 LossPolicy = Literal["coast", "brake", "hold"]
@@ -31,11 +33,11 @@ class Plant:
 
     Attributes:
         array: the cells.
-        status: how each parcel fares.
+        status: how each parcel fares: the scene's own in its order, then those that feeders bring.
         support_changes: changes of support sets so far.
 
     Raises:
-        PlantError: a parcel doesn't stand on the array at the start, or two overlap.
+        PlantError: a parcel doesn't stand on the array where it starts or is fed, or starts in an exit; or two overlap.
     """
 
     def __init__(self, spec: PlantSpec) -> None:
@@ -44,41 +46,29 @@ class Plant:
         motors = spec.effects.motors
         self._wheels: Wheels = IdealWheels(n) if motors is None else Motors(motors, n)
         rate = 0.0 if motors is None else 1.0 / motors.time_constant_s
-        self._solver: Solver = make_solver(spec, self.array, rate)
+        self._solver: Solver = make_solver(spec.with_fed(), self.array, rate)
         self._grip: Floats = np.ones(n)
         self._now_ns = 0
         self._none: Floats = np.zeros(0)
-        self._nothing: Floats = np.zeros((0, len(spec.parcels), 6))
-        self._all = np.arange(len(spec.parcels), dtype=np.int64)
-        self._live = self._all
-        """Parcels that move: neither tipped nor off the array."""
         bodies = self._solver.bodies
+        self._nothing: Floats = np.zeros((0, len(bodies), 6))
         radius: Floats = np.array([body.radius_m for body in bodies])
-        self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in spec.parcels]
+        self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in bodies]
         self.support_changes = 0
         self._overlaps = OverlapWatch([body.footprint_m for body in bodies], radius)
         self._rest = RestWatch(radius)
-        self._check_start()
-
-    def _check_start(self) -> None:
-        for i, body in enumerate(self._solver.bodies):
-            x, y = body.state[:2]
-            under = len(self._solver.under(i))
-            if under == 0:
-                raise PlantError(
-                    f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel stands on nothing: no cell's centre lies "
-                    "under it"
-                )
-            if not self._solver.stand(i, self._grip):
-                raise PlantError(
-                    f"parcels[{i}].position_m = [{x:g}, {y:g}]: the parcel would tip: its centre of mass lies outside "
-                    f"the {under} cells under it"
-                )
-        for first, second, depth, place in self._overlaps.pairs(self.state):
-            raise PlantError(
-                f"parcels[{first}] and parcels[{second}] overlap at the start by {depth:.3g} m near "
-                f"[{place[0]:.3g}, {place[1]:.3g}]"
-            )
+        check_standing(spec, self._solver, n)
+        feeders = spec.effects.feeders
+        self._traffic: Traffic | None = None
+        self._there: NDArray[np.int64] = np.arange(len(bodies))
+        """Parcels that neither wait to be fed nor have left through an exit."""
+        if feeders is not None:
+            self._traffic = Traffic(feeders, spec.seed, self._solver.state, self.status, self._overlaps)
+            self._there = self._traffic.there
+        check_places(spec, self.state, self._overlaps, self._traffic)
+        self._live = self._there
+        """Those of them that move: neither tipped nor off the array."""
+        self._untold = [] if self._traffic is None else self._look(self._traffic, 0)
 
     @property
     def footprints_m(self) -> list[Floats]:
@@ -100,10 +90,14 @@ class Plant:
         """``(n, 2)`` surface speeds, m/s; read-only."""
         return _read_only(self._wheels.speed)
 
+    def traffic(self) -> TrafficCount | None:
+        """What has come and gone until now; None where the scene has no feeders."""
+        return None if self._traffic is None else self._traffic.count(self._now_ns)
+
     def sense(self) -> Sense:
         """What the cells sense now."""
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
-        self._solver.presence(self._all, presence)
+        self._solver.presence(self._there, presence)
         travel = self._wheels.travel
         return Sense(presence, None if travel is None else _read_only(travel))
 
@@ -131,16 +125,34 @@ class Plant:
             PlantError: drives for another number of cells, or a time in the past.
             PlantUnstable: the motion of a parcel can't be followed.
         """
+        events = self._step(drives, until_ns)
+        return self.sense(), events
+
+    def _step(self, drives: Floats, until_ns: int) -> list[Event]:
+        """Move on, and take notice of what is the case then: see `advance`."""
         start_ns, before = self._now_ns, self.state
         events = self._move(drives, until_ns, self._none, None)
         after = self.state
         if self._rest.may_change(after, self._live):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
+        if self._traffic is not None:
+            events = [*self._untold, *events, *self._look(self._traffic, until_ns)]
+            self._untold = []
         events.extend(self._meetings(after, until_ns * 1e-9))
-        return self.sense(), events
+        return events
+
+    def _look(self, traffic: Traffic, time_ns: int) -> list[Event]:
+        """Let parcels leave and feed others, as they should by now."""
+        events = traffic.look(time_ns)
+        if events:
+            self._there = traffic.there
+            self._live = self._there[[self.status[int(i)].rides for i in self._there]]
+        return events
 
     def trajectory(self, drives: Floats, until_ns: int, sample_ns: int) -> Trajectory:
         """Move on to ``until_ns`` in one go with constant drives, and look at the parcels every ``sample_ns``.
+
+        Where parcels come and go it goes from sample to sample, as `advance` would: who is there hangs on them.
 
         Raises:
             PlantUnstable: the motion of a parcel can't be followed.
@@ -151,6 +163,8 @@ class Plant:
         start_ns = self._now_ns
         state = np.empty((len(times), len(self._solver.bodies), 6))
         state[0] = self.state
+        if self._traffic is not None:
+            return Trajectory(times, state, self._step_by_step(drives, times, state))
         after_s: Floats = (times[1:] - start_ns).astype(np.float64) * 1e-9
         events = self._move(drives, until_ns, after_s, state)
         self._note_rest(state, times)
@@ -158,6 +172,15 @@ class Plant:
             events.extend(self._meetings(state[k], float(times[k]) * 1e-9))
         events.sort(key=lambda event: event.time_s)
         return Trajectory(times, state, events)
+
+    def _step_by_step(self, drives: Floats, times_ns: NDArray[np.int64], state: Floats) -> list[Event]:
+        """Move on from instant to instant; fill ``state[1:]`` with the parcels' states there."""
+        events: list[Event] = []
+        for k, until_ns in enumerate(times_ns[1:].tolist(), start=1):
+            events.extend(self._step(drives, until_ns))
+            state[k] = self.state
+        events.sort(key=lambda event: event.time_s)
+        return events
 
     def _move(self, drives: Floats, until_ns: int, times_s: Floats, samples: Floats | None) -> list[Event]:
         """Advance wheels and every parcel; fill ``samples[1:]`` with the states at ``times_s`` after now."""
@@ -178,7 +201,7 @@ class Plant:
         for done in self._solver.advance(live, motion, self._grip, span, times_s, out):
             events.extend(self._news(done, start, times_s, out))
         if samples is not None:
-            over = np.setdiff1d(self._all, live)
+            over = np.setdiff1d(self._there, live)
             samples[1:, over] = self._solver.state[over]
         self._wheels.elapse(motion, span)
         self._now_ns = until_ns
@@ -257,7 +280,7 @@ class Plant:
                 place,
                 f"with parcel {second}" + (f", {depth:.3g} m deep" if depth else ""),
             )
-            for kind, first, second, depth, place in self._overlaps.changes(state)
+            for kind, first, second, depth, place in self._overlaps.changes(state, self._there)
         ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, final
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-ParcelState = Literal["moving", "at_rest", "tipped", "off_array"]
+ParcelState = Literal["waiting", "moving", "at_rest", "tipped", "off_array"]
 
 
 @final
@@ -33,7 +34,7 @@ class Event(NamedTuple):
         time_s: when.
         kind: ``support_gained``, ``support_lost``, ``load_vanished``, ``load_returned``, ``captured``, ``released``,
             ``outrun`` (a parcel outruns a wheel though its law says that none does), ``tipped``, ``off_array``,
-            ``overlap`` or ``apart``.
+            ``overlap``, ``apart``, ``fed``, ``held_back`` (a parcel is due where there is no room) or ``left``.
         parcel: index of the parcel.
         cells: ``(row, column)`` of the cells concerned.
         position_m: where.
@@ -54,14 +55,20 @@ class ParcelStatus:
     """How a parcel fares.
 
     Attributes:
-        state: ``moving``; ``at_rest``; ``tipped``, and it stays where it tipped and carries no wheel; ``off_array``.
+        state: ``waiting`` off the surface to be fed; ``moving``; ``at_rest``; ``tipped``, and it stays where it tipped
+            and carries no wheel; ``off_array``, tipped across the outer edge or carried through an exit.
         time_s: since when.
-        detail: about which edge it tipped.
+        detail: about which edge it tipped, for which feeder it waits, through which exit it left.
     """
 
     state: ParcelState
     time_s: float
     detail: str = ""
+
+    @property
+    def rides(self) -> bool:
+        """Whether wheels carry it: it moves, or could."""
+        return self.state in ("moving", "at_rest")
 
 
 @final
@@ -78,3 +85,80 @@ class Trajectory:
     time_ns: NDArray[np.int64]
     state: Floats
     events: list[Event]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Transit:
+    """How long parcels were there before they left, s."""
+
+    mean: float
+    shortest: float
+    longest: float
+
+    @classmethod
+    def of(cls, spans_ns: Sequence[int]) -> Transit | None:
+        """Of these; None where nobody left."""
+        if not spans_ns:
+            return None
+        return cls(sum(spans_ns) / len(spans_ns) * 1e-9, min(spans_ns) * 1e-9, max(spans_ns) * 1e-9)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class FeedCount:
+    """What came by one feeder.
+
+    Attributes:
+        name: of the feeder.
+        fed: parcels that have appeared.
+        waiting: parcels that have not.
+        held_back: parcels that found no room at the first tick at which they were due, whether fed since or not.
+        longest_hold_s: the longest that one of them had to wait for room.
+    """
+
+    name: str
+    fed: int
+    waiting: int
+    held_back: int
+    longest_hold_s: float
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ExitCount:
+    """Who left by one exit.
+
+    Attributes:
+        name: of the exit.
+        left: how many parcels.
+        transit_s: from when each was fed (the start, for the scene's own parcels) until it left.
+    """
+
+    name: str
+    left: int
+    transit_s: Transit | None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class TrafficCount:
+    """What came and went; every parcel is one of ``waiting``, ``there`` and ``left``.
+
+    Attributes:
+        feed: by feeder.
+        exits: by exit.
+        waiting: parcels not fed yet.
+        there: parcels on the array, tipped ones too.
+        left: parcels that left by any exit.
+        transit_s: of all of these.
+        left_per_s: the throughput; None before any time has passed.
+    """
+
+    feed: Sequence[FeedCount]
+    exits: Sequence[ExitCount]
+    waiting: int
+    there: int
+    left: int
+    transit_s: Transit | None
+    left_per_s: float | None

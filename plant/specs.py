@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from bus.lattice import Lattice
-from bus.spec import CellName, Finite, Positive, Spec, Vector
+from bus.spec import CellName, Positive, Spec, Vector
 from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
-from plant.geometry import PolygonError, check_convex, rectangle
+from plant.parcel_spec import ParcelSpec
 from plant.solver_specs import ExactSpec, SolverSpec
 
 
@@ -52,47 +52,6 @@ class ArraySpec(Spec):
             return Lattice(self.cells)
         holes = set(self.missing)
         return Lattice((r, c) for r in range(self.rows) for c in range(self.columns) if (r, c) not in holes)
-
-
-class ParcelSpec(Spec):
-    """A rigid parcel with a flat convex bottom. Poses refer to its centre of mass."""
-
-    size_m: tuple[Positive, Positive] | None = None
-    """Length along the parcel's x and along its y: a rectangle."""
-    vertices_m: tuple[Vector, ...] | None = None
-    """Or a convex polygon in the parcel's frame, in either direction round."""
-    mass_kg: Positive
-    inertia_kg_m2: Positive | None = None
-    """About the centre of mass; default: a uniform plate's about its centroid."""
-    centre_of_mass_m: Vector | None = None
-    """In the parcel's frame; default: the centroid."""
-    position_m: Vector
-    angle_rad: Finite = 0.0
-    velocity_m_s: Vector = (0.0, 0.0)
-    angular_velocity_rad_s: Finite = 0.0
-
-    @model_validator(mode="after")
-    def _footprint(self) -> ParcelSpec:
-        if (self.size_m is None) == (self.vertices_m is None):
-            raise ValueError("give size_m or vertices_m, one of the two")
-        return self
-
-    @field_validator("vertices_m")
-    @classmethod
-    def _convex(cls, value: tuple[Vector, ...] | None) -> tuple[Vector, ...] | None:
-        if value is not None:
-            try:
-                check_convex(value)
-            except PolygonError as error:
-                raise ValueError(str(error)) from None
-        return value
-
-    def polygon(self) -> tuple[Vector, ...]:
-        """Corners in the parcel's frame."""
-        if self.vertices_m is not None:
-            return self.vertices_m
-        assert self.size_m is not None
-        return rectangle(*self.size_m)
 
 
 def disagreements(
@@ -147,3 +106,22 @@ class PlantSpec(Spec):
         for path, value, rule in misplaced(self.array, self.effects):
             raise ValueError(f"{'.'.join(map(str, path))} {value}: {rule}")
         return self
+
+    def with_fed(self) -> PlantSpec:
+        """The same with all parcels that will ever be fed, after the scene's own."""
+        feeders = self.effects.feeders
+        if feeders is None:
+            return self
+        return self.model_copy(update={"parcels": self.parcels + feeders.parcels(self.seed)})
+
+    def parcel_key(self, number: int) -> str:
+        """The key in the scene of what one of the parcels is made from, own or fed."""
+        number -= len(self.parcels)
+        if number < 0:
+            return f"parcels[{number + len(self.parcels)}]"
+        assert self.effects.feeders is not None
+        for place, feed in enumerate(self.effects.feeders.feed):
+            if number < feed.total:
+                return f"effects.feeders.feed[{place}]"
+            number -= feed.total
+        raise AssertionError("this is a bug: the scene has no parcel of this number")

@@ -41,7 +41,7 @@ def _list(*, as_json: bool) -> None:
                 "title": scene.title,
                 "duration_s": scene.duration_s,
                 "cells": len(scene.lattice()),
-                "parcels": len(scene.parcels),
+                "parcels": scene.parcel_count,
                 "firmware": scene.cells.firmware,
             }
             for scene in found
@@ -57,6 +57,6 @@ def _list(*, as_json: bool) -> None:
     for heading in ("cells", "parcels", "s"):
         table.add_column(heading, justify="right")
     for scene in found:
-        numbers = (str(len(scene.lattice())), str(len(scene.parcels)), f"{scene.duration_s:g}")
+        numbers = (str(len(scene.lattice())), str(scene.parcel_count), f"{scene.duration_s:g}")
         table.add_row(scene.name, scene.title, *numbers)
     Console().print(table)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from bus.spec import Spec
 from plant.effects.effect import EffectSpec
+from plant.effects.feeders import FeedersSpec
 from plant.effects.motors import MotorsSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 
@@ -15,6 +16,7 @@ class EffectsSpec(Spec):
 
     motors: MotorsSpec | None = None
     uneven_supports: UnevenSupportsSpec | None = None
+    feeders: FeedersSpec | None = None
 
     def asked(self) -> Iterator[tuple[str, EffectSpec]]:
         """Name and settings of the effects that are there."""

@@ -29,6 +29,8 @@ class MadeUpRun:
     wheels_change: bool = False
     events: list[dict[str, Any]] = field(default_factory=list)
     faults: list[dict[str, Any]] = field(default_factory=list)
+    extra: dict[str, Any] = field(default_factory=dict)
+    """Of the header, what not every recording has."""
 
     def __post_init__(self) -> None:
         draw = np.random.default_rng(5)
@@ -41,7 +43,7 @@ class MadeUpRun:
 
     @property
     def header(self) -> Header:
-        return Header(
+        made = Header(
             run="r1",
             title="A made-up run",
             scene_name="made_up",
@@ -54,6 +56,8 @@ class MadeUpRun:
             sensors_m=[[0.0, 0.01 * s] for s in range(self.sensors)],
             footprints_m=[[[-0.1, -0.05], [0.1, -0.05], [0.1, 0.05], [-0.1, 0.05]]] * self.parcels,
         )
+        made.update(self.extra)  # type: ignore[typeddict-item]
+        return made
 
     def feed(self, recorder: Recorder, *, end: bool = True) -> None:
         """Record all of it, except how it ended."""

@@ -10,10 +10,9 @@ import pytest
 
 from bus.keys import check_run
 from deploy.errors import InputError
-from deploy.output import footprint, header, output_folder, run_name, versions
+from deploy.output import header, output_folder, run_name, versions
 from deploy.scene_files import load_scene, scene_text
 from plant.array import CellArray
-from plant.specs import ParcelSpec
 
 
 @pytest.mark.parametrize("name", ["elliptic", "./a b/c d.toml", "/x/ä.toml", "-.toml", "x" * 300])
@@ -52,15 +51,11 @@ def test_the_header_has_the_whole_scene_and_where_everything_is(tmp_path: Path) 
     path.write_text(scene_text("prototype"))
     scene = load_scene(str(path))
     array = CellArray(scene.array)
-    made = header("r", scene, array)
+    rectangle = np.array([[-0.25, -0.2], [0.25, -0.2], [0.25, 0.2], [-0.25, 0.2]])
+    made = header("r", scene, array, [rectangle])
     assert made["cells"][:3] == [[0, 0], [0, 1], [0, 3]]
     assert np.array_equal(made["positions_m"], array.positions_m)
-    assert made["footprints_m"] == [[[-0.25, -0.2], [0.25, -0.2], [0.25, 0.2], [-0.25, 0.2]]]
+    assert made["footprints_m"] == [rectangle.tolist()]
     assert made["scene"]["duration_s"] == 10.0
     assert {"python", "numpy", "numba", "eclipse-zenoh"} <= set(made["versions"])
     assert made["versions"] == versions()
-
-
-def test_a_footprint_is_about_the_centre_of_mass() -> None:
-    parcel = ParcelSpec(size_m=(0.4, 0.2), mass_kg=1.0, position_m=(0.0, 0.0), centre_of_mass_m=(0.1, 0.0))
-    assert footprint(parcel)[0].tolist() == pytest.approx([-0.3, -0.1])

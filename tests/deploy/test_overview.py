@@ -17,6 +17,7 @@ from deploy.errors import DeployError
 from deploy.interruption import Interrupted
 from deploy.overview import draw_overview
 from deploy.overview_map import colour, extent, incidents, lost_cells
+from deploy.overview_times import draw_times
 from deploy.replay import load
 from deploy.track import Track
 
@@ -113,6 +114,57 @@ def test_the_view_holds_the_array_and_the_whole_of_the_way(track: Track) -> None
     far = track.parcels.copy()
     far[-1, 0, 0] = 0.45
     assert extent(dataclasses.replace(track, parcels=far))[1] > 0.45 + 0.1
+
+
+COMES_AND_GOES = [
+    {"time_s": 4 * 0.004096, "kind": "fed", "parcel": 1},
+    {"time_s": 9 * 0.004096, "kind": "left", "parcel": 1},
+]
+
+
+def test_a_parcel_is_shown_from_when_it_is_fed_until_it_leaves(tmp_path: Path, made_up_run: Make) -> None:
+    run = made_up_run(parcels=3, events=COMES_AND_GOES)
+    run.extra = {
+        "own_parcels": 1,
+        "exits": [{"name": "e", "corners_m": [[0.0, 0.0], [0.2, 0.0], [0.2, 0.1]]}],
+    }
+    recording = load(run.record(tmp_path))
+    track = recording.track()
+    there = np.isfinite(track.parcels).all(axis=2)
+    assert there[:, 0].all()
+    assert np.flatnonzero(there[:, 1]).tolist() == [4, 5, 6, 7, 8, 9]
+    assert not there[:, 2].any()
+    assert np.array_equal(track.parcels[there], recording.parcels[there])
+    ((name, corners),) = track.exits
+    assert (name, corners.tolist()) == ("e", [[0.0, 0.0], [0.2, 0.0], [0.2, 0.1]])
+
+
+def test_who_waits_is_not_drawn_and_who_has_left_is_drawn_on_its_way_only(
+    tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
+) -> None:
+    run = made_up_run(rows=8, columns=8, parcels=3, events=COMES_AND_GOES)
+    run.states[:, :, :2] += np.linspace(0, 0.7, 3)[None, :, None]
+    always = draw(load(run.record(tmp_path)))
+    run.extra = {"own_parcels": 1, "exits": []}
+    picture = draw(load(run.record(tmp_path)))
+    assert pixels(picture, colour(2)) == 0
+    assert 100 < pixels(picture, colour(1)) < pixels(always, colour(1))
+
+
+def test_times_are_shown_from_the_start_to_the_end_whoever_is_there(track: Track) -> None:
+    from matplotlib.figure import Figure
+
+    nobody = dataclasses.replace(track, parcels=np.full_like(track.parcels, np.nan))
+    panels = Figure().subplots(3)
+    draw_times(list(panels), nobody, stacked=True)
+    assert panels[0].get_xlim() == (track.time_s[0], track.time_s[-1])
+
+
+def test_exits_are_drawn(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+    green = "#4b7a3f"
+    corners = np.array([[0.1, 0.1], [0.3, 0.1], [0.3, 0.2], [0.1, 0.2]])
+    assert pixels(draw(track), green) == 0
+    assert pixels(draw(dataclasses.replace(track, exits=[("$e$", corners)])), green) > 100
 
 
 def test_a_parcel_flung_away_leaves_the_array_in_sight(

@@ -99,6 +99,19 @@ def test_the_scene_these_tests_break_is_good() -> None:
             "seed = 1\n[effects.motors]\ntime_constant = 1",
             "effects.motors.time_constant = 1: unknown key; nearest: time_constant_s",
         ),
+        (
+            "seed = 1",
+            (
+                'seed = 1\n[[effects.feeders.feed]]\nname = "w"\nsize_m = [1, 1]\nmass_kg = 0\nposition_m = [0, 0]\n'
+                "times_s = [1]"
+            ),
+            "effects.feeders.feed[0].mass_kg = 0: must be > 0",
+        ),
+        (
+            "seed = 1",
+            'seed = 1\n[[effects.feeders.exits]]\nname = "e"\nsize = [1, 1]',
+            "effects.feeders.exits[0].size = [1, 1]: unknown key; nearest: size_m",
+        ),
         # choices
         ('kind = "crash"', 'kind = "crush"', "faults[0].kind = \"crush\": must be 'crash'"),
         (
@@ -125,8 +138,10 @@ def test_the_scene_these_tests_break_is_good() -> None:
         (
             "coefficient_s_per_m = 0.2",
             'law = "coulomb"\ncoefficient = 0.2',
-            'solver.name = "exact": solves law viscous, coulomb_sliding, rolling, stick_slip, not coulomb; '
-            "use implicit",
+            (
+                'solver.name = "exact": solves law viscous, coulomb_sliding, rolling, stick_slip, not coulomb; '
+                "use implicit"
+            ),
         ),
         (
             "coefficient_s_per_m = 0.2",

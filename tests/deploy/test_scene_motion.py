@@ -51,6 +51,18 @@ def test_coulomb_carries_its_parcel_off_at_the_wheels_speed() -> None:
     assert plant.state[0, 3:].tolist() == [0.2, 0.0, 0.0]
 
 
+def test_the_stream_sends_every_parcel_through_the_exit_on_its_side() -> None:
+    scene = load_scene("stream", [Override.parse("duration_s=12")])
+    plant = Plant(scene.plant_spec())
+    course = plant.trajectory(field_speeds(scene, plant.array.positions_m), scene.duration_ns, 4_096_000)
+    left = [event for event in course.events if event.kind == "left"]
+    assert len(left) > 2
+    assert {event.position_m[1] > 0.0 for event in left} == {True, False}
+    for event in left:
+        side = "north" if course.state[0, event.parcel, 1] > 0.0 else "south"
+        assert event.detail.startswith(f"through exit {side} ")
+
+
 def test_where_a_rolling_parcel_ends_depends_on_how_it_came() -> None:
     ends = []
     for speed in (0.2, 0.1):

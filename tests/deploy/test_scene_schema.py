@@ -61,6 +61,8 @@ def test_the_words_under_a_field_describe_it() -> None:
     assert properties["tolerance"]["description"] == "Metres at the footprint, over the run."
     field = schema["$defs"]["Radial"]["properties"]["rotation_rad_s"]
     assert field["description"] == "Added rigid rotation, counter-clockwise."
+    fed = schema["$defs"]["FeedSpec"]["properties"]
+    assert fed["inertia_kg_m2"]["description"].startswith("About the centre of mass")  # inherited
     assert "duration_s" in schema["properties"]
     assert "simulated time" in schema["properties"]["duration_s"]["description"].lower()
 

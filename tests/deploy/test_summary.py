@@ -14,6 +14,7 @@ from rich.console import Console
 from deploy.errors import DeployError
 from deploy.summary import Messages, ParcelOutcome, Summary
 from deploy.summary_table import print_summary
+from plant.reports import ExitCount, FeedCount, TrafficCount, Transit
 
 PROMISED = {
     "status", "scene", "seed", "duration_s", "cells", "processes", "transport", "solver", "ticks", "wall_s",
@@ -141,6 +142,39 @@ def test_the_table_says_why_a_run_did_not_end_well() -> None:
 def test_many_parcels_are_counted_by_state() -> None:
     parcels = [ParcelOutcome.of(np.zeros(6), "at_rest" if i % 5 else "tipped", 0.0) for i in range(50)]
     assert "40 at rest, 10 tipped" in printed(summary(parcels=parcels))
+
+
+TRAFFIC = TrafficCount(
+    feed=[FeedCount("west", 14, 2, 8, 1.4786), FeedCount("east", 3, 0, 0, 0.0)],
+    exits=[ExitCount("north", 6, Transit(5.36, 5.32, 5.41)), ExitCount("south", 0, None)],
+    waiting=2,
+    there=11,
+    left=6,
+    transit_s=Transit(5.36, 5.32, 5.41),
+    left_per_s=0.25,
+)
+
+
+def test_what_came_and_went_is_in_the_json_object() -> None:
+    found = json.loads(summary(feeders=TRAFFIC).to_json())["feeders"]
+    assert found["feed"][0] == {
+        "name": "west", "fed": 14, "waiting": 2, "held_back": 8, "longest_hold_s": 1.4786
+    }  # fmt: skip
+    assert found["exits"][0] == {
+        "name": "north", "left": 6, "transit_s": {"mean": 5.36, "shortest": 5.32, "longest": 5.41}
+    }  # fmt: skip
+    assert found["exits"][1]["transit_s"] is None
+    assert (found["waiting"], found["there"], found["left"], found["left_per_s"]) == (2, 11, 6, 0.25)
+    assert json.loads(summary().to_json())["feeders"] is None
+
+
+def test_the_table_has_a_line_for_every_feeder_and_exit() -> None:
+    lines = [" ".join(line.split()) for line in printed(summary(feeders=TRAFFIC)).splitlines()]
+    assert "feeder west 14 fed, 2 waiting; 8 held back, up to 1.48 s" in lines
+    assert "feeder east 3 fed, 0 waiting" in lines
+    assert "exit north 6 left after 5.36 s (5.32 to 5.41)" in lines
+    assert "exit south 0 left" in lines
+    assert "throughput 0.25 parcels/s" in lines
 
 
 def test_the_table_fits_eighty_columns_without_cutting_or_wrapping_anything() -> None:

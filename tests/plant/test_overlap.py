@@ -17,6 +17,10 @@ def _watch(count: int = 3) -> OverlapWatch:
     return OverlapWatch([box] * count, np.full(count, float(np.hypot(0.2, 0.1))))
 
 
+def _all(count: int) -> np.ndarray:
+    return np.arange(count)
+
+
 def _state(*poses: tuple[float, float, float]) -> np.ndarray:
     state = np.zeros((len(poses), 6))
     state[:, :3] = poses
@@ -24,7 +28,7 @@ def _state(*poses: tuple[float, float, float]) -> np.ndarray:
 
 
 def test_only_pairs_that_overlap_are_named_with_depth_and_place() -> None:
-    found = list(_watch().pairs(_state((0, 0, 0), (0.375, 0, 0), (2, 0, 0))))
+    found = list(_watch().pairs(_state((0, 0, 0), (0.375, 0, 0), (2, 0, 0)), _all(3)))
     assert [(i, j) for i, j, _, _ in found] == [(0, 1)]
     _, _, depth, place = found[0]
     assert depth == pytest.approx(0.025, rel=1e-12)
@@ -33,14 +37,17 @@ def test_only_pairs_that_overlap_are_named_with_depth_and_place() -> None:
 
 
 def test_near_circles_are_not_overlap() -> None:
-    assert list(_watch(2).pairs(_state((0, 0, 0), (0, 0.21, 0)))) == []
-    assert len(list(_watch(2).pairs(_state((0, 0, 0), (0, 0.21, np.pi / 2))))) == 1
+    assert list(_watch(2).pairs(_state((0, 0, 0), (0, 0.21, 0)), _all(2))) == []
+    assert len(list(_watch(2).pairs(_state((0, 0, 0), (0, 0.21, np.pi / 2)), _all(2)))) == 1
 
 
 def test_an_overlap_is_told_when_it_begins_and_when_it_ends() -> None:
     watch = _watch(2)
     apart, close = _state((0, 0, 0), (1, 0, 0)), _state((0, 0, 0), (0.3, 0, 0))
-    kinds = [[change[0] for change in watch.changes(state)] for state in (apart, close, close, apart, apart)]
+    kinds = [
+        [change[0] for change in watch.changes(state, _all(2))]
+        for state in (apart, close, close, apart, apart)
+    ]
     assert kinds == [[], ["overlap"], [], ["apart"], []]
 
 
@@ -55,8 +62,8 @@ def test_close_calls_cover_every_instant_of_an_overlap_and_the_one_after() -> No
 
 def test_one_parcel_alone_meets_nobody() -> None:
     watch = _watch(1)
-    assert list(watch.pairs(_state((0, 0, 0)))) == []
-    assert watch.changes(_state((0, 0, 0))) == []
+    assert list(watch.pairs(_state((0, 0, 0)), _all(1))) == []
+    assert watch.changes(_state((0, 0, 0)), _all(1)) == []
     assert list(watch.close_calls(np.zeros((4, 1, 6)))) == []
 
 

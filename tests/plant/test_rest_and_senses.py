@@ -187,6 +187,11 @@ def test_wheels_lost_one_after_the_other_all_coast() -> None:
     assert np.array_equal(one.state, two.state)
 
 
+def test_a_footprint_is_about_the_centre_of_mass() -> None:
+    plant = Plant(spec(parcel(size_m=(0.4, 0.2), centre_of_mass_m=(0.1, 0.0))))
+    assert plant.footprints_m[0][0].tolist() == pytest.approx([-0.3, -0.1])
+
+
 def test_a_state_handed_out_is_the_holders_own() -> None:
     plant = study()
     plant.state[:] = 0.0

@@ -79,6 +79,28 @@ def test_the_digest_depends_neither_on_processes_nor_on_transport_nor_on_wire_fo
     assert len(set(digests.values())) == 1, digests
 
 
+def test_parcels_that_come_and_go_do_so_alike_however_the_scene_is_cut(tmp_path: Path) -> None:
+    scene = load_scene(
+        "stream",
+        [
+            Override.parse(change)
+            for change in (
+                "duration_s=0.4",
+                "effects.feeders.feed.0.mean_s=0.05",
+                "effects.feeders.exits.0.position_m=[-1.05,0.4]",
+                "effects.feeders.exits.1.position_m=[-1.05,-0.4]",
+            )
+        ],
+    )
+    summaries = [_run(scene, way, tmp_path) for way in (WAYS[0], WAYS[4], WAYS[7])]
+    assert len({summary.digest for summary in summaries}) == 1
+    counts = [summary.feeders for summary in summaries]
+    assert counts[0] == counts[1] == counts[2]
+    assert counts[0] is not None
+    assert counts[0].left > 0
+    assert counts[0].feed[0].held_back > 0
+
+
 def test_the_digest_depends_on_what_happens(tmp_path: Path) -> None:
     scene = _shortened("prototype", 0.05)
     other = load_scene(
