@@ -125,8 +125,8 @@ class RestartedSolver(ABC):
 
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under those parcels."""
-        for index in indices.tolist():
-            parcel = self._parcels[index]
+        numbers: list[int] = indices.tolist()
+        for parcel in (self._parcels[index] for index in numbers):
             away = self._sensors - parcel.shape.y[:2]
             near = np.flatnonzero(np.hypot(away[:, 0], away[:, 1]) < 1.01 * parcel.shape.par[layout.RADIUS])
             # a sensor exactly under the edge is covered: the edge of a parcel at rest must not flicker
