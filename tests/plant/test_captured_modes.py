@@ -13,7 +13,7 @@ from scipy.optimize import root
 from plant.kernels import layout
 from plant.plant import Plant
 from tests.plant.reference import Bench
-from tests.plant.scenes import SECOND, Floats, bench, parcel, spec
+from tests.plant.scenes import SECOND, Floats, bench, elliptic, members, parcel, spec
 
 SCENES: dict[str, dict[str, Any]] = {
     "seven": {"holes": (3, 5, 7), "size": (0.32, 0.28), "centre": (0.03, 0.06), "at": (0.1, 0.05, 2.1)},
@@ -134,3 +134,24 @@ def test_captured_motion_is_the_mixture_of_its_sides_each_with_its_own_loads(
         lifted_on_one_side += len(set(clear)) > 1
     assert compared[groups_seen] > 10
     assert lifted_on_one_side > 10 or name == "three edges"
+
+
+@pytest.mark.parametrize("spin", [0.2, -0.2])
+@pytest.mark.parametrize("size", [(0.68, 0.42), (0.72, 0.42), (0.4, 0.42)])
+def test_a_capture_that_new_drives_end_is_let_go_to_the_side_on_which_the_parcel_goes_on(
+    size: tuple[float, float], spin: float
+) -> None:
+    """On the other side the cell would have to cross its edge, back, at the very instant."""
+    plant = Plant(spec(parcel(size_m=size)))
+    plant.advance(elliptic(plant), 20 * SECOND)
+    inner = plant._solver.parcels[0]
+    listed = inner.mem[: inner.ctl[layout.N_MEMBERS]]
+    held = [plant.array.lattice.cells[i] for i in listed[listed[:, layout.SIDE] != 0, layout.CELL]]
+    assert held
+    # faint enough that the cell's own pull keeps its sense, strong enough to leave it behind
+    turning = plant.array.positions_m @ np.array([[0.0, spin], [-spin, 0.0]])
+    _, events = plant.advance(elliptic(plant) + turning, 20 * SECOND + 2_000_000)
+    assert inner.ctl[layout.N_GROUPS] == 0
+    assert np.sign(plant.state[0, 5]) == np.sign(spin)
+    assert [event for event in events if event.cells[0] in held and event.kind != "released"] == []
+    assert members(plant).tolist() == bench(plant, turning).under(plant.state[0]).tolist()

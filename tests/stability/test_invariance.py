@@ -22,7 +22,6 @@ class FarArray(CellArray):
         super().__init__(spec)
         self.positions_m += (FAR, -FAR)
         self.origin_m = (self.origin_m[0] + FAR, self.origin_m[1] - FAR)
-        self.far_m = float(np.max(np.abs(self.positions_m)))
 
 
 class ShuffledArray(CellArray):
