@@ -62,7 +62,8 @@ class _Gate:
 
     def holds(self, points: Floats) -> NDArray[np.bool_]:
         """Which of the points ``(k, 2)`` are in it, its boundary included."""
-        return np.all(points @ self.normal.T <= self.offset, axis=1)
+        x, y = points[:, :1], points[:, 1:]
+        return np.all(x * self.normal[:, 0] + y * self.normal[:, 1] <= self.offset, axis=1)
 
 
 @final

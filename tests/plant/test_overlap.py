@@ -41,6 +41,19 @@ def test_near_circles_are_not_overlap() -> None:
     assert len(list(_watch(2).pairs(_state((0, 0, 0), (0, 0.21, np.pi / 2)), _all(2)))) == 1
 
 
+def test_in_the_way_is_the_first_of_those_that_are_there_that_would_be_overlapped() -> None:
+    watch = _watch(4)
+    # at the end of its length but not of its circle; across; a little aside; far
+    state = _state((0, 0, 0), (0.399, 0, 0), (0.19, 0.09, 0), (3, 0, 0))
+    assert watch.in_the_way(0, state, np.array([1, 2, 3])) == 1
+    assert watch.in_the_way(0, state, np.array([2, 3])) == 2
+    assert watch.in_the_way(0, state, np.array([3])) is None
+    assert watch.in_the_way(0, state, np.zeros(0, dtype=np.int64)) is None
+    touching = _state((0, 0, 0), (0.4, 0, 0), (0, 0.2, 0), (0.41, 0, np.pi / 4))
+    assert watch.in_the_way(0, touching, np.array([1, 2])) is None
+    assert watch.in_the_way(0, touching, np.array([1, 2, 3])) == 3
+
+
 def test_an_overlap_is_told_when_it_begins_and_when_it_ends() -> None:
     watch = _watch(2)
     apart, close = _state((0, 0, 0), (1, 0, 0)), _state((0, 0, 0), (0.3, 0, 0))
