@@ -77,13 +77,13 @@ def disagreements(
 
 
 def misplaced(array: ArraySpec, effects: EffectsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-    """What effects say of cells that does not fit the array: the path of a value, the value, and the broken rule."""
+    """What effects say that does not fit the array: the path of a value, the value, and the broken rule."""
     asked = list(effects.asked())
     if not asked:
         return
     lattice = array.lattice()
     for name, effect in asked:
-        for path, value, rule in effect.misplaced(lattice):
+        for path, value, rule in effect.misplaced(lattice, array.pitch_m):
             yield ("effects", name, *path), value, rule
 
 

@@ -15,6 +15,10 @@ class EffectSpec(Spec):
     solvers: ClassVar[tuple[str, ...] | None] = None
     """Names of the solvers that know the effect; None: it doesn't concern them."""
 
-    def misplaced(self, lattice: Lattice) -> Iterator[tuple[tuple[str | int, ...], object, str]]:  # noqa: ARG002
-        """What does not fit the array's cells: path from the effect's table, value, and the rule that it breaks."""
+    def misplaced(
+        self,
+        lattice: Lattice,  # noqa: ARG002
+        pitch_m: float,  # noqa: ARG002
+    ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+        """What does not fit the array: path from the effect's table, value, and the rule that it breaks."""
         yield from ()

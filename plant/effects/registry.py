@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from bus.spec import Spec
+from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.effect import EffectSpec
 from plant.effects.feeders import FeedersSpec
 from plant.effects.motors import MotorsSpec
@@ -16,6 +17,7 @@ class EffectsSpec(Spec):
 
     motors: MotorsSpec | None = None
     uneven_supports: UnevenSupportsSpec | None = None
+    contact_width: ContactWidthSpec | None = None
     feeders: FeedersSpec | None = None
 
     def asked(self) -> Iterator[tuple[str, EffectSpec]]:

@@ -52,7 +52,11 @@ class UnevenSupportsSpec(EffectSpec):
                 raise ValueError(f"cells names [{row}, {column}] twice")
         return value
 
-    def misplaced(self, lattice: Lattice) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+    def misplaced(
+        self,
+        lattice: Lattice,
+        pitch_m: float,  # noqa: ARG002
+    ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
         """Listed cells that don't exist."""
         for number, support in enumerate(self.cells):
             if support.cell not in lattice:

@@ -17,6 +17,7 @@ from plant.kernels.footprint import box, inside
 from plant.kernels.implicit_step import grasp, new_velocity, regime
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
+from plant.kernels.springs import reach, smooth, touches
 
 PARTS = 4
 """Into how many parts a controlled step is cut at most."""
@@ -26,6 +27,8 @@ JUMP = 1e-3
 """A step however short may be wrong by this share of the tolerance: a jump of the force can't be had for less."""
 SHORTEST = 1e-12
 """No step is shorter, s; at this length any is taken."""
+TRIFLE = 1e-10
+"""In a step this short, s, the forces are within rounding of the velocities: one not solved to rounding is as good."""
 INSTANT = 1e-9
 """A parcel that tips does so within this time, s."""
 SOON = 0.05
@@ -46,7 +49,7 @@ FARTHEST = 1e9
 def find_loads(surface, parcel, work):
     """Which cells lie under the parcel where it is, and which of them carry load. Returns the status."""
     y, par, mem, grid = parcel.y, parcel.par, parcel.mem, surface.grid
-    count, slack = at.ZERO, par[at.ON_SURFACE]
+    count, slack = at.ZERO, par[at.ON_SURFACE] + reach(surface)
     away = max(abs(y[0] - par[at.ORIGIN_X]), abs(y[1] - par[at.ORIGIN_Y]))
     if away < FARTHEST * par[at.PITCH]:
         c, s = cos(y[at.THETA]), sin(y[at.THETA])
@@ -58,7 +61,8 @@ def find_loads(surface, parcel, work):
                     surface.pos[cell, 0], surface.pos[cell, 1], parcel.normal, parcel.offset, y, c, s, slack
                 ):
                     mem[count, at.CELL], mem[count, at.MARK] = cell, at.ACTIVE
-                    count += 1
+                    if touches(surface, parcel, count, c, s):
+                        count += 1
     parcel.ctl[at.N_MEMBERS] = count
     return settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
 
@@ -89,6 +93,28 @@ def euler(surface, parcel, work, until, h):
 
 
 @kernel
+def branches(law):
+    """Whether a law has branches: its force has a limit that some slip reaches."""
+    return law[im.SET_VALUED] != 0.0 or (
+        (law[im.LIMIT] < 1e300 and law[im.LIMIT_PER_SHARE] < 1e300)
+        and (law[im.STIFFNESS] > 0.0 or law[im.STIFFNESS_PER_SHARE] > 0.0)
+    )
+
+
+@kernel
+def look(surface, parcel, work, now):
+    """Keep which branch of the law each wheel is on now, and the acceleration, in ``work.begun``; the state stays."""
+    y, end = parcel.y, work.end
+    for k in range(6):
+        end[k] = y[k]
+    _, work.begun[3] = euler(surface, parcel, work, now + INSTANT, INSTANT)
+    for k in range(3):
+        work.begun[k] = (y[at.UX + k] - end[at.UX + k]) / INSTANT
+    for k in range(6):
+        y[k] = end[k]
+
+
+@kernel
 def cut(surface, parcel, work, now, h, parts):
     """Take a step from ``work.begin`` in equal parts, the loads found afresh for each. Returns the status."""
     y, part = parcel.y, h / parts
@@ -105,7 +131,7 @@ def cut(surface, parcel, work, now, h, parts):
                 work.first[k] = y[at.UX + k] - work.begin[at.UX + k]
         if not finite(y):
             return at.NOT_FINITE
-        if not solved:
+        if not solved and part > TRIFLE:
             return im.NOT_SOLVED
     return at.MOVING
 
@@ -150,11 +176,11 @@ def same(parcel, work, before):
 def unseen(surface, parcel, work, now, h, before):
     """Error, m, by a change in the first or last part of a step just taken, which extrapolation can't see.
 
-    A change of supports, or of the branch of the law at some wheel. The last part had no look at its end, and a change
-    in the first looks like one at the start. Estimated by the change of velocity in the first part, against that in
-    one more part after the step's end.
+    A change of supports, or of the branch of the law at some wheel. The last part had no look at its end; one in the
+    first part looks like one at the start, to every way of cutting the step. Estimated by the change of velocity in the
+    first part, against that in one more part after the step's end, and against the acceleration that ``look`` found.
     """
-    y, part, error = parcel.y, h / PARTS, work.error
+    y, part, error, first = parcel.y, h / PARTS, work.error, work.first
     status = find_loads(surface, parcel, work)
     if status != at.MOVING:
         return 0.0 if h <= INSTANT else 1e300
@@ -162,18 +188,26 @@ def unseen(surface, parcel, work, now, h, before):
         work.end[k] = y[k]
     _, wheels = euler(surface, parcel, work, now + h + part, part)
     for k in range(3):
-        error[at.UX + k] = (y[at.UX + k] - work.end[at.UX + k]) - work.first[k]
+        error[at.UX + k] = (y[at.UX + k] - work.end[at.UX + k]) - first[k]
     for k in range(6):
         y[k] = work.end[k]
-    if wheels == work.first[3] and same(parcel, work, before):
-        return 0.0
-    return LASTS * length(error, at.UX, parcel)
+    alike = same(parcel, work, before)
+    wrong = 0.0
+    if (wheels != first[3] and alike) or not (alike or smooth(surface)):
+        wrong = LASTS * length(error, at.UX, parcel)
+    if first[3] != work.begun[3]:
+        for k in range(3):
+            error[at.UX + k] = first[k] - part * work.begun[k]
+        wrong = max(wrong, LASTS * length(error, at.UX, parcel))
+    return wrong
 
 
 @kernel
 def controlled(surface, parcel, work, now, h, before):
     """One step of at most ``h`` that is right to the tolerance. Returns (status, seconds, attempts)."""
     pace, attempts = work.pace, at.ZERO
+    if branches(work.law):
+        look(surface, parcel, work, now)
     while True:
         attempts += 1
         status, error = extrapolated(surface, parcel, work, now, h)

@@ -54,7 +54,7 @@ def grasp(surface, parcel, work, law, e, h):
             continue
         rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
         pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - gap(surface, cell)
-        share = max(stiffness(surface, cell) * pressed, 0.0)
+        share = max(stiffness(surface, cell, i) * pressed, 0.0)
         vx = surface.steady[cell, 0] + e * surface.decay[cell, 0]
         vy = surface.steady[cell, 1] + e * surface.decay[cell, 1]
         row = wheels[count]
@@ -178,8 +178,13 @@ def minimise(work, count, isotropic, h, w):
         after, impulses = slope_along(work, count, isotropic, h, w, im.UNITY)
         if after > FLAT * abs(before):
             impulses = flattest(work, count, isotropic, h, w, before, after)
+        moved = 0.0
         for k in range(3):
+            moved = max(moved, abs(work.trial[k] - w[k]))
             w[k] = work.trial[k]
+        # beside a kink the step may be long, and the way to where the potential is least shorter than rounding
+        if moved <= EPSILON * scale:
+            return scale
     return -1.0
 
 

@@ -33,7 +33,7 @@ def potential(surface, parcel, mark, origin, z, w):
             cell = mem[i, at.CELL]
             _, _, n = pressed(surface, parcel, z, origin, cell)
             if n > 0.0:
-                total += 0.5 * stiffness(surface, cell) * n * n
+                total += 0.5 * stiffness(surface, cell, i) * n * n
     return total
 
 
@@ -51,7 +51,7 @@ def gradient(surface, parcel, mark, origin, z, w, hessian, slope):
             cell = mem[i, at.CELL]
             rx, ry, n = pressed(surface, parcel, z, origin, cell)
             if n > 0.0:
-                k = stiffness(surface, cell)
+                k = stiffness(surface, cell, i)
                 count += 1
                 slope[0] += k * n
                 slope[1] += k * n * rx

@@ -24,7 +24,7 @@ def segment(surface, parcel, seg, mark):
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
-            k = stiffness(surface, cell)
+            k = stiffness(surface, cell, i)
             total += k
             cx += k * (pos[cell, 0] - y[0])
             cy += k * (pos[cell, 1] - y[1])
@@ -39,7 +39,7 @@ def segment(surface, parcel, seg, mark):
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
-            k = stiffness(surface, cell)
+            k = stiffness(surface, cell, i)
             rx = pos[cell, 0] - y[0] - cx
             ry = pos[cell, 1] - y[1] - cy
             xx += k * rx * rx

@@ -1,29 +1,30 @@
-"""What the springs under a parcel are like: where effects on the loads come in, settled when a kernel is compiled.
+"""What the springs under a parcel are like: where effects on the loads come in.
 
-A surface's ``springs`` are None where all cells are equal springs at one height. What is answered here is all that a
-kernel compiled for such a surface contains: constants, which the compiler folds away. ``uneven_springs`` answers for
-surfaces with springs of their own. Which answer a call means follows from the type of the surface alone, so that no
-kernel asks while it runs.
+All that a kernel contains that is compiled for equal springs at one height, under wheels without width, is what is
+answered here: constants, which the compiler folds away. ``uneven_springs`` answers for surfaces with ``springs`` of
+their own, ``wheel_edges`` for those with ``edges``.
 """
 
 from __future__ import annotations
 
-from numba import types
-from numba.extending import overload
-
 from plant.kernels import layout as at
+from plant.kernels.jit import kernel
+from plant.kernels.questions import answer
+from plant.kernels.surface import Surface
 
-ANSWER = {"error_model": "numpy", "_nrt": False}
-"""How answers are compiled: as ``jit.kernel`` does."""
 LOAD_ZERO = 1e-12
 """A share of the mean load that rounding can't tell from none."""
 
 
-def surface_under(surface, i):
-    """The surface as parcel ``i`` feels it."""
+def springs_under(surface, i):
+    """The springs as parcel ``i`` feels them."""
 
 
-def stiffness(surface, cell):
+def edges_under(surface, i):
+    """The wheels' edges as they are under parcel ``i``."""
+
+
+def rate(surface, cell):
     """Rate of a cell's spring over the mean one's."""
 
 
@@ -47,55 +48,89 @@ def negligible(surface, a0):
     """How far from a plane ``a0`` at the centroid a spring may end that rounding can't tell from touching it."""
 
 
-def answer(question, own):
-    """Let a function answer a question for all surfaces with springs of their ``own``, or for all without.
+def reach(surface):
+    """How far outside the footprint a cell's centre may lie and the cell still be under it, m."""
 
-    Args:
-        question: One of the functions above.
-        own: For which of the two.
 
-    Returns:
-        A decorator of the function, which takes what the question takes.
+def touches(surface, parcel, slot, c, s):
+    """Whether the cell in ``parcel.mem[slot]`` is under the parcel by more than nothing; keeps by how much.
+
+    ``c`` and ``s`` are cosine and sine of the parcel's angle.
     """
 
-    def register(implementation):
-        # not strict: the names of arguments that an answer has no use for need not agree
-        @overload(question, jit_options=ANSWER, strict=False)
-        def resolve(surface, *_):
-            springs = dict(zip(surface.fields, surface.types, strict=True))["springs"]
-            return None if isinstance(springs, types.NoneType) == own else implementation
 
-        return implementation
-
-    return register
+def overlap(surface, slot):
+    """Which share of the cell in ``parcel.mem[slot]`` is under the parcel."""
 
 
-@answer(surface_under, own=False)
-def _same(surface, _i):
-    return surface
+def smooth(surface):
+    """Whether a parcel's loads change without a jump where a cell comes to be under it."""
 
 
-@answer(stiffness, own=False)
-def _equal(_surface, _cell):
+@kernel
+def surface_under(surface, i):
+    """The surface as parcel ``i`` feels it."""
+    springs, edges = springs_under(surface, i), edges_under(surface, i)
+    return Surface(surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs, edges)
+
+
+@kernel
+def stiffness(surface, cell, slot):
+    """Stiffness of a cell, which is in ``parcel.mem[slot]``, over that of a mean one wholly under the parcel."""
+    return rate(surface, cell) * overlap(surface, slot)
+
+
+@answer(springs_under, "springs", own=False)
+def _no_springs(_surface, _i):
+    return None
+
+
+@answer(edges_under, "edges", own=False)
+def _no_edges(_surface, _i):
+    return None
+
+
+@answer(rate, "springs", own=False)
+def _mean_rate(_surface, _cell):
     return 1.0
 
 
-@answer(gap, own=False)
+@answer(gap, "springs", own=False)
 def _level(_surface, _cell):
     return 0.0
 
 
-@answer(note_gaps, own=False)
+@answer(note_gaps, "springs", own=False)
 def _no_gaps(_surface, _parcel, _seg, _mark):
     return
 
 
-@answer(plane_at, own=False)
+@answer(plane_at, "springs", own=False)
 def _plane(_surface, seg, mx, my):
     bx, by = seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
     return 1.0 / seg[at.N_ACTIVE], bx, by
 
 
-@answer(negligible, own=False)
+@answer(negligible, "springs", own=False)
 def _of_the_mean(_surface, a0):
     return LOAD_ZERO * a0
+
+
+@answer(reach, "edges", own=False)
+def _centre_only(_surface):
+    return 0.0
+
+
+@answer(touches, "edges", own=False)
+def _always(_surface, _parcel, _slot, _c, _s):
+    return True
+
+
+@answer(overlap, "edges", own=False)
+def _whole(_surface, _slot):
+    return 1.0
+
+
+@answer(smooth, "edges", own=False)
+def _jumps(_surface):
+    return False

@@ -46,6 +46,30 @@ class AllSprings(NamedTuple):
     moments: Floats
 
 
+class Edges(NamedTuple):
+    """How much of each cell is under one parcel, where wheels have a width (see ``plant.kernels.wheel_edges``).
+
+    Attributes:
+        width_m: over which a cell comes to be under a parcel.
+        share: ``(capacity,)`` scratch: of the cell in each row of ``Parcel.mem``.
+    """
+
+    width_m: float
+    share: Floats
+
+
+class AllEdges(NamedTuple):
+    """The same for each of m parcels.
+
+    Attributes:
+        width_m: as ``Edges.width_m``.
+        share: ``(m, capacity)``.
+    """
+
+    width_m: float
+    share: Floats
+
+
 class Surface(NamedTuple):
     """The cells and their wheels, as the kernels read them.
 
@@ -58,3 +82,4 @@ class Surface(NamedTuple):
     decay: Floats
     grip: Floats
     springs: Springs | AllSprings | None = None
+    edges: Edges | AllEdges | None = None

@@ -11,50 +11,50 @@ the gap ``g_i = -h_i`` are lengths over ``W / K``. On the supports S, with their
 from __future__ import annotations
 
 from plant.kernels import layout as at
+from plant.kernels.questions import answer
 from plant.kernels.springs import (
     LOAD_ZERO,
-    answer,
     gap,
     negligible,
     note_gaps,
     plane_at,
+    rate,
+    springs_under,
     stiffness,
-    surface_under,
 )
-from plant.kernels.surface import Springs, Surface
+from plant.kernels.surface import Springs
 
 
-@answer(surface_under, own=True)
+@answer(springs_under, "springs", own=True)
 def _own(surface, i):
     of = surface.springs
-    springs = Springs(of.rate, of.gap_m, of.per_m[i], of.span[i], of.moments[i])
-    return Surface(surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs)
+    return Springs(of.rate, of.gap_m, of.per_m[i], of.span[i], of.moments[i])
 
 
-@answer(stiffness, own=True)
+@answer(rate, "springs", own=True)
 def _rate(surface, cell):
     return surface.springs.rate[cell]
 
 
-@answer(gap, own=True)
+@answer(gap, "springs", own=True)
 def _gap(surface, cell):
     return surface.springs.per_m * surface.springs.gap_m[cell]
 
 
-@answer(note_gaps, own=True)
+@answer(note_gaps, "springs", own=True)
 def _moments(surface, parcel, seg, mark):
     moments, mem, y = surface.springs.moments, parcel.mem, parcel.y
     moments[0] = moments[1] = moments[2] = 0.0
     for i in range(parcel.ctl[at.N_MEMBERS]):
         if mem[i, mark] == at.ACTIVE:
             cell = mem[i, at.CELL]
-            pulled = stiffness(surface, cell) * gap(surface, cell)
+            pulled = stiffness(surface, cell, i) * gap(surface, cell)
             moments[0] += pulled
             moments[1] += pulled * (surface.pos[cell, 0] - y[0] - seg[at.CX])
             moments[2] += pulled * (surface.pos[cell, 1] - y[1] - seg[at.CY])
 
 
-@answer(plane_at, own=True)
+@answer(plane_at, "springs", own=True)
 def _plane(surface, seg, mx, my):
     moments = surface.springs.moments
     tx, ty = mx + moments[1], my + moments[2]
@@ -62,6 +62,6 @@ def _plane(surface, seg, mx, my):
     return (1.0 + moments[0]) / seg[at.N_ACTIVE], bx, by
 
 
-@answer(negligible, own=True)
+@answer(negligible, "springs", own=True)
 def _of_the_span(surface, a0):
     return LOAD_ZERO * (1.0 + abs(a0) + surface.springs.span)

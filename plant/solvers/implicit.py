@@ -17,7 +17,7 @@ from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
 from plant.kernels.parcels import Parcel
 from plant.solver_specs import ImplicitSpec
-from plant.solvers.springs import make_springs
+from plant.solvers.springs import make_edges, make_springs
 from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -45,6 +45,7 @@ class Work(NamedTuple):
     begin: Floats
     end: Floats
     first: Floats
+    begun: Floats
     error: Floats
     table: Floats
     kept: NDArray[np.int64]
@@ -70,6 +71,7 @@ def make_work(cells: int, capacity: int) -> Work:
         begin=np.zeros(6),
         end=np.zeros(6),
         first=np.zeros(4),
+        begun=np.zeros(4),
         error=np.zeros(6),
         table=np.zeros((4, 6)),
         kept=np.zeros((capacity, 2), dtype=np.int64),
@@ -120,6 +122,7 @@ class Implicit(ThreadedSolver[Work]):
         traction = scene.friction.traction()
         masses = [parcel.mass_kg for parcel in scene.parcels]
         self._springs = make_springs(scene, array)
+        self._edges = make_edges(scene, self.capacity)
         self._laws: Floats = np.zeros((len(masses), implicit_layout.LAW_SIZE))
         self._paces: Floats = np.zeros((len(masses), implicit_layout.PACE_SIZE))
         for i, (mass_kg, parcel) in enumerate(zip(masses, self.parcels, strict=True)):
@@ -131,7 +134,7 @@ class Implicit(ThreadedSolver[Work]):
 
     def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
-        surface = surface._replace(springs=self._springs)
+        surface = surface._replace(springs=self._springs, edges=self._edges)
         laws, paces = self._laws, self._paces
         return self._entry.advance_block(
             surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report

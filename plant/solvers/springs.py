@@ -1,4 +1,4 @@
-"""The springs under all parcels, for solvers whose kernels know of springs that are not all equal."""
+"""What effects on the loads hand to kernels, for solvers that know of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from plant.array import CellArray
 from plant.effects.uneven_supports import supports
-from plant.kernels.surface import AllSprings
+from plant.kernels.surface import AllEdges, AllSprings
 from plant.specs import PlantSpec
 
 
@@ -35,3 +35,19 @@ def make_springs(scene: PlantSpec, array: CellArray) -> AllSprings | None:
         span=per_m * float(np.max(np.abs(drawn.height_m))),
         moments=np.zeros((len(scene.parcels), 3)),
     )
+
+
+def make_edges(scene: PlantSpec, capacity: int) -> AllEdges | None:
+    """Room for how much of each cell is under each parcel, None where wheels have no width.
+
+    Kernels compiled from now on know of such wheels, if the scene has them.
+
+    Args:
+        scene: the scene's physics.
+        capacity: cells that fit under any parcel.
+    """
+    wide = scene.effects.contact_width
+    if wide is None:
+        return None
+    import_module("plant.kernels.wheel_edges")
+    return AllEdges(wide.width_m, np.zeros((len(scene.parcels), capacity)))

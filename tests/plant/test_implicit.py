@@ -114,6 +114,30 @@ def test_a_parcel_does_not_change_another_s_bits() -> None:
     assert np.array_equal(alone.state[0], both.state[0])
 
 
+FIELDS = {
+    "elliptic": elliptic,
+    "spiral": lambda plant: plant.array.positions_m @ np.array([[-0.5, 0.5], [-0.5, -0.5]]),
+    "random": lambda plant: np.random.default_rng(4).uniform(-0.5, 0.5, (len(plant.array), 2)),
+}
+
+
+@pytest.mark.parametrize("field", sorted(FIELDS))
+@pytest.mark.parametrize("name", ["coulomb", "cone", "stick_slip"])
+def test_controlled_steps_keep_the_tolerance_where_wheels_disagree_and_stick_and_slip_in_turn(
+    name: str, field: str
+) -> None:
+    ends = {}
+    for steps in ({"tolerance": 1e-6}, {"tolerance": 1e-9}, {"step_s": 4e-5}, {"step_s": 1e-5}):
+        plant = lawful(ALL[name], **steps)
+        plant.advance(FIELDS[field](plant), SECOND // 2)
+        ends[next(iter(steps.values()))] = plant.state[0]
+    assert np.abs(ends[1e-6] - ends[1e-9]).max() < 1e-6
+    # fixed steps know nothing of what controlled ones look for, and come nearer as they shrink
+    coarse, fine = (np.abs(ends[step] - ends[1e-9]).max() for step in (4e-5, 1e-5))
+    assert fine < 5e-5
+    assert fine < 0.6 * coarse
+
+
 # --- the step's problem -------------------------------------------------------------------------------------------
 
 
@@ -239,6 +263,15 @@ def test_a_step_ends_at_the_minimum_of_its_problem(
             method="bvls",
         )
         assert np.sqrt(2.0 * found.cost) <= 1e-9 * problem.c.sum() + rounding
+
+
+def test_a_step_is_solved_where_the_least_potential_is_nearer_to_a_kink_than_rounding() -> None:
+    plant = lawful(COULOMB, step_s=1e-8)
+    state = [0.5597927303347818, 0.48302912566445616, 0.8443149647726723]
+    state += [0.08637637141178221, -0.11555625973844594, -0.4321689180385033]
+    plant._solver.packed.y[0] = state
+    plant.advance(FIELDS["random"](plant), 10)
+    assert plant.state[0] == pytest.approx(state, abs=1e-7)
 
 
 # --- ends ---------------------------------------------------------------------------------------------------------

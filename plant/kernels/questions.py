@@ -1,0 +1,39 @@
+"""Where effects come into kernels: questions that are settled when a kernel is compiled.
+
+A kernel that an effect may change calls a question: a function without a body. Who answers follows from the type of
+the question's first argument, a named tuple one of whose fields is None where the effect is absent: for None one
+function, for everything else another, in a module that only a solver whose scene asks for the effect imports. So no
+kernel asks while it runs, and one without an effect contains nothing of it.
+"""
+
+from __future__ import annotations
+
+from numba import types
+from numba.extending import overload
+
+COMPILED = {"error_model": "numpy", "_nrt": False}
+"""As ``jit.kernel`` does."""
+
+
+def answer(question, part, own):
+    """Let a function answer a question for all first arguments that have a ``part`` of their own, or all that don't.
+
+    Args:
+        question: The function without a body.
+        part: Field of its first argument.
+        own: For which of the two.
+
+    Returns:
+        A decorator of the function, which takes what the question takes.
+    """
+
+    def register(implementation):
+        # not strict: the names of arguments that an answer has no use for need not agree
+        @overload(question, jit_options=COMPILED, strict=False)
+        def resolve(asked, *_):
+            found = dict(zip(asked.fields, asked.types, strict=True))[part]
+            return None if isinstance(found, types.NoneType) == own else implementation
+
+        return implementation
+
+    return register
