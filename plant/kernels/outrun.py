@@ -14,6 +14,9 @@ from plant.kernels.roots import NONE
 from plant.kernels.slips import slip_now, slip_polynomial
 from plant.kernels.turning import direction
 
+STILL = 1e-12
+"""A speed, m/s, that is none: what rounding leaves of a parcel's motion across wheels that stand is no motion."""
+
 
 @kernel
 def carries(parcel, i):
@@ -26,13 +29,13 @@ def carries(parcel, i):
 
 @kernel
 def excess(surface, parcel, e, cell, axis):
-    """By how much the underside is faster than a wheel, along it, and what rounding leaves of that, m/s.
+    """By how much the underside is faster than a wheel, along it, and how much of that is none, m/s.
 
     Beside a wheel that stands any motion is faster.
     """
     slip, zero = slip_now(surface, parcel.y, 1.0, e, cell, axis)
     way = direction(surface.steady[cell, axis], surface.decay[cell, axis], e)
-    return abs(slip) if way == 0.0 else -way * slip, zero
+    return abs(slip) if way == 0.0 else -way * slip, zero + STILL
 
 
 @kernel
@@ -67,7 +70,7 @@ def overtaking(surface, parcel, work, order, cell, axis, end):
         slip_polynomial(surface, parcel.y, 1.0, work.ser, order, cell, axis, g)
         for k in range(order + 1):
             g[k] *= -side if watched else side
-        g[0] += 0.0 if watched else 2.0 * zero
+        g[0] += 0.0 if watched else 2.0 * (zero + STILL)
         first = min(first, crossing(g, order, 0.0, end, work.p))
     return first
 
