@@ -149,6 +149,15 @@ def test_who_waits_is_not_drawn_and_who_has_left_is_drawn_on_its_way_only(
     picture = draw(load(run.record(tmp_path)))
     assert pixels(picture, colour(2)) == 0
     assert 100 < pixels(picture, colour(1)) < pixels(always, colour(1))
+    # only who is still there is filled
+    filled = mpl.colors.to_hex(
+        0.22 * np.array(mpl.colors.to_rgb(colour(1))) + 0.78 * np.array(mpl.colors.to_rgb("#eceff3"))
+    )
+    track = load(tmp_path).track()
+    stays = draw(dataclasses.replace(track, events=COMES_AND_GOES[:1]))
+    leaves = draw(dataclasses.replace(track, events=COMES_AND_GOES))
+    assert _like(stays, filled, 0.01).sum() > 1000
+    assert _like(leaves, filled, 0.01).sum() < 100
 
 
 def test_times_are_shown_from_the_start_to_the_end_whoever_is_there(track: Track) -> None:
