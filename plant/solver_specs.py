@@ -98,7 +98,21 @@ class SciPySpec(Spec):
         return {"name": self.name, "method": self.method, "tolerance": self.tolerance}
 
 
-AnySolver = ExactSpec | ImplicitSpec | QuasiStaticSpec | FixedStepSpec | SciPySpec
+class HeyokaSpec(Spec):
+    """heyoka's Taylor integrator, which isolates its events' roots, to check with."""
+
+    laws: ClassVar[tuple[str, ...] | None] = ("viscous", "rolling")
+    """Which laws it solves; None: all."""
+    name: Literal["heyoka"]
+    tolerance: Annotated[float, Field(ge=1e-16, le=1e-2, allow_inf_nan=False)] = 1e-12
+    """Of a step, relative, in SI units where a value is below 1."""
+
+    def accuracy(self) -> Accuracy:
+        """Name of the solver, and what its accuracy hangs on."""
+        return {"name": self.name, "tolerance": self.tolerance}
+
+
+AnySolver = ExactSpec | ImplicitSpec | QuasiStaticSpec | FixedStepSpec | SciPySpec | HeyokaSpec
 SolverSpec = Annotated[
     Annotated[AnySolver, Field(discriminator="name")], BeforeValidator(tagged("name", "exact"))
 ]

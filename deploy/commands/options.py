@@ -32,7 +32,7 @@ SolverOption = Annotated[
     typer.Option(
         "--solver",
         metavar="NAME",
-        help="Instead of the scene's solver.name: exact, implicit, quasi_static, fixed_step or scipy. "
+        help="Instead of the scene's solver.name: exact, implicit, quasi_static, fixed_step, scipy or heyoka. "
         "What the scene sets for its own solver and NAME doesn't have is left out.",
     ),
 ]

@@ -4,9 +4,18 @@ from __future__ import annotations
 
 from plant.array import CellArray
 from plant.kernels import cache
-from plant.solver_specs import ExactSpec, FixedStepSpec, ImplicitSpec, QuasiStaticSpec, SciPySpec, SolverSpec
+from plant.solver_specs import (
+    ExactSpec,
+    FixedStepSpec,
+    HeyokaSpec,
+    ImplicitSpec,
+    QuasiStaticSpec,
+    SciPySpec,
+    SolverSpec,
+)
 from plant.solvers.exact import Exact
 from plant.solvers.fixed_step import FixedStep
+from plant.solvers.heyoka import Heyoka
 from plant.solvers.implicit import Implicit
 from plant.solvers.quasi_static import QuasiStatic
 from plant.solvers.scipy import SciPy
@@ -46,3 +55,5 @@ def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
             return FixedStep(spec, how, array, rate)
         case SciPySpec() as how:
             return SciPy(spec, how, array)
+        case HeyokaSpec() as how:
+            return Heyoka(spec, how, array, rate)

@@ -19,13 +19,16 @@ SOLVERS: dict[str, dict[str, object]] = {
     "euler": {"name": "fixed_step", "method": "euler", "step_s": 1e-5},
     "rk4": {"name": "fixed_step", "step_s": 1e-4},
     "scipy": {"name": "scipy", "method": "RK45", "tolerance": 1e-10},
+    "heyoka": {"name": "heyoka", "tolerance": 1e-12},
 }
-OFF = {"euler": 1e-5, "rk4": 1e-5, "scipy": 1e-8}
+OFF = {"euler": 1e-5, "rk4": 1e-5, "scipy": 1e-8, "heyoka": 1e-10}
 """How far any entry of the state may be off."""
 
 
 @pytest.fixture(params=SOLVERS)
 def name(request: pytest.FixtureRequest) -> str:
+    if request.param == "heyoka":
+        pytest.importorskip("heyoka")
     return request.param
 
 
