@@ -46,7 +46,8 @@ class Claim(Enum):
     LAGS = "wheels that lag behind their command, however short the lag is against a step"
     FAR = "the same digits a thousand kilometres away, but for those of the place"
     SYMMETRY = "what space does not change, the motion does not change; symmetric scenes stay so to 1e-12"
-    FAILURES = "a motion that has no numbers any more ends, and says where and when"
+    FAILURES = "a motion that is given no number ends, and says where and when"
+    FINALITY = "a motion too fast for numbers ends as one, and what has failed stays failed"
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,7 @@ UNPROMISED = "errors fall with the step, but no figure is promised for one"
 STEPWISE = "its tolerance is that of a step: what errors come to over a run is not said"
 SECOND_S = "its tolerance is that of a second of motion: far shorter and longer ones are not meant"
 TOO_FAR = "what a step may be off by is less than the rounding of such a place; it does not get on"
+THROWN = "a parcel too fast for its steps is thrown off the array in one of them"
 GIVEN = "the length of its steps is given"
 FOLLOWS = "follows chatter through step by step; nothing replaces its limit"
 
@@ -122,6 +124,7 @@ SOLVERS = {
             Claim.LAGS: "after a rest, a step may be longer than the motors' transient, and not see it",
             Claim.FAR: TOO_FAR,
             Claim.FAILURES: LOST,
+            Claim.FINALITY: THROWN,
         },
     ),
     "implicit, fixed steps": Solver(
@@ -134,11 +137,13 @@ SOLVERS = {
             Claim.LAGS: GIVEN,
             Claim.SCALES: GIVEN,
             Claim.FAILURES: LOST,
+            Claim.FINALITY: THROWN,
         },
     ),
     "fixed_step": Solver(
-        settings={"name": "fixed_step", "method": "rk4", "step_s": 1e-3},
+        settings={"name": "fixed_step", "method": "rk4", "step_s": 1e-2},
         declines={
+            Claim.FINALITY: THROWN,
             Claim.MOTION: UNPROMISED,
             Claim.PACE: GIVEN,
             Claim.EVENTS: LOOKS,
@@ -152,7 +157,10 @@ SOLVERS = {
     ),
     "quasi_static": Solver(
         settings={"name": "quasi_static"},
+        error_m=1e-6,
         declines={
+            Claim.FAILURES: "ends, but the place is lost with the numbers",
+            Claim.FINALITY: THROWN,
             Claim.MOTION: "leaves inertia out: it is another motion, near the true one where that is slow",
             Claim.ORDER: STEPLESS,
             Claim.EVENTS: LOOKS,
@@ -170,6 +178,7 @@ SOLVERS = {
         settings={"name": "scipy"},
         package="scipy",
         declines={
+            Claim.FINALITY: "starts afresh each time that it is called",
             Claim.MOTION: STEPWISE,
             Claim.PACE: "no step of its own is promised to be long",
             Claim.ORDER: STEPLESS,
@@ -226,11 +235,15 @@ def claiming(*needed: Claim, laws: list[str] | None = None) -> Callable[[Case], 
 def claims_table() -> str:
     """Which solver claims what, and why not, as the page about the hard cases shows it."""
     rows = [["claim", *SOLVERS], ["---"] * (1 + len(SOLVERS))]
-    rows += [
-        [
-            f"{claim.name.lower()}: {claim.value}",
-            *(one.declines.get(claim, "yes") for one in SOLVERS.values()),
-        ]
-        for claim in Claim
-    ]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    for claim in Claim:
+        made = ["yes" if one.claims(claim) else "no" for one in SOLVERS.values()]
+        rows.append([f"*{claim.name.lower()}*: {claim.value}", *made])
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    reasons: list[str] = []
+    for name, solver in SOLVERS.items():
+        why: dict[str, list[str]] = {}
+        for claim, reason in solver.declines.items():
+            why.setdefault(reason, []).append(f"*{claim.name.lower()}*")
+        told = "; ".join(f"{', '.join(claims)}: {reason}" for reason, claims in why.items())
+        reasons.append(f"- `{name}` does not claim {told}.")
+    return table + "\n\nWhy not:\n\n" + "\n".join(reasons)
