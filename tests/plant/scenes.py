@@ -14,6 +14,7 @@ from plant.friction.viscous import Viscous
 from plant.kernels import layout
 from plant.plant import Plant
 from plant.solver_specs import ExactSpec
+from plant.solvers.restarted import RestartedSolver
 from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 from tests.plant.reference import Bench
 
@@ -78,16 +79,23 @@ def bench(plant: Plant, drives: Floats, index: int = 0, mu: float = MU, **settin
 
 def members(plant: Plant, index: int = 0) -> NDArray[np.int64]:
     """Cells that the plant takes to lie under a parcel."""
-    inner = plant._solver.parcels[index]
-    return np.sort(inner.mem[: inner.ctl[layout.N_MEMBERS], layout.CELL]).astype(np.int64)
+    return np.sort(plant._solver.under(index))
 
 
 def loads(plant: Plant) -> tuple[NDArray[np.int64], Floats]:
     """Cells under the parcel of a plant of one parcel, and the share of its weight on each, as the solver has them."""
-    inner, work = plant._solver.parcels[0], plant._solver.desk(0).work
+    solver, place = plant._solver, plant.state[0, :2]
+    if isinstance(solver, RestartedSolver):
+        (moving,) = solver._parcels
+        supports = moving.supports
+        assert supports is not None
+        share = supports.plane @ np.array([1.0, *(place - supports.centroid_m)])
+        return moving.under, np.where(supports.carrying, share, 0.0)
+    inner, work = solver.parcels[0], solver.desk(0).work
+    work = getattr(work, "pulls", work)
     seg = work.segs[0] if hasattr(work, "segs") else work.seg
     listed = inner.mem[: inner.ctl[layout.N_MEMBERS]]
-    offset = plant.array.positions_m[listed[:, layout.CELL]] - inner.y[:2] - seg[[layout.CX, layout.CY]]
+    offset = plant.array.positions_m[listed[:, layout.CELL]] - place - seg[[layout.CX, layout.CY]]
     inverse = np.array([[seg[layout.PXX], seg[layout.PXY]], [seg[layout.PXY], seg[layout.PYY]]])
     share = 1.0 / seg[layout.N_ACTIVE] + offset @ inverse @ -seg[[layout.CX, layout.CY]]
     share[listed[:, layout.MARK] != layout.ACTIVE] = 0.0

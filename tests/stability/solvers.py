@@ -19,9 +19,9 @@ from plant.friction.registry import FrictionSpec
 from plant.kernels import layout
 from plant.plant import Plant
 from plant.solver_specs import SolverSpec
-from plant.specs import ParcelSpec, PlantSpec
+from plant.specs import ParcelSpec
 from tests.plant.laws import LAWS, VISCOUS
-from tests.plant.scenes import spec
+from tests.plant.scenes import solved
 
 LEVER_M = 0.1
 """No parcel of the scenes here is smaller: an error at the footprint over this is the most that its angle is off."""
@@ -46,7 +46,8 @@ class Claim(Enum):
     LAGS = "wheels that lag behind their command, however short the lag is against a step"
     FAR = "the same digits a thousand kilometres away, but for those of the place"
     SYMMETRY = "what space does not change, the motion does not change; symmetric scenes stay so to 1e-12"
-    FAILURES = "a motion that has no numbers any more ends, and says where and when"
+    FAILURES = "a motion that is given no number ends, and says where and when"
+    FINALITY = "a motion too fast for numbers ends as one, and what has failed stays failed"
 
 
 @dataclass(frozen=True)
@@ -81,16 +82,9 @@ class Solver:
         """By how much an entry of the state may be off after ``span_s``; ``rounding`` is the least there can be."""
         return max(rounding, self.error_m * span_s / LEVER_M)
 
-    def spec(self, *parcels: ParcelSpec, law: FrictionSpec | None = None, **scene: Any) -> PlantSpec:
-        """A scene of ``tests.plant.scenes.spec`` for this solver; ``solver`` holds what is set otherwise."""
-        settings = self.settings | dict(scene.pop("solver", {}))
-        plain = spec(*parcels, **scene)
-        friction = plain.friction if law is None else law
-        return PlantSpec.model_validate(dict(plain) | {"friction": friction, "solver": settings})
-
     def plant(self, *parcels: ParcelSpec, law: FrictionSpec | None = None, **scene: Any) -> Plant:
-        """A plant of the scene that ``spec`` describes."""
-        return Plant(self.spec(*parcels, law=law, **scene))
+        """A plant of a scene of ``tests.plant.scenes.spec``; ``solver`` holds what of its table is set otherwise."""
+        return solved(self.settings | dict(scene.pop("solver", {})), *parcels, law=law, **scene)
 
     def steps(self, plant: Plant) -> int:
         """How many steps a plant of one parcel has taken so far."""
@@ -103,6 +97,12 @@ SPEC: TypeAdapter[Any] = TypeAdapter(SolverSpec)
 LOOKS = "looks at supports at the ends of its steps: what begins and ends within one is not seen"
 LOST = "ends, but the place is lost with the numbers; an infinite speed of a wheel is taken for none"
 STEPLESS = "takes what steps its tolerance asks"
+EXPLICIT = "is explicit: steps too long for the friction throw a parcel back"
+UNPROMISED = "errors fall with the step, but no figure is promised for one"
+STEPWISE = "its tolerance is that of a step: what errors come to over a run is not said"
+SECOND_S = "its tolerance is that of a second of motion: far shorter and longer ones are not meant"
+TOO_FAR = "what a step may be off by is less than the rounding of such a place; it does not get on"
+THROWN = "a parcel too fast for its steps is thrown off the array in one of them"
 GIVEN = "the length of its steps is given"
 FOLLOWS = "follows chatter through step by step; nothing replaces its limit"
 
@@ -120,22 +120,77 @@ SOLVERS = {
             Claim.EVENTS: LOOKS,
             Claim.CHATTER: FOLLOWS,
             Claim.ENERGY: "extrapolates from steps of several lengths, which only each by itself never adds any",
-            Claim.SCALES: "its tolerance is that of a second of motion: far shorter and longer ones are not meant",
+            Claim.SCALES: SECOND_S,
             Claim.LAGS: "after a rest, a step may be longer than the motors' transient, and not see it",
-            Claim.FAR: "what a step may be off by is less than the rounding of such a place; it does not get on",
+            Claim.FAR: TOO_FAR,
             Claim.FAILURES: LOST,
+            Claim.FINALITY: THROWN,
         },
     ),
     "implicit, fixed steps": Solver(
         settings={"name": "implicit", "step_s": 1e-2},
         declines={
-            Claim.MOTION: "errors fall with the step, but no figure is promised for one",
+            Claim.MOTION: UNPROMISED,
             Claim.PACE: GIVEN,
             Claim.EVENTS: LOOKS,
             Claim.CHATTER: FOLLOWS,
             Claim.LAGS: GIVEN,
             Claim.SCALES: GIVEN,
             Claim.FAILURES: LOST,
+            Claim.FINALITY: THROWN,
+        },
+    ),
+    "fixed_step": Solver(
+        settings={"name": "fixed_step", "method": "rk4", "step_s": 1e-2},
+        declines={
+            Claim.FINALITY: THROWN,
+            Claim.MOTION: UNPROMISED,
+            Claim.PACE: GIVEN,
+            Claim.EVENTS: LOOKS,
+            Claim.CHATTER: FOLLOWS,
+            Claim.STICKING: "steps back and forth over the velocity at which it should stick",
+            Claim.ENERGY: EXPLICIT,
+            Claim.STIFFNESS: EXPLICIT,
+            Claim.LAGS: GIVEN,
+            Claim.SCALES: GIVEN,
+        },
+    ),
+    "quasi_static": Solver(
+        settings={"name": "quasi_static"},
+        error_m=1e-6,
+        declines={
+            Claim.FAILURES: "ends, but the place is lost with the numbers",
+            Claim.FINALITY: THROWN,
+            Claim.MOTION: "leaves inertia out: it is another motion, near the true one where that is slow",
+            Claim.ORDER: STEPLESS,
+            Claim.EVENTS: LOOKS,
+            Claim.CHATTER: FOLLOWS,
+            Claim.STICKING: "has no velocity to take on its wheels': it runs with them from the start",
+            Claim.ENERGY: "has no kinetic energy to lose",
+            Claim.STIFFNESS: "leaves inertia out",
+            Claim.LAGS: "leaves inertia out",
+            Claim.SCALES: SECOND_S,
+            Claim.SYMMETRY: "its steps are right to the tolerance, no symmetry beyond that is promised",
+            Claim.FAR: TOO_FAR,
+        },
+    ),
+    "scipy": Solver(
+        settings={"name": "scipy"},
+        package="scipy",
+        declines={
+            Claim.FINALITY: "starts afresh each time that it is called",
+            Claim.MOTION: STEPWISE,
+            Claim.PACE: "no step of its own is promised to be long",
+            Claim.ORDER: STEPLESS,
+            Claim.EVENTS: "looks at signs at the ends of its steps: two crossings within one are none to it",
+            Claim.CHATTER: "locates crossing after crossing",
+            Claim.STICKING: "solves no law whose force is set-valued",
+            Claim.ENERGY: STEPWISE,
+            Claim.STIFFNESS: EXPLICIT,
+            Claim.LAGS: STEPWISE,
+            Claim.SCALES: STEPWISE,
+            Claim.SYMMETRY: STEPWISE,
+            Claim.FAR: STEPWISE,
         },
     ),
 }
@@ -180,11 +235,15 @@ def claiming(*needed: Claim, laws: list[str] | None = None) -> Callable[[Case], 
 def claims_table() -> str:
     """Which solver claims what, and why not, as the page about the hard cases shows it."""
     rows = [["claim", *SOLVERS], ["---"] * (1 + len(SOLVERS))]
-    rows += [
-        [
-            f"{claim.name.lower()}: {claim.value}",
-            *(one.declines.get(claim, "yes") for one in SOLVERS.values()),
-        ]
-        for claim in Claim
-    ]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    for claim in Claim:
+        made = ["yes" if one.claims(claim) else "no" for one in SOLVERS.values()]
+        rows.append([f"*{claim.name.lower()}*: {claim.value}", *made])
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    reasons: list[str] = []
+    for name, solver in SOLVERS.items():
+        why: dict[str, list[str]] = {}
+        for claim, reason in solver.declines.items():
+            why.setdefault(reason, []).append(f"*{claim.name.lower()}*")
+        told = "; ".join(f"{', '.join(claims)}: {reason}" for reason, claims in why.items())
+        reasons.append(f"- `{name}` does not claim {told}.")
+    return table + "\n\nWhy not:\n\n" + "\n".join(reasons)

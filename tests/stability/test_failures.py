@@ -66,7 +66,7 @@ def test_a_wheel_under_no_parcel_may_be_told_anything(solver: Solver) -> None:
     assert np.array_equal(plain.state, odd.state)
 
 
-@claiming(Claim.FAILURES)
+@claiming(Claim.FINALITY)
 def test_a_motion_that_has_failed_stays_failed(solver: Solver) -> None:
     """H17, the silent reset: drives that are numbers again don't bring a motion back that has none."""
     plant = solver.plant(parcel())
@@ -80,7 +80,7 @@ def test_a_motion_that_has_failed_stays_failed(solver: Solver) -> None:
     assert plant.time_ns == 0
 
 
-@claiming(Claim.FAILURES)
+@claiming(Claim.FINALITY)
 @pytest.mark.parametrize("speed", [1e160, 1e300])
 def test_a_motion_too_fast_for_numbers_ends_where_numbers_do(solver: Solver, speed: float) -> None:
     """H17, blow-up with stiff supports: products of such speeds overflow."""
@@ -91,7 +91,7 @@ def test_a_motion_too_fast_for_numbers_ends_where_numbers_do(solver: Solver, spe
     assert np.all(np.isfinite(plant.state))
 
 
-@claiming(Claim.FAILURES)
+@claiming(Claim.FINALITY)
 def test_a_scene_that_runs_away_ends_with_the_status_unstable(solver: Solver, tmp_path: Path) -> None:
     """H17 for who runs a scene: the summary says so, where and when, and holds what was reached before."""
     field = {"kind": "uniform", "velocity_m_s": [1e300, 0.0]}

@@ -50,7 +50,8 @@ def test_ticks_on_stopped_wheels_move_a_parcel_by_nothing(solver: Solver) -> Non
     assert np.array_equal(plant.state, before)
     assert plant.status[0].state == "at_rest"
     assert plant.status[0].time_s <= TICK_NS * 1e-9
-    assert solver.steps(plant) < 2 * 500
+    if solver.claims(Claim.PACE):
+        assert solver.steps(plant) < 2 * 500
 
 
 @claiming(Claim.REST, Claim.PACE)
