@@ -16,7 +16,7 @@ from plant.friction.coulomb import Coulomb
 from plant.friction.registry import FrictionSpec
 from plant.friction.stick_slip import StickSlip
 from plant.plant import Plant
-from tests.plant.laws import ALL, COULOMB, SLIDING, VISCOUS, drive
+from tests.plant.laws import COULOMB, SLIDING, VISCOUS
 from tests.plant.reference import balances
 from tests.plant.scenes import (
     SECOND,
@@ -31,6 +31,7 @@ from tests.plant.scenes import (
     spec,
     study,
 )
+from tests.plant.test_laws import ALL, drive
 
 BODY = parcel(position_m=(0.05, 0.03), angle_rad=0.4, velocity_m_s=(0.1, -0.05), angular_velocity_rad_s=0.5)
 
