@@ -20,7 +20,8 @@ Floats = NDArray[np.float64]
 def balances(points: Floats, centre: Floats) -> Floats:
     """The ``(3, n)`` rows of force and both moments about ``centre``, lengths in units of the points' spread."""
     offset = points - centre
-    scale = max(float(np.max(np.abs(offset))), 1e-30)
+    # the lever of one support right under the centre is rounding
+    scale = max(float(np.max(np.abs(offset))), 1e-3)
     return np.vstack([np.ones(len(points)), offset.T / scale])
 
 
