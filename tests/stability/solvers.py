@@ -103,6 +103,7 @@ STEPWISE = "its tolerance is that of a step: what errors come to over a run is n
 SECOND_S = "its tolerance is that of a second of motion: far shorter and longer ones are not meant"
 TOO_FAR = "what a step may be off by is less than the rounding of such a place; it does not get on"
 THROWN = "a parcel too fast for its steps is thrown off the array in one of them"
+ELSEWHERE = "takes seconds to compile for every plant, and is compared with exact where it has its own tests"
 GIVEN = "the length of its steps is given"
 FOLLOWS = "follows chatter through step by step; nothing replaces its limit"
 
@@ -191,6 +192,27 @@ SOLVERS = {
             Claim.SCALES: STEPWISE,
             Claim.SYMMETRY: STEPWISE,
             Claim.FAR: STEPWISE,
+        },
+    ),
+    "heyoka": Solver(
+        settings={"name": "heyoka"},
+        package="heyoka",
+        declines={
+            Claim.EVENTS: ELSEWHERE,
+            Claim.LOADS: ELSEWHERE,
+            Claim.REST: STEPWISE,
+            Claim.MOTION: STEPWISE,
+            Claim.PACE: "no step of its own is promised to be long",
+            Claim.ORDER: STEPLESS,
+            Claim.CHATTER: "locates crossing after crossing",
+            Claim.STICKING: "solves no law whose force is set-valued",
+            Claim.ENERGY: STEPWISE,
+            Claim.STIFFNESS: EXPLICIT,
+            Claim.LAGS: STEPWISE,
+            Claim.SCALES: STEPWISE,
+            Claim.SYMMETRY: STEPWISE,
+            Claim.FAR: STEPWISE,
+            Claim.FINALITY: "starts afresh each time that it is called",
         },
     ),
 }
