@@ -132,6 +132,7 @@ class Recording:
             wheel_speeds=self.held_wheel_speeds.at(-1) if len(self.tick) else None,
             events=self.events,
             faults=self.faults,
+            rails_m=((header["scene"].get("effects") or {}).get("parcel_contact") or {}).get("rails", ()),
             status=self.status,
             digest=self.digest,
         )
