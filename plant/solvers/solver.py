@@ -140,7 +140,7 @@ class Solver(Protocol):
 
 
 class Rewindable(Solver, Protocol):
-    """A solver that can take parcels back to where they were, and elsewhere: what effects that act between them need."""
+    """A solver that can take parcels back to where they were, and elsewhere: for effects that act between parcels."""
 
     def keep(self, indices: NDArray[np.int64]) -> Kept:
         """All that moving these parcels changes, to be able to go back."""
