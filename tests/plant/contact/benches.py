@@ -32,10 +32,11 @@ def box(x: float, y: float, angle: float = 0.0, **values: object) -> ParcelSpec:
 
 
 def plant(
-    *parcels: ParcelSpec, mu: float = FREE, across: int = 20, implicit: float | None = None, **rules: object
+    *parcels: ParcelSpec, mu: float = FREE, fine: bool = False, implicit: float | None = None, **rules: object
 ) -> Plant:
-    """A plant with the effect, ``across`` cells each way; ``implicit`` is that solver's step, s."""
-    values = dict(spec(*parcels, mu=mu, rows=across, columns=across)) | {
+    """A plant with the effect; ``fine`` cells carry small parcels anywhere; ``implicit`` is that solver's step, s."""
+    across, pitch_m = (120, 0.04) if fine else (20, 0.1)
+    values = dict(spec(*parcels, mu=mu, rows=across, columns=across, pitch_m=pitch_m)) | {
         "effects": EffectsSpec(parcel_contact=ParcelContactSpec.model_validate(rules))
     }
     if implicit is not None:

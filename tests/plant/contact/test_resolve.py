@@ -98,7 +98,7 @@ def test_parcels_thrown_at_each_other_keep_their_momentum_gain_no_energy_and_nev
         )
         for (x, y), (turn, a, b, vx, vy, omega) in zip(places, thrown, strict=True)
     )
-    bench = plant(*parcels, across=60, restitution=restitution, friction=friction)
+    bench = plant(*parcels, fine=True, restitution=restitution, friction=friction)
     mass = np.array([one.mass_kg for one in parcels])
     had, before = energy(bench, parcels), mass @ bench.state[:, 3:5]
     for _ in ticks(bench, still(bench), 150):
@@ -106,6 +106,7 @@ def test_parcels_thrown_at_each_other_keep_their_momentum_gain_no_energy_and_nev
         assert now <= had * (1.0 + 1e-11)
         assert least_gap(bench) >= 0.0
         had = now
+    assert {one.state for one in bench.status} <= {"moving", "at_rest"}
     assert mass @ bench.state[:, 3:5] == pytest.approx(before, abs=1e-10)
 
 
