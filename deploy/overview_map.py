@@ -26,6 +26,7 @@ _CELL = "#eceff3"
 _CELL_LARGE = "#f3f5f8"
 _ARROW = "#7d8a9a"
 _EXIT = "#4b7a3f"
+RAIL = "#3a424d"
 
 _SQUARES = 2500
 """Up to this many cells each is a square of its own; beyond, gaps would be under a pixel."""
@@ -71,6 +72,8 @@ def draw_map(axes: Axes, track: Track) -> None:
     _draw_arrows(axes, track)
     _draw_lost(axes, track)
     _draw_exits(axes, track)
+    for rail in track.rails_m:
+        axes.fill(*np.array(rail).T, fc=RAIL, ec=RAIL, lw=2.4, joinstyle="round", zorder=2.8)
     for parcel in range(len(track.footprints_m)):
         _draw_parcel(axes, track, parcel)
     _draw_incidents(axes, track)

@@ -132,6 +132,7 @@ class Recording:
             wheel_speeds=self.held_wheel_speeds.at(-1) if len(self.tick) else None,
             events=self.events,
             faults=self.faults,
+            rails_m=_rails(header["scene"]),
             status=self.status,
             digest=self.digest,
         )
@@ -190,6 +191,13 @@ def _load(path: Path) -> Recording:
         digest=end.get("digest"),
         **rows.arrays(header),
     )
+
+
+def _rails(scene: dict[str, Any]) -> Sequence[Sequence[tuple[float, float]]]:
+    """Corners of a scene's guide rails."""
+    effects: dict[str, Any] = scene.get("effects") or {}
+    contact: dict[str, Any] = effects.get("parcel_contact") or {}
+    return contact.get("rails", ())
 
 
 def _header(path: Path, values: dict[str, str]) -> Header:

@@ -204,6 +204,7 @@ class _Simulation:
             exits=exits(scene),
             events=events,
             faults=self.faults,
+            rails_m=scene.effects.rails_m(),
             status=self.status,
             digest=digest,
         )

@@ -30,6 +30,7 @@ class Track:
         exits: Where parcels leave.
         events: Events of the plant, each at least ``time_s`` and ``kind``; ``parcel`` where it has one.
         faults: Faults, each at least ``time_s`` and ``kind``; ``cell`` where it has one.
+        rails_m: Corners of each fixed guide rail.
         status: How the run ended; None where that is not known.
         digest: Of the run, in hexadecimal; None where there is none.
     """
@@ -46,6 +47,7 @@ class Track:
     exits: Sequence[Exit] = ()
     events: Sequence[Mapping[str, Any]] = ()
     faults: Sequence[Mapping[str, Any]] = ()
+    rails_m: Sequence[Sequence[tuple[float, float]]] = ()
     status: str | None = None
     digest: str | None = None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import field_validator, model_validator
 
 from bus.spec import Finite, Positive, Spec, Vector
-from plant.geometry import PolygonError, check_convex, rectangle
+from plant.geometry import PolygonError, check_convex, polar_moment_per_mass, rectangle
 
 
 class PolygonSpec(Spec):
@@ -52,3 +52,7 @@ class ParcelSpec(PolygonSpec):
     angle_rad: Finite = 0.0
     velocity_m_s: Vector = (0.0, 0.0)
     angular_velocity_rad_s: Finite = 0.0
+
+    def moment_of_inertia_kg_m2(self) -> float:
+        """About the centre of mass: as given, or a uniform plate's about its centroid."""
+        return self.inertia_kg_m2 or self.mass_kg * polar_moment_per_mass(self.polygon())

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, final
+from typing import Literal, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant.array import CellArray
+from plant.contact.mover import ContactMover
 from plant.effects.motors import Motors
 from plant.errors import PlantError, PlantUnstable
 from plant.overlap import OverlapWatch
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
-from plant.solvers.solver import Advance, Solver, SolverEvent
+from plant.solvers.solver import Advance, Rewindable, Solver, SolverEvent
 from plant.specs import PlantSpec
 from plant.start import check_places, check_standing
 from plant.traffic import Traffic
@@ -68,6 +69,11 @@ class Plant:
         check_places(spec, self.state, self._overlaps, self._traffic)
         self._live = self._there
         """Those of them that move: neither tipped nor off the array."""
+        self._contact: ContactMover | None = None
+        if spec.effects.parcel_contact is not None:
+            # the spec lets only solvers be chosen that can go back
+            self._contact = ContactMover(spec, spec.effects.parcel_contact, cast("Rewindable", self._solver))
+            self._contact.check_start(self._there)
         self._untold = [] if self._traffic is None else self._look(self._traffic, 0)
 
     @property
@@ -138,7 +144,8 @@ class Plant:
         if self._traffic is not None:
             events = [*self._untold, *events, *self._look(self._traffic, until_ns)]
             self._untold = []
-        events.extend(self._meetings(after, until_ns * 1e-9))
+        if self._contact is None:
+            events.extend(self._meetings(after, until_ns * 1e-9))
         return events
 
     def _look(self, traffic: Traffic, time_ns: int) -> list[Event]:
@@ -152,7 +159,7 @@ class Plant:
     def trajectory(self, drives: Floats, until_ns: int, sample_ns: int) -> Trajectory:
         """Move on to ``until_ns`` in one go with constant drives, and look at the parcels every ``sample_ns``.
 
-        Where parcels come and go it goes from sample to sample, as `advance` would: who is there hangs on them.
+        Where parcels come and go, or push each other, it goes from sample to sample, as `advance` would.
 
         Raises:
             PlantUnstable: the motion of a parcel can't be followed.
@@ -163,13 +170,14 @@ class Plant:
         start_ns = self._now_ns
         state = np.empty((len(times), len(self._solver.bodies), 6))
         state[0] = self.state
-        if self._traffic is not None:
+        if self._traffic is not None or (self._contact is not None and self._contact.resolves):
             return Trajectory(times, state, self._step_by_step(drives, times, state))
         after_s: Floats = (times[1:] - start_ns).astype(np.float64) * 1e-9
         events = self._move(drives, until_ns, after_s, state)
         self._note_rest(state, times)
-        for k in self._overlaps.close_calls(state):
-            events.extend(self._meetings(state[k], float(times[k]) * 1e-9))
+        if self._contact is None:
+            for k in self._overlaps.close_calls(state):
+                events.extend(self._meetings(state[k], float(times[k]) * 1e-9))
         events.sort(key=lambda event: event.time_s)
         return Trajectory(times, state, events)
 
@@ -198,7 +206,13 @@ class Plant:
         live = self._live
         out = self._nothing if samples is None else samples[1:]
         events: list[Event] = []
-        for done in self._solver.advance(live, motion, self._grip, span, times_s, out):
+        if self._contact is None:
+            news = self._solver.advance(live, motion, self._grip, span, times_s, out)
+        else:
+            fixed = self._there[[self.status[int(i)].state == "tipped" for i in self._there]]
+            news = self._contact.advance(live, fixed, motion, self._grip, start, span, times_s, out)
+            events += self._contact.events()
+        for done in news:
             events.extend(self._news(done, start, times_s, out))
         if samples is not None:
             over = np.setdiff1d(self._there, live)

@@ -34,7 +34,8 @@ class Event(NamedTuple):
         time_s: when.
         kind: ``support_gained``, ``support_lost``, ``load_vanished``, ``load_returned``, ``captured``, ``released``,
             ``outrun`` (a parcel outruns a wheel though its law says that none does), ``tipped``, ``off_array``,
-            ``overlap``, ``apart``, ``fed``, ``held_back`` (a parcel is due where there is no room) or ``left``.
+            ``overlap``, ``contact``, ``apart``, ``fed``, ``held_back`` (a parcel is due where there is no room) or
+            ``left``.
         parcel: index of the parcel.
         cells: ``(row, column)`` of the cells concerned.
         position_m: where.

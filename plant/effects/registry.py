@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from bus.spec import Spec
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.effect import EffectSpec
 from plant.effects.feeders import FeedersSpec
 from plant.effects.motors import MotorsSpec
+from plant.effects.parcel_contact import ParcelContactSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 
 
@@ -19,6 +20,7 @@ class EffectsSpec(Spec):
     uneven_supports: UnevenSupportsSpec | None = None
     contact_width: ContactWidthSpec | None = None
     feeders: FeedersSpec | None = None
+    parcel_contact: ParcelContactSpec | None = None
 
     def asked(self) -> Iterator[tuple[str, EffectSpec]]:
         """Name and settings of the effects that are there."""
@@ -26,3 +28,7 @@ class EffectsSpec(Spec):
             effect = getattr(self, name)
             if effect is not None:
                 yield name, effect
+
+    def rails_m(self) -> Sequence[Sequence[tuple[float, float]]]:
+        """Corners of each guide rail that stands on the array, m."""
+        return () if self.parcel_contact is None else self.parcel_contact.rails

@@ -11,9 +11,13 @@ from typing import Final
 ZERO: Final = 0
 """Where a count starts. A number or truth value written out in a kernel is a type of its own to the compiler, which
 compiles what is called with it once more; a named one is not."""
+ONE: Final = 1
 NO_CELL: Final = -1
 COMPLETE: Final = True
 UNDONE: Final = False
+NOTHING: Final = 0.0
+FORWARD: Final = 1.0
+BACKWARD: Final = -1.0
 
 MAX_ORDER: Final = 22
 """Highest Taylor order of a step."""

@@ -55,9 +55,8 @@ def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:
     vertices = corners - np.array(centre)
     normal, offset = geometry.edges(vertices)
     radius = float(np.max(np.hypot(vertices[:, 0], vertices[:, 1])))
-    inertia = spec.inertia_kg_m2 or spec.mass_kg * geometry.polar_moment_per_mass(spec.polygon())
     par = np.zeros(layout.PAR_SIZE)
-    par[layout.MASS_OVER_INERTIA] = spec.mass_kg / inertia
+    par[layout.MASS_OVER_INERTIA] = spec.mass_kg / spec.moment_of_inertia_kg_m2()
     par[layout.RADIUS] = radius
     par[layout.PITCH] = array.pitch_m
     par[layout.ORIGIN_X], par[layout.ORIGIN_Y] = array.origin_m
@@ -75,18 +74,19 @@ def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:
         ctl=np.zeros(layout.CTL_SIZE, dtype=np.int64),
     )
     parcel.ctl[layout.CULPRIT] = layout.NO_CELL
-    _find_members(parcel, array)
+    find_members(parcel, array)
     return parcel
 
 
-def _find_members(parcel: Parcel, array: CellArray) -> None:
-    """Cells under the parcel at its start, the boundary included."""
+def find_members(parcel: Parcel, array: CellArray) -> None:
+    """Find the cells under the parcel where it is, the boundary included; each carries load until found otherwise."""
     near = _cells_within(array, parcel.y[:2], float(parcel.par[layout.RADIUS]))
     c, s = math.cos(parcel.y[layout.THETA]), math.sin(parcel.y[layout.THETA])
     offset = array.positions_m[near] - parcel.y[:2]
     body = np.stack([c * offset[:, 0] + s * offset[:, 1], -s * offset[:, 0] + c * offset[:, 1]], axis=1)
     depth = np.min(parcel.offset - body @ parcel.normal.T, axis=1)
     under = near[depth >= -parcel.par[layout.ON_SURFACE]]
+    parcel.mem[: len(under)] = 0
     parcel.mem[: len(under), layout.CELL] = under
     parcel.ctl[layout.N_MEMBERS] = len(under)
 

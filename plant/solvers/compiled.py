@@ -13,8 +13,8 @@ from plant.array import CellArray
 from plant.kernels import layout
 from plant.kernels.parcels import Parcel, Parcels
 from plant.kernels.surface import Surface
-from plant.solvers.bodies import ENDINGS, SensorCover, body_of, make_parcel, members, pack
-from plant.solvers.solver import Advance, Body, SolverEvent
+from plant.solvers.bodies import ENDINGS, SensorCover, body_of, find_members, make_parcel, members, pack
+from plant.solvers.solver import Advance, Body, Kept, SolverEvent
 from plant.specs import ParcelSpec
 from plant.wheels import Floats, WheelMotion
 
@@ -59,6 +59,31 @@ class CompiledSolver(ABC):
         out = np.zeros((0, len(self.parcels), 6))
         news = self.advance(np.array([index]), still, grip, 0.0, np.zeros(0), out)
         return not news or news[0].ending == "moving"
+
+    def _memory(self) -> Sequence[NDArray[Any]]:
+        """Arrays with a row a parcel that moving it changes."""
+        return self.packed.y, self.packed.par, self.packed.ctl
+
+    def keep(self, indices: NDArray[np.int64]) -> Kept:
+        """All that moving these parcels changes, to be able to go back."""
+        parcels = [self.parcels[int(i)] for i in indices]
+        members = [parcel.mem[: int(parcel.ctl[layout.N_MEMBERS])].copy() for parcel in parcels]
+        return Kept(indices, [rows[indices] for rows in self._memory()], members)
+
+    def restore(self, kept: Kept) -> None:
+        """Go back to what was kept, bit for bit."""
+        for rows, before in zip(self._memory(), kept.rows, strict=True):
+            rows[kept.indices] = before
+        parcels = [self.parcels[int(i)] for i in kept.indices]
+        for parcel, before in zip(parcels, kept.members, strict=True):
+            parcel.mem[: len(before)] = before
+
+    def put(self, index: int, state: Floats) -> None:
+        """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
+        parcel = self.parcels[index]
+        parcel.y[:] = state
+        parcel.ctl[[layout.N_GROUPS, layout.N_CROSSED]] = 0
+        find_members(parcel, self._array)
 
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under those parcels."""

@@ -10,6 +10,7 @@ limit of their traction, ``capture`` for chatter.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -127,6 +128,9 @@ class Exact(ThreadedSolver[Work]):
 
     def _make_work(self) -> Work:
         return make_work(len(self._array), self.capacity)
+
+    def _memory(self) -> Sequence[NDArray[Any]]:
+        return *super()._memory(), self._allowance
 
     def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
         surface, span_s, times_s, out = errand

@@ -7,6 +7,7 @@ does so exactly. See ``plant/kernels``: ``implicit_step`` for that problem, ``im
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -131,6 +132,9 @@ class Implicit(ThreadedSolver[Work]):
 
     def _make_work(self) -> Work:
         return make_work(len(self._array), self.capacity)
+
+    def _memory(self) -> Sequence[NDArray[Any]]:
+        return *super()._memory(), self._paces
 
     def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
         surface, span_s, times_s, out = errand

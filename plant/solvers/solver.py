@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,20 @@ class Advance(NamedTuple):
     events: Sequence[SolverEvent]
 
 
+class Kept(NamedTuple):
+    """What a solver knows of some parcels at an instant.
+
+    Attributes:
+        indices: which.
+        rows: of every array with a row a parcel, those of these parcels.
+        members: cells under each, with what the kernels note of them.
+    """
+
+    indices: NDArray[np.int64]
+    rows: Sequence[NDArray[Any]]
+    members: Sequence[NDArray[np.int64]]
+
+
 class Solver(Protocol):
     """Moves parcels that don't touch, each by itself.
 
@@ -122,4 +136,20 @@ class Solver(Protocol):
 
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under some of the parcels."""
+        ...
+
+
+class Rewindable(Solver, Protocol):
+    """A solver that can take parcels back to where they were, and elsewhere: for effects that act between parcels."""
+
+    def keep(self, indices: NDArray[np.int64]) -> Kept:
+        """All that moving these parcels changes, to be able to go back."""
+        ...
+
+    def restore(self, kept: Kept) -> None:
+        """Go back to what was kept, bit for bit."""
+        ...
+
+    def put(self, index: int, state: Floats) -> None:
+        """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
         ...

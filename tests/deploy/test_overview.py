@@ -16,7 +16,7 @@ from matplotlib.image import imread
 from deploy.errors import DeployError
 from deploy.interruption import Interrupted
 from deploy.overview import draw_overview
-from deploy.overview_map import colour, extent, incidents, lost_cells
+from deploy.overview_map import RAIL, colour, extent, incidents, lost_cells
 from deploy.overview_times import draw_times
 from deploy.replay import load
 from deploy.track import Track
@@ -48,6 +48,13 @@ def _like(picture: np.ndarray, shade: str, within: float) -> np.ndarray:
 def pixels(picture: np.ndarray, shade: str) -> int:
     """How many pixels have about this colour."""
     return int(_like(picture, shade, 0.06).sum())
+
+
+def test_guide_rails_are_drawn(draw: Callable[[Any], np.ndarray], track: Track) -> None:
+    shade, (x, y) = RAIL, track.positions_m.mean(axis=0)
+    rails = [((x - 0.2, y), (x + 0.2, y)), ((x, y), (x + 0.1, y), (x, y + 0.1))]
+    before = pixels(draw(track), shade)
+    assert pixels(draw(dataclasses.replace(track, rails_m=rails)), shade) > before + 200
 
 
 @pytest.mark.parametrize("parcels", [1, 3, 8, 30])

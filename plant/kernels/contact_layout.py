@@ -1,0 +1,47 @@
+"""Where each quantity lives in the arrays that the kernels for touching bodies share."""
+
+from __future__ import annotations
+
+from typing import Final
+
+TOUCH_M: Final = 1e-9
+"""Bodies nearer than this touch."""
+NEAR_M: Final = 1e-7
+"""Pairs as near, and as slow as `SLOW_M_S`, stay together."""
+SLOW_M_S: Final = 1e-3
+"""What closes no faster doesn't bounce: where bouncing ends."""
+
+# ── pull: float64 (bodies, PULL_SIZE), what bounds a body's accelerations
+PER_SLIP: Final = 0  # of a corner, over the fastest slip, 1/s
+LIMIT: Final = 1  # of the same however large the slip, m/s^2
+PUSH: Final = 2  # of a corner whatever the slip, m/s^2
+RADIUS: Final = 3  # farthest corner from the centre of mass, m
+PULL_SIZE: Final = 4
+
+# ── row: float64 (2 pairs, ROW_SIZE), a point at which two bodies touch, and the problem of impulses there
+PX, PY = 0, 1  # in the world, m
+NORMAL_X, NORMAL_Y = 2, 3  # unit normal from the first body to the second
+SPACE: Final = 4  # free, m; negative where they overlap
+AX, AY, BX, BY = range(5, 9)  # the point, from the first and from the second body's centre of mass, m
+WANTED: Final = 9  # least motion of the second from the first, along the normal
+ASIDE_WANTED: Final = 10  # motion wanted across: along the normal turned by 90 degrees
+FRICTION: Final = 11  # Coulomb coefficient
+HOLD: Final = 12  # not 0: what is wanted across is given whatever it takes
+PUSH_N: Final = 13  # found: impulse on the second body along the normal ...
+PUSH_T: Final = 14  # ... and across
+ROW_SIZE: Final = 15
+
+# ── ends: int64 (2 pairs, 3), the two bodies of a row, and the pair
+PAIR: Final = 2
+
+# ── outcomes
+DONE: Final = 0
+NOT_SETTLED: Final = 1
+NOT_PARTED: Final = 2
+EVERY: Final = -1
+"""All pairs, not only those with one mark."""
+TOGETHER: Final = 1
+HELD: Final = 1
+SLIPPING: Final = 2
+BEYOND: Final = 1e300
+"""Farther than anything."""
