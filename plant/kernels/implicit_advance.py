@@ -14,7 +14,7 @@ from plant.kernels import layout as at
 from plant.kernels.advance import finite
 from plant.kernels.changes import log
 from plant.kernels.footprint import box, inside
-from plant.kernels.implicit_step import grasp, new_velocity, regime
+from plant.kernels.implicit_step import EPSILON, grasp, new_velocity, regime
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
 from plant.kernels.springs import reach, smooth, touches
@@ -211,7 +211,7 @@ def controlled(surface, parcel, work, now, h, before):
     while True:
         attempts += 1
         status, error = extrapolated(surface, parcel, work, now, h)
-        allowed = pace[im.TOLERANCE] * max(h, JUMP)
+        allowed = pace[im.TOLERANCE] * max(h, JUMP) + rounding(parcel.y)
         if status == at.MOVING and error <= allowed:
             error = max(error, unseen(surface, parcel, work, now, h, before))
         factor = 5.0 if error == 0.0 else min(5.0, max(0.1, 0.8 * (allowed / error) ** 0.25))
@@ -225,6 +225,18 @@ def controlled(surface, parcel, work, now, h, before):
             return status, h, attempts
         h = max(h * min(factor, 0.5), SHORTEST)
         pace[im.NEXT] = h
+
+
+@kernel
+def rounding(y):
+    """What extrapolation leaves of a place by rounding alone, m: its weights add up to some 20."""
+    return 20.0 * EPSILON * (abs(y[0]) + abs(y[1]))
+
+
+@kernel
+def longest(par, now, left):
+    """How long a step may be: no longer than the motors' transient, as long as it lasts, since it could pass unseen."""
+    return min(left, max(1.0 / par[at.RATE], now)) if par[at.RATE] > 0.0 else left
 
 
 @kernel
@@ -297,10 +309,15 @@ def step(surface, parcel, work, now, left, events):
         h = left / max(1.0, -((1e-9 - left / pace[im.FIXED]) // 1.0))
         status = cut(surface, parcel, work, now, h, im.ONE_PART)
     else:
-        status, h, attempts = controlled(surface, parcel, work, now, min(left, pace[im.NEXT]), before)
+        most = min(longest(parcel.par, now, left), pace[im.NEXT])
+        status, h, attempts = controlled(surface, parcel, work, now, most, before)
     if status == at.MOVING and not finite(parcel.y):
         status = at.NOT_FINITE
     if status != at.MOVING:
+        if status != at.TIPPED:
+            # where it was when numbers ended, not where they led
+            for k in range(6):
+                parcel.y[k] = work.begin[k]
         return status, 0.0, attempts
     status = find_loads(surface, parcel, work)
     changes = note_changes(parcel, work, before, now + h, events)

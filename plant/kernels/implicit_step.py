@@ -8,6 +8,8 @@ smooth; where a force is set-valued (Coulomb's at no slip) an augmented Lagrangi
 
 from __future__ import annotations
 
+from math import isfinite, nan
+
 from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
@@ -156,8 +158,9 @@ def flattest(work, count, isotropic, h, w, before, after):
 def minimise(work, count, isotropic, h, w):
     """Newton's method from ``w`` to the least potential at the present multipliers.
 
-    Returns the size of the velocities to whose rounding it is right, or -1 where it did not get there. There is where
-    a step changes nothing but rounding: the gradient's own rounding is large along stiff wheels and says little.
+    Returns the size of the velocities to whose rounding it is right, or -1 where it did not get there; where forces are
+    no numbers, neither is then ``w``. There is where a step changes nothing but rounding: the gradient's own rounding is
+    large along stiff wheels and says little.
     """
     grad, step, rhs, start = work.grad, work.step, work.rhs, work.start
     best, stalled = 1e300, 0
@@ -166,6 +169,9 @@ def minimise(work, count, isotropic, h, w):
         for k in range(3):
             rhs[k] = -grad[k]
         solve(work.hessian, work.hessian.shape[0], rhs, step, work.scratch)
+        if not isfinite(step[0] + step[1] + step[2]):
+            w[0] = w[1] = w[2] = nan
+            return -1.0
         off, scale, before = 0.0, impulses, 0.0
         for k in range(3):
             off, scale = max(off, abs(step[k])), max(scale, abs(w[k]), abs(start[k]))
@@ -210,22 +216,25 @@ def follow(work, count, isotropic, w, scale):
 def stick(work, count, isotropic, w):
     """Velocities that rounding can't tell from sticking become it: a parcel that sticks doesn't creep.
 
-    Only where all wheels agree on a motion without rotation, and some stick.
+    Only where the wheels that stick agree on a motion without rotation; those that slip have no say.
     """
     wheels, start = work.wheels, work.start
     agree_x = agree_y = True
     stuck_x = stuck_y = False
-    sx, sy = wheels[0, im.SX], wheels[0, im.SY]
-    scale = max(abs(sx), abs(sy))
+    sx = sy = scale = 0.0
     for k in range(3):
         scale = max(scale, abs(start[k]))
     for i in range(count):
         row = wheels[i]
-        agree_x, agree_y = agree_x and row[im.SX] == sx, agree_y and row[im.SY] == sy
+        scale = max(scale, abs(row[im.SX]), abs(row[im.SY]))
         if isotropic == 0.0:
-            stuck_x, stuck_y = stuck_x or abs(row[im.LX]) < row[im.C], stuck_y or abs(row[im.LY]) < row[im.C]
-        elif (row[im.LX] * row[im.LX] + row[im.LY] * row[im.LY]) ** 0.5 < row[im.C]:
-            stuck_x = stuck_y = True
+            holds_x, holds_y = abs(row[im.LX]) < row[im.C], abs(row[im.LY]) < row[im.C]
+        else:
+            holds_x = holds_y = (row[im.LX] * row[im.LX] + row[im.LY] * row[im.LY]) ** 0.5 < row[im.C]
+        if holds_x:
+            agree_x, sx, stuck_x = agree_x and (not stuck_x or row[im.SX] == sx), row[im.SX], True
+        if holds_y:
+            agree_y, sy, stuck_y = agree_y and (not stuck_y or row[im.SY] == sy), row[im.SY], True
     tiny = AGREED * scale
     along_x, along_y = agree_x and stuck_x, agree_y and stuck_y
     if along_x and abs(w[0] - sx) <= tiny:
@@ -269,8 +278,11 @@ def regime(work, count, isotropic, w):
         if isotropic == 0.0:
             x = sign(fx) if abs(fx) >= row[im.C] else 0.0
             y = sign(fy) if abs(fy) >= row[im.C] else 0.0
+        elif (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.C]:
+            # in quarters: slip that turns round must not look like slip that went on
+            x, y = sign(fx), sign(fy)
         else:
-            x, y = 0.0, 1.0 if (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.C] else 0.0
+            x = y = 0.0
         # weights of which no small sums cancel
         total += (i + 1.37) ** 0.5 * x + (i + 1.91) ** 0.5 * y
     return total
