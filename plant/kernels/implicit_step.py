@@ -159,8 +159,8 @@ def minimise(work, count, isotropic, h, w):
     """Newton's method from ``w`` to the least potential at the present multipliers.
 
     Returns the size of the velocities to whose rounding it is right, or -1 where it did not get there; where forces are
-    no numbers, neither is then ``w``. There is where a step changes nothing but rounding: the gradient's own rounding is
-    large along stiff wheels and says little.
+    no numbers, neither is then ``w``. There is where a step changes nothing but rounding: the gradient's own rounding
+    is large along stiff wheels and says little.
     """
     grad, step, rhs, start = work.grad, work.step, work.rhs, work.start
     best, stalled = 1e300, 0
