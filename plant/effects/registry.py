@@ -10,6 +10,7 @@ from plant.effects.effect import EffectSpec
 from plant.effects.feeders import FeedersSpec
 from plant.effects.motors import MotorsSpec
 from plant.effects.parcel_contact import ParcelContactSpec
+from plant.effects.roller_impacts import RollerImpactsSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 
 
@@ -19,6 +20,7 @@ class EffectsSpec(Spec):
     motors: MotorsSpec | None = None
     uneven_supports: UnevenSupportsSpec | None = None
     contact_width: ContactWidthSpec | None = None
+    roller_impacts: RollerImpactsSpec | None = None
     feeders: FeedersSpec | None = None
     parcel_contact: ParcelContactSpec | None = None
 

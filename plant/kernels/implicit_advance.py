@@ -14,6 +14,7 @@ from plant.kernels import layout as at
 from plant.kernels.advance import finite
 from plant.kernels.changes import log
 from plant.kernels.footprint import box, inside
+from plant.kernels.impacts import allowed, strike
 from plant.kernels.implicit_step import EPSILON, grasp, new_velocity, regime
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
@@ -306,10 +307,11 @@ def step(surface, parcel, work, now, left, events):
     before = remember(parcel, work)
     if pace[im.FIXED] > 0.0:
         # equal steps up to where a state is asked for, none longer than said
-        h = left / max(1.0, -((1e-9 - left / pace[im.FIXED]) // 1.0))
+        most = allowed(surface, parcel, now, pace[im.FIXED])
+        h = left / max(1.0, -((1e-9 - left / most) // 1.0))
         status = cut(surface, parcel, work, now, h, im.ONE_PART)
     else:
-        most = min(longest(parcel.par, now, left), pace[im.NEXT])
+        most = allowed(surface, parcel, now, min(longest(parcel.par, now, left), pace[im.NEXT]))
         status, h, attempts = controlled(surface, parcel, work, now, most, before)
     if status == at.MOVING and not finite(parcel.y):
         status = at.NOT_FINITE
@@ -320,6 +322,8 @@ def step(surface, parcel, work, now, left, events):
                 parcel.y[k] = work.begin[k]
         return status, 0.0, attempts
     status = find_loads(surface, parcel, work)
+    if status == at.MOVING:
+        strike(surface, parcel, work, now, h)
     changes = note_changes(parcel, work, before, now + h, events)
     pace[im.CROWD] = pace[im.CROWD] * exp(-h / SOON) + changes
     if work.law[im.PUSH_PER_SHARE] != 0.0:

@@ -8,6 +8,7 @@ their own, ``wheel_edges`` for those with ``edges``.
 from __future__ import annotations
 
 from plant.kernels import layout as at
+from plant.kernels.impacts import rollers_under
 from plant.kernels.jit import kernel
 from plant.kernels.questions import answer
 from plant.kernels.surface import Surface
@@ -70,8 +71,10 @@ def smooth(surface):
 @kernel
 def surface_under(surface, i):
     """The surface as parcel ``i`` feels it."""
-    springs, edges = springs_under(surface, i), edges_under(surface, i)
-    return Surface(surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs, edges)
+    springs, edges, rollers = springs_under(surface, i), edges_under(surface, i), rollers_under(surface, i)
+    return Surface(
+        surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs, edges, rollers
+    )
 
 
 @kernel

@@ -70,6 +70,38 @@ class AllEdges(NamedTuple):
     share: Floats
 
 
+class Rollers(NamedTuple):
+    """The rollers of all wheels as one parcel meets them (see ``plant.kernels.roller_impacts``).
+
+    Attributes:
+        spacing_m: slip from one to the next.
+        impulse_m_s: what one gives, over the load on the wheel in shares of the parcel's weight, per kilogram.
+        start: ``(n, 2)`` how far each wheel had turned at the start since a roller passed, in spacings: [0, 1).
+        passed: ``(n, 2)`` slip along each wheel's axis since then, in spacings, less the rollers that passed.
+    """
+
+    spacing_m: float
+    impulse_m_s: float
+    start: Floats
+    passed: Floats
+
+
+class AllRollers(NamedTuple):
+    """The same for each of m parcels.
+
+    Attributes:
+        spacing_m: as ``Rollers.spacing_m``.
+        impulse_m_s: likewise.
+        start: likewise.
+        passed: ``(m, n, 2)``.
+    """
+
+    spacing_m: float
+    impulse_m_s: float
+    start: Floats
+    passed: Floats
+
+
 class Surface(NamedTuple):
     """The cells and their wheels, as the kernels read them.
 
@@ -83,3 +115,4 @@ class Surface(NamedTuple):
     grip: Floats
     springs: Springs | AllSprings | None = None
     edges: Edges | AllEdges | None = None
+    rollers: Rollers | AllRollers | None = None

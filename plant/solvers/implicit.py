@@ -18,7 +18,7 @@ from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
 from plant.kernels.parcels import Parcel
 from plant.solver_specs import ImplicitSpec
-from plant.solvers.springs import make_edges, make_springs
+from plant.solvers.springs import make_edges, make_rollers, make_springs
 from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -124,6 +124,7 @@ class Implicit(ThreadedSolver[Work]):
         masses = [parcel.mass_kg for parcel in scene.parcels]
         self._springs = make_springs(scene, array)
         self._edges = make_edges(scene, self.capacity)
+        self._rollers = make_rollers(scene, array)
         self._laws: Floats = np.zeros((len(masses), implicit_layout.LAW_SIZE))
         self._paces: Floats = np.zeros((len(masses), implicit_layout.PACE_SIZE))
         for i, (mass_kg, parcel) in enumerate(zip(masses, self.parcels, strict=True)):
@@ -138,7 +139,7 @@ class Implicit(ThreadedSolver[Work]):
 
     def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
-        surface = surface._replace(springs=self._springs, edges=self._edges)
+        surface = surface._replace(springs=self._springs, edges=self._edges, rollers=self._rollers)
         laws, paces = self._laws, self._paces
         return self._entry.advance_block(
             surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report

@@ -1,4 +1,4 @@
-"""What effects on the loads hand to kernels, for solvers that know of them."""
+"""What effects on loads and wheels hand to kernels, for solvers that know of them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from importlib import import_module
 import numpy as np
 
 from plant.array import CellArray
+from plant.effects.roller_impacts import starts
 from plant.effects.uneven_supports import supports
-from plant.kernels.surface import AllEdges, AllSprings
+from plant.kernels.surface import AllEdges, AllRollers, AllSprings
 from plant.specs import PlantSpec
 
 
@@ -51,3 +52,26 @@ def make_edges(scene: PlantSpec, capacity: int) -> AllEdges | None:
         return None
     import_module("plant.kernels.wheel_edges")
     return AllEdges(wide.width_m, np.zeros((len(scene.parcels), capacity)))
+
+
+def make_rollers(scene: PlantSpec, array: CellArray) -> AllRollers | None:
+    """Where each wheel's rollers stand for each parcel, None where wheels are smooth.
+
+    Kernels compiled from now on know of rollers, if the scene has them.
+
+    Args:
+        scene: the scene's physics.
+        array: the surface.
+    """
+    rollers = scene.effects.roller_impacts
+    if rollers is None:
+        return None
+    import_module("plant.kernels.roller_impacts")
+    cells = len(array)
+    return AllRollers(
+        spacing_m=rollers.spacing_m,
+        impulse_m_s=rollers.impulse_s * scene.gravity_m_s2,
+        start=starts(cells, scene.seed),
+        # a parcel's own, so that parcels in several threads share none; zeros take no memory until a wheel is met
+        passed=np.zeros((len(scene.parcels), cells, 2)),
+    )

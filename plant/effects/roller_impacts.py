@@ -1,0 +1,41 @@
+"""Effect ``roller_impacts``: a wheel's rollers strike the parcel as they pass under it.
+
+The paper doubts that traction is viscous by nature: its dependence on speed may come from the rollers' impacts, whose
+rate rises with the slip. One impulse ``impulse_s N`` for every ``spacing_m`` of slip r is a mean force of
+
+    (impulse_s / spacing_m) N r
+
+the viscous law's (eq. 14), with nothing viscous in it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, final
+
+from pydantic import Field
+
+from bus.spec import Positive
+from plant.chance import generator
+from plant.effects.effect import EffectSpec
+from plant.wheels import Floats
+
+
+@final
+class RollerImpactsSpec(EffectSpec):
+    """Wheels whose rollers strike the parcel."""
+
+    solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
+    spacing_m: Annotated[float, Field(ge=1e-5, le=1.0, allow_inf_nan=False)]
+    """Slip at a wheel from one roller to the next."""
+    impulse_s: Positive
+    """What one roller gives the parcel along the wheel's axis, N s per newton of load on the cell."""
+
+
+def starts(cells: int, seed: int) -> Floats:
+    """How far each wheel has turned at the start since a roller passed, in spacings, ``(cells, 2)`` in [0, 1).
+
+    Args:
+        cells: how many, two wheels each.
+        seed: of the scene.
+    """
+    return generator(seed, "roller_impacts").random((cells, 2))
