@@ -16,9 +16,10 @@ from plant.specs import PlantSpec
 
 METHOD = """\
 Method. 20 x 20 cells at a pitch of 0.1 m, a parcel of 0.54 x 0.32 m that starts at rest,
-impulse_s / spacing_m = {ratio} s/m, {seeds} seeds. The scene's own law is viscous with 1e-9 s/m. Emerged: -ln(1 - U/V) / (g t) of the speed U that all
-wheels at V = 0.1 m/s give the parcel in t = 0.5 s; mean and standard deviation over the seeds. Scatter: rms over the
-seeds of the farthest that the parcel's centre comes, in 6 s of the field (-x, -2y), from where the solver exact has it
+impulse_s / spacing_m = {ratio} s/m, {seeds} seeds. The scene's own law is viscous with 1e-9 s/m.
+Emerged: -ln(1 - U/V) / (g t) of the speed U that all wheels at V = 0.1 m/s give the parcel in
+t = 0.5 s; mean and standard deviation over the seeds. Scatter: rms over the seeds of the farthest
+that the parcel's centre comes, in 6 s of the field (-x, -2y), from where the solver exact has it
 under the viscous law with {ratio} s/m; the same of its angle. Time: of one such motion, median."""
 
 RATIO = 0.2
