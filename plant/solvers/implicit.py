@@ -135,7 +135,8 @@ class Implicit(ThreadedSolver[Work]):
         return make_work(len(self._array), self.capacity)
 
     def _memory(self) -> Sequence[NDArray[Any]]:
-        return *super()._memory(), self._paces
+        passed = () if self._rollers is None else (self._rollers.passed,)
+        return *super()._memory(), self._paces, *passed
 
     def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
         surface, span_s, times_s, out = errand

@@ -10,7 +10,9 @@ from plant.effects.motors import MotorsSpec
 from plant.effects.roller_impacts import starts
 from plant.kernels import layout
 from plant.plant import Plant
+from plant.solvers.implicit import Implicit
 from plant.specs import ParcelSpec, PlantSpec
+from plant.wheels import WheelMotion
 from tests.plant.scenes import SECOND, Floats, G, elliptic, parcel, solved, spec
 
 TRIFLING = {"law": "viscous", "coefficient_s_per_m": 1e-9}
@@ -184,6 +186,20 @@ def test_chance_is_the_seeds_and_no_parcel_changes_anothers_impacts() -> None:
     once, again, reseeded, beside = (plant.state[-1].tobytes() for plant in plants)
     assert once == again == beside
     assert once != reseeded
+
+
+def test_a_parcel_taken_back_to_where_it_was_meets_the_same_rollers_again() -> None:
+    plant = bumpy(2e-3, 4e-4)
+    plant.advance(elliptic(plant), SECOND)
+    solver, motion = plant._solver, WheelMotion(elliptic(plant), uniform(plant, (0.0, 0.0)), 0.0)
+    assert isinstance(solver, Implicit)
+    one, none = np.zeros(1, dtype=np.int64), np.zeros(0)
+    kept, ends = solver.keep(one), list[bytes]()
+    for _ in range(2):
+        solver.restore(kept)
+        solver.advance(one, motion, np.ones(len(elliptic(plant))), 1.0, none, np.zeros((0, 1, 6)))
+        ends.append(solver.state.tobytes())
+    assert ends[0] == ends[1]
 
 
 def test_the_effect_is_refused_where_it_does_not_fit() -> None:
