@@ -110,7 +110,8 @@ class _Simulation:
             speeds = field_speeds(self.scene, array.positions_m)
             plant = load_plant(self.scene, self._warn)
         if self.motors:
-            self._warn("effects.motors is left out: simulate has ideal wheels")
+            left_out = " and effects.wheel_load are" if self.named.effects.wheel_load is not None else " is"
+            self._warn(f"effects.motors{left_out} left out: simulate has ideal wheels")
         self.interruption.check()
         folder = output_folder(self.named, output)
         started = time.monotonic()
@@ -244,6 +245,6 @@ def _ideal(scene: Scene) -> Scene:
     """The scene with wheels that run at the commanded speed at once."""
     if scene.effects.motors is None:
         return scene
-    effects = scene.effects.model_copy(update={"motors": None})
+    effects = scene.effects.model_copy(update={"motors": None, "wheel_load": None})
     cells = scene.cells.model_copy(update={"speed_loop": None})
     return scene.model_copy(update={"effects": effects, "cells": cells})

@@ -45,7 +45,11 @@ class Plant:
         self.array: CellArray = CellArray(spec.array)
         n = len(self.array)
         motors = spec.effects.motors
-        self._wheels: Wheels = IdealWheels(n) if motors is None else Motors(motors, n)
+        self._wheels: Wheels = (
+            IdealWheels(n)
+            if motors is None
+            else Motors(motors, n, loaded=spec.effects.wheel_load is not None)
+        )
         rate = 0.0 if motors is None else 1.0 / motors.time_constant_s
         self._solver: Solver = make_solver(spec.with_fed(), self.array, rate)
         self._grip: Floats = np.ones(n)

@@ -56,7 +56,7 @@ class ArraySpec(Spec):
 
 def disagreements(
     friction: FrictionSpec | None, effects: EffectsSpec | None, solver: SolverSpec | None
-) -> Iterator[tuple[tuple[str, str], str, str]]:
+) -> Iterator[tuple[tuple[str, str], object, str]]:
     """What does not agree between the parts given: the path of a value, the value, and the rule that it breaks."""
     if solver is not None and effects is not None:
         for name, effect in effects.asked():
@@ -66,6 +66,14 @@ def disagreements(
                     solver.name,
                     f"leaves out effects.{name}; use {' or '.join(effect.solvers)}",
                 )
+    if effects is not None:
+        for name, effect in effects.asked():
+            for needed in effect.needs:
+                if getattr(effects, needed) is None:
+                    yield ("effects", needed), None, f"must be asked for too: effects.{name} needs it"
+            for other in effect.excludes:
+                if getattr(effects, other) is not None:
+                    yield ("effects", name), "", f"doesn't go with effects.{other}"
     if friction is None:
         return
     if solver is not None and solver.laws is not None and friction.law not in solver.laws:

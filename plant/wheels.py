@@ -20,11 +20,14 @@ class WheelMotion:
         steady: ``(n, 2)`` m/s.
         decay: ``(n, 2)`` m/s.
         rate: 1/s; 0 where nothing decays.
+        slowing: ``(n, 4)`` where wheels feel what they pull: what that adds to speed along x and y, m/s, and to way,
+            m, by the end of the interval. The solver fills it in.
     """
 
     steady: Floats
     decay: Floats
     rate: float
+    slowing: Floats | None = None
 
 
 class Wheels(Protocol):

@@ -14,6 +14,10 @@ class EffectSpec(Spec):
 
     solvers: ClassVar[tuple[str, ...] | None] = None
     """Names of the solvers that know the effect; None: it doesn't concern them."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Names of the effects that it builds on."""
+    excludes: ClassVar[tuple[str, ...]] = ()
+    """Names of the effects that leave it out."""
 
     def misplaced(
         self,

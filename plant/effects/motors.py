@@ -1,7 +1,8 @@
 """Effect ``motors``: each wheel follows its voltage with a first-order lag.
 
 ``dV/dt = (gain u - V) / tau``: a speed-controlled DC motor without load (the paper's motor model with the coil's
-inductance and the parcel's reaction neglected). Integrated in closed form, so a period of any length is exact.
+inductance neglected; the parcel's reaction is the effect ``wheel_load``). Integrated in closed form, so a period of any
+length is exact.
 """
 
 from __future__ import annotations
@@ -34,10 +35,12 @@ class Motors:
     Args:
         spec: Time constant, gain and supply.
         cells: Number of cells.
+        loaded: Whether they feel what they pull (effect ``wheel_load``).
     """
 
-    def __init__(self, spec: MotorsSpec, cells: int) -> None:
+    def __init__(self, spec: MotorsSpec, cells: int, *, loaded: bool = False) -> None:
         self._spec = spec
+        self._loaded = loaded
         self._speed: Floats = np.zeros((cells, 2))
         self._travel: Floats = np.zeros((cells, 2))
 
@@ -45,7 +48,8 @@ class Motors:
         """Motion towards the no-load speed of the voltages ``(n, 2)``."""
         limit = self._spec.supply_v
         steady = self._spec.speed_per_volt_m_s * np.minimum(np.maximum(drives, -limit), limit)
-        return WheelMotion(steady, self._speed - steady, 1.0 / self._spec.time_constant_s)
+        slowing = np.zeros((len(steady), 4)) if self._loaded else None
+        return WheelMotion(steady, self._speed - steady, 1.0 / self._spec.time_constant_s, slowing)
 
     def elapse(self, motion: WheelMotion, span_s: float) -> None:
         """Take speed and travel ``span_s`` seconds along ``motion``."""
@@ -53,6 +57,9 @@ class Motors:
         covered = -math.expm1(-motion.rate * span_s) / motion.rate
         self._travel = self._travel + motion.steady * span_s + motion.decay * covered
         self._speed = motion.steady + motion.decay * left
+        if motion.slowing is not None:
+            self._speed += motion.slowing[:, :2]
+            self._travel += motion.slowing[:, 2:]
 
     @property
     def speed(self) -> Floats:

@@ -12,6 +12,7 @@ from plant.effects.motors import MotorsSpec
 from plant.effects.parcel_contact import ParcelContactSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
+from plant.effects.wheel_load import WheelLoadSpec
 
 
 class EffectsSpec(Spec):
@@ -21,6 +22,7 @@ class EffectsSpec(Spec):
     uneven_supports: UnevenSupportsSpec | None = None
     contact_width: ContactWidthSpec | None = None
     roller_impacts: RollerImpactsSpec | None = None
+    wheel_load: WheelLoadSpec | None = None
     feeders: FeedersSpec | None = None
     parcel_contact: ParcelContactSpec | None = None
 

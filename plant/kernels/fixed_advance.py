@@ -10,7 +10,8 @@ from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.advance import finite
 from plant.kernels.implicit_advance import decay, find_loads, note_changes, note_outrun, remember
-from plant.kernels.implicit_step import grasp, pull, sign
+from plant.kernels.implicit_pull import pull
+from plant.kernels.implicit_step import grasp, sign
 from plant.kernels.jit import kernel
 
 NOW = 0.0

@@ -19,6 +19,7 @@ from plant.kernels.implicit_step import EPSILON, grasp, new_velocity, regime
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
 from plant.kernels.springs import reach, smooth, touches
+from plant.kernels.wheel_speeds import extrapolate, keep, slow, speed, tabulate, take_back
 
 PARTS = 4
 """Into how many parts a controlled step is cut at most."""
@@ -78,7 +79,7 @@ def decay(par, time):
 def euler(surface, parcel, work, until, h):
     """One implicit step of ``h`` that ends at ``until``, with the loads found last.
 
-    Returns (whether it could be solved, the wheels' ``regime``).
+    Returns (whether it could be solved, the wheels' ``regime``, how many pull).
     """
     y, arm, start, w = parcel.y, work.pace[im.GYRATION], work.start, work.velocity
     count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
@@ -90,7 +91,7 @@ def euler(surface, parcel, work, until, h):
     y[0] += h * w[0]
     y[1] += h * w[1]
     y[at.THETA] += h * turning
-    return solved, regime(work, count, work.law[im.ISOTROPIC], w)
+    return solved, regime(work, count, work.law[im.ISOTROPIC], w), count
 
 
 @kernel
@@ -108,7 +109,7 @@ def look(surface, parcel, work, now):
     y, end = parcel.y, work.end
     for k in range(6):
         end[k] = y[k]
-    _, work.begun[3] = euler(surface, parcel, work, now + INSTANT, INSTANT)
+    _, work.begun[3], _ = euler(surface, parcel, work, now + INSTANT, INSTANT)
     for k in range(3):
         work.begun[k] = (y[at.UX + k] - end[at.UX + k]) / INSTANT
     for k in range(6):
@@ -121,11 +122,13 @@ def cut(surface, parcel, work, now, h, parts):
     y, part = parcel.y, h / parts
     for k in range(6):
         y[k] = work.begin[k]
+    take_back(work)
     for j in range(parts):
         status = find_loads(surface, parcel, work)
         if status != at.MOVING:
             return status
-        solved, wheels = euler(surface, parcel, work, now + (j + 1) * part, part)
+        solved, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
+        slow(work, parcel, pulling, part)
         if j == 0:
             work.first[3] = wheels
             for k in range(3):
@@ -147,12 +150,14 @@ def extrapolated(surface, parcel, work, now, h):
             return status, 1e300
         for k in range(6):
             table[parts - 1, k] = y[k]
+        tabulate(work, parts - 1)
     for k in range(6):
         # differences from the last: where all agree to the bit, as they do of a parcel that sticks, so does the result
         one, two, three = table[0, k] - last[k], table[1, k] - last[k], table[2, k] - last[k]
         y[k] = last[k] - one / 6.0 + 4.0 * two - 13.5 * three
         work.error[k] = -one / 6.0 + 2.0 * two - 4.5 * three
-    return at.MOVING, length(work.error, at.ZERO, parcel) + LASTS * length(work.error, at.UX, parcel)
+    error = length(work.error, at.ZERO, parcel) + LASTS * length(work.error, at.UX, parcel)
+    return at.MOVING, max(error, extrapolate(work, LASTS))
 
 
 @kernel
@@ -187,7 +192,7 @@ def unseen(surface, parcel, work, now, h, before):
         return 0.0 if h <= INSTANT else 1e300
     for k in range(6):
         work.end[k] = y[k]
-    _, wheels = euler(surface, parcel, work, now + h + part, part)
+    _, wheels, _ = euler(surface, parcel, work, now + h + part, part)
     for k in range(3):
         error[at.UX + k] = (y[at.UX + k] - work.end[at.UX + k]) - first[k]
     for k in range(6):
@@ -289,9 +294,8 @@ def note_outrun(surface, parcel, work, now, e, events):
         if mem[i, at.MARK] == at.ACTIVE and surface.grip[cell] != 0.0 and first < 0:
             vx = y[at.UX] - y[at.OMEGA] * (surface.pos[cell, 1] - y[1])
             vy = y[at.UY] + y[at.OMEGA] * (surface.pos[cell, 0] - y[0])
-            if outran(vx, surface.steady[cell, 0] + e * surface.decay[cell, 0]) or outran(
-                vy, surface.steady[cell, 1] + e * surface.decay[cell, 1]
-            ):
+            wheel_x, wheel_y = speed(work, surface, cell, e)
+            if outran(vx, wheel_x) or outran(vy, wheel_y):
                 first = cell
     if first >= 0 and pace[im.OUTRUN] == 0.0:
         log(events, ctl, now, at.OUTRAN, first, at.NO_CELL)
@@ -304,6 +308,7 @@ def step(surface, parcel, work, now, left, events):
     pace, attempts = work.pace, 1
     for k in range(6):
         work.begin[k] = parcel.y[k]
+    keep(work)
     before = remember(parcel, work)
     if pace[im.FIXED] > 0.0:
         # equal steps up to where a state is asked for, none longer than said

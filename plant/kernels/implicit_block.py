@@ -9,6 +9,7 @@ from plant.kernels.jit import kernel
 from plant.kernels.parcels import LOG_CAPACITY
 from plant.kernels.pick import note_news, parcel_of
 from plant.kernels.springs import surface_under
+from plant.kernels.wheel_speeds import full, hand_over
 
 
 @kernel
@@ -33,7 +34,7 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
     """
     used, noted = at.ZERO, at.ZERO
     for n in range(block.shape[0]):
-        if used + LOG_CAPACITY > events.shape[0]:
+        if used + LOG_CAPACITY > events.shape[0] or full(work):
             return n, noted
         i = block[n]
         parcel = parcel_of(parcels, i)
@@ -44,6 +45,7 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
             work.pace[k] = paces[i, k]
         log = events[used : used + LOG_CAPACITY]
         moved = advance(surface_under(surface, i), parcel, work, span, times, out[:, i], log)
+        hand_over(work, parcel, span - moved)
         for k in range(im.PACE_SIZE):
             paces[i, k] = work.pace[k]
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)

@@ -17,7 +17,8 @@ FREE_SPEED: Final = 4  # share of the surface speed
 PUSH_PER_SHARE: Final = 5  # m/s^2
 SET_VALUED: Final = 6  # 1 where the stiffness is infinite
 ISOTROPIC: Final = 7  # 1 where both axes of a cell share one limit
-LAW_SIZE: Final = 8
+WHEEL: Final = 8  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
+LAW_SIZE: Final = 9
 
 # ── pace: float64 settings and memory of one parcel
 GYRATION: Final = 0  # m
@@ -32,6 +33,11 @@ PACE_SIZE: Final = 6
 AX, AY, SX, SY, B, C, GX, GY, LX, LY = range(10)
 """Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``, ``g``; multipliers L."""
 WHEEL_SIZE: Final = 10
+
+# ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
+SLOWED: Final = 4
+LISTED, WRITTEN = range(2)
+"""In ``slowing.ctl``: rows in use; rows handed over."""
 
 # ── further statuses
 ENDLESS_STEPS: Final = 5

@@ -12,9 +12,11 @@ from math import isfinite, nan
 
 from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
+from plant.kernels.implicit_pull import pull
 from plant.kernels.jit import kernel
 from plant.kernels.motion import solve
 from plant.kernels.springs import gap, plane_at, stiffness
+from plant.kernels.wheel_speeds import lighten, unloaded
 
 EPSILON = 2.3e-16
 NEWTON_STEPS = 100
@@ -57,8 +59,7 @@ def grasp(surface, parcel, work, law, e, h):
         rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
         pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - gap(surface, cell)
         share = max(stiffness(surface, cell, i) * pressed, 0.0)
-        vx = surface.steady[cell, 0] + e * surface.decay[cell, 0]
-        vy = surface.steady[cell, 1] + e * surface.decay[cell, 1]
+        vx, vy = unloaded(surface, cell, e)
         row = wheels[count]
         row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
         row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
@@ -67,35 +68,9 @@ def grasp(surface, parcel, work, law, e, h):
         push = law[im.PUSH_PER_SHARE] * share
         row[im.GX], row[im.GY] = push * sign(vx), push * sign(vy)
         row[im.LX] = row[im.LY] = 0.0
+        lighten(work, parcel, count, cell, share, h)
         count += 1
     return count
-
-
-@kernel
-def clamped(q, b, c):
-    """A force within its limit, and how it answers to slip."""
-    if q > c:
-        return c, 0.0
-    if q < -c:
-        return -c, 0.0
-    return q, b
-
-
-@kernel
-def pull(row, w, isotropic):
-    """Force of one cell's wheels without the push, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
-    b, c = row[im.B], row[im.C]
-    qx = row[im.LX] + b * (row[im.SX] - w[0] - row[im.AX] * w[2])
-    qy = row[im.LY] + b * (row[im.SY] - w[1] - row[im.AY] * w[2])
-    if isotropic == 0.0:
-        fx, kx = clamped(qx, b, c)
-        fy, ky = clamped(qy, b, c)
-        return fx, fy, kx, 0.0, ky
-    size = (qx * qx + qy * qy) ** 0.5
-    if size <= c:
-        return qx, qy, b, 0.0, b
-    ex, ey, k = qx / size, qy / size, b * c / size
-    return c * ex, c * ey, k * ey * ey, -k * ex * ey, k * ex * ex
 
 
 @kernel

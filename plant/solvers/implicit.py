@@ -18,10 +18,12 @@ from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
 from plant.kernels.parcels import Parcel
 from plant.solver_specs import ImplicitSpec
+from plant.solvers.slowing import Handed, Slowing, load_wheels, make_slowing
+from plant.solvers.solver import Advance
 from plant.solvers.springs import make_edges, make_rollers, make_springs
 from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import PlantSpec
-from plant.wheels import Floats
+from plant.wheels import Floats, WheelMotion
 
 FIRST_STEP_S = 1e-3
 """What a controlled run tries first."""
@@ -51,6 +53,7 @@ class Work(NamedTuple):
     table: Floats
     kept: NDArray[np.int64]
     where: NDArray[np.int8]
+    slowing: Slowing | None = None
 
 
 def make_work(cells: int, capacity: int) -> Work:
@@ -125,14 +128,33 @@ class Implicit(ThreadedSolver[Work]):
         self._springs = make_springs(scene, array)
         self._edges = make_edges(scene, self.capacity)
         self._rollers = make_rollers(scene, array)
+        self._loaded = scene.effects.wheel_load is not None
+        self._handed = Handed()
         self._laws: Floats = np.zeros((len(masses), implicit_layout.LAW_SIZE))
         self._paces: Floats = np.zeros((len(masses), implicit_layout.PACE_SIZE))
         for i, (mass_kg, parcel) in enumerate(zip(masses, self.parcels, strict=True)):
             self._laws[i] = coefficients(traction, mass_kg, scene.gravity_m_s2)
+            load_wheels(scene, self._laws[i], mass_kg)
             self._paces[i] = first_pace(parcel, spec)
 
     def _make_work(self) -> Work:
-        return make_work(len(self._array), self.capacity)
+        cells = len(self._array)
+        work = make_work(cells, self.capacity)
+        return work._replace(slowing=make_slowing(cells, self.capacity)) if self._loaded else work
+
+    def advance(
+        self,
+        indices: NDArray[np.int64],
+        motion: WheelMotion,
+        grip: Floats,
+        span_s: float,
+        times_s: Floats,
+        out: Floats,
+    ) -> list[Advance]:
+        """Move some parcels by ``span_s``; see ``plant.solvers.solver.Solver``."""
+        news = super().advance(indices, motion, grip, span_s, times_s, out)
+        self._handed.give(motion.slowing)
+        return news
 
     def _memory(self) -> Sequence[NDArray[Any]]:
         passed = () if self._rollers is None else (self._rollers.passed,)
@@ -142,6 +164,9 @@ class Implicit(ThreadedSolver[Work]):
         surface, span_s, times_s, out = errand
         surface = surface._replace(springs=self._springs, edges=self._edges, rollers=self._rollers)
         laws, paces = self._laws, self._paces
-        return self._entry.advance_block(
+        done = self._entry.advance_block(
             surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report
         )
+        if desk.work.slowing is not None:
+            self._handed.take(desk.work.slowing, int(block[0]))
+        return done

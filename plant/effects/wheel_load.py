@@ -1,0 +1,23 @@
+"""Effect ``wheel_load``: what a wheel pulls slows its motor, ``m (dV/dt + (V - V_ss) / tau) = -f``.
+
+``V_ss`` and tau are those of the effect ``motors``, m the inertia of wheel, gears and rotor as the surface feels it, f
+the wheel's force on the parcel. Stalled, a motor gives ``m V_ss / tau``.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+from bus.spec import Positive
+from plant.effects.effect import EffectSpec
+
+
+@final
+class WheelLoadSpec(EffectSpec):
+    """Wheels with inertia, which a load slows."""
+
+    solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
+    needs: ClassVar[tuple[str, ...]] = ("motors",)
+    excludes: ClassVar[tuple[str, ...]] = ("roller_impacts", "parcel_contact")
+    inertia_kg: Positive
+    """Of a wheel and what turns with it, at the surface: moment of inertia over the wheel's radius squared."""
