@@ -54,6 +54,17 @@ class ArraySpec(Spec):
         return Lattice((r, c) for r in range(self.rows) for c in range(self.columns) if (r, c) not in holes)
 
 
+def _at_odds(effects: EffectsSpec) -> Iterator[tuple[tuple[str, str], object, str]]:
+    """Effects that lack another, or don't go with one."""
+    for name, effect in effects.asked():
+        for needed in effect.needs:
+            if getattr(effects, needed) is None:
+                yield ("effects", needed), None, f"must be asked for too: effects.{name} needs it"
+        for other in effect.excludes:
+            if getattr(effects, other) is not None:
+                yield ("effects", name), "", f"doesn't go with effects.{other}"
+
+
 def disagreements(
     friction: FrictionSpec | None, effects: EffectsSpec | None, solver: SolverSpec | None
 ) -> Iterator[tuple[tuple[str, str], object, str]]:
@@ -67,13 +78,7 @@ def disagreements(
                     f"leaves out effects.{name}; use {' or '.join(effect.solvers)}",
                 )
     if effects is not None:
-        for name, effect in effects.asked():
-            for needed in effect.needs:
-                if getattr(effects, needed) is None:
-                    yield ("effects", needed), None, f"must be asked for too: effects.{name} needs it"
-            for other in effect.excludes:
-                if getattr(effects, other) is not None:
-                    yield ("effects", name), "", f"doesn't go with effects.{other}"
+        yield from _at_odds(effects)
     if friction is None:
         return
     if solver is not None and solver.laws is not None and friction.law not in solver.laws:
