@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis.internal.conjecture import providers
+
+# Hypothesis also draws numbers that it reads in whatever modules of ours are loaded: the examples of a test would then
+# hang on which others ran before it, and a failure could not be met again by running it alone.
+providers._get_local_constants = lambda: providers._local_constants
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
