@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from hypothesis.internal.conjecture import providers
+
+# The same examples every time, however slow the machine is: what fails once fails again.
+settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
+settings.load_profile("repeatable")
 
 # Hypothesis also draws numbers that it reads in whatever modules of ours are loaded: the examples of a test would then
 # hang on which others ran before it, and a failure could not be met again by running it alone.

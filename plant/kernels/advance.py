@@ -6,7 +6,7 @@ from math import cos, exp, inf, isfinite, sin
 
 from plant.kernels import layout as at
 from plant.kernels.branches import branch_changes
-from plant.kernels.capture import groups_hold, try_capture
+from plant.kernels.capture import groups_hold, join_last, try_capture
 from plant.kernels.changes import apply, log
 from plant.kernels.events import bend, entering, leaving
 from plant.kernels.jit import kernel
@@ -92,7 +92,10 @@ def prepare(surface, parcel, work, now, e, events):
     c, s = cos(y[at.THETA]), sin(y[at.THETA])
     if ctl[at.N_GROUPS] > 0:
         groups_hold(surface, parcel, c, s)
-    if ctl[at.N_CROSSED] > 0 and try_capture(surface, parcel, work, e, c, s):
+    if ctl[at.N_CROSSED] > 0 and (
+        try_capture(surface, parcel, work, e, c, s)
+        or (join_last(surface, parcel, work, c, s) and try_capture(surface, parcel, work, e, c, s))
+    ):
         log(events, ctl, now, at.CAPTURE_BEGINS, work.cells[0], work.edges[0])
     status = settled(surface, parcel, work, e, c, s)
     groups = ctl[at.N_GROUPS]
@@ -185,7 +188,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
     """
     y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
     now, sampled, used, instant, changed = 0.0, 0, 0, 0, False
-    ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = 0
+    ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = ctl[at.N_LAST] = 0
     if span == 0.0:
         ctl[at.STATUS] = prepare(surface, parcel, work, 0.0, 1.0, events)
     while now < span and ctl[at.STATUS] == at.MOVING:

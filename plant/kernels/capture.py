@@ -31,6 +31,14 @@ def edge_of(pos, normal, offset, cell, y, c, s):
 
 
 @kernel
+def depth(surface, parcel, cell, edge, c, s):
+    """Distance of a cell inside one edge."""
+    px, py = surface.pos[cell, 0] - parcel.y[0], surface.pos[cell, 1] - parcel.y[1]
+    qx, qy = c * px + s * py, -s * px + c * py
+    return parcel.offset[edge] - parcel.normal[edge, 0] * qx - parcel.normal[edge, 1] * qy
+
+
+@kernel
 def edge_motion(pos, normal, cell, edge, y, c, s, a):
     """Rate and second rate of a cell's distance inside an edge, for the accelerations ``a`` (3,)."""
     nx = c * normal[edge, 0] - s * normal[edge, 1]
@@ -169,6 +177,7 @@ def try_capture(surface, parcel, work, e, c, s):
             # closer than where it would be released
             if share >= -0.25 * FRACTION_ZERO:
                 ctl[at.N_CAPTURES] += 1
+                ctl[at.N_LAST] = 0
                 return True
         restore(parcel, work, members, groups)
         evaluate(surface, parcel, work, e, c, s)
@@ -176,18 +185,45 @@ def try_capture(surface, parcel, work, e, c, s):
 
 
 @kernel
+def join_last(surface, parcel, work, c, s):
+    """Let cells that crossed just before cross now, where their surface is this one but for ``capture_m``.
+
+    The cells of a pair that merges reach their edges one shortly after the other: with one of them over and the other
+    not, neither side of the chatter is to be seen. ``work.before`` turns into the accelerations before the first of
+    them. Remembers this crossing for the next one. Returns whether any cell joined.
+    """
+    mem, ctl, last = parcel.mem, parcel.ctl, work.last
+    own = ctl[at.N_CROSSED]
+    joined = own
+    for i in range(ctl[at.N_LAST]):
+        cell, edge, sign = last[i, 0], last[i, 1], last[i, 2]
+        slot = slot_of(mem, ctl, cell)
+        free = slot < 0 or mem[slot, at.SIDE] == 0
+        for k in range(own):
+            free = free and work.cells[k] != cell
+        rate, _ = edge_motion(surface.pos, parcel.normal, cell, edge, parcel.y, c, s, work.before)
+        merged = sign * rate > 0.0 and abs(depth(surface, parcel, cell, edge, c, s)) <= parcel.par[at.CAPTURE]
+        if free and merged and joined < work.cells.shape[0]:
+            work.cells[joined], work.edges[joined], work.signs[joined] = cell, edge, sign
+            joined += 1
+    for i in range(own):
+        last[i, 0], last[i, 1], last[i, 2] = work.cells[i], work.edges[i], work.signs[i]
+    for k in range(3):
+        work.before[k], work.earlier[k] = work.earlier[k], work.before[k]
+    ctl[at.N_LAST], ctl[at.N_CROSSED] = own, joined
+    return joined > own
+
+
+@kernel
 def groups_hold(surface, parcel, c, s):
     """Release groups whose cells no longer lie on their common surface (a pair that drifts apart)."""
-    mem, ctl, y = parcel.mem, parcel.ctl, parcel.y
+    mem, ctl = parcel.mem, parcel.ctl
     h = at.ZERO
     while h < ctl[at.N_GROUPS]:
         low, high = 1e300, -1e300
         for i in range(ctl[at.N_MEMBERS]):
             if mem[i, at.SIDE] != 0 and mem[i, at.GROUP] == h:
-                px, py = surface.pos[mem[i, at.CELL], 0] - y[0], surface.pos[mem[i, at.CELL], 1] - y[1]
-                qx, qy = c * px + s * py, -s * px + c * py
-                edge = mem[i, at.EDGE]
-                distance = parcel.offset[edge] - parcel.normal[edge, 0] * qx - parcel.normal[edge, 1] * qy
+                distance = depth(surface, parcel, mem[i, at.CELL], mem[i, at.EDGE], c, s)
                 low, high = min(low, mem[i, at.SIDE] * distance), max(high, mem[i, at.SIDE] * distance)
         if high - low > 2.0 * parcel.par[at.CAPTURE]:
             release_inside(mem, ctl, h)

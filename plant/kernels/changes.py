@@ -75,3 +75,5 @@ def apply(surface, parcel, work, count, together, time, events, c, s):
             work.signs[crossed] = 1 if kind == at.ENTER else -1
             crossed += 1
     ctl[at.N_CROSSED] = crossed
+    if crossed == 0:
+        ctl[at.N_LAST] = 0

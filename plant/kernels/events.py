@@ -47,18 +47,24 @@ def negate(g, order):
 
 
 @kernel
-def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
+def entry(ser, order, normal, offset, px, py, curve, zero, end, g, p, start):
     """Earliest time at which a cell outside the footprint is inside every edge. Returns (time, edge).
 
     Leaps from the last of the violated edges' crossings to the next until none is violated, so that no short stay
     is stepped over. A cell that rests on an edge for the whole step is inside of it, as members on an edge stay
-    members; it doesn't enter by that edge, though.
+    members; it doesn't enter by that edge, though. ``curve`` bounds how far a distance departs from its tangent.
     """
     t, entered = 0.0, 0
+    qx, qy, dx, dy = place(ser, px, py)
     for _ in range(64):
-        latest, violated, rests = t, False, False
+        latest, violated, rests, doubtful = t, False, False, 0
         for edge in range(offset.shape[0]):
-            edge_polynomial(ser, order, normal[edge, 0], normal[edge, 1], offset[edge], px, py, g)
+            nx, ny = normal[edge, 0], normal[edge, 1]
+            value, rate = offset[edge] - nx * qx - ny * qy, -nx * dx - ny * dy
+            if value + min(0.0, rate * end) - curve * end * end > zero:
+                continue
+            doubtful += 1
+            edge_polynomial(ser, order, nx, ny, offset[edge], px, py, g)
             if t > 0.0:
                 if horner(g, order, t) > zero:
                     continue
@@ -81,6 +87,8 @@ def entry(ser, order, normal, offset, px, py, zero, end, g, p, start):
         if not violated:
             return (NONE if rests and t == 0.0 else t), entered
         t = latest
+        if doubtful == 1:
+            return t, entered
     return NONE, entered
 
 
@@ -215,7 +223,7 @@ def entering(surface, parcel, work, order, centre, lever, end, count):
                     break
             if not near:
                 continue
-            t, edge = entry(ser, order, normal, offset, px, py, zero, end, g, p, start)
+            t, edge = entry(ser, order, normal, offset, px, py, curve, zero, end, g, p, start)
             if t <= end:
                 count = note(found, count, t, at.ENTER, cell, edge)
                 end = min(end, t + SLACK)

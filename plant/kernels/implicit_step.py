@@ -19,6 +19,8 @@ from plant.kernels.springs import gap, plane_at, stiffness
 from plant.kernels.wheel_speeds import lighten, unloaded
 
 EPSILON = 2.3e-16
+SMALLEST = 1e-290
+"""Velocities below this, m/s, are none: a share of theirs is no number any more."""
 NEWTON_STEPS = 100
 MULTIPLIER_STEPS = 100
 FIRST_WEIGHT = 1e4
@@ -147,7 +149,7 @@ def minimise(work, count, isotropic, h, w):
         if not isfinite(step[0] + step[1] + step[2]):
             w[0] = w[1] = w[2] = nan
             return -1.0
-        off, scale, before = 0.0, impulses, 0.0
+        off, scale, before = 0.0, max(impulses, SMALLEST), 0.0
         for k in range(3):
             off, scale = max(off, abs(step[k])), max(scale, abs(w[k]), abs(start[k]))
             before -= rhs[k] * step[k]

@@ -68,9 +68,9 @@ ABSENT: Final = 2  # captured, and in this mode not under the parcel
 
 # ── ctl: int64 counters and flags of one parcel
 N_MEMBERS, N_GROUPS, STATUS, N_EVENTS, N_STEPS, TIP_A, TIP_B, N_LOGGED, N_CAPTURES = range(9)
-CULPRIT, N_CHANGES, N_CROSSED, OUTRUN = range(9, 13)
+CULPRIT, N_CHANGES, N_CROSSED, OUTRUN, N_LAST = range(9, 14)
 """``OUTRUN`` is 0, or 1 and up for a wheel that the parcel outruns: ``outrun.watch``."""
-CTL_SIZE: Final = 13
+CTL_SIZE: Final = 14
 
 # ── statuses
 MOVING: Final = 0

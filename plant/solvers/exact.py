@@ -58,6 +58,8 @@ class Work(NamedTuple):
     signs: NDArray[np.int64]
     kept: NDArray[np.int64]
     before: Floats
+    last: NDArray[np.int64]
+    earlier: Floats
     after: Floats
     state: Floats
 
@@ -87,6 +89,8 @@ def make_work(cells: int, capacity: int) -> Work:
         signs=np.zeros(found, dtype=np.int64),
         kept=np.zeros((capacity, layout.MEM_COLUMNS), dtype=np.int64),
         before=np.zeros(3),
+        last=np.zeros((found, 3), dtype=np.int64),
+        earlier=np.zeros(3),
         after=np.zeros(3),
         state=np.zeros(6),
     )

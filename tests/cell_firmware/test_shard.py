@@ -70,7 +70,7 @@ def cut(lattice: Lattice, labels: list[int]) -> Partition:
 
 @pytest.mark.parametrize("kind", FIRMWARE)
 @pytest.mark.parametrize("motors", [False, True])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_any_partition_of_any_array_gives_the_same_bytes_as_one_shard(
     run: Callable[..., Any], kind: str, motors: bool, data: st.DataObject

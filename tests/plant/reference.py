@@ -161,7 +161,7 @@ class Bench:
         """State after ``span`` seconds. Support changes are appended to ``events`` with the time from here."""
         y = np.array(y, dtype=np.float64)
         members = self.under(y)
-        now, drift = 0.0, np.zeros(6)
+        now, drift = 0.0, np.append(y[3:], np.zeros(3))
         for _ in range(4000):
             # a load that has just reached zero is told by where it is a moment later
             active = self.contact(y + 1e-7 * drift, members)

@@ -16,7 +16,7 @@ from plant.broad_phase import close_boxes, close_pairs
 COORDINATE = st.sampled_from([-1.0, -0.5, 0.0, 0.25, 0.5, 1.0, 3.0])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays(np.float64, st.tuples(st.integers(0, 12), st.just(3)), elements=COORDINATE))
 def test_the_pairs_of_discs_are_those_of_all_with_all_in_lexical_order(discs: np.ndarray) -> None:
     centre, radius = discs[:, :2], np.abs(discs[:, 2])
@@ -28,7 +28,7 @@ def test_the_pairs_of_discs_are_those_of_all_with_all_in_lexical_order(discs: np
     assert close_pairs(centre, radius).tolist() == expected
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays(np.float64, st.tuples(st.integers(0, 12), st.just(4)), elements=COORDINATE))
 def test_the_pairs_of_boxes_are_those_of_all_with_all(boxes: np.ndarray) -> None:
     low = boxes[:, :2]

@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
@@ -200,7 +200,7 @@ LAWS = {**ALL, "sliding": SLIDING, "stiff": stiff, "slick": Coulomb(law="coulomb
 speeds = st.floats(-1.0, 1.0) | st.sampled_from([0.0, 0.25])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     name=st.sampled_from(sorted(LAWS)),
     pose=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(0.0, 1.5)),
@@ -208,6 +208,10 @@ speeds = st.floats(-1.0, 1.0) | st.sampled_from([0.0, 0.25])
     field=st.sampled_from(["still", "uniform", "turning", "random"]),
     exponent=st.floats(-5.0, -1.0),
     seed=st.integers(0, 100),
+)
+# a share of this velocity is no number any more
+@example(
+    name="cone", pose=(0.002, 0.0, 0.0), velocity=(0.0, 0.0, 2.3e-313), field="still", exponent=-1.0, seed=0
 )
 def test_a_step_ends_at_the_minimum_of_its_problem(
     name: str,

@@ -208,7 +208,7 @@ def test_numpy_agrees_on_random_polynomials_of_high_order() -> None:
     assert compared > 100
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.floats(0.001, 1.2), min_size=1, max_size=4),
     st.lists(st.tuples(st.floats(-1.0, 2.0), st.floats(0.0, 1.0)), max_size=2),
@@ -223,7 +223,7 @@ def test_the_first_crossing_is_exact_for_clustered_and_multiple_roots(
     _check(_product(factors), upward)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=8), st.booleans(), st.floats(0.05, 1.0))
 def test_the_first_crossing_is_exact_for_any_coefficients(g: Coefficients, upward: bool, end: float) -> None:
     if g[0] != 0.0:

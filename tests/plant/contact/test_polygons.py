@@ -30,7 +30,7 @@ def _least_distance(a: Floats, b: Floats) -> float:
     return float(np.hypot(*(differences.T @ weights / weights.sum())))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(polygons(), polygons(), PLACE, PLACE, TURN, TURN)
 def test_the_gap_is_the_distance_of_the_hulls(
     a: Floats, b: Floats, x: float, y: float, turn_a: float, turn_b: float
@@ -45,7 +45,7 @@ def test_the_gap_is_the_distance_of_the_hulls(
         assert contact_entry.gap(pack([a, b]), 0, 1, pa, touching)[0] == pytest.approx(0.0, abs=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(polygons(), polygons(), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), TURN)
 def test_the_depth_is_the_least_push_that_parts_them(
     a: Floats, b: Floats, x: float, y: float, turn: float
@@ -71,7 +71,7 @@ def test_a_million_metres_away_it_keeps_the_digits_that_the_shift_leaves() -> No
     assert far == pytest.approx(near, abs=1e-14)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     polygons(),
     polygons(),

@@ -76,7 +76,7 @@ def test_a_parcel_that_falls_flat_on_a_rail_loses_mu_of_the_push_along_it_and_do
     assert _velocity(bench)[0] == pytest.approx([0.3 - 0.2 * 1.5 * 0.4, -0.2, 0.0], abs=1e-8)
 
 
-@settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(max_examples=8, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(
     st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 6), min_size=4, max_size=4),
     st.floats(0.0, 1.0),

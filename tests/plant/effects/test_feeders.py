@@ -292,7 +292,7 @@ def test_a_trajectory_in_slices_is_the_same_as_tick_by_tick_bit_for_bit() -> Non
     assert ticked.traffic().left > 3  # type: ignore[union-attr]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 2**40),
     mean_s=st.floats(0.05, 2.0),
