@@ -13,10 +13,10 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from bus.spec import Positive, Spec
 from bus.specs import StallSpec
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
+from deploy.effects.registry import EffectsSpec
 from deploy.faults import Fault
 from deploy.scene_checks import cross_problems, normal_parameters
 from deploy.scene_errors import CROSS
-from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
 from plant.solver_specs import ExactSpec, SolverSpec
 from plant.specs import ArraySpec, ParcelSpec, PlantSpec
@@ -126,7 +126,7 @@ class Scene(Spec):
             array=self.array,
             parcels=self.parcels,
             friction=self.friction,
-            effects=self.effects,
+            effects=self.effects.of_plant(),
             solver=self.solver,
             gravity_m_s2=self.gravity_m_s2,
             seed=self.seed,

@@ -9,9 +9,9 @@ from pydantic import ValidationError
 
 from cell_firmware.errors import FirmwareError, ParametersError
 from cell_firmware.specs import CellsSpec
+from deploy.effects.registry import EffectsSpec
 from deploy.faults import Fault
 from deploy.scene_errors import Path, Problem, problems_of, strictly
-from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
 from plant.solver_specs import SolverSpec
 from plant.specs import ArraySpec, disagreements, misplaced

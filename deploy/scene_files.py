@@ -12,13 +12,13 @@ from typing import Any, cast
 from pydantic import TypeAdapter, ValidationError
 
 from cell_firmware.specs import CellsSpec
+from deploy.effects.registry import EffectsSpec
 from deploy.errors import InputError
 from deploy.faults import Fault
 from deploy.overrides import Override, apply
 from deploy.scene import Scene
 from deploy.scene_checks import cross_problems
 from deploy.scene_errors import CROSS, Problem, SceneError, nearest, problems_of, strictly, strictly_any
-from plant.effects.registry import EffectsSpec
 from plant.friction.registry import FrictionSpec
 from plant.solver_specs import SolverSpec, settings_of
 from plant.specs import ArraySpec

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from bus.lattice import Lattice
 from bus.spec import CellName, Positive, Spec, Vector
-from plant.effects.registry import EffectsSpec
+from plant.effects.registry import PlantEffects
 from plant.friction.registry import FrictionSpec
 from plant.parcel_spec import ParcelSpec
 from plant.solver_specs import ExactSpec, SolverSpec
@@ -54,19 +54,8 @@ class ArraySpec(Spec):
         return Lattice((r, c) for r in range(self.rows) for c in range(self.columns) if (r, c) not in holes)
 
 
-def _at_odds(effects: EffectsSpec) -> Iterator[tuple[tuple[str, str], object, str]]:
-    """Effects that lack another, or don't go with one."""
-    for name, effect in effects.asked():
-        for needed in effect.needs:
-            if getattr(effects, needed) is None:
-                yield ("effects", needed), None, f"must be asked for too: effects.{name} needs it"
-        for other in effect.excludes:
-            if getattr(effects, other) is not None:
-                yield ("effects", name), "", f"doesn't go with effects.{other}"
-
-
 def disagreements(
-    friction: FrictionSpec | None, effects: EffectsSpec | None, solver: SolverSpec | None
+    friction: FrictionSpec | None, effects: PlantEffects | None, solver: SolverSpec | None
 ) -> Iterator[tuple[tuple[str, str], object, str]]:
     """What does not agree between the parts given: the path of a value, the value, and the rule that it breaks."""
     if solver is not None and effects is not None:
@@ -78,7 +67,7 @@ def disagreements(
                     f"leaves out effects.{name}; use {' or '.join(effect.solvers)}",
                 )
     if effects is not None:
-        yield from _at_odds(effects)
+        yield from effects.at_odds()
     if friction is None:
         return
     if solver is not None and solver.laws is not None and friction.law not in solver.laws:
@@ -89,7 +78,7 @@ def disagreements(
         yield ("friction", "law"), friction.law, rule
 
 
-def misplaced(array: ArraySpec, effects: EffectsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+def misplaced(array: ArraySpec, effects: PlantEffects) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
     """What effects say that does not fit the array: the path of a value, the value, and the broken rule."""
     asked = list(effects.asked())
     if not asked:
@@ -106,7 +95,7 @@ class PlantSpec(Spec):
     array: ArraySpec
     parcels: tuple[ParcelSpec, ...] = ()
     friction: FrictionSpec
-    effects: EffectsSpec = EffectsSpec()
+    effects: PlantEffects = PlantEffects()
     solver: SolverSpec = ExactSpec()
     gravity_m_s2: Positive = 9.81
     seed: Annotated[int, Field(ge=0)] = 0

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import ClassVar, final
 
+from bus.effect import EffectSpec
 from bus.lattice import Lattice
 from bus.spec import Positive
-from plant.effects.effect import EffectSpec
 
 
 @final

@@ -12,8 +12,8 @@ from typing import final
 
 import numpy as np
 
+from bus.effect import EffectSpec
 from bus.spec import Positive
-from plant.effects.effect import EffectSpec
 from plant.wheels import Floats, WheelMotion
 
 

@@ -9,8 +9,8 @@ from typing import Annotated, ClassVar, Literal, final
 
 from pydantic import Field, field_validator
 
+from bus.effect import EffectSpec
 from bus.spec import NotNegative, Positive, Vector
-from plant.effects.effect import EffectSpec
 from plant.geometry import PolygonError, check_convex
 
 

@@ -14,9 +14,9 @@ from typing import Annotated, ClassVar, final
 
 from pydantic import Field
 
+from bus.effect import EffectSpec
 from bus.spec import Positive
 from plant.chance import generator
-from plant.effects.effect import EffectSpec
 from plant.wheels import Floats
 
 

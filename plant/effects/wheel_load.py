@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import ClassVar, final
 
+from bus.effect import EffectSpec
 from bus.spec import Positive
-from plant.effects.effect import EffectSpec
 
 
 @final

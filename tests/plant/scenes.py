@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.effects.motors import MotorsSpec
-from plant.effects.registry import EffectsSpec
+from plant.effects.registry import PlantEffects
 from plant.friction.registry import FrictionSpec
 from plant.friction.viscous import Viscous
 from plant.kernels import layout
@@ -49,7 +49,7 @@ def spec(
         array=ArraySpec.model_validate({"rows": rows, "columns": columns, "pitch_m": pitch_m} | array),
         parcels=parcels,
         friction=Viscous(coefficient_s_per_m=mu),
-        effects=EffectsSpec(motors=motors),
+        effects=PlantEffects(motors=motors),
         solver=ExactSpec(tolerance=tolerance, capture_m=capture_m),
     )
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plant import geometry
 from plant.contact.shapes import pack
 from plant.effects.parcel_contact import ParcelContactSpec
-from plant.effects.registry import EffectsSpec
+from plant.effects.registry import PlantEffects
 from plant.kernels import contact_entry
 from plant.plant import Plant
 from plant.reports import Event
@@ -37,7 +37,7 @@ def plant(
     """A plant with the effect; ``fine`` cells carry small parcels anywhere; ``implicit`` is that solver's step, s."""
     across, pitch_m = (120, 0.04) if fine else (20, 0.1)
     values = dict(spec(*parcels, mu=mu, rows=across, columns=across, pitch_m=pitch_m)) | {
-        "effects": EffectsSpec(parcel_contact=ParcelContactSpec.model_validate(rules))
+        "effects": PlantEffects(parcel_contact=ParcelContactSpec.model_validate(rules))
     }
     if implicit is not None:
         values["solver"] = ImplicitSpec(name="implicit", step_s=implicit)

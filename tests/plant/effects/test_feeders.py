@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from scipy.stats import kstest
 
 from plant.effects.feeders import FeedersSpec, FeedSpec
-from plant.effects.registry import EffectsSpec
+from plant.effects.registry import PlantEffects
 from plant.errors import PlantError
 from plant.friction.coulomb import Coulomb
 from plant.plant import Plant
@@ -38,7 +38,7 @@ def fed_plant(
     seed: int = 1,
 ) -> PlantSpec:
     """A plant on a belt of 8 x 20 cells with the parcels ``own`` and these feeders."""
-    effects = EffectsSpec(feeders=FeedersSpec.model_validate({"feed": feeds, "exits": exits}))
+    effects = PlantEffects(feeders=FeedersSpec.model_validate({"feed": feeds, "exits": exits}))
     return PlantSpec.model_validate(dict(spec(*own, **ARRAY)) | {"effects": effects, "seed": seed})
 
 

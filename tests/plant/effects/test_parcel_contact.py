@@ -6,11 +6,11 @@ import pytest
 from pydantic import ValidationError
 
 from plant.effects.parcel_contact import ParcelContactSpec
-from plant.effects.registry import EffectsSpec
+from plant.effects.registry import PlantEffects
 
 
 def test_an_empty_table_resolves_contacts_without_bounce_friction_or_rails() -> None:
-    spec = EffectsSpec.model_validate({"parcel_contact": {}}).parcel_contact
+    spec = PlantEffects.model_validate({"parcel_contact": {}}).parcel_contact
     assert spec is not None
     assert (spec.mode, spec.restitution, spec.friction, spec.rails) == ("resolved", 0.0, 0.0, ())
 

@@ -1,0 +1,49 @@
+"""What every effect, and every registry of them, has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+from bus.lattice import Lattice
+from bus.spec import Spec
+
+
+class EffectSpec(Spec):
+    """A table under a scene's ``[effects]``; one that is absent is not simulated and costs nothing."""
+
+    solvers: ClassVar[tuple[str, ...] | None] = None
+    """Names of the solvers that know the effect; None: it doesn't concern them."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Names of the effects that it builds on."""
+    excludes: ClassVar[tuple[str, ...]] = ()
+    """Names of the effects that leave it out."""
+
+    def misplaced(
+        self,
+        lattice: Lattice,  # noqa: ARG002
+        pitch_m: float,  # noqa: ARG002
+    ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+        """What does not fit the array: path from the effect's table, value, and the rule that it breaks."""
+        yield from ()
+
+
+class Effects(Spec):
+    """A registry of effects: every field is one, None where the scene doesn't ask for it."""
+
+    def asked(self) -> Iterator[tuple[str, EffectSpec]]:
+        """Name and settings of the effects that are there."""
+        for name in type(self).model_fields:
+            effect = getattr(self, name)
+            if effect is not None:
+                yield name, effect
+
+    def at_odds(self) -> Iterator[tuple[tuple[str, str], object, str]]:
+        """Effects that lack another, or don't go with one: path in the scene, value, and the rule that is broken."""
+        for name, effect in self.asked():
+            for needed in effect.needs:
+                if getattr(self, needed, None) is None:
+                    yield ("effects", needed), None, f"must be asked for too: effects.{name} needs it"
+            for other in effect.excludes:
+                if getattr(self, other, None) is not None:
+                    yield ("effects", name), "", f"doesn't go with effects.{other}"

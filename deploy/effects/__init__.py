@@ -1,0 +1,1 @@
+"""The effects of all packages, as a scene has them."""
