@@ -16,7 +16,7 @@ from plant.overlap import OverlapWatch
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
-from plant.solvers.solver import Advance, Rewindable, Solver, SolverEvent
+from plant.solvers.solver import Advance, Rewindable, Solver
 from plant.specs import PlantSpec
 from plant.start import check_places, check_standing
 from plant.traffic import Traffic
@@ -229,7 +229,15 @@ class Plant:
         """Note what happened to a parcel in a move that began at ``start``."""
         i = done.parcel
         self.support_changes += done.changes
-        events = [self._event(i, start, event) for event in done.events]
+        names, places = self.array.lattice.cells, self.array.positions_m
+        events = [
+            Event(
+                start + after_s, kind, i, (names[cell],), (places.item(2 * cell), places.item(2 * cell + 1))
+            )
+            if cell >= 0
+            else Event(start + after_s, kind, i, (), self._place(i))
+            for after_s, kind, cell in done.events
+        ]
         if done.ending == "tipped":
             self._solver.state[i, 3:] = 0.0
             out[times_s > done.moved_s, i, 3:] = 0.0
@@ -239,25 +247,15 @@ class Plant:
             self._unstable(i, start + done.moved_s, done)
         return events
 
-    def _event(self, i: int, start: float, event: SolverEvent) -> Event:
-        cell, time_s = event.cell, start + event.after_s
-        if cell < 0:
-            x, y = self._solver.state[i, :2].tolist()
-            return Event(time_s, event.kind, i, (), (x, y))
-        places = self.array.positions_m
-        return Event(
-            time_s,
-            event.kind,
-            i,
-            (self.array.lattice.cells[cell],),
-            (places.item(2 * cell), places.item(2 * cell + 1)),
-        )
+    def _place(self, i: int) -> tuple[float, float]:
+        """Where a parcel's centre of mass is."""
+        x, y = self._solver.state[i, :2].tolist()
+        return x, y
 
     def _tip(self, i: int, time_s: float, edge: tuple[int, int]) -> Event:
         """Name the edge a parcel tips about; off the array where nothing lies beyond it."""
-        state = self._solver.state[i]
+        state, place = self._solver.state[i], self._place(i)
         a, b = edge
-        place = (float(state[0]), float(state[1]))
         if a < 0:
             outcome, cells, detail = "off_array", (), "its last support left the footprint"
         else:
@@ -269,7 +267,7 @@ class Plant:
         return Event(time_s, outcome, i, cells, place, detail)
 
     def _unstable(self, i: int, time_s: float, done: Advance) -> None:
-        x, y = self._solver.state[i, :2]
+        x, y = self._place(i)
         where = f"parcel {i} at t = {time_s:.6g} s, x = {x:.6g} m, y = {y:.6g} m"
         named = "the supports"
         if done.culprit >= 0:

@@ -153,8 +153,10 @@ class LoggedEvents(Sequence[SolverEvent]):
         return len(self._rows)
 
     def __iter__(self) -> Iterator[SolverEvent]:
-        for after_s, kind, cell, _ in self._rows.tolist():
-            yield SolverEvent(after_s, KINDS[int(kind)], int(cell))
+        after_s: list[float] = self._rows[:, layout.EV_TIME].tolist()
+        codes: list[int] = self._rows[:, layout.EV_KIND].astype(np.int64).tolist()
+        cells: list[int] = self._rows[:, layout.EV_CELL].astype(np.int64).tolist()
+        return map(SolverEvent, after_s, [KINDS[code] for code in codes], cells)
 
     @overload
     def __getitem__(self, index: int) -> SolverEvent: ...
