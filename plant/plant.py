@@ -16,7 +16,7 @@ from plant.overlap import OverlapWatch
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
-from plant.solvers.solver import Advance, Rewindable, Solver
+from plant.solvers.solver import Advance, Leg, Rewindable, Solver
 from plant.specs import PlantSpec
 from plant.start import check_places, check_standing
 from plant.traffic import Traffic
@@ -210,11 +210,12 @@ class Plant:
         live = self._live
         out = self._nothing if samples is None else samples[1:]
         events: list[Event] = []
+        leg = Leg(motion, self._grip, span, times_s, out)
         if self._contact is None:
-            news = self._solver.advance(live, motion, self._grip, span, times_s, out)
+            news = self._solver.advance(live, leg)
         else:
             fixed = self._there[[self.status[int(i)].state == "tipped" for i in self._there]]
-            news = self._contact.advance(live, fixed, motion, self._grip, start, span, times_s, out)
+            news = self._contact.advance(live, fixed, leg, start)
             events += self._contact.events()
         for done in news:
             events.extend(self._news(done, start, times_s, out))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.contact.group import Group
-from plant.solvers.solver import Advance, Rewindable
+from plant.solvers.solver import Advance, Leg, Rewindable
 from plant.wheels import WheelMotion
 
 Floats = NDArray[np.float64]
@@ -45,7 +45,8 @@ class Course:
         group = self._group
         out = np.empty((len(times), len(self._solver.state), 6))
         self._solver.restore(self._kept)
-        news = self._solver.advance(group.parcels, self._motion, self._grip, float(times[-1]), times, out)
+        leg = Leg(self._motion, self._grip, float(times[-1]), times, out)
+        news = self._solver.advance(group.parcels, leg)
         states = np.empty((len(times), len(group.names), 6))
         states[:] = group.still
         states[:, group.moving] = out[:, group.parcels]
@@ -61,5 +62,6 @@ class Course:
     def go(self, span_s: float) -> list[Advance]:
         """Move the parcels on by ``span_s`` for good. Returns those to which something happened."""
         self._solver.restore(self._kept)
-        none = np.zeros((0, len(self._solver.state), 6))
-        return self._solver.advance(self._group.parcels, self._motion, self._grip, span_s, np.zeros(0), none)
+        return self._solver.advance(
+            self._group.parcels, Leg.through(self._motion, self._grip, span_s, len(self._solver.state))
+        )

@@ -23,9 +23,8 @@ from plant.effects.parcel_contact import ParcelContactSpec
 from plant.errors import PlantError
 from plant.kernels import contact_layout as to
 from plant.reports import Event
-from plant.solvers.solver import Advance, Rewindable
+from plant.solvers.solver import Advance, Leg, Rewindable
 from plant.specs import PlantSpec
-from plant.wheels import WheelMotion
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -90,32 +89,18 @@ class ContactMover:
         told, self._events = self._events, []
         return told
 
-    def advance(
-        self,
-        live: Integers,
-        fixed: Integers,
-        motion: WheelMotion,
-        grip: Floats,
-        start_s: float,
-        span_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> list[Advance]:
+    def advance(self, live: Integers, fixed: Integers, leg: Leg, start_s: float) -> list[Advance]:
         """Move parcels, as ``Solver.advance`` does.
 
         Args:
             live: ``(b,)`` parcels to move, ascending.
             fixed: those that stand in the way.
-            motion: of the wheels.
-            grip: of the cells.
-            start_s: when the call begins.
-            span_s: how far.
-            times_s: when states are asked for; none where contacts are resolved.
-            out: those states.
+            leg: how far, and on which wheels; no states are asked for on it where contacts are resolved.
+            start_s: when it begins.
         """
-        drive = Drive(motion, grip, fastest(motion))
+        drive = Drive(leg.motion, leg.grip, fastest(leg.motion))
         move = self._resolve if self.resolves else self._watch
-        news, told = move(live, fixed, drive, span_s, times_s, out)
+        news, told = move(live, fixed, drive, leg)
         self._events += events(told, self._bodies.parcels, start_s)
         return news
 
@@ -174,15 +159,16 @@ class ContactMover:
     # --- reported only --------------------------------------------------------------------------------
 
     def _watch(
-        self, live: Integers, fixed: Integers, drive: Drive, span_s: float, times_s: Floats, out: Floats
+        self, live: Integers, fixed: Integers, drive: Drive, leg: Leg
     ) -> tuple[list[Advance], list[Told]]:
+        span_s, times_s, out = leg.span_s, leg.times_s, leg.out
         present = np.union1d(live, fixed)
         told = self._forget(present)
         pairs = self._near(live, present, self._strides(drive.wheels, span_s))
         mask, states = self._mask(live), self._states()
         involved = np.intersect1d(live, pairs)
         start = self._solver.keep(involved)
-        news = self._solver.advance(live, drive.motion, drive.grip, span_s, times_s, out)
+        news = self._solver.advance(live, leg)
         end = self._solver.keep(involved)
         if len(times_s):
             pairs = self._crossing(pairs, drive.wheels, times_s, out, states, mask)
@@ -223,9 +209,9 @@ class ContactMover:
     # --- resolved -------------------------------------------------------------------------------------
 
     def _resolve(
-        self, live: Integers, fixed: Integers, drive: Drive, span_s: float, times_s: Floats, out: Floats
+        self, live: Integers, fixed: Integers, drive: Drive, leg: Leg
     ) -> tuple[list[Advance], list[Told]]:
-        del times_s
+        span_s = leg.span_s
         present = np.union1d(live, fixed)
         told = self._forget(present)
         mask, states = self._mask(live), self._states()
@@ -245,7 +231,7 @@ class ContactMover:
             strides[far] = 2.0 * came[far]
             self._solver.restore(start)
         others = np.setdiff1d(live, involved)
-        news = self._solver.advance(others, drive.motion, drive.grip, span_s, np.zeros(0), out[:0])
+        news = self._solver.advance(others, Leg.through(drive.motion, drive.grip, span_s, len(states)))
         for one in done:
             news += one.news
             told += one.told

@@ -14,7 +14,7 @@ from plant.kernels import layout
 from plant.kernels.parcels import Parcel, Parcels
 from plant.kernels.surface import Surface
 from plant.solvers.bodies import ENDINGS, SensorCover, body_of, find_members, make_parcel, members, pack
-from plant.solvers.solver import Advance, Body, Kept, SolverEvent
+from plant.solvers.solver import Advance, Body, Kept, Leg, SolverEvent
 from plant.specs import ParcelSpec
 from plant.wheels import Floats, WheelMotion
 
@@ -56,8 +56,7 @@ class CompiledSolver(ABC):
     def stand(self, index: int, grip: Floats) -> bool:
         """Find a parcel's loads where it is. False where its supports can't carry it."""
         still = WheelMotion(self._still, self._still, 0.0)
-        out = np.zeros((0, len(self.parcels), 6))
-        news = self.advance(np.array([index]), still, grip, 0.0, np.zeros(0), out)
+        news = self.advance(np.array([index]), Leg.through(still, grip, 0.0, len(self.parcels)))
         return not news or news[0].ending == "moving"
 
     def _memory(self) -> Sequence[NDArray[Any]]:
@@ -90,16 +89,8 @@ class CompiledSolver(ABC):
         self._cover.mark(self.packed, indices, bits)
 
     @abstractmethod
-    def advance(
-        self,
-        indices: NDArray[np.int64],
-        motion: WheelMotion,
-        grip: Floats,
-        span_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> list[Advance]:
-        """Move some parcels by ``span_s``; see ``plant.solvers.solver.Solver``."""
+    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+        """Move some parcels; see ``plant.solvers.solver.Solver``."""
 
     def _surface(self, motion: WheelMotion, grip: Floats) -> Surface:
         """The cells and their wheels for one call of a kernel."""
@@ -117,27 +108,3 @@ class CompiledSolver(ABC):
             changes,
             events,
         )
-
-
-class OneByOne(CompiledSolver):
-    """A solver that is called once for every parcel."""
-
-    def advance(
-        self,
-        indices: NDArray[np.int64],
-        motion: WheelMotion,
-        grip: Floats,
-        span_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> list[Advance]:
-        """Move some parcels by ``span_s``, one after another."""
-        surface = self._surface(motion, grip)
-        done = [self._advance_one(i, surface, span_s, times_s, out[:, i]) for i in indices.tolist()]
-        return [one for one in done if one.ending != "moving" or one.changes or one.events]
-
-    @abstractmethod
-    def _advance_one(
-        self, index: int, surface: Surface, span_s: float, times_s: Floats, out: Floats
-    ) -> Advance:
-        """Move one parcel by ``span_s``; ``out`` ``(k, 6)`` are its states at ``times_s``."""

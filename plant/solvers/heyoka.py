@@ -17,6 +17,7 @@ from plant.kernels import layout
 from plant.loads import NO_LOAD, ON_LINE
 from plant.solver_specs import HeyokaSpec
 from plant.solvers.restarted import Moving, NotFiniteError, Reached, RestartedSolver, StalledError
+from plant.solvers.solver import Leg
 
 if TYPE_CHECKING:
     from plant.array import CellArray
@@ -57,22 +58,14 @@ class Heyoka(RestartedSolver):
         super().__init__(scene, array)
         self._courses = [Course(self._hy, self, parcel, rate, spec.tolerance) for parcel in self._parcels]
 
-    def _integrate(
-        self,
-        parcel: Moving,
-        motion: WheelMotion,
-        grip: Floats,
-        now_s: float,
-        until_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> Reached:
+    def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
         """See ``RestartedSolver``."""
         (course,) = (course for course in self._courses if course.parcel is parcel)
         if now_s == 0.0 or course.gone:
             course.settle(now_s)
-        course.load(motion, grip)
-        wanted = np.flatnonzero((times_s > now_s) & (times_s <= until_s))
+        course.load(leg.motion, leg.grip)
+        until_s, times_s = leg.span_s, leg.times_s
+        wanted = np.flatnonzero(times_s > now_s)
         outcome, *_, dense, _ = course.integrator.propagate_until(until_s, c_output=len(wanted) > 0)
         kinds = self._hy.taylor_outcome
         if outcome == kinds.err_nf_state:
@@ -82,7 +75,7 @@ class Heyoka(RestartedSolver):
             raise StalledError(str(outcome))
         at_s = until_s if outcome == kinds.time_limit else float(course.integrator.time)
         for k in wanted[times_s[wanted] <= at_s].tolist():
-            out[k] = course.state(dense(times_s[k]))
+            leg.out[k] = course.state(dense(times_s[k]))
         parcel.shape.y[:] = course.state(course.integrator.state)
         return course.reached(at_s, None if outcome == kinds.time_limit else event)
 

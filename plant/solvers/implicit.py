@@ -19,11 +19,11 @@ from plant.kernels import implicit_layout, layout
 from plant.kernels.parcels import Parcel
 from plant.solver_specs import ImplicitSpec
 from plant.solvers.slowing import Handed, Slowing, load_wheels, make_slowing
-from plant.solvers.solver import Advance
+from plant.solvers.solver import Advance, Leg
 from plant.solvers.springs import make_edges, make_rollers, make_springs
 from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import PlantSpec
-from plant.wheels import Floats, WheelMotion
+from plant.wheels import Floats
 
 FIRST_STEP_S = 1e-3
 """What a controlled run tries first."""
@@ -142,18 +142,10 @@ class Implicit(ThreadedSolver[Work]):
         work = make_work(cells, self.capacity)
         return work._replace(slowing=make_slowing(cells, self.capacity)) if self._loaded else work
 
-    def advance(
-        self,
-        indices: NDArray[np.int64],
-        motion: WheelMotion,
-        grip: Floats,
-        span_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> list[Advance]:
-        """Move some parcels by ``span_s``; see ``plant.solvers.solver.Solver``."""
-        news = super().advance(indices, motion, grip, span_s, times_s, out)
-        self._handed.give(motion.slowing)
+    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+        """Move some parcels; see ``plant.solvers.solver.Solver``."""
+        news = super().advance(indices, leg)
+        self._handed.give(leg.motion.slowing)
         return news
 
     def _memory(self) -> Sequence[NDArray[Any]]:

@@ -20,9 +20,9 @@ from plant.kernels import layout
 from plant.kernels.parcels import Parcel
 from plant.loads import Supports, farthest_edge, find_supports
 from plant.solvers.bodies import body_of, make_parcel, members
-from plant.solvers.solver import Advance, Body, Ending, SolverEvent
+from plant.solvers.solver import Advance, Body, Ending, Leg, SolverEvent
 from plant.specs import ParcelSpec, PlantSpec
-from plant.wheels import Floats, WheelMotion
+from plant.wheels import Floats
 
 Cells = NDArray[np.int64]
 
@@ -133,55 +133,36 @@ class RestartedSolver(ABC):
             covered = parcel.depth_m(self._sensors[near]) >= -4.0 * parcel.shape.par[layout.ON_SURFACE]
             bits.reshape(-1)[near[covered]] = True
 
-    def advance(
-        self,
-        indices: NDArray[np.int64],
-        motion: WheelMotion,
-        grip: Floats,
-        span_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> list[Advance]:
-        """Move some parcels by ``span_s``, one after another; see ``plant.solvers.solver.Solver``."""
-        done = [self._advance_one(i, motion, grip, span_s, times_s, out[:, i]) for i in indices.tolist()]
+    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+        """Move some parcels, one after another; see ``plant.solvers.solver.Solver``."""
+        done = [self._advance_one(i, leg._replace(out=leg.out[:, i])) for i in indices.tolist()]
         return [one for one in done if one.ending != "moving" or one.events]
 
-    def _advance_one(
-        self, index: int, motion: WheelMotion, grip: Floats, span_s: float, times_s: Floats, out: Floats
-    ) -> Advance:
-        """Move one parcel; ``out`` ``(k, 6)`` are its states at ``times_s``."""
+    def _advance_one(self, index: int, leg: Leg) -> Advance:
+        """Move one parcel; ``leg.out`` ``(k, 6)`` are its states."""
         parcel, now = self._parcels[index], 0.0
         ending: Ending = "moving"
         events: list[SolverEvent] = []
         refill = CHANGES_PER_SECOND + CHANGES_PER_MEMBER * len(parcel.shape.mem)
-        parcel.allowed = min(parcel.allowed, refill) + refill * span_s
+        parcel.allowed = min(parcel.allowed, refill) + refill * leg.span_s
         if parcel.supports is None:
             self._settle(parcel)
         with np.errstate(all="ignore"):  # what overflows is told by its state
-            while now < span_s:
-                ending, now = self._next(parcel, motion, grip, now, span_s, times_s, out, events)
+            while now < leg.span_s:
+                ending, now = self._next(parcel, leg, now, events)
                 if ending != "moving":
                     break
-        out[times_s > now] = parcel.shape.y
+        leg.out[leg.times_s > now] = parcel.shape.y
         changes = sum(event.kind != "outrun" for event in events)
         last = events[-1].cell if events else -1
         return Advance(index, now, ending, self._edge(parcel), last, changes, events)
 
     @abstractmethod
-    def _integrate(
-        self,
-        parcel: Moving,
-        motion: WheelMotion,
-        grip: Floats,
-        now_s: float,
-        until_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> Reached:
-        """Integrate on the present supports until an event, ``until_s`` at the latest.
+    def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
+        """Integrate on the present supports from ``now_s`` until an event, or the leg's end.
 
-        Takes the parcel's state there and fills the rows of ``out`` whose ``times_s`` lie in between. Times count from
-        the start of the call, as those of ``motion`` do.
+        Takes the parcel's state there and fills the rows of ``leg.out`` ``(k, 6)`` whose ``times_s`` lie in between.
+        Times count from the start of the leg.
 
         Raises:
             NotFiniteError: a rate is no number.
@@ -189,21 +170,13 @@ class RestartedSolver(ABC):
         """
 
     def _next(
-        self,
-        parcel: Moving,
-        motion: WheelMotion,
-        grip: Floats,
-        now_s: float,
-        until_s: float,
-        times_s: Floats,
-        out: Floats,
-        events: list[SolverEvent],
+        self, parcel: Moving, leg: Leg, now_s: float, events: list[SolverEvent]
     ) -> tuple[Ending, float]:
         """To the next event, and over it. Returns (how it stands then, when)."""
         if parcel.supports is None:
             return "tipped", now_s
         try:
-            reached = self._integrate(parcel, motion, grip, now_s, until_s, times_s, out)
+            reached = self._integrate(parcel, leg, now_s)
         except NotFiniteError:
             return "not_finite", now_s
         except StalledError:

@@ -18,7 +18,7 @@ from plant.kernels import layout
 from plant.loads import NO_LOAD, ON_LINE
 from plant.solver_specs import SciPySpec
 from plant.solvers.restarted import Moving, NotFiniteError, Reached, RestartedSolver, StalledError
-from plant.solvers.solver import SolverEvent
+from plant.solvers.solver import Leg, SolverEvent
 
 if TYPE_CHECKING:
     from plant.array import CellArray
@@ -52,24 +52,15 @@ class SciPy(RestartedSolver):
         super().__init__(scene, array)
         self._spec = spec
 
-    def _integrate(
-        self,
-        parcel: Moving,
-        motion: WheelMotion,
-        grip: Floats,
-        now_s: float,
-        until_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> Reached:
+    def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
         """See ``RestartedSolver``."""
-        forces = Forces(self, parcel, motion, grip)
+        forces, until_s, times_s = Forces(self, parcel, leg.motion, leg.grip), leg.span_s, leg.times_s
         signs = Signs(self, parcel)
         y = parcel.shape.y
         reached = signs.reached(now_s, signs(now_s, y))
         if len(reached.crossed) or reached.loads:
             return reached
-        wanted = np.flatnonzero((times_s > now_s) & (times_s <= until_s))
+        wanted = np.flatnonzero(times_s > now_s)
         lead: list[Any] = [forces.lead] if self.traction.push_per_load else []
         begun = forces.lead(now_s, y) if lead else 0.0
         found = self._solve(
@@ -86,7 +77,7 @@ class SciPy(RestartedSolver):
             raise StalledError(found.message)
         at_s = until_s if found.status == 0 else float(found.t[-1])
         for k in wanted[times_s[wanted] <= at_s].tolist():
-            out[k] = found.sol(times_s[k])
+            leg.out[k] = found.sol(times_s[k])
         y[:] = found.y[:, -1]
         fired = [k for k, times in enumerate(found.t_events[: len(signs)]) if len(times)]
         reached = signs.reached(at_s, signs(at_s, y), *fired)

@@ -65,6 +65,29 @@ class Advance(NamedTuple):
     events: Sequence[SolverEvent]
 
 
+class Leg(NamedTuple):
+    """A stretch of time over which parcels are moved.
+
+    Attributes:
+        motion: of all wheels, from its start on.
+        grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
+        span_s: how long it is.
+        times_s: ``(k,)`` in ``(0, span_s]``, ascending: when states are asked for on the way.
+        out: ``(k, m, 6)``: those states, of the parcels moved; of times after one ended, its last.
+    """
+
+    motion: WheelMotion
+    grip: Floats
+    span_s: float
+    times_s: Floats
+    out: Floats
+
+    @classmethod
+    def through(cls, motion: WheelMotion, grip: Floats, span_s: float, parcels: int) -> Leg:
+        """One on the way of which no states are asked for; ``parcels`` is m."""
+        return cls(motion, grip, span_s, np.zeros(0), np.zeros((0, parcels, 6)))
+
+
 class Kept(NamedTuple):
     """What a solver knows of some parcels at an instant.
 
@@ -109,27 +132,15 @@ class Solver(Protocol):
         """
         ...
 
-    def advance(
-        self,
-        indices: NDArray[np.int64],
-        motion: WheelMotion,
-        grip: Floats,
-        span_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> list[Advance]:
+    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
         """Move parcels, changing their states; what becomes of one doesn't depend on which others are moved with it.
 
         Args:
             indices: ``(b,)`` which parcels, none twice.
-            motion: of all wheels, from now on.
-            grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
-            span_s: how far.
-            times_s: ``(k,)`` in ``(0, span_s]``, ascending: when states are asked for on the way.
-            out: ``(k, m, 6)``: those states, of the parcels moved; of times after one ended, its last.
+            leg: how far, and on which wheels.
 
         Returns:
-            Those to which something happened, in the order of ``indices``: all others moved ``span_s``, on the
+            Those to which something happened, in the order of ``indices``: all others moved the whole leg, on the
             supports they had.
         """
         ...

@@ -14,9 +14,9 @@ from plant.kernels.surface import Surface
 from plant.solvers.bodies import LoggedEvents
 from plant.solvers.compiled import CompiledSolver
 from plant.solvers.crew import Crew
-from plant.solvers.solver import Advance
+from plant.solvers.solver import Advance, Leg
 from plant.specs import ParcelSpec
-from plant.wheels import Floats, WheelMotion
+from plant.wheels import Floats
 
 Work = TypeVar("Work")
 
@@ -87,22 +87,14 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
             self._desks[thread] = Desk(self._make_work(), log, report)
         return self._desks[thread]
 
-    def advance(
-        self,
-        indices: NDArray[np.int64],
-        motion: WheelMotion,
-        grip: Floats,
-        span_s: float,
-        times_s: Floats,
-        out: Floats,
-    ) -> list[Advance]:
-        """Move some parcels by ``span_s``; see ``plant.solvers.solver.Solver``."""
-        errand = Errand(self._surface(motion, grip), span_s, times_s, out)
+    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+        """Move some parcels; see ``plant.solvers.solver.Solver``."""
+        errand = Errand(self._surface(leg.motion, leg.grip), leg.span_s, leg.times_s, leg.out)
 
         def move(thread: int, share: slice) -> list[Advance]:
             return self._move(self.desk(thread), indices[share], errand)
 
-        least = max(1, round(WORTH_WAKING / (1.0 + WORTH_WAKING * span_s)))
+        least = max(1, round(WORTH_WAKING / (1.0 + WORTH_WAKING * leg.span_s)))
         return [news for share in self.crew.share(len(indices), move, least) for news in share]
 
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:

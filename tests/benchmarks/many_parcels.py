@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from plant.friction.viscous import Viscous
 from plant.plant import Plant
 from plant.solver_specs import ExactSpec
+from plant.solvers.solver import Leg
 from plant.solvers.threaded import ThreadedSolver
 from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 from plant.wheels import WheelMotion
@@ -138,8 +139,9 @@ class Side:
 
     def solve(self, which: NDArray[np.int64], span_s: float, times: int) -> int:
         """Move parcels through the solver, so many times in a row."""
+        leg = Leg.through(self.motion, self.grip, span_s, len(self.everyone))
         for _ in range(times):
-            self.solver.advance(which, self.motion, self.grip, span_s, self._none, self._out)
+            self.solver.advance(which, leg)
         return len(which) * times
 
     def tick(self, times: int) -> int:

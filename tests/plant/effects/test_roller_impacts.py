@@ -11,6 +11,7 @@ from plant.effects.roller_impacts import starts
 from plant.kernels import layout
 from plant.plant import Plant
 from plant.solvers.implicit import Implicit
+from plant.solvers.solver import Leg
 from plant.specs import ParcelSpec, PlantSpec
 from plant.wheels import WheelMotion
 from tests.plant.scenes import SECOND, Floats, G, elliptic, parcel, solved, spec
@@ -193,11 +194,11 @@ def test_a_parcel_taken_back_to_where_it_was_meets_the_same_rollers_again() -> N
     plant.advance(elliptic(plant), SECOND)
     solver, motion = plant._solver, WheelMotion(elliptic(plant), uniform(plant, (0.0, 0.0)), 0.0)
     assert isinstance(solver, Implicit)
-    one, none = np.zeros(1, dtype=np.int64), np.zeros(0)
+    one = np.zeros(1, dtype=np.int64)
     kept, ends = solver.keep(one), list[bytes]()
     for _ in range(2):
         solver.restore(kept)
-        solver.advance(one, motion, np.ones(len(elliptic(plant))), 1.0, none, np.zeros((0, 1, 6)))
+        solver.advance(one, Leg.through(motion, np.ones(len(elliptic(plant))), 1.0, 1))
         ends.append(solver.state.tobytes())
     assert ends[0] == ends[1]
 

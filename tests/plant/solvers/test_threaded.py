@@ -13,6 +13,7 @@ from plant.effects.motors import MotorsSpec
 from plant.kernels.parcels import LOG_CAPACITY
 from plant.plant import Plant
 from plant.reports import Event
+from plant.solvers.solver import Leg
 from plant.specs import ParcelSpec, PlantSpec
 from tests.plant.scenes import SECOND, TICK_NS, Floats, parcel, spec
 
@@ -148,8 +149,7 @@ def test_a_solver_tells_of_none_but_those_to_whom_something_happened(solver: str
     def move(speeds: Floats, which: NDArray[np.int64], span_s: float) -> list[int]:
         before = inner.state.copy()
         motion = plant._wheels.command(speeds)
-        out = np.zeros((0, len(everyone), 6))
-        news = inner.advance(which, motion, np.ones(n), span_s, np.zeros(0), out)
+        news = inner.advance(which, Leg.through(motion, np.ones(n), span_s, len(everyone)))
         unmoved = np.setdiff1d(everyone, which)
         assert np.array_equal(inner.state[unmoved], before[unmoved])
         return [done.parcel for done in news]
