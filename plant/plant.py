@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, cast, final
+from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant.array import CellArray
-from plant.contact.mover import ContactMover
-from plant.effects.motors import Motors
 from plant.errors import PlantError, PlantUnstable
 from plant.overlap import OverlapWatch
+from plant.parts import make_mover, make_traffic, make_wheels
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
-from plant.solvers.solver import Advance, Leg, Rewindable, Solver
+from plant.solvers.solver import Advance, Leg, Solver
 from plant.specs import PlantSpec
 from plant.start import check_places, check_standing
-from plant.traffic import Traffic
-from plant.wheels import Floats, IdealWheels, Wheels
+from plant.wheels import Floats, Wheels
+
+if TYPE_CHECKING:
+    from plant.traffic import Traffic
 
 LossPolicy = Literal["coast", "brake", "hold"]
 
@@ -45,11 +46,7 @@ class Plant:
         self.array: CellArray = CellArray(spec.array)
         n = len(self.array)
         motors = spec.effects.motors
-        self._wheels: Wheels = (
-            IdealWheels(n)
-            if motors is None
-            else Motors(motors, n, loaded=spec.effects.wheel_load is not None)
-        )
+        self._wheels: Wheels = make_wheels(spec, n)
         rate = 0.0 if motors is None else 1.0 / motors.time_constant_s
         self._solver: Solver = make_solver(spec.with_fed(), self.array, rate)
         self._grip: Floats = np.ones(n)
@@ -63,20 +60,16 @@ class Plant:
         self._overlaps = OverlapWatch([body.footprint_m for body in bodies], radius)
         self._rest = RestWatch(radius)
         check_standing(spec, self._solver, n)
-        feeders = spec.effects.feeders
-        self._traffic: Traffic | None = None
-        self._there: NDArray[np.int64] = np.arange(len(bodies))
+        self._traffic = make_traffic(spec, self._solver, self.status, self._overlaps)
+        self._there: NDArray[np.int64] = (
+            np.arange(len(bodies)) if self._traffic is None else self._traffic.there
+        )
         """Parcels that neither wait to be fed nor have left through an exit."""
-        if feeders is not None:
-            self._traffic = Traffic(feeders, spec.seed, self._solver.state, self.status, self._overlaps)
-            self._there = self._traffic.there
         check_places(spec, self.state, self._overlaps, self._traffic)
         self._live = self._there
         """Those of them that move: neither tipped nor off the array."""
-        self._contact: ContactMover | None = None
-        if spec.effects.parcel_contact is not None:
-            # the spec lets only solvers be chosen that can go back
-            self._contact = ContactMover(spec, spec.effects.parcel_contact, cast("Rewindable", self._solver))
+        self._contact = make_mover(spec, self._solver)
+        if self._contact is not None:
             self._contact.check_start(self._there)
         self._untold = [] if self._traffic is None else self._look(self._traffic, 0)
 

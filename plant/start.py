@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from plant.errors import PlantError
 from plant.overlap import OverlapWatch
 from plant.solvers.solver import Solver
 from plant.specs import PlantSpec
-from plant.traffic import Traffic
 from plant.wheels import Floats
+
+if TYPE_CHECKING:
+    from plant.traffic import Traffic
 
 
 def check_standing(spec: PlantSpec, solver: Solver, cells: int) -> None:

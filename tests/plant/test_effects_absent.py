@@ -1,4 +1,4 @@
-"""An effect that is absent is not in the code: kernels for scenes without it are compiled to the same instructions."""
+"""An effect that is absent is not in the code: not in the compiled, nor in what is loaded or made."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -92,3 +93,35 @@ def test_every_kernel_module_of_an_effect_is_looked_at() -> None:
         path.stem for path in (ROOT / "plant" / "kernels").glob("*.py") if "own=True" in path.read_text()
     }
     assert answering == set(EFFECTS)
+
+
+OF_EFFECTS = (
+    "plant.traffic",
+    *(f"plant.contact.{path.stem}" for path in (ROOT / "plant" / "contact").glob("[!_]*.py")),
+    *(f"plant.kernels.{name}" for name in ("contact_entry", "contact_layout", "impact", "impulses")),
+    *(f"plant.kernels.{name}" for name in ("meetings", "polygons", "pressing", "touch", *EFFECTS)),
+)
+"""The modules that only effects need."""
+
+MOVE = """
+import gc, json, sys
+from tests.plant.scenes import SECOND, elliptic, parcel, solved
+for solver in sys.argv[1].split(","):
+    plant = solved({"name": solver}, parcel())
+    plant.advance(elliptic(plant), SECOND // 10)
+made = {type(one) for one in gc.get_objects()}
+print(json.dumps([sorted(sys.modules), [f"{one.__module__}.{one.__name__}" for one in made]]))
+"""
+
+
+def test_a_scene_without_effects_loads_no_code_of_theirs_and_makes_nothing_of_it() -> None:
+    assert all(find_spec(name) for name in OF_EFFECTS)
+    moved = subprocess.run(
+        [sys.executable, "-c", MOVE, ",".join(SOLVERS)], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    loaded, made = json.loads(moved.stdout.splitlines()[-1])
+    assert "plant.plant" in loaded
+    assert set(OF_EFFECTS) & set(loaded) == set()
+    # the table of effects itself, empty
+    of_effects = {name for name in made if name.startswith("plant.effects.")}
+    assert of_effects == {"plant.effects.registry.EffectsSpec"}

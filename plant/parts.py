@@ -1,0 +1,58 @@
+"""What a plant has only where effects of its scene ask for it: wheels with motors, parcels that come, go, or touch.
+
+Their modules are imported here, where they are used: a scene without them loads none of their code.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+from plant.overlap import OverlapWatch
+from plant.reports import ParcelStatus
+from plant.solvers.solver import Rewindable, Solver
+from plant.specs import PlantSpec
+from plant.wheels import IdealWheels, Wheels
+
+if TYPE_CHECKING:
+    from plant.contact.mover import ContactMover
+    from plant.traffic import Traffic
+
+
+def make_wheels(spec: PlantSpec, cells: int) -> Wheels:
+    """The wheels of all cells: ideal ones, or with motors."""
+    motors = spec.effects.motors
+    if motors is None:
+        return IdealWheels(cells)
+    from plant.effects.motors import Motors
+
+    return Motors(motors, cells, loaded=spec.effects.wheel_load is not None)
+
+
+def make_traffic(
+    spec: PlantSpec, solver: Solver, status: list[ParcelStatus], overlaps: OverlapWatch
+) -> Traffic | None:
+    """Parcels that come and go, None where all stay.
+
+    Args:
+        spec: the scene's physics.
+        solver: its parcels are at their start.
+        status: of each; changed as they come and go.
+        overlaps: knows their footprints.
+    """
+    feeders = spec.effects.feeders
+    if feeders is None:
+        return None
+    from plant.traffic import Traffic
+
+    return Traffic(feeders, spec.seed, solver.state, status, overlaps)
+
+
+def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
+    """What moves parcels that touch, None where they don't."""
+    contact = spec.effects.parcel_contact
+    if contact is None:
+        return None
+    from plant.contact.mover import ContactMover
+
+    # the spec lets only solvers be chosen that can go back
+    return ContactMover(spec, contact, cast("Rewindable", solver))
