@@ -124,4 +124,4 @@ def test_a_scene_without_effects_loads_no_code_of_theirs_and_makes_nothing_of_it
     assert set(OF_EFFECTS) & set(loaded) == set()
     # the table of effects itself, empty
     of_effects = {name for name in made if name.startswith("plant.effects.")}
-    assert of_effects == {"plant.effects.registry.EffectsSpec"}
+    assert of_effects == {"plant.effects.registry.PlantEffects"}
