@@ -10,7 +10,7 @@ from deploy.digest import Digest
 if TYPE_CHECKING:
     from bus.counts import Loss
     from deploy.progress import Progress
-    from deploy.recording import Recorder
+    from deploy.recordings.recorder import Recorder
     from plant.process import TickRecord
     from plant.reports import Event
 

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from deploy.errors import InputError
 from deploy.interruption import Interrupted, Interruption
-from deploy.overview import FILE_NAME as PICTURE
-from deploy.overview import draw_overview
-from deploy.recording_format import Header
+from deploy.overview.picture import FILE_NAME as PICTURE
+from deploy.overview.picture import draw_overview
+from deploy.recordings.format import Header
 from deploy.summary import FILE_NAME as SUMMARY
 from deploy.summary import ParcelOutcome, Summary
 from deploy.track import Exit
 
 if TYPE_CHECKING:
-    from deploy.replay import Recording
+    from deploy.recordings.replay import Recording
     from deploy.scene import Scene
     from deploy.track import Track
     from plant.array import CellArray

@@ -17,11 +17,11 @@ from deploy.faults.schedule import crash_aborts, deaths
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
 from deploy.output import header, illustrate, output_folder, parcel_outcomes, run_name
-from deploy.plan import RunOptions, plan
+from deploy.processes.plan import RunOptions, plan
+from deploy.processes.system import System
 from deploy.progress import Progress
-from deploy.recording import Recorder
+from deploy.recordings.recorder import Recorder
 from deploy.summary import Messages, Summary
-from deploy.system import System
 from plant.errors import PlantError, PlantUnstable
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class _Run:
 
     def go(self) -> Outcome:
         """Everything; see `run`."""
-        from deploy.replay import load
+        from deploy.recordings.replay import load
 
         with System(self.plan, self.scene, self.options.listen) as system:
             with self.interruption.allowed():

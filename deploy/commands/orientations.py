@@ -14,8 +14,8 @@ from deploy.commands.poses import ParcelOption, check_parcel, numbers
 from deploy.errors import InputError
 
 if TYPE_CHECKING:
-    from deploy.orientation_sizes import SizeMap
-    from deploy.orientation_study import Study
+    from deploy.orientations.sizes import SizeMap
+    from deploy.orientations.study import Study
     from plant.orientations import TorqueProfile
     from plant.wheels import Floats
 
@@ -69,7 +69,7 @@ def orientations(
       [cyan]mdms orientations elliptic --sizes 0.3:0.8:60,0.2:0.5:60 --output study[/cyan]
     """
     from deploy.interruption import Interruption
-    from deploy.orientation_study import study
+    from deploy.orientations.study import study
 
     found = load_scene(scene, sets)
     check_parcel(found, parcel)
@@ -88,7 +88,7 @@ def _one(asked: Study, output: Path | None, *, as_json: bool) -> None:
     profile = asked.profile()
     picture = None
     if output is not None:
-        from deploy.orientation_picture import FILE_NAME, draw_orientations
+        from deploy.orientations.picture import FILE_NAME, draw_orientations
 
         picture = _folder(output) / FILE_NAME
         draw_orientations(asked, profile, picture)
@@ -96,7 +96,7 @@ def _one(asked: Study, output: Path | None, *, as_json: bool) -> None:
         found = {**_head(asked), **_plain(profile), "picture": picture and str(picture)}
         print(json.dumps(found, indent=2, allow_nan=False))
         return
-    from deploy.orientation_table import print_orientations
+    from deploy.orientations.table import print_orientations
 
     print_orientations(asked, profile)
     if picture:
@@ -104,13 +104,13 @@ def _one(asked: Study, output: Path | None, *, as_json: bool) -> None:
 
 
 def _many(asked: Study, ranges: tuple[Floats, Floats], output: Path | None, *, as_json: bool) -> None:
-    from deploy.orientation_sizes import size_map
+    from deploy.orientations.sizes import size_map
 
     folder = None if output is None else _folder(output)
     sizes = size_map(asked, *ranges)
     picture = None
     if folder is not None:
-        from deploy.orientation_map import FILE_NAME, draw_sizes
+        from deploy.orientations.size_map import FILE_NAME, draw_sizes
 
         picture = folder / FILE_NAME
         draw_sizes(asked, sizes, picture)
@@ -118,7 +118,7 @@ def _many(asked: Study, ranges: tuple[Floats, Floats], output: Path | None, *, a
         found = {**_head(asked), "rows": _rows(sizes), "picture": picture and str(picture)}
         print(json.dumps(found, indent=2, allow_nan=False))
         return
-    from deploy.orientation_table import print_sizes
+    from deploy.orientations.table import print_sizes
 
     print_sizes(asked, sizes)
     if picture:

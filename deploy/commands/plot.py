@@ -27,8 +27,8 @@ KindOption = Annotated[Kind, typer.Option("--kind", help="Which picture.")]
 
 def plot(recording: RecordingArgument, output: OutputOption = None, kind: KindOption = Kind.overview) -> None:
     """Draw a picture of a recording, whole or cut short."""
-    from deploy.overview import draw_overview
-    from deploy.replay import load
+    from deploy.overview.picture import draw_overview
+    from deploy.recordings.replay import load
 
     run = load(recording)
     path = output or run.path.with_name(f"{kind.value}.png")

@@ -11,7 +11,7 @@ from deploy.commands.options import Asked
 from deploy.commands.outcome import carry_out
 from deploy.commands.spread import spread
 from deploy.errors import InputError
-from deploy.plan import Plan, Processes, RunOptions, plan
+from deploy.processes.plan import Plan, Processes, RunOptions, plan
 
 if TYPE_CHECKING:
     from deploy.interruption import Interruption

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from deploy.recording import Recorder
-from deploy.recording_format import Header
+from deploy.recordings.format import Header
+from deploy.recordings.recorder import Recorder
 
 PERIOD_NS = 4_096_000
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from deploy.overrides import Override
-from deploy.plan import RunOptions
-from deploy.replay import load
+from deploy.processes.plan import RunOptions
+from deploy.recordings.replay import load
 from deploy.run import run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene

@@ -14,9 +14,9 @@ import pytest
 from deploy.commands.outcome import EXIT_STATUS
 from deploy.errors import DeployError, InputError
 from deploy.overrides import Override
-from deploy.plan import RunOptions
-from deploy.recording import Recorder
-from deploy.replay import load
+from deploy.processes.plan import RunOptions
+from deploy.recordings.recorder import Recorder
+from deploy.recordings.replay import load
 from deploy.run import Outcome, pacer, run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene

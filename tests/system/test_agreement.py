@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deploy.overrides import Override
-from deploy.plan import RunOptions
+from deploy.processes.plan import RunOptions
 from deploy.run import run
 from deploy.scene_files import load_scene
 from deploy.simulate import simulate

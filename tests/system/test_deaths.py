@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from deploy.overrides import Override
-from deploy.plan import Processes, RunOptions
-from deploy.replay import load
+from deploy.processes.plan import Processes, RunOptions
+from deploy.recordings.replay import load
 from deploy.run import Outcome, run
 from deploy.scene_files import load_scene
 from tests.system.running import Mdms, summary_of

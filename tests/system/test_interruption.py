@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.recording_format import FILE_NAME
-from deploy.replay import load
+from deploy.recordings.format import FILE_NAME
+from deploy.recordings.replay import load
 from tests.system.running import Mdms, summary_of
 
 LONG = ("--duration", "600", "--realtime")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deploy.overrides import Override
-from deploy.plan import Processes, RunOptions, Transport, Wire
+from deploy.processes.plan import Processes, RunOptions, Transport, Wire
 from deploy.run import run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene

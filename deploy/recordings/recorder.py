@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import DeployError, InputError
-from deploy.json_text import json_bytes, parcels_text
-from deploy.mcap_file import McapFile
-from deploy.recording_format import CONTROL, END, EVENTS, FAULTS, FILE_NAME, PARCELS, TICK, Header
+from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, FILE_NAME, PARCELS, TICK, Header
+from deploy.recordings.json_text import json_bytes, parcels_text
+from deploy.recordings.mcap_file import McapFile
 
 FLUSH_S = 0.25
 """Wall time between two flushes; a crash loses this much and the time of one flush."""

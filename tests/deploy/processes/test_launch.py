@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cell_firmware.errors import FirmwareFailed
-from deploy.launch import Crew, WorkerError, describe_exit
+from deploy.processes.launch import Crew, WorkerError, describe_exit
 
 
 def _until_started(crew: Crew, workers: int) -> None:
@@ -116,7 +116,7 @@ def test_workers_show_their_names_and_share_a_parent() -> None:
 
 
 def test_the_workers_parent_has_neither_numba_nor_a_session(tmp_path: Path) -> None:
-    from deploy.cells_side import PRELOAD
+    from deploy.processes.cells_side import PRELOAD
 
     with Crew(PRELOAD) as crew:
         crew.start(partial(_write_modules, str(tmp_path / "modules")), ["only"])

@@ -15,7 +15,7 @@ from deploy.errors import InputError
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
-    from deploy.orientation_study import Study
+    from deploy.orientations.study import Study
     from plant.orientations import Orientation
     from plant.wheels import Floats
 

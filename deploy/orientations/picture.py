@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.overview_map import INK, LABEL, colour, draw_map
+from deploy.overview.scenery import INK, LABEL, colour, draw_map
 from deploy.picture import DPI, draw_heading, write_picture
 from deploy.track import Track
 from deploy.words import counted, point
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from deploy.orientation_study import Study
+    from deploy.orientations.study import Study
     from plant.orientations import Orientation, TorqueProfile
     from plant.wheels import Floats
 

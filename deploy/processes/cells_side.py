@@ -7,9 +7,9 @@ import threading
 from typing import Protocol, final
 
 from bus.transport import Endpoint
-from deploy.launch import Crew, WorkerError
-from deploy.plan import Plan
-from deploy.worker import Order, serve
+from deploy.processes.launch import Crew, WorkerError
+from deploy.processes.plan import Plan
+from deploy.processes.worker import Order, serve
 
 PRELOAD = (
     "asyncio",
@@ -22,7 +22,7 @@ PRELOAD = (
     "cell_firmware.protocols.heat_diffusion",
     "cell_firmware.protocols.velocity_field",
     "deploy.scene",
-    "deploy.worker",
+    "deploy.processes.worker",
     "plant.array",
 )
 """What a worker needs: imported once, before the workers are forked."""

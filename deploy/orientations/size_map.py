@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.overview_map import INK
+from deploy.overview.scenery import INK
 from deploy.picture import DPI, draw_heading, write_picture
 from deploy.words import counted, point
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from deploy.orientation_sizes import SizeMap
-    from deploy.orientation_study import Study
+    from deploy.orientations.sizes import SizeMap
+    from deploy.orientations.study import Study
     from plant.wheels import Floats
 
 FILE_NAME = "orientation_sizes.png"

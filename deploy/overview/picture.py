@@ -15,7 +15,7 @@ from deploy.words import counted
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deploy.replay import Recording
+    from deploy.recordings.replay import Recording
 
 FILE_NAME = "overview.png"
 _WIDE = 2.0
@@ -42,8 +42,8 @@ def draw_overview(run: Recording | Track, path: str | Path) -> None:
 def _figure(track: Track) -> Figure:
     from matplotlib.figure import Figure
 
-    from deploy.overview_map import draw_map, extent
-    from deploy.overview_times import draw_times
+    from deploy.overview.scenery import draw_map, extent
+    from deploy.overview.times import draw_times
 
     left, right, bottom, top = extent(track)
     timed = len(track.footprints_m) > 0 and len(track.time_s) > 0

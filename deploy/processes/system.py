@@ -8,10 +8,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
 from bus.errors import BusError, TransportError
-from deploy.cells_side import CellsSide, WorkerProcesses, WorkerThread
 from deploy.errors import InputError
-from deploy.plan import Plan
-from deploy.worker import Order, firmware_of
+from deploy.processes.cells_side import CellsSide, WorkerProcesses, WorkerThread
+from deploy.processes.plan import Plan
+from deploy.processes.worker import Order, firmware_of
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts, Host

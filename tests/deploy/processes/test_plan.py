@@ -8,7 +8,7 @@ import pytest
 
 from deploy.errors import InputError
 from deploy.overrides import Override
-from deploy.plan import FREE_PORT, Plan, RunOptions, plan
+from deploy.processes.plan import FREE_PORT, Plan, RunOptions, plan
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
 

@@ -1,6 +1,6 @@
 """What is in a recording: its topics, its header and the form of its messages.
 
-In words: ``docs/recording.md``. The writer is ``deploy/recording.py``, the loader ``deploy/replay.py``.
+In words: ``docs/recording.md``. The writer is ``recorder.py``, the loader ``replay.py``.
 """
 
 from __future__ import annotations

@@ -12,11 +12,11 @@ from matplotlib.image import imread
 
 from deploy.cli import main
 from deploy.commands.options import load_scene
-from deploy.orientation_map import draw_sizes
-from deploy.orientation_picture import draw_orientations
-from deploy.orientation_sizes import SizeMap, size_map
-from deploy.orientation_study import Study, study
-from deploy.overview_map import colour
+from deploy.orientations.picture import draw_orientations
+from deploy.orientations.size_map import draw_sizes
+from deploy.orientations.sizes import SizeMap, size_map
+from deploy.orientations.study import Study, study
+from deploy.overview.scenery import colour
 from plant.orientations import TorqueProfile
 
 CONTINUOUS = "#8fa0b2"

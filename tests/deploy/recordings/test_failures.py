@@ -18,8 +18,8 @@ import pytest
 from mcap.writer import Writer
 
 from deploy.errors import DeployError, InputError
-from deploy.recording import Recorder
-from deploy.replay import load
+from deploy.recordings.recorder import Recorder
+from deploy.recordings.replay import load
 
 Make = Callable[..., Any]
 
@@ -164,7 +164,7 @@ def test_a_disk_that_fills_up_during_the_run_ends_it_with_the_file_and_the_cause
 _ENDLESS = """
     import os, sys, time
     import numpy as np
-    from deploy.recording import Recorder
+    from deploy.recordings.recorder import Recorder
     header = dict(run="r", title="", scene_name="", scene={}, versions={}, period_ns=1, pitch_m=0.1,
                   cells=[[0, 0]], positions_m=[[0, 0]], sensors_m=[[0, 0]], footprints_m=[])
     recorder = Recorder(sys.argv[1], header)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.overview_map import LABEL, LOST, colour, incidents, lost_cells
+from deploy.overview.scenery import LABEL, LOST, colour, incidents, lost_cells
 from deploy.track import Track
 
 if TYPE_CHECKING:

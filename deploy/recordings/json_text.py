@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.recording_format import PARCEL_NUMBERS
+from deploy.recordings.format import PARCEL_NUMBERS
 
 
 def json_bytes(record: Mapping[str, Any]) -> bytes:

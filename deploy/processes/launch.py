@@ -1,6 +1,6 @@
 """Starting worker processes, hearing of their failures, and ending every one of them.
 
-The processes are forked by a nursery (`deploy.nursery`). Ending is by process, never by name: ask (over the
+The processes are forked by a nursery (`deploy.processes.nursery`). Ending is by process, never by name: ask (over the
 bus, the caller's part), wait, SIGTERM, wait, SIGKILL. Should this process itself be killed, the nursery and
 every worker notice at once and end.
 """
@@ -26,7 +26,7 @@ from deploy.errors import DeployError
 
 _NURSERY = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from deploy.nursery import main; main(int(sys.argv[2]), int(sys.argv[3]), json.loads(sys.argv[4]))"
+    "from deploy.processes.nursery import main; main(int(sys.argv[2]), int(sys.argv[3]), json.loads(sys.argv[4]))"
 )
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy import orientation_sizes
 from deploy.cli import main
 from deploy.commands.options import load_scene
-from deploy.orientation_sizes import size_map
-from deploy.orientation_study import study
+from deploy.orientations.sizes import size_map
+from deploy.orientations.study import study
 from plant.turntable import Turntable
 
 TIPS = ("prototype", "--set", "parcels.0.size_m=[0.4,0.2]", "--at", "0.1,0")
@@ -164,7 +163,7 @@ def test_the_summary_counts_every_size_once(capsys: pytest.CaptureFixture[str]) 
 def test_a_map_over_sizes_says_in_a_log_how_far_it_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(orientation_sizes, "_LINE_S", -1.0)
+    monkeypatch.setattr("deploy.orientations.sizes._LINE_S", -1.0)
     size_map(study(load_scene("elliptic"), 0, (0.0, 0.0)), np.array([0.5]), np.array([0.3, 0.4, 0.5]))
     assert capsys.readouterr().err.splitlines() == [f"mdms: {done} of 3 widths" for done in range(3)]
 

@@ -10,7 +10,7 @@ from typing import Any, cast, final
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
 from mcap.writer import CompressionType, Writer
 
-from deploy.recording_format import FORMAT, HEADER_RECORD, PROFILE, SCHEMAS, TICK, Header
+from deploy.recordings.format import FORMAT, HEADER_RECORD, PROFILE, SCHEMAS, TICK, Header
 
 
 @final

@@ -15,9 +15,9 @@ from mcap.reader import make_reader
 
 from deploy.digest import Digest
 from deploy.errors import DeployError, InputError
-from deploy.recording import Recorder
-from deploy.recording_format import PARCELS, SCHEMAS, Header
-from deploy.replay import Recording, load
+from deploy.recordings.format import PARCELS, SCHEMAS, Header
+from deploy.recordings.recorder import Recorder
+from deploy.recordings.replay import Recording, load
 
 Make = Callable[..., Any]
 

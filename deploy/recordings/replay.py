@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InputError
-from deploy.recording_format import (
+from deploy.recordings.format import (
     CONTROL,
     END,
     EVENTS,
@@ -164,7 +164,7 @@ def load(path: str | Path) -> Recording:
 def _load(path: Path) -> Recording:
     import msgpack  # pyright: ignore[reportMissingTypeStubs]
 
-    from deploy.mcap_scan import Message, scan
+    from deploy.recordings.mcap_scan import Message, scan
 
     unpack = cast(Callable[[bytes], dict[str, Any]], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
     header: Header | None = None

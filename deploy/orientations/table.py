@@ -13,8 +13,8 @@ from deploy.words import counted, point, short
 from plant.crossings import TURN
 
 if TYPE_CHECKING:
-    from deploy.orientation_sizes import SizeMap
-    from deploy.orientation_study import Study
+    from deploy.orientations.sizes import SizeMap
+    from deploy.orientations.study import Study
     from plant.orientations import Orientation, TorqueProfile
     from plant.wheels import Floats
 

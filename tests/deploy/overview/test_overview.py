@@ -15,10 +15,10 @@ from matplotlib.image import imread
 
 from deploy.errors import DeployError
 from deploy.interruption import Interrupted
-from deploy.overview import draw_overview
-from deploy.overview_map import RAIL, colour, extent, incidents, lost_cells
-from deploy.overview_times import draw_times
-from deploy.replay import load
+from deploy.overview.picture import draw_overview
+from deploy.overview.scenery import RAIL, colour, extent, incidents, lost_cells
+from deploy.overview.times import draw_times
+from deploy.recordings.replay import load
 from deploy.track import Track
 
 Make = Callable[..., Any]

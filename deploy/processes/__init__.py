@@ -1,0 +1,1 @@
+"""The processes of a run: what is started, how, and how it ends."""
