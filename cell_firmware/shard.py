@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.partition import Partition
 from cell_firmware.controller import Controller
+from cell_firmware.effects.stage import Stage
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox
 
 Indices = NDArray[np.int64]
+
+_EVERY: Final = slice(None)
 
 
 @final
@@ -59,6 +63,7 @@ class Shard:
         cells: All cells of the array, in the lattice's order.
         partition: How the array is cut.
         shard: Which part of it this is.
+        effects: By name, the stages that what the cells see has to pass before they see it, in order.
 
     Attributes:
         indices: ``(n,)``, the cells of this shard, by index into the lattice.
@@ -68,13 +73,22 @@ class Shard:
         FirmwareFailed: The firmware's ``init`` failed.
     """
 
-    def __init__(self, controller: Controller, cells: Cells, partition: Partition, shard: int) -> None:
+    def __init__(
+        self,
+        controller: Controller,
+        cells: Cells,
+        partition: Partition,
+        shard: int,
+        effects: Mapping[str, Sequence[Stage]] | None = None,
+    ) -> None:
         self.indices: Indices = partition.cells(shard)
         self.names: tuple[tuple[int, int], ...] = tuple(
             partition.lattice.cells[int(i)] for i in self.indices.tolist()
         )
         self._n = len(self.indices)
         self._controller = controller
+        self._effects = effects or {}
+        self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
         self._message = controller.firmware.message
         self._state = controller.init(cells.take(self.indices))
         self._active: Indices | None = None  # rows still alive, once some are not
@@ -121,6 +135,8 @@ class Shard:
             raise FirmwareError(f"this is a bug: a shard was given tick {tick} after tick {self._tick}")
         self._tick = tick
         inputs = Inputs(presence, encoder_m, self._inbox(links))
+        for stage in self._stages:
+            inputs = stage.apply(tick, inputs, _EVERY if self._active is None else self._active)
         drive = np.zeros((self._n, 2))
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         failures: tuple[FirmwareFailed, ...] = ()
@@ -187,6 +203,14 @@ class Shard:
         rows = np.flatnonzero(keep)
         self._active = rows if self._active is None else self._active[rows]
         self._state = self._state.take(rows)
+
+    def counted(self) -> Counter[str]:
+        """What effects did to the shard's cells so far, by ``effect.what``."""
+        total = Counter[str]()
+        for name, stages in self._effects.items():
+            for stage in stages:
+                total.update({f"{name}.{what}": number for what, number in stage.counted.items()})
+        return total
 
     @property
     def alive(self) -> tuple[tuple[int, int], ...]:

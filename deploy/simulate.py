@@ -44,9 +44,9 @@ def simulate(
 ) -> Outcome:
     """Simulate a scene without cells: every wheel runs at the field's speed from the start.
 
-    Wheels are ideal: where the scene has motors they are left out, as the paper's simulator has none, and that is
-    said. A cell that the scene lets crash does what the stall policy says. The motion is sampled once a control
-    period, and at the end.
+    Wheels are ideal: where the scene has motors they are left out, as the paper's simulator has none, and so are
+    effects of the cells; that is said. A cell that the scene lets crash does what the stall policy says. The motion
+    is sampled once a control period, and at the end.
 
     Args:
         scene: What to simulate; its firmware must be ``velocity_field``.
@@ -112,6 +112,8 @@ class _Simulation:
         if self.motors:
             left_out = " and effects.wheel_load are" if self.named.effects.wheel_load is not None else " is"
             self._warn(f"effects.motors{left_out} left out: simulate has ideal wheels")
+        for name, _ in self.named.effects.of_cells().asked():
+            self._warn(f"effects.{name} is left out: simulate has no cells")
         self.interruption.check()
         folder = output_folder(self.named, output)
         started = time.monotonic()
@@ -242,9 +244,8 @@ class _Simulation:
 
 
 def _ideal(scene: Scene) -> Scene:
-    """The scene with wheels that run at the commanded speed at once."""
-    if scene.effects.motors is None:
-        return scene
-    effects = scene.effects.model_copy(update={"motors": None, "wheel_load": None})
+    """The scene without cells, and with wheels that run at the commanded speed at once."""
+    left_out = ["motors", "wheel_load", *(name for name, _ in scene.effects.of_cells().asked())]
+    effects = scene.effects.model_copy(update=dict.fromkeys(left_out))
     cells = scene.cells.model_copy(update={"speed_loop": None})
     return scene.model_copy(update={"effects": effects, "cells": cells})

@@ -3,7 +3,26 @@
 from __future__ import annotations
 
 from bus.effect import Effects
+from cell_firmware.effects.link_delay import LinkDelaySpec
+from cell_firmware.effects.link_loss import LinkLossSpec
+from cell_firmware.effects.sensor import SensorSpec
+from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
 
 
 class CellEffects(Effects):
-    """Effects on what cells sense, compute and tell each other that a scene asks for."""
+    """Effects on what cells sense, compute and tell each other that a scene asks for.
+
+    What concerns messages acts in the order of these lines: what is lost is not delayed.
+    """
+
+    sensor: SensorSpec | None = None
+    link_loss: LinkLossSpec | None = None
+    link_delay: LinkDelaySpec | None = None
+
+    def stages(self, site: Site) -> dict[str, tuple[Stage, ...]]:
+        """What the inputs of a shard's cells have to pass, in order, by the name of the effect."""
+        return {
+            name: tuple(effect.stages(site))
+            for name, effect in self.asked()
+            if isinstance(effect, CellEffectSpec)
+        }

@@ -101,6 +101,7 @@ def firmware_of(scene: Scene) -> Firmware:
 
 def _shard(order: Order, shard: int) -> Shard:
     from cell_firmware.controller import Controller
+    from cell_firmware.effects.stage import Site
     from cell_firmware.firmware import Cells
     from cell_firmware.shard import Shard
     from cell_firmware.speed_loop import SpeedLoop
@@ -110,11 +111,14 @@ def _shard(order: Order, shard: int) -> Shard:
     loop = None
     if scene.speed_loop is not None and scene.effects.motors is not None:
         loop = SpeedLoop(scene.speed_loop, period_s, scene.effects.motors.supply_v)
+    firmware, sensors = firmware_of(scene), len(scene.array.sensors_m)
+    site = Site(order.partition.cells(shard), sensors, firmware.message, scene.seed)
     return Shard(
-        Controller(firmware_of(scene), loop),
-        Cells.of(array.lattice, array.positions_m, period_s, len(scene.array.sensors_m)),
+        Controller(firmware, loop),
+        Cells.of(array.lattice, array.positions_m, period_s, sensors),
         order.partition,
         shard,
+        scene.effects.stages(site),
     )
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from bus.chance import generator
 from bus.effect import EffectSpec
 from bus.spec import Finite, NotNegative, Vector
 from plant import geometry
-from plant.chance import generator
 from plant.parcel_spec import ParcelSpec, PolygonSpec
 
 Name = Annotated[str, Field(min_length=1)]

@@ -14,9 +14,9 @@ from typing import Annotated, ClassVar, final
 
 from pydantic import Field
 
+from bus.chance import generator
 from bus.effect import EffectSpec
 from bus.spec import Positive
-from plant.chance import generator
 from plant.wheels import Floats
 
 

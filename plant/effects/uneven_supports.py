@@ -14,10 +14,10 @@ from typing import Annotated, ClassVar, final
 import numpy as np
 from pydantic import Field, field_validator
 
+from bus.chance import generator
 from bus.effect import EffectSpec
 from bus.lattice import Lattice
 from bus.spec import CellName, Finite, NotNegative, Positive, Spec
-from plant.chance import generator
 from plant.wheels import Floats
 
 

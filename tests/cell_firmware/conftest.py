@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.controller import Controller
+from cell_firmware.effects.registry import CellEffects
+from cell_firmware.effects.stage import Site
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.shard import Links, Shard, ShardOutputs
@@ -28,20 +31,35 @@ def cells_of(lattice: Lattice, sensors: int = 1) -> Cells:
 
 @dataclass
 class Run:
-    """What came of a lockstep: drives ``(ticks, n, 2)`` in the lattice's order, and the failures."""
+    """What came of a lockstep: drives ``(ticks, n, 2)`` in the lattice's order, failures, what effects counted."""
 
     drives: NDArray[np.float64]
     failures: list[FirmwareFailed] = field(default_factory=list)
+    counted: Counter[str] = field(default_factory=Counter)
 
 
 class Lockstep:
     """Steps shards in turn and carries border messages from tick k to tick k + 1."""
 
-    def __init__(self, firmware: Firmware, partition: Partition, loop: SpeedLoop | None = None) -> None:
+    def __init__(
+        self,
+        firmware: Firmware,
+        partition: Partition,
+        loop: SpeedLoop | None = None,
+        effects: CellEffects | None = None,
+        seed: int = 0,
+    ) -> None:
         self.partition = partition
         self.lattice = partition.lattice
+        asked = CellEffects() if effects is None else effects
         self.shards = [
-            Shard(Controller(firmware, loop), cells_of(self.lattice), partition, s)
+            Shard(
+                Controller(firmware, loop),
+                cells_of(self.lattice),
+                partition,
+                s,
+                asked.stages(Site(partition.cells(s), 1, firmware.message, seed)),
+            )
             for s in range(partition.count)
         ]
         self.links: list[Links | None] = [None] * partition.count
@@ -120,8 +138,10 @@ def run() -> Callable[..., Run]:
         dead: Mapping[int, list[tuple[int, int]]] | None = None,
         presence: NDArray[np.bool_] | None = None,
         encoder_m: NDArray[np.float64] | None = None,
+        effects: CellEffects | None = None,
+        seed: int = 0,
     ) -> Run:
-        steps = Lockstep(firmware, partition, loop)
+        steps = Lockstep(firmware, partition, loop, effects, seed)
         drives: list[NDArray[np.float64]] = []
         for k in range(ticks):
             steps.retire((dead or {}).get(k, ()))
@@ -130,6 +150,9 @@ def run() -> Callable[..., Run]:
                     None if presence is None else presence[k], None if encoder_m is None else encoder_m[k]
                 )
             )
-        return Run(np.array(drives), steps.failures)
+        counted = Counter[str]()
+        for shard in steps.shards:
+            counted.update(shard.counted())
+        return Run(np.array(drives), steps.failures, counted)
 
     return go

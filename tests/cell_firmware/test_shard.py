@@ -11,6 +11,10 @@ from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
 from cell_firmware.controller import Controller
+from cell_firmware.effects.link_delay import LinkDelaySpec
+from cell_firmware.effects.link_loss import LinkLossSpec
+from cell_firmware.effects.registry import CellEffects
+from cell_firmware.effects.sensor import SensorSpec
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
@@ -59,6 +63,16 @@ class PlainGossip(CellFirmware):
 
 FIRMWARE = {"arrays": Gossip(NoParameters()), "plain": PerCell(PlainGossip(NoParameters()))}
 
+EFFECTS = {
+    "none": CellEffects(),
+    "ordered": CellEffects(
+        sensor=SensorSpec(false_positive=0.2, false_negative=0.3, latency_ticks=1),
+        link_loss=LinkLossSpec(probability=0.3),
+        link_delay=LinkDelaySpec(between_ticks=(0, 2)),
+    ),
+    "overtaking": CellEffects(link_delay=LinkDelaySpec(between_ticks=(0, 3), ordered=False)),
+}
+
 places = st.sets(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=1, max_size=14)
 
 
@@ -69,13 +83,15 @@ def cut(lattice: Lattice, labels: list[int]) -> Partition:
 
 
 @pytest.mark.parametrize("kind", FIRMWARE)
-@pytest.mark.parametrize("motors", [False, True])
+@pytest.mark.parametrize(
+    ("motors", "effects"), [(False, "none"), (True, "none"), (False, "ordered"), (False, "overtaking")]
+)
 @settings(max_examples=25)
 @given(data=st.data())
 def test_any_partition_of_any_array_gives_the_same_bytes_as_one_shard(
-    run: Callable[..., Any], kind: str, motors: bool, data: st.DataObject
+    run: Callable[..., Any], kind: str, motors: bool, effects: str, data: st.DataObject
 ):
-    """Irregular arrays, scattered shards, silent sides, cells dying on the way."""
+    """Irregular arrays, scattered shards, silent sides, cells dying on the way, chance."""
     lattice = Lattice(data.draw(places))
     n, ticks = len(lattice), 8
     labels = data.draw(st.lists(st.integers(0, 3), min_size=n, max_size=n))
@@ -89,12 +105,15 @@ def test_any_partition_of_any_array_gives_the_same_bytes_as_one_shard(
         "encoder_m": np.cumsum(random.random((ticks, n, 2)) * 1e-4, axis=0) if motors else None,
         "dead": deaths,
         "loop": loop,
+        "effects": EFFECTS[effects],
+        "seed": data.draw(st.integers(0, 2**63 - 1)),
     }
     whole = run(FIRMWARE[kind], Partition.even(lattice, 1), ticks, **inputs)
     parts = run(FIRMWARE[kind], cut(lattice, labels), ticks, **inputs)
     each = run(FIRMWARE[kind], Partition.each(lattice), ticks, **inputs)
     assert not whole.failures
     assert parts.drives.tobytes() == whole.drives.tobytes() == each.drives.tobytes()
+    assert parts.counted == whole.counted == each.counted
 
 
 class Echo(Firmware):

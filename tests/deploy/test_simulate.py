@@ -57,6 +57,20 @@ def test_motors_are_left_out_and_that_is_said(tmp_path: Path, capsys: pytest.Cap
     assert summary.status == "ok"
 
 
+def test_effects_of_the_cells_are_left_out_and_that_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenes = (
+        _scene("elliptic", duration_s=0.02, effects=effects)
+        for effects in ({}, {"sensor": {"false_positive": 1.0}, "link_loss": {"probability": 1.0}})
+    )
+    summaries = [simulate(scene, output=tmp_path, picture=False).summary for scene in scenes]
+    said = capsys.readouterr().err
+    for name in ("sensor", "link_loss"):
+        assert said.count(f"mdms: effects.{name} is left out: simulate has no cells") == 1
+    assert summaries[0].digest == summaries[1].digest
+
+
 def test_a_crash_stops_the_wheels_of_its_cell(tmp_path: Path) -> None:
     faults = [
         {"kind": "crash", "at_s": 0.0, "cell": [r, c]} for r, c in load_scene("elliptic").lattice().cells

@@ -1,0 +1,104 @@
+"""Effect ``link_delay``: messages between neighbours that take longer than to the next tick."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Annotated, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from bus.chance import Draws
+from bus.lattice import SIDES
+from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
+from cell_firmware.firmware import Inbox, Inputs
+
+LONGEST_TICKS: Final = 1_000
+Ticks = Annotated[int, Field(ge=0, le=LONGEST_TICKS)]
+
+
+@final
+class LinkDelaySpec(CellEffectSpec):
+    """Whole messages arrive some ticks later than without the effect, where the next tick is their time.
+
+    A cell reads one message a side and tick: of several that arrive at once the one sent last, and the others were
+    overtaken.
+    """
+
+    ticks: Ticks | None = None
+    """Delay of every message."""
+    between_ticks: tuple[Ticks, Ticks] | None = None
+    """Or the least and the greatest delay: each message has its own, all that are possible being as likely."""
+    ordered: bool = True
+    """Whether a message waits for those sent before it on the same link; else it may arrive before them."""
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> LinkDelaySpec:
+        if (self.ticks is None) == (self.between_ticks is None):
+            raise ValueError("give ticks or between_ticks, one of the two")
+        if self.between_ticks is not None and self.between_ticks[0] > self.between_ticks[1]:
+            raise ValueError("between_ticks must be the least delay and then the greatest")
+        return self
+
+    @property
+    def bounds_ticks(self) -> tuple[int, int]:
+        """The least and the greatest delay."""
+        if self.between_ticks is not None:
+            return self.between_ticks
+        ticks = self.ticks or 0
+        return ticks, ticks
+
+    def stages(self, site: Site) -> Iterator[Stage]:
+        """One, where there are messages to delay."""
+        if self.bounds_ticks[1] and site.message is not None:
+            yield _Delay(self, site, site.message)
+
+
+@final
+class _Delay(Stage):
+    """Keeps every message at its receiver until it is due: one inbox a tick, as many as the greatest delay spans."""
+
+    def __init__(self, spec: LinkDelaySpec, site: Site, message: np.dtype[np.void]) -> None:
+        super().__init__()
+        self._least, greatest = spec.bounds_ticks
+        self._choices = greatest - self._least + 1
+        self._draws = Draws(site.seed, "link_delay", site.link_places()) if self._choices > 1 else None
+        links = len(SIDES) * len(site.cells)
+        self._last_due = np.zeros(links, dtype=np.int64) if spec.ordered else None
+        self._received = np.zeros((greatest + 1, links), dtype=np.bool_)
+        self._message = np.zeros((greatest + 1, links), dtype=message)
+        self.counted["overtaken"] = 0
+
+    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """Puts aside what has come, and hands over what is due."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: no inbox, but messages to delay"
+        shape = inbox.received.shape
+        came = np.flatnonzero(inbox.received)
+        slots = self._due(tick, came) % len(self._received)
+
+        # What is there was sent earlier: it is overtaken, or arrives at the same time.
+        overtaken = np.zeros(shape, dtype=np.bool_)
+        overtaken.flat[came] = self._received[slots, came]
+        self.count("overtaken", overtaken, alive)
+        self._received[slots, came] = True
+        self._message[slots, came] = inbox.message.ravel()[came]
+
+        now = tick % len(self._received)
+        due = Inbox(self._received[now].copy().reshape(shape), self._message[now].copy().reshape(shape))
+        self._received[now] = False
+        self._message[now] = np.zeros((), dtype=self._message.dtype)
+        return replace(inputs, inbox=due)
+
+    def _due(self, tick: int, came: NDArray[np.int64]) -> NDArray[np.int64]:
+        """When each of the messages that ``came`` is to be read: the tick."""
+        due = np.full(len(came), tick + self._least)
+        if self._draws is not None:
+            chance = self._draws.uniform(tick)[came]
+            due += (chance * self._choices).astype(np.int64)
+        if self._last_due is not None:
+            due = np.maximum(due, self._last_due[came])
+            self._last_due[came] = due
+        return due

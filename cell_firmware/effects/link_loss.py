@@ -1,0 +1,48 @@
+"""Effect ``link_loss``: messages between neighbours that never arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Annotated, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bus.chance import Draws
+from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
+from cell_firmware.firmware import Inbox, Inputs
+
+
+@final
+class LinkLossSpec(CellEffectSpec):
+    """Each message between neighbours is lost with the same probability, each by itself."""
+
+    probability: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+    """Of a message, that its receiver never sees it."""
+
+    def stages(self, site: Site) -> Iterator[Stage]:
+        """One, where there are messages to lose."""
+        if self.probability and site.message is not None:
+            yield _Loss(self.probability, site, site.message)
+
+
+@final
+class _Loss(Stage):
+    def __init__(self, probability: float, site: Site, message: np.dtype[np.void]) -> None:
+        super().__init__()
+        self._probability = probability
+        self._nothing = np.zeros((), dtype=message)
+        self._draws = Draws(site.seed, "link_loss", site.link_places())
+        self.counted["lost"] = 0
+
+    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """Takes messages out of the inbox."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: no inbox, but messages to lose"
+        chance = self._draws.uniform(tick).reshape(inbox.received.shape)
+        lost = inbox.received & (chance < self._probability)
+        self.count("lost", lost, alive)
+        inbox.message[lost] = self._nothing
+        return replace(inputs, inbox=Inbox(inbox.received & ~lost, inbox.message))

@@ -1,0 +1,79 @@
+"""What effects of the cells are made of: stages between the bus and the firmware."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.effect import EffectSpec
+from bus.lattice import SIDES
+from cell_firmware.firmware import Bools, Inputs
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Site:
+    """The cells of one shard, as far as effects are concerned.
+
+    Attributes:
+        cells: ``(n,)`` int64, the shard's cells by index into the lattice.
+        sensors: Presence sensors of a cell.
+        message: Type of a message between neighbours; None if they don't talk.
+        seed: The scene's.
+    """
+
+    cells: NDArray[np.int64]
+    sensors: int
+    message: np.dtype[Any] | None
+    seed: int
+
+    def sensor_places(self) -> NDArray[np.int64]:
+        """``(n sensors,)``: a number for every sensor that is its own in the whole array."""
+        return _places(self.cells, self.sensors)
+
+    def link_places(self) -> NDArray[np.int64]:
+        """``(4 n,)``: the same for every side on which a cell may hear a neighbour."""
+        return _places(self.cells, len(SIDES))
+
+
+def _places(cells: NDArray[np.int64], each: int) -> NDArray[np.int64]:
+    return (each * cells[:, None] + np.arange(each)).ravel()
+
+
+class Stage(ABC):
+    """Changes what the cells of a shard see: each tick once, in order of ticks, before the firmware.
+
+    Attributes:
+        counted: What happened so far to cells that were alive, by name.
+    """
+
+    def __init__(self) -> None:
+        self.counted: Counter[str] = Counter()
+
+    @abstractmethod
+    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """What the cells see instead.
+
+        Args:
+            tick: The tick.
+            inputs: Of all n cells of the shard, dead ones too. The inbox may be written to.
+            alive: Rows of the cells that live. What becomes of the others concerns nobody, and is not counted.
+        """
+
+    def count(self, name: str, happened: Bools, alive: NDArray[np.int64] | slice) -> None:
+        """Counts what ``happened``, ``(n, ...)``, to cells that live."""
+        self.counted[name] += int(np.count_nonzero(happened[alive]))
+
+
+class CellEffectSpec(EffectSpec, ABC):
+    """An effect of the cells: assembled once, when a shard is built; what it does not need is not there."""
+
+    @abstractmethod
+    def stages(self, site: Site) -> Iterator[Stage]:
+        """What the shard's inputs have to pass, in this order; nothing where the settings change nothing."""

@@ -1,0 +1,58 @@
+"""A firmware that tells when each message was sent, and what its cells heard."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.lattice import Lattice
+from bus.partition import Partition
+from cell_firmware.effects.registry import CellEffects
+from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.program import NoParameters
+
+Ints = NDArray[np.int64]
+
+
+class Stamper(Firmware):
+    """Sends the tick on all sides, in every ``every``-th tick.
+
+    Attributes:
+        heard: By tick, row and column, the tick of what was heard on each side; −1 for nothing.
+    """
+
+    message = np.dtype([("tick", "<i8")])
+
+    def __init__(self, every: int = 1) -> None:
+        super().__init__(NoParameters())
+        self.every = every
+        self.heard: dict[tuple[int, int, int], list[int]] = {}
+
+    def init(self, cells: Cells) -> State:
+        return {"tick": np.zeros(len(cells), dtype=np.int64), "row": cells.row, "column": cells.column}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        inbox = inputs.inbox
+        assert inbox is not None
+        assert not inbox.message["tick"][~inbox.received].any(), "a slot without a message reads zero"
+        heard = np.where(inbox.received, inbox.message["tick"], -1).tolist()
+        names = zip(*(state[name].tolist() for name in ("tick", "row", "column")), strict=True)
+        self.heard.update(zip(names, heard, strict=True))
+        tick = state["tick"]
+        message = np.zeros((len(tick), 4), dtype=self.message)
+        message["tick"] = tick[:, None]
+        sent = np.repeat(tick[:, None] % self.every == 0, 4, axis=1)
+        return {**state, "tick": tick + 1}, Outputs(np.zeros((len(tick), 2)), Outbox(sent, message))
+
+
+def heard_on(
+    lattice: Lattice, run: Any, ticks: int, effects: CellEffects, every: int = 1, seed: int = 0
+) -> tuple[Ints, Counter[str]]:
+    """The tick of what each link brought, ``(ticks, links)``, −1 for nothing; and what effects counted."""
+    firmware = Stamper(every)
+    counted = run(firmware, Partition.even(lattice, 1), ticks, effects=effects, seed=seed).counted
+    heard = [[firmware.heard[tick, *cell] for cell in lattice.cells] for tick in range(ticks)]
+    return np.array(heard)[:, lattice.neighbours >= 0], counted
