@@ -22,6 +22,7 @@ class Counts:
         lost: Waited for and given up.
         late: Of a tick that was over, or of a cell given up before.
         malformed: Refused, by name of the error.
+        tally: What the cells counted themselves, by name.
     """
 
     sent: int = 0
@@ -29,6 +30,7 @@ class Counts:
     lost: int = 0
     late: int = 0
     malformed: Counter[str] = field(default_factory=Counter[str])
+    tally: Counter[str] = field(default_factory=Counter[str])
 
     def refuse(self, error: WireError) -> None:
         """Counts a payload that couldn't be read."""
@@ -41,7 +43,15 @@ class Counts:
             self.lost + other.lost,
             self.late + other.late,
             self.malformed + other.malformed,
+            _together(self.tally, other.tally),
         )
+
+
+def _together(one: Counter[str], other: Counter[str]) -> Counter[str]:
+    """The sums, zeros included, which ``+`` leaves out."""
+    total = one.copy()
+    total.update(other)
+    return total
 
 
 @final

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Any, Final, final
 
@@ -227,7 +228,7 @@ class Host:
     def _report(self, shard: int, payload: bytes) -> None:
         report = wire.decode_report(payload, len(self._lattice))
         if report.kind == "counts":
-            self._shard_counts[shard] = Counts(*report.counts)
+            self._shard_counts[shard] = Counts(*report.counts, tally=Counter(dict(report.tally)))
             return
         for cell in report.cells:
             if cell not in self._lattice or self._shard_of[self._lattice.index(cell)] != shard:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -61,6 +61,7 @@ class Member:
         stall: Deadlines.
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
             None: as long as the token stands. A paused or compiling plant is silent too.
+        tally: What else to report as the shard leaves: numbers that the cells counted, by name.
         clock: Monotonic wall seconds.
 
     Attributes:
@@ -80,6 +81,7 @@ class Member:
         message: np.dtype[Any] | None,
         stall: StallSpec | None = None,
         silence_s: float | None = None,
+        tally: Callable[[], Mapping[str, int]] = dict[str, int],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         wiring = Wiring(run, partition, sensors, encoders, message)
@@ -88,6 +90,7 @@ class Member:
         self._shard = shard
         self._stall = StallSpec() if stall is None else stall
         self._silence_s = silence_s
+        self._tally = tally
         self._clock = clock
         self._message = wiring.message
         self._form: MemberForm = FORMS[form].member(wiring, shard)
@@ -214,7 +217,9 @@ class Member:
         return Gathered(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
 
     def publish(self, drive: DriveFrame, links: LinkFrame | None) -> None:
-        """Sends a tick's messages, then its drives.
+        """Sends a tick's messages, then its drives; before the last that any cell of the shard drives, the counts.
+
+        They would not arrive if the process were killed when its cells are dead, as a scheduled crash does.
 
         Args:
             drive: ``(n, 2)``, rows in the order of ``partition.cells(shard)``.
@@ -224,8 +229,10 @@ class Member:
             BusError: A shape or type is not what was agreed, or a drive is not finite; names the cell.
         """
         puts = self._outgoing.puts(drive, links)
-        self._endpoint.put_all(puts)
         self.counts.sent += len(puts)
+        if not self._lives.all and not self.live(drive.tick + 1).any():
+            self._tell_counts()
+        self._endpoint.put_all(puts)
 
     # --- who takes part -------------------------------------------------------------------------
 
@@ -256,14 +263,16 @@ class Member:
 
     def close(self) -> None:
         """Reports this side's counts and takes the tokens back."""
-        counts = self.counts
-        report = Report(
-            "counts", self._tick, (), "", (counts.sent, counts.delivered, counts.lost, counts.late)
-        )
-        self._report.put(wire.encode_report(report))
+        self._tell_counts()
         for key in reversed(self._declared):
             self._endpoint.withdraw(key)
         self._declared.clear()
+
+    def _tell_counts(self) -> None:
+        counts = self.counts
+        numbers = (counts.sent, counts.delivered, counts.lost, counts.late)
+        report = Report("counts", self._tick, (), "", numbers, tuple(self._tally().items()))
+        self._report.put(wire.encode_report(report))
 
     # --- events ---------------------------------------------------------------------------------
 

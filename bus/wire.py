@@ -13,6 +13,8 @@ from bus.errors import WireError
 
 TEXT_LIMIT: Final = 4096
 """Longest text in a control record or report, characters."""
+TALLY_LIMIT: Final = 64
+"""Most numbers in a report's tally, and longest name of one, characters."""
 _MESSAGE_LIMIT: Final = 4096
 _MESSAGE_FIELDS: Final = 64
 
@@ -62,6 +64,8 @@ class Report:
     detail: str = ""
     counts: tuple[int, int, int, int] = (0, 0, 0, 0)
     """Payloads sent, delivered, lost, late."""
+    tally: tuple[tuple[str, int], ...] = ()
+    """What the cells counted themselves, by name."""
 
 
 def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
@@ -105,7 +109,7 @@ def encode_control(control: Control) -> bytes:
 
 
 _CONTROL: Final = layout("kind", "cells", "detail")
-_REPORT: Final = layout("kind", "cells", "detail", "counts")
+_REPORT: Final = layout("kind", "cells", "detail", "counts", "tally")
 
 
 def decode_control(payload: bytes, cells: int) -> Control:
@@ -131,6 +135,7 @@ def encode_report(report: Report) -> bytes:
             "cells": report.cells,
             "detail": report.detail[:TEXT_LIMIT],
             "counts": report.counts,
+            "tally": report.tally,
         },
     )
 
@@ -141,7 +146,8 @@ def decode_report(payload: bytes, cells: int) -> Report:
     Raises:
         WireError: Anything else.
     """
-    tick, fields = reader("report", _text_limit(cells), _REPORT)(payload)
+    limit = _text_limit(cells) + TALLY_LIMIT * (4 * TALLY_LIMIT + 16)
+    tick, fields = reader("report", limit, _REPORT)(payload)
     kind = fields["kind"]
     if kind not in ("failed", "counts"):
         raise WireError("report", "kind", "must be failed or counts")
@@ -149,12 +155,27 @@ def decode_report(payload: bytes, cells: int) -> Report:
     if (
         type(counts) is not list
         or len(cast("list[object]", counts)) != 4
-        or not all(type(c) is int and 0 <= c < TICK_LIMIT for c in cast("list[object]", counts))
+        or not all(_is_count(c) for c in cast("list[object]", counts))
     ):
         raise WireError("report", "type", "counts must be four integers")
     a, b, c, d = cast("list[int]", counts)
     places = _places("report", fields["cells"], cells)
-    return Report(kind, tick, places, _text("report", fields["detail"]), (a, b, c, d))
+    text, tally = _text("report", fields["detail"]), _tally(fields["tally"])
+    return Report(kind, tick, places, text, (a, b, c, d), tally)
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and 0 <= value < TICK_LIMIT
+
+
+def _tally(value: object) -> tuple[tuple[str, int], ...]:
+    if type(value) is list and len(cast("list[object]", value)) <= TALLY_LIMIT:
+        pairs = cast("list[list[Any]]", value)
+        if all(type(pair) is list and len(pair) == 2 for pair in pairs) and all(
+            type(name) is str and len(name) <= TALLY_LIMIT and _is_count(number) for name, number in pairs
+        ):
+            return tuple((name, number) for name, number in pairs)
+    raise WireError("report", "type", f"tally must be a list of at most {TALLY_LIMIT} names and numbers")
 
 
 def _text_limit(cells: int) -> int:

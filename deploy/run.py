@@ -217,6 +217,7 @@ class _Run:
             faults=ledger.faults,
             cells_lost=ledger.cells_lost,
             feeders=plant.traffic(),
+            effects={} if counts is None else dict(sorted(counts.tally.items())),
             digest=self.digest.hexdigest,
             output=str(folder),
         )

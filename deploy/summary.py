@@ -83,6 +83,8 @@ class Summary:
         faults: Scheduled, live and found: each at least ``time_s`` and ``kind``.
         cells_lost: ``(row, column)`` of each.
         feeders: What came and went; None where the scene has no feeders.
+        effects: What effects of the cells did to cells that lived, by ``effect.what``, of all processes that said so:
+            one that is killed from outside does not.
         digest: See ``deploy/digest.py``; None where there is none.
         output: The folder with everything the run left behind; None where it left nothing.
     """
@@ -105,6 +107,7 @@ class Summary:
     faults: Sequence[Mapping[str, Any]] = ()
     cells_lost: Sequence[tuple[int, int]] = ()
     feeders: TrafficCount | None = None
+    effects: Mapping[str, int] = field(default_factory=dict[str, int])
     digest: str | None = None
     output: str | None = None
     reason: str | None = None

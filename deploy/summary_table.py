@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from math import hypot
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +72,7 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
             if number
         )
         lines.append(("messages", f"{messages.sent:,} sent, {messages.delivered:,} delivered{trouble}"))
+    lines += _effects(summary.effects)
     if summary.faults:
         lines.append(("faults", _faults(summary.faults)))
     if summary.cells_lost:
@@ -129,6 +131,13 @@ def _cell_names(cells: Sequence[tuple[int, int]]) -> str:
 def _states(parcels: Sequence[ParcelOutcome]) -> str:
     counts = Counter(parcel.state for parcel in parcels)
     return ", ".join(f"{number:,} {state.replace('_', ' ')}" for state, number in counts.most_common())
+
+
+def _effects(effects: Mapping[str, int]) -> Iterator[tuple[str, str]]:
+    """What each effect of the cells did, by its name."""
+    for effect, counts in groupby(effects.items(), lambda item: item[0].partition(".")[0]):
+        did = (f"{number:,} {name.partition('.')[2].replace('_', ' ')}" for name, number in counts)
+        yield effect, ", ".join(did)
 
 
 def _traffic(count: TrafficCount) -> Iterator[tuple[str, str]]:

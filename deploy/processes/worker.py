@@ -80,6 +80,7 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
         encoders=order.encoders,
         message=cells.message,
         stall=order.scene.stall,
+        tally=cells.counted,
     )
     schedule = deaths(order.scene)
     for tick, dead in schedule.items():

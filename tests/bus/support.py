@@ -119,7 +119,7 @@ class System:
         self.host = Host(self.endpoint, self.partition, self.form, **self._agreed())
         self.member_endpoints = [self._clocked(self.network.endpoint()) for _ in range(self.partition.count)]
         self.members = [
-            Member(endpoint, self.partition, shard, self.form, **self._agreed())
+            Member(endpoint, self.partition, shard, self.form, tally=self._tally(shard), **self._agreed())
             for shard, endpoint in enumerate(self.member_endpoints)
         ]
 
@@ -137,6 +137,9 @@ class System:
         if self.clock is not None:
             agreed["clock"] = self.clock
         return agreed
+
+    def _tally(self, shard: int) -> Callable[[], dict[str, int]]:
+        return lambda: {"shards": 1, "numbers": shard, "nothing": 0}
 
     def start(self) -> System:
         # Everybody subscribed as it was made, so that each is ready without waiting for the next.

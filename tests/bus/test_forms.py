@@ -165,7 +165,7 @@ def good_payloads(form: FormName) -> list[tuple[Any, bytes]]:
     link = member.link_payloads(LinkFrame(5, np.ones(3, np.bool_), np.ones(3, MESSAGE)))[0]
     silent = member.link_payloads(LinkFrame(5, np.zeros(3, np.bool_), np.ones(3, MESSAGE)))[0]
     control = encode_control(Control("lost", 5, ((0, 1), (1, 2)), "stalled"))
-    report = encode_report(Report("failed", 5, ((0, 1),), "trace", (1, 2, 3, 4)))
+    report = encode_report(Report("failed", 5, ((0, 1),), "trace", (1, 2, 3, 4), (("lost", 5),)))
     return [
         (lambda payload: member.decode_sense(0, payload), sense),
         (lambda payload: host.decode_drive(0, payload), drive),
@@ -302,8 +302,25 @@ def test_packed_bits_beyond_the_last_and_odd_sizes_are_refused() -> None:
 def test_records_survive_the_wire() -> None:
     control = Control("lost", 12, ((0, 1), (3, 4)), "token lost")
     assert decode_control(encode_control(control), 2) == control
-    report = Report("failed", 12, ((0, 1),), "ZeroDivisionError", (5, 6, 7, 8))
+    tally = tuple((f"{i:064}", i) for i in range(64))
+    report = Report("failed", 12, ((0, 1),), "ZeroDivisionError", (5, 6, 7, 8), tally)
     assert decode_report(encode_report(report), 1) == report
+
+
+@pytest.mark.parametrize(
+    "tally",
+    [
+        tuple((f"{i}", i) for i in range(65)),
+        (("x" * 65, 1),),
+        (("lost", -1),),
+        (("lost", True),),
+        (("lost",),),
+        ((1, 1),),
+    ],
+)
+def test_a_tally_that_is_none_is_refused(tally: Any) -> None:
+    report = Report("counts", 12, (), "", (5, 6, 7, 8), tally)
+    assert refusal(lambda p: decode_report(p, 1), encode_report(report)) == "report: type"
 
 
 def test_a_record_names_no_more_cells_than_there_are() -> None:

@@ -202,3 +202,20 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
     assert system.host.counts.lost == 0
     # The dead say nothing, and nobody speaks to them.
     assert [side.counts.late for side in (system.host, *system.members)] == [0] * (1 + count)
+
+
+@both_forms
+def test_a_shard_whose_cells_all_die_by_schedule_has_told_its_counts_when_the_next_tick_begins(
+    network: Network, form: FormName
+) -> None:
+    """Its process may be killed then, without leaving."""
+    system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
+    for side in (system.host, *system.members):
+        side.retire([2], 1)
+        side.retire([3], 2)
+    step(system, 0)
+    step(system, 1)
+    assert system.host._shard_counts.keys() == {1}
+    told = system.host._shard_counts[1]
+    assert told.tally == {"shards": 1, "numbers": 1, "nothing": 0}
+    assert told.sent == system.members[1].counts.sent

@@ -97,6 +97,7 @@ def test_all_sides_counts_come_together_when_the_run_stops(network: Network) -> 
     assert total.sent == 5 * 2 + 2 * 2 + 5 * 2 * 2
     assert total.delivered == total.sent
     assert (total.lost, total.late, sum(total.malformed.values())) == (0, 0, 0)
+    assert total.tally == {"shards": 2, "numbers": 1, "nothing": 0}
 
 
 @both_forms

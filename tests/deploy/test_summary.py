@@ -177,6 +177,15 @@ def test_the_table_has_a_line_for_every_feeder_and_exit() -> None:
     assert "throughput 0.25 parcels/s" in lines
 
 
+def test_the_table_has_a_line_for_what_each_effect_of_the_cells_did() -> None:
+    did = {"link_loss.lost": 1234, "sensor.false_negatives": 0, "sensor.false_positives": 7}
+    outcome = summary(effects=did)
+    lines = [line.strip().split(maxsplit=1) for line in printed(outcome).splitlines()]
+    assert ["link_loss", "1,234 lost"] in lines
+    assert ["sensor", "0 false negatives, 7 false positives"] in lines
+    assert json.loads(outcome.to_json())["effects"] == did
+
+
 def test_the_table_fits_eighty_columns_without_cutting_or_wrapping_anything() -> None:
     state = np.array([-12.345678, -12.345678, -0.000012, -7.02e-05, 0.0, -6.9e-07])
     moving = ParcelOutcome.of(state, "moving", 0.0)

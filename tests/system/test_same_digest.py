@@ -9,6 +9,7 @@ import pytest
 
 from deploy.overrides import Override
 from deploy.processes.plan import Processes, RunOptions, Transport, Wire
+from deploy.recordings.replay import load
 from deploy.run import run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
@@ -48,6 +49,24 @@ kind = "crash"
 at_s = 0.1001
 cell = [1, 1]
 """
+
+
+TALKERS = """
+from cell_firmware.cell import CellFirmware, CellOutputs
+import numpy as np
+
+class Talkers(CellFirmware):
+    message = np.dtype([("heat", "<f8")])
+
+    def init(self, cell):
+        return 0.05 * cell.column
+
+    def step(self, heat, inputs):
+        heard = [message["heat"] for message in inputs.inbox.values() if message is not None]
+        heat += sum(0.1 * (other - heat) for other in heard) + 0.01 * inputs.presence[0]
+        return heat, CellOutputs((heat, 0.0), dict.fromkeys(inputs.inbox, {"heat": heat}))
+"""
+"""Firmware in plain Python to which every reading and every message matters."""
 
 
 def _run(scene: Scene, way: Way, output: Path) -> Summary:
@@ -123,3 +142,47 @@ def test_scheduled_crashes_act_alike_in_shared_workers_and_in_processes_of_their
         assert [(f["kind"], f["tick"]) for f in summary.faults] == [
             ("crash", 0), ("crash", 13), ("crash", 13), ("crash", 25)
         ]  # fmt: skip
+
+
+def _talkers(small: Callable[[str], Path], folder: Path, more: str, **effects: dict[str, object]) -> Scene:
+    (folder / "talkers.py").write_text(TALKERS)
+    firmware = Override(("cells",), {"firmware": str(folder / "talkers.py")}, "")
+    return load_scene(str(small(more)), [firmware, Override(("effects",), effects, "")])
+
+
+def test_chance_and_delay_act_alike_however_the_scene_is_cut_and_crashes_do_not_change_that(
+    small: Callable[[str], Path], tmp_path: Path
+) -> None:
+    scene = _talkers(
+        small,
+        tmp_path,
+        CRASHES.format(policy="coast"),
+        sensor={"false_positive": 0.1, "false_negative": 0.2, "latency_ticks": 1},
+        link_loss={"probability": 0.1},
+        link_delay={"between_ticks": [0, 3], "ordered": False},
+    )
+    summaries = {way: _run(scene, way, tmp_path) for way in [WAYS[0], WAYS[4], WAYS[7], *EACH]}
+    assert len({summary.digest for summary in summaries.values()}) == 1, summaries
+    counted = [summary.effects for summary in summaries.values()]
+    assert all(one == counted[0] for one in counted)
+    assert counted[0].keys() == {
+        "link_delay.overtaken", "link_loss.lost", "sensor.false_negatives", "sensor.false_positives"
+    }  # fmt: skip
+    assert min(counted[0].values()) > 0
+
+
+def test_effects_of_the_cells_that_change_nothing_leave_every_recorded_byte_as_it_was(
+    small: Callable[[str], Path], tmp_path: Path
+) -> None:
+    silent = {"sensor": {}, "link_loss": {"probability": 0.0}, "link_delay": {"ticks": 0}}
+    noisy = {"sensor": {"false_negative": 0.5}}
+    ran: list[list[bytes]] = []
+    for effects in ({}, silent, noisy):
+        assert _run(_talkers(small, tmp_path, "", **effects), WAYS[0], tmp_path).effects.keys() == (
+            {"sensor.false_positives", "sensor.false_negatives"} if effects is noisy else set()
+        )
+        recorded = load(tmp_path)
+        arrays = (recorded.presence, recorded.drives, recorded.wheel_speeds, recorded.parcels)
+        ran.append([array.tobytes() for array in arrays])
+    assert ran[0] == ran[1]
+    assert ran[0][1] != ran[2][1]
