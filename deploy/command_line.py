@@ -13,6 +13,7 @@ import typer
 COMMANDS = {
     "run": "The whole system: every cell an agent, the plant, messages between them.",
     "simulate": "The plant alone, wheel speeds straight from the scene's field.",
+    "accuracy": "What accuracy costs in time: every solver against a reference.",
     "constants": "The constants of motion of a pose: equilibrium, loads, torque.",
     "orientations": "The angles at which a parcel comes to rest, exactly; maps over sizes.",
     "plot": "Pictures of a recording.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -82,6 +82,49 @@ def field_speeds(scene: Scene, positions_m: Floats) -> Floats:
     return firmware.parameters.field.velocity(positions_m[:, 0], positions_m[:, 1])
 
 
+def in_parts(
+    scene: Scene,
+    plant: Plant,
+    speeds: Floats,
+    *,
+    check: Callable[[], None],
+    died: Callable[[Sequence[int], float], None] | None = None,
+    samples: int = SLICE,
+) -> Iterator[Trajectory]:
+    """The course of a plant under the field, from the start to the end, a sample a control period.
+
+    Cells that the scene lets crash do what the stall policy says; under ``abort`` the course ends there.
+
+    Args:
+        scene: What to simulate.
+        plant: Its plant, at the start.
+        speeds: ``(n, 2)`` of the wheels, m/s.
+        check: Called before every part; may raise.
+        died: Told of cells that crash, and when (s).
+        samples: Of a part, at most.
+
+    Raises:
+        PlantUnstable: The motion of a parcel can't be followed.
+    """
+    period_ns, end_ns, now_ns, drives = scene.cells.period_ns, scene.duration_ns, 0, speeds.copy()
+    for tick, cells in (*deaths(scene).items(), (scene.ticks, ())):
+        until_ns = min(tick * period_ns, end_ns)
+        while now_ns < until_ns:
+            check()
+            part = plant.trajectory(drives, min(now_ns + samples * period_ns, until_ns), period_ns)
+            now_ns = int(part.time_ns[-1])
+            yield part
+        if now_ns >= end_ns:
+            return
+        if died is not None:
+            died(cells, now_ns * 1e-9)
+        if scene.stall.policy == "abort":
+            return
+        if scene.stall.policy != "hold":
+            drives[list(cells)] = 0.0
+        plant.lose(cells, scene.stall.policy)
+
+
 @final
 class _Simulation:
     """One simulation, from the plant to the picture."""
@@ -92,7 +135,7 @@ class _Simulation:
         self.interruption = interruption
         self.motors = scene.effects.motors is not None
         self.named = scene
-        self.scene = _ideal(scene)
+        self.scene = ideal(scene)
         self.status = "ok"
         self.reason: str | None = None
         self.times: list[NDArray[np.int64]] = []
@@ -136,22 +179,10 @@ class _Simulation:
 
     def _advance(self, plant: Plant, speeds: Floats, progress: Progress) -> None:
         """Run from death to death and to the end, in slices; sets samples, events and status."""
-        scene, drives = self.scene, speeds.copy()
-        period_ns, end_ns = scene.cells.period_ns, scene.duration_ns
-        schedule = deaths(scene)
         self.times.append(np.zeros(1, dtype=np.int64))
         self.states.append(plant.state[None])
-        for tick, cells in (*schedule.items(), (scene.ticks, ())):
-            until_ns = min(tick * period_ns, end_ns)
-            while self.time_ns < until_ns:
-                self.interruption.check()
-                part = plant.trajectory(drives, min(self.time_ns + SLICE * period_ns, until_ns), period_ns)
-                self._take(part, progress)
-            if self.time_ns >= end_ns:
-                return
-            self._die(plant, drives, cells)
-            if scene.stall.policy == "abort":
-                return
+        for part in in_parts(self.scene, plant, speeds, check=self.interruption.check, died=self._die):
+            self._take(part, progress)
 
     def _take(self, part: Trajectory, progress: Progress) -> None:
         self.times.append(part.time_ns[1:])
@@ -161,19 +192,15 @@ class _Simulation:
         progress.events = len(self.events)
         progress.update(sum(len(times) for times in self.times), self.time_ns)
 
-    def _die(self, plant: Plant, drives: Floats, cells: Sequence[int]) -> None:
-        """Cells crash now, as the scene says; changes their rows of ``drives``."""
-        policy, at_s, names = self.scene.stall.policy, self.time_ns * 1e-9, plant.array.lattice.cells
+    def _die(self, cells: Sequence[int], at_s: float) -> None:
+        """Note that cells crash now, as the scene says."""
+        names = self.scene.lattice().cells
         for cell in cells:
             self.faults.append(
                 {"time_s": at_s, "kind": "crash", "cell": list(names[cell]), "detail": "scheduled"}
             )
-        if policy == "abort":
+        if self.scene.stall.policy == "abort":
             self._end("failed", crash_aborts(names[cells[0]], at_s))
-            return
-        if policy != "hold":
-            drives[list(cells)] = 0.0
-        plant.lose(cells, policy)
 
     def _end(self, status: str, reason: str) -> None:
         self.status, self.reason = status, reason
@@ -243,7 +270,7 @@ class _Simulation:
             sys.stderr.flush()
 
 
-def _ideal(scene: Scene) -> Scene:
+def ideal(scene: Scene) -> Scene:
     """The scene without cells, and with wheels that run at the commanded speed at once."""
     left_out = ["motors", "wheel_load", *(name for name, _ in scene.effects.of_cells().asked())]
     effects = scene.effects.model_copy(update=dict.fromkeys(left_out))

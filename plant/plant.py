@@ -89,6 +89,11 @@ class Plant:
         return self._solver.state.copy()
 
     @property
+    def effort(self) -> int:
+        """What the solver has done so far: steps, or right-hand sides with ``scipy``."""
+        return self._solver.effort
+
+    @property
     def wheel_speed(self) -> Floats:
         """``(n, 2)`` surface speeds, m/s; read-only."""
         return _read_only(self._wheels.speed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal, NamedTuple, get_args
 
 from pydantic import BeforeValidator, Field
 
@@ -14,9 +14,42 @@ Accuracy = dict[str, str | float]
 """Name of a solver, and what its accuracy hangs on."""
 
 
+class Sweep(NamedTuple):
+    """Settings of a solver from coarse to fine, for a study of what accuracy costs.
+
+    Attributes:
+        key: what is swept: ``tolerance`` or ``step_s``.
+        values: from coarse to fine.
+        quick: some of them, for a first look; none: it is left out then.
+        fixed: settings beside it.
+        title: tells this sweep from the solver's others.
+        note: what a reader of its errors must know.
+    """
+
+    key: Literal["tolerance", "step_s"]
+    values: tuple[float, ...]
+    quick: tuple[float, ...]
+    fixed: tuple[tuple[str, str], ...] = ()
+    title: str = ""
+    note: str = ""
+
+
+def _decades(first: int, last: int) -> tuple[float, ...]:
+    """``1e-first`` down to ``1e-last``."""
+    return tuple(float(f"1e-{exponent}") for exponent in range(first, last + 1))
+
+
+_STEPS_S = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4, 6.25e-5)
+_FEW_STEPS_S = (4e-3, 1e-3, 2.5e-4)
+
+
 class ExactSpec(Spec):
     """Event-driven, analytic between events."""
 
+    sweeps: ClassVar[tuple[Sweep, ...]] = (
+        Sweep("tolerance", _decades(4, 12), (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)),
+    )
+    """Its settings in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb_sliding", "rolling", "stick_slip")
     """Which laws it solves; None: all."""
     name: Literal["exact"] = "exact"
@@ -33,6 +66,11 @@ class ExactSpec(Spec):
 class ImplicitSpec(Spec):
     """A convex problem a step, for any law."""
 
+    sweeps: ClassVar[tuple[Sweep, ...]] = (
+        Sweep("tolerance", _decades(3, 11), (1e-4, 1e-7, 1e-10)),
+        Sweep("step_s", _STEPS_S, (4e-3, 1e-3), title="steps"),
+    )
+    """Its settings in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = None
     """Which laws it solves; None: all."""
     name: Literal["implicit"]
@@ -51,6 +89,15 @@ class ImplicitSpec(Spec):
 class QuasiStaticSpec(Spec):
     """Inertia neglected: at every instant the velocity at which all pulls balance."""
 
+    sweeps: ClassVar[tuple[Sweep, ...]] = (
+        Sweep(
+            "tolerance",
+            _decades(3, 8),
+            (1e-4, 1e-7),
+            note="leaves out inertia: its error is that of its model",
+        ),
+    )
+    """Its settings in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb", "rolling", "stick_slip")
     """Which laws it solves; None: all."""
     name: Literal["quasi_static"]
@@ -69,6 +116,11 @@ class QuasiStaticSpec(Spec):
 class FixedStepSpec(Spec):
     """Explicit steps of one length, supports looked at anew each time: the papers' own loop, to compare with."""
 
+    sweeps: ClassVar[tuple[Sweep, ...]] = (
+        Sweep("step_s", _STEPS_S, _FEW_STEPS_S, (("method", "euler"),), "euler"),
+        Sweep("step_s", _STEPS_S, _FEW_STEPS_S, (("method", "rk4"),), "rk4"),
+    )
+    """Its settings in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = None
     """Which laws it solves; None: all."""
     name: Literal["fixed_step"]
@@ -85,6 +137,13 @@ class FixedStepSpec(Spec):
 class SciPySpec(Spec):
     """``scipy.integrate.solve_ivp``, restarted at every event it sees, to compare with."""
 
+    sweeps: ClassVar[tuple[Sweep, ...]] = (
+        Sweep("tolerance", _decades(3, 12), (1e-4, 1e-9), (("method", "RK45"),), "RK45"),
+        Sweep("tolerance", _decades(3, 12), (1e-4, 1e-9), (("method", "DOP853"),), "DOP853"),
+        Sweep("tolerance", _decades(3, 9), (), (("method", "Radau"),), "Radau"),
+        Sweep("tolerance", _decades(3, 11), (), (("method", "LSODA"),), "LSODA"),
+    )
+    """Its settings in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb_sliding", "rolling", "stick_slip")
     """Which laws it solves; None: all."""
     name: Literal["scipy"]
@@ -92,6 +151,8 @@ class SciPySpec(Spec):
     """Of ``solve_ivp``."""
     tolerance: Annotated[float, Field(ge=1e-13, le=1e-2, allow_inf_nan=False)] = 1e-9
     """``rtol`` and ``atol``: of one step, in SI units."""
+    max_step_s: Annotated[float, Field(ge=1e-9, allow_inf_nan=False)] | None = None
+    """No step is longer; left out: as long as the tolerance lets it. What a step hides is shorter than it."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -101,6 +162,8 @@ class SciPySpec(Spec):
 class HeyokaSpec(Spec):
     """heyoka's Taylor integrator, which isolates its events' roots, to check with."""
 
+    sweeps: ClassVar[tuple[Sweep, ...]] = (Sweep("tolerance", _decades(4, 14), (1e-4, 1e-12)),)
+    """Its settings in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "rolling")
     """Which laws it solves; None: all."""
     name: Literal["heyoka"]

@@ -49,6 +49,11 @@ class CompiledSolver(ABC):
         self._still: Floats = np.zeros((len(array), 2))
         self._cover = SensorCover(array)
 
+    @property
+    def effort(self) -> int:
+        """Steps of all parcels so far, those not accepted included."""
+        return int(self.packed.ctl[:, layout.N_STEPS].sum())
+
     def under(self, index: int) -> NDArray[np.int64]:
         """The cells under a parcel now, in no order, its boundary included."""
         return members(self.parcels[index])

@@ -52,8 +52,8 @@ class Heyoka(RestartedSolver):
             self._hy: Any = import_module("heyoka")
         except ImportError:
             raise PlantError(
-                'solver.name = "heyoka": heyoka is not installed; it comes with the extra reference: '
-                "pip install 'mdms-emulator[reference]'"
+                'solver.name = "heyoka": heyoka is not installed; it comes with the extra accuracy: '
+                "pip install 'mdms-emulator[accuracy]'"
             ) from None
         super().__init__(scene, array)
         self._courses = [Course(self._hy, self, parcel, rate, spec.tolerance) for parcel in self._parcels]
@@ -66,7 +66,8 @@ class Heyoka(RestartedSolver):
         course.load(leg.motion, leg.grip)
         until_s, times_s = leg.span_s, leg.times_s
         wanted = np.flatnonzero(times_s > now_s)
-        outcome, *_, dense, _ = course.integrator.propagate_until(until_s, c_output=len(wanted) > 0)
+        outcome, _, _, steps, dense, _ = course.integrator.propagate_until(until_s, c_output=len(wanted) > 0)
+        self.effort += int(steps)
         kinds = self._hy.taylor_outcome
         if outcome == kinds.err_nf_state:
             raise NotFiniteError

@@ -96,11 +96,13 @@ class RestartedSolver(ABC):
         traction: the law.
         state: ``(m, 6)``.
         bodies: the parcels as the plant sees them.
+        effort: steps, or evaluations of the right-hand side, so far: as its integrator counts.
     """
 
     def __init__(self, scene: PlantSpec, array: CellArray) -> None:
         self.array = array
         self.traction: Traction = scene.friction.traction()
+        self.effort = 0
         self._gravity = scene.gravity_m_s2
         self.state: Floats = np.zeros((len(scene.parcels), 6))
         self._parcels: list[Moving] = [

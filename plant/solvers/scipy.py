@@ -46,8 +46,8 @@ class SciPy(RestartedSolver):
             self._solve: Any = import_module("scipy.integrate").solve_ivp
         except ImportError:
             raise PlantError(
-                'solver.name = "scipy": SciPy is not installed; it comes with the extra reference: '
-                "pip install 'mdms-emulator[reference]'"
+                'solver.name = "scipy": SciPy is not installed; it comes with the extra accuracy: '
+                "pip install 'mdms-emulator[accuracy]'"
             ) from None
         super().__init__(scene, array)
         self._spec = spec
@@ -72,7 +72,9 @@ class SciPy(RestartedSolver):
             dense_output=len(wanted) > 0,
             rtol=self._spec.tolerance,
             atol=self._spec.tolerance,
+            max_step=self._spec.max_step_s or np.inf,
         )
+        self.effort += int(found.nfev)
         if found.status < 0:
             raise StalledError(found.message)
         at_s = until_s if found.status == 0 else float(found.t[-1])

@@ -119,6 +119,11 @@ class Solver(Protocol):
         """``(m, 6)`` states of all parcels, the solver's own; its rows are those of ``bodies``."""
         ...
 
+    @property
+    def effort(self) -> int:
+        """What it has done so far, for all parcels together: steps, or evaluations of the right-hand side."""
+        ...
+
     def under(self, index: int) -> NDArray[np.int64]:
         """The cells under a parcel now, in no order, its boundary included."""
         ...

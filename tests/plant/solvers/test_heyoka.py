@@ -113,6 +113,6 @@ def test_a_law_that_bends_is_refused() -> None:
 def test_without_heyoka_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "heyoka", None)
     with pytest.raises(
-        PlantError, match=r"heyoka is not installed; .* pip install 'mdms-emulator\[reference\]'"
+        PlantError, match=r"heyoka is not installed; .* pip install 'mdms-emulator\[accuracy\]'"
     ):
         solved({"name": "heyoka"})

@@ -125,6 +125,6 @@ def test_a_law_with_a_jump_is_refused() -> None:
 def test_without_scipy_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.integrate", None)
     with pytest.raises(
-        PlantError, match=r"SciPy is not installed; .* pip install 'mdms-emulator\[reference\]'"
+        PlantError, match=r"SciPy is not installed; .* pip install 'mdms-emulator\[accuracy\]'"
     ):
         solved(scipy())

@@ -1,0 +1,1 @@
+"""What accuracy costs: every solver on one scene, against a reference of another method."""

@@ -1,0 +1,110 @@
+"""The price of sampling: the whole system, cells and messages included, as the control period shrinks."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from deploy.accuracy.errors import displacement_m
+from deploy.accuracy.report import Sampled, Sampling
+from deploy.errors import DeployError
+from deploy.processes.plan import RunOptions
+from deploy.recordings.replay import load
+from deploy.run import run
+from deploy.scene import Scene
+
+if TYPE_CHECKING:
+    from deploy.accuracy.course import Course
+
+Floats = NDArray[np.float64]
+
+COARSEST = 8
+"""The longest period is so many of the scene's own."""
+HALVINGS = 6
+"""Of the longest; a quick study makes ..."""
+FEW_HALVINGS = 3
+"""... so many."""
+
+
+def price_of_sampling(
+    scene: Scene, reference: Course, *, quick: bool, limit_s: float, look: Callable[[], None]
+) -> Sampling:
+    """Run the whole system in this process, over the memory transport, at periods that halve.
+
+    Ideal wheels run at the field's speed, and nothing that a cell senses changes it: errors are then measured from the
+    reference. With motors the speed loop closes once a period: errors are measured from the shortest period's run.
+
+    Args:
+        scene: as the cells have it, motors included.
+        reference: the field without cells.
+        quick: whether to spare the short periods.
+        limit_s: no shorter period is tried after a run longer than this.
+        look: called before every run; may raise.
+    """
+    periods = [COARSEST * scene.cells.period_ns]
+    for _ in range(FEW_HALVINGS if quick else HALVINGS):
+        if periods[-1] % 2 == 0:
+            periods.append(periods[-1] // 2)
+    found: list[tuple[Sampled, Floats | None]] = []
+    for period_ns in periods:
+        look()
+        if found and (found[-1][0].wall_s or 0.0) > limit_s:
+            found.append((Sampled(period_ns * 1e-9, None, None, "omitted", _slow(found[-1][0])), None))
+            continue
+        found.append(_whole(scene, period_ns, periods[0]))
+    motors = scene.effects.motors is not None
+    known, against = _common(reference, periods[0]), "the reference"
+    if motors:
+        finest = max((k for k, (_, states) in enumerate(found) if states is not None), default=None)
+        if finest is None:
+            return Sampling("nothing: no run came to its end", [row for row, _ in found])
+        known, against = found[finest][1], f"the run at {found[finest][0].period_s:g} s, the shortest period"
+        found[finest] = found[finest][0], None
+    assert known is not None
+    rows: list[Sampled] = []
+    for row, states in found:
+        if states is None:
+            rows.append(row)
+            continue
+        count = min(len(states), len(known))
+        off = displacement_m(states[:count], known[:count], reference.footprints_m)
+        rows.append(Sampled(row.period_s, float(off.max()), row.wall_s, row.status, row.reason))
+    return Sampling(against, rows)
+
+
+def _slow(row: Sampled) -> str:
+    return f"the run at {row.period_s:g} s took {row.wall_s:.3g} s"
+
+
+def _common(course: Course, every_ns: int) -> Floats:
+    """States at the instants that are whole multiples of the longest period."""
+    time_ns = np.rint(course.time_s * 1e9).astype(np.int64)
+    return course.state[time_ns % every_ns == 0]
+
+
+def _whole(scene: Scene, period_ns: int, every_ns: int) -> tuple[Sampled, Floats | None]:
+    """One run of the whole system: its row, without an error yet, and its states at the common instants."""
+    period_s = period_ns / 1e9
+    cells = scene.cells.model_copy(update={"period_s": period_s})
+    try:
+        changed = Scene.model_validate(dict(scene) | {"cells": cells}).named(scene.name)
+    except ValidationError as error:
+        return Sampled(period_s, None, None, "omitted", error.errors()[0]["msg"]), None
+    with tempfile.TemporaryDirectory(prefix="mdms-accuracy-") as folder:
+        options = RunOptions(processes=0, transport="memory", output=Path(folder) / "run", picture=False)
+        try:
+            summary = run(changed, options, quiet=True).summary
+            track = load(Path(folder) / "run").track()
+        except DeployError as error:
+            return Sampled(period_s, None, None, "failed", str(error)), None
+    row = Sampled(period_s, None, summary.wall_s, summary.status, summary.reason)
+    if summary.status != "ok":
+        return row, None
+    time_ns = np.rint(track.time_s * 1e9).astype(np.int64)
+    return row, np.nan_to_num(track.parcels[time_ns % every_ns == 0])

@@ -1,0 +1,132 @@
+"""``mdms accuracy``: what accuracy costs on a scene, solver by solver."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deploy.commands.options import (
+    DurationOption,
+    JsonOption,
+    QuietOption,
+    SceneArgument,
+    SetOption,
+    load_scene,
+)
+from deploy.errors import InputError
+
+if TYPE_CHECKING:
+    from deploy.accuracy.report import Report
+
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        metavar="DIR",
+        help="Folder for accuracy.json, accuracy.csv and the pictures. Default: nothing is written.",
+    ),
+]
+TargetOption = Annotated[
+    float | None,
+    typer.Option(
+        "--target",
+        metavar="METRES",
+        help="Answer in one line: the cheapest solver and setting whose error is no larger. Exit status 1: none.",
+    ),
+]
+QuickOption = Annotated[
+    bool, typer.Option("--quick", help="Few settings, few runs: under 30 s once every solver is compiled.")
+]
+RepeatsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--repeats",
+        metavar="N",
+        min=1,
+        help="Timed runs of every setting. Default: 5, with --quick 3, fewer where they take long.",
+    ),
+]
+SamplingOption = Annotated[
+    bool,
+    typer.Option("--sampling/--no-sampling", help="Run the whole system at several control periods, too."),
+]
+
+
+def accuracy(
+    scene: SceneArgument,
+    *,
+    sets: SetOption = None,
+    duration: DurationOption = None,
+    target: TargetOption = None,
+    quick: QuickOption = False,
+    repeats: RepeatsOption = None,
+    sampling: SamplingOption = True,
+    output: OutputOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Tell what accuracy costs in time: every solver that claims the scene, coarse to fine.
+
+    Each is judged by a reference of another method, heyoka's where it is installed (extra accuracy), which is itself
+    checked by a third method and, where there is one, a closed form. The scene is simulated as mdms simulate does:
+    ideal wheels at the field's speed. With --output DIR there are tables and pictures, too.
+
+    A first look; everything; one answer:
+
+      [cyan]mdms accuracy elliptic --quick[/cyan]
+      [cyan]mdms accuracy elliptic --output study[/cyan]
+      [cyan]mdms accuracy elliptic --target 1e-6[/cyan]
+    """
+    from dataclasses import replace
+
+    from deploy.accuracy.study import Plan, study
+    from deploy.interruption import Interruption
+
+    if target is not None and not 0.0 < target < float("inf"):
+        raise InputError(f"--target {target}: must be > 0, metres")
+    found = load_scene(scene, sets, duration=duration)
+    interruption = Interruption()
+    with interruption.watching(last=True), interruption.allowed():
+        plan = replace(Plan.of(quick=quick, repeats=repeats), sampling=sampling and target is None)
+        report = study(found, plan, say=_silent if quiet else _say, look=interruption.check)
+        folder = None if output is None else _folder(output)
+        if folder is not None:
+            from deploy.accuracy.files import write_report
+
+            write_report(report, folder)
+    _tell(report, target, folder, as_json=as_json)
+
+
+def _tell(report: Report, target: float | None, folder: Path | None, *, as_json: bool) -> None:
+    from deploy.accuracy.table import answer, print_report
+
+    if as_json:
+        print(report.to_json())
+    elif target is not None:
+        print(answer(report, target))
+    else:
+        print_report(report)
+        if folder is not None:
+            print(f"\n{folder}")
+    if target is not None and report.cheapest(target) is None:
+        raise typer.Exit(1)
+
+
+def _folder(wanted: Path) -> Path:
+    try:
+        wanted.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"output {wanted}: can't be made: {error.strerror or error}") from None
+    return wanted
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"mdms: {line}\n")
+    sys.stderr.flush()
+
+
+def _silent(line: str) -> None:
+    del line
