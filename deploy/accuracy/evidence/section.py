@@ -1,0 +1,68 @@
+"""What a section of the page is, and the small Markdown that all of them are written with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from typing import TYPE_CHECKING, final
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PICTURES = "images/accuracy"
+"""Where pictures are, seen from the page."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of the page: what was measured, already put into words.
+
+    Attributes:
+        title: its heading.
+        text: Markdown under it.
+        pictures: how each is drawn, by the name of its file.
+    """
+
+    title: str
+    text: str
+    pictures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict[str, Callable[[], "Figure"]])
+
+
+def prose(name: str, **words: str) -> str:
+    """A text of the page, with what was measured put in its places."""
+    text = (resources.files("deploy.accuracy") / "prose" / f"{name}.md").read_text(encoding="utf-8")
+    return text.format(**words)
+
+
+def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table; every column but the first is set to the right."""
+    rule = ["---", *["---:"] * (len(heading) - 1)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (heading, rule, *rows))
+
+
+def picture(name: str, says: str) -> str:
+    """A picture in Markdown; ``says`` is read where it can't be seen."""
+    return f"![{says}]({PICTURES}/{name})"
+
+
+def milliseconds(spent_s: float) -> str:
+    """A time, always followed by ``ms``: what is measured anew in every run is known by that."""
+    return f"{spent_s * 1e3:.3g} ms" if spent_s < 0.0995 else f"{spent_s * 1e3:,.0f} ms"
+
+
+def power(value: float) -> str:
+    """``1e-6`` for a setting."""
+    mantissa, _, exponent = f"{value:g}".partition("e")
+    if not exponent:
+        return mantissa if value > 1e-3 else f"{value:.0e}".replace("e-0", "e-")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def error(value: float) -> str:
+    """``1.1e-5``: an error, to the digits that two runs agree in."""
+    if value == 0.0:
+        return "0"
+    mantissa, _, exponent = f"{value:.1e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"

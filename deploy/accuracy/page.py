@@ -1,0 +1,105 @@
+"""``docs/accuracy.md``: everything that is measured about accuracy, in one page, made by one command."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from importlib import metadata
+from pathlib import Path
+
+from deploy.accuracy.evidence import chatter, continuum, graze, paper
+from deploy.accuracy.evidence.section import PICTURES, Section, prose, table
+from deploy.errors import DeployError, InputError
+from deploy.picture import write_picture
+
+FILE_NAME = "accuracy.md"
+COMMAND = "mdms accuracy --docs"
+REPEATS = 5
+SECTIONS: Mapping[str, Callable[[int], Section]] = {
+    "graze": graze.section,
+    "chatter": chatter.section,
+    "continuum": continuum.section,
+    "paper": paper.section,
+}
+"""How each section is measured, by its name, in the order of the page; the argument is how often for a time."""
+_VERSIONS = ("numpy", "numba", "llvmlite", "scipy", "heyoka", "matplotlib")
+
+
+def write(
+    folder: Path,
+    *,
+    repeats: int = REPEATS,
+    sections: Sequence[str] = tuple(SECTIONS),
+    say: Callable[[str], None] = lambda _: None,
+) -> Path:
+    """Measure everything, and write the page and its pictures.
+
+    All is measured before anything is written.
+
+    Args:
+        folder: For ``accuracy.md``; pictures go to ``images/accuracy`` in it.
+        repeats: Runs for a time.
+        sections: Which; the page has no others.
+        say: Told what is measured now.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: There is no such section, or the folder can't be made.
+        DeployError: It can't be written.
+    """
+    unknown = [name for name in sections if name not in SECTIONS]
+    if unknown:
+        raise InputError(f"section {unknown[0]}: there are {', '.join(SECTIONS)}")
+    made: list[Section] = []
+    for name in sections:
+        say(f"accuracy: measuring {name}")
+        made.append(SECTIONS[name](repeats))
+    try:
+        (folder / PICTURES).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: can't be made: {error.strerror or error}") from None
+    for section in made:
+        for file, draw in section.pictures.items():
+            write_picture(draw, folder / PICTURES / file)
+    return _write(folder / FILE_NAME, _page(made, repeats))
+
+
+def _page(sections: Sequence[Section], repeats: int) -> str:
+    parts = [f"## {section.title}\n\n{section.text.strip()}\n" for section in sections]
+    return prose("page", command=COMMAND, sections="\n".join(parts), facts=_facts(), repeats=str(repeats))
+
+
+def _facts() -> str:
+    """Machine and versions, as a table."""
+    rows = [("processor", f"{_processor()}, {os.cpu_count()} in all"), ("Python", platform.python_version())]
+    for name in _VERSIONS:
+        with suppress(metadata.PackageNotFoundError):
+            rows.append((name, metadata.version(name)))
+    return table(("", ""), rows)
+
+
+def _processor() -> str:
+    """The model's name, where the system tells it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _write(path: Path, text: str) -> Path:
+    """The page, whole or not at all."""
+    draft = path.with_name(f".{path.name}.draft")
+    try:
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+    except OSError as error:
+        raise DeployError(f"can't write {path}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            draft.unlink()
+    return path
