@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from deploy.accuracy.evidence.drawing import panels
 from deploy.accuracy.evidence.runs import Run, apart_m, changes_at, run, scene_with
 from deploy.accuracy.evidence.section import Section, error, milliseconds, picture, power, prose, table
-from deploy.overview_map import INK, colour
+from deploy.overview.scenery import INK, colour
 from plant.array import CellArray
 
 if TYPE_CHECKING:

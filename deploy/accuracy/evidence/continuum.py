@@ -16,8 +16,8 @@ import numpy as np
 from deploy.accuracy.evidence.drawing import panels
 from deploy.accuracy.evidence.runs import scene_with
 from deploy.accuracy.evidence.section import Section, picture, prose, table
-from deploy.orientation_study import study
-from deploy.overview_map import INK, colour
+from deploy.orientations.study import study
+from deploy.overview.scenery import INK, colour
 from plant.crossings import TURN
 
 if TYPE_CHECKING:

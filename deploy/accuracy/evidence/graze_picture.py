@@ -13,7 +13,7 @@ import numpy as np
 from deploy.accuracy.evidence.drawing import panels
 from deploy.accuracy.evidence.graze_steps import Steps
 from deploy.accuracy.evidence.section import power
-from deploy.overview_map import INK, LOST, colour
+from deploy.overview.scenery import INK, LOST, colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,7 +14,7 @@ from deploy.accuracy.evidence.oscillator import Oscillator
 from deploy.accuracy.evidence.paper_picture import draw_scene
 from deploy.accuracy.evidence.runs import Run, run, scene_with
 from deploy.accuracy.evidence.section import Section, error, picture, power, prose, table
-from deploy.orientation_study import study
+from deploy.orientations.study import study
 from deploy.simulate import field_speeds
 from deploy.track import Track
 from plant.array import CellArray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deploy.accuracy.evidence.drawing import GRID
-from deploy.overview_map import INK, colour, draw_map
+from deploy.overview.scenery import INK, colour, draw_map
 from deploy.picture import DPI, draw_heading
 
 if TYPE_CHECKING:
