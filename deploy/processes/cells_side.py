@@ -21,6 +21,7 @@ PRELOAD = (
     "cell_firmware.agent",
     "cell_firmware.protocols.heat_diffusion",
     "cell_firmware.protocols.velocity_field",
+    "cell_firmware.protocols.waking_field",
     "deploy.scene",
     "deploy.processes.worker",
     "plant.array",

@@ -1,0 +1,54 @@
+"""A velocity field that sleeps: wheels run under a parcel and a little around it, and stand still elsewhere."""
+
+from __future__ import annotations
+
+from typing import Annotated, final
+
+import numpy as np
+from pydantic import Field
+
+from cell_firmware.fields import FieldSpec
+from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.specs import Spec
+
+
+class WakingFieldParameters(Spec):
+    """The field, and how far ahead of a parcel it is awake."""
+
+    field: FieldSpec
+    reach: Annotated[int, Field(ge=0, le=100)] = 1
+    """How many cells away from one that senses a parcel wheels run, counted along rows and columns."""
+
+
+@final
+class WakingField(Firmware):
+    """Runs where a parcel is sensed, and passes the word on as many cells as it reaches.
+
+    A cell's level is ``reach + 1`` where it senses a parcel, else one less than the highest that a neighbour told in
+    the tick before, at least 0. It tells its own, and drives the field's velocity while that is above 0.
+    """
+
+    Parameters = WakingFieldParameters
+    message = np.dtype([("level", "u1")])
+
+    def init(self, cells: Cells) -> State:
+        """Each cell's speed while it is awake, ``(n, 2)`` m/s."""
+        x, y = cells.position_m[:, 0], cells.position_m[:, 1]
+        return {"speed_m_s": self.parameters.field.velocity(x, y)}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """Wake or sleep, and tell the neighbours."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        told = np.where(inbox.received, inbox.message["level"], 0)
+        highest = np.maximum(np.maximum(told[:, 0], told[:, 1]), np.maximum(told[:, 2], told[:, 3]))
+        here = inputs.presence[:, 0]
+        for sensor in range(1, inputs.presence.shape[1]):
+            here = here | inputs.presence[:, sensor]
+        level = np.where(here, self.parameters.reach + 1, np.maximum(highest, 1) - 1)
+
+        message = np.empty((len(level), 4), dtype=self.message)
+        message["level"] = level[:, None]
+        sent = np.ones((len(level), 4), dtype=np.bool_)
+        speed = np.where(level[:, None] > 0, state["speed_m_s"], 0.0)
+        return state, Outputs(speed, Outbox(sent, message))
