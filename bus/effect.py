@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from bus.lattice import Lattice
 from bus.spec import Spec
@@ -18,6 +18,23 @@ class EffectSpec(Spec):
     """Names of the effects that it builds on."""
     excludes: ClassVar[tuple[str, ...]] = ()
     """Names of the effects that leave it out."""
+    states: ClassVar[tuple[str, ...]] = ()
+    """What a run has to carry on from tick to tick for it, in words."""
+    events: ClassVar[tuple[str, ...]] = ()
+    """Kinds of events that only happen with it."""
+    messages: ClassVar[tuple[str, ...]] = ()
+    """What it changes in the messages of plant and cells, in words."""
+    rung: ClassVar[int | None] = None
+    """Its place in the ladder of fidelity, coarse effects first; None: it says what a scene has, not how finely."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self | str:  # noqa: ARG003
+        """Settings with which a scene that lacks the effect tries it; or, in words, why only a scene can say.
+
+        Args:
+            pitch_m: of the scene's array.
+        """
+        return "it has no typical settings"
 
     def misplaced(
         self,

@@ -7,7 +7,7 @@ the load; as the width tends to 0 that is Filippov's captured motion.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, final
+from typing import ClassVar, Self, final
 
 from bus.effect import EffectSpec
 from bus.lattice import Lattice
@@ -19,8 +19,14 @@ class ContactWidthSpec(EffectSpec):
     """Wheels that come to be under a parcel by and by."""
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
+    rung: ClassVar[int | None] = 20
     width_m: Positive
     """Over which a cell comes to be under a parcel, half of it on either side of the edge; at most the pitch."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:
+        """A tenth of the pitch."""
+        return cls(width_m=0.1 * pitch_m)
 
     def misplaced(
         self,

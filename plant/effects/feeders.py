@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
-from typing import Annotated, final
+from typing import Annotated, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,8 +107,15 @@ class ExitSpec(PolygonSpec):
 class FeedersSpec(EffectSpec):
     """Parcels appear at feeders, on a schedule or at random by the seed, and leave through exits."""
 
+    states: ClassVar[tuple[str, ...]] = ("parcels that wait, and those that have left",)
+    events: ClassVar[tuple[str, ...]] = ("fed", "held_back", "left")
     feed: tuple[FeedSpec, ...] = ()
     exits: tuple[ExitSpec, ...] = ()
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> str:  # noqa: ARG003
+        """None."""
+        return "only a scene can say what comes, where it comes and where it leaves"
 
     @model_validator(mode="after")
     def _names(self) -> FeedersSpec:

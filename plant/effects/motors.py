@@ -8,7 +8,7 @@ length is exact.
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import ClassVar, Self, final
 
 import numpy as np
 
@@ -21,11 +21,19 @@ from plant.wheels import Floats, WheelMotion
 class MotorsSpec(EffectSpec):
     """First-order motors: ``dV/dt = (gain u - V) / time constant``, one per wheel."""
 
+    states: ClassVar[tuple[str, ...]] = ("speed and travel of every wheel", "integral of every speed loop")
+    messages: ClassVar[tuple[str, ...]] = ("cells are told encoder counts", "drives are volts")
+    rung: ClassVar[int | None] = 30
     time_constant_s: Positive = 0.06
     speed_per_volt_m_s: Positive = 0.1
     """No-load surface speed per volt."""
     supply_v: Positive = 12.0
     """Commands saturate at plus and minus this voltage."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """The defaults."""
+        return cls()
 
 
 @final

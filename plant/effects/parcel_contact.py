@@ -5,7 +5,7 @@ See ``plant.contact`` for how contacts are found and what they do.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, final
+from typing import Annotated, ClassVar, Literal, Self, final
 
 from pydantic import Field, field_validator
 
@@ -19,6 +19,8 @@ class ParcelContactSpec(EffectSpec):
     """Parcels touch each other and guide rails: reported, or resolved with impacts and friction."""
 
     solvers: ClassVar[tuple[str, ...] | None] = ("exact", "implicit")
+    states: ClassVar[tuple[str, ...]] = ("pairs that touch",)
+    events: ClassVar[tuple[str, ...]] = ("contact", "apart")
     mode: Literal["report_only", "resolved"] = "resolved"
     """``report_only`` finds contacts and leaves the motion as it is."""
     restitution: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
@@ -29,6 +31,11 @@ class ParcelContactSpec(EffectSpec):
     """Guide rails, fixed, in world coordinates: two points are a segment, more a convex polygon."""
     step_s: Positive = 1e-3
     """Longest step while parcels press on each other or on a rail."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """The defaults, without rails: parcels push each other."""
+        return cls()
 
     @field_validator("rails")
     @classmethod

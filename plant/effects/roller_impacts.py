@@ -10,7 +10,7 @@ the viscous law's (eq. 14), with nothing viscous in it.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, final
+from typing import Annotated, ClassVar, Self, final
 
 from pydantic import Field
 
@@ -25,10 +25,17 @@ class RollerImpactsSpec(EffectSpec):
     """Wheels whose rollers strike the parcel."""
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
+    states: ClassVar[tuple[str, ...]] = ("slip since the last roller, of every wheel and parcel",)
+    rung: ClassVar[int | None] = 50
     spacing_m: Annotated[float, Field(ge=1e-5, le=1.0, allow_inf_nan=False)]
     """Slip at a wheel from one roller to the next."""
     impulse_s: Positive
     """What one roller gives the parcel along the wheel's axis, N s per newton of load on the cell."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """Rollers 4 mm apart that add 0.02 s/m to the scene's friction."""
+        return cls(spacing_m=4e-3, impulse_s=8e-5)
 
 
 def starts(cells: int, seed: int) -> Floats:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, final
+from typing import Annotated, ClassVar, Self, final
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -34,6 +34,7 @@ class UnevenSupportsSpec(EffectSpec):
     """Cells of unequal spring rates and heights."""
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
+    rung: ClassVar[int | None] = 10
     stiffness_n_per_m: Positive
     """Mean spring rate of a cell."""
     stiffness_spread: Annotated[float, Field(ge=0, le=2, allow_inf_nan=False)] = 0.0
@@ -51,6 +52,11 @@ class UnevenSupportsSpec(EffectSpec):
             if names.count((row, column)) > 1:
                 raise ValueError(f"cells names [{row}, {column}] twice")
         return value
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """Springs of 3 N/mm that differ by a fifth, at heights that differ by 0.1 mm."""
+        return cls(stiffness_n_per_m=3e3, stiffness_spread=0.2, height_spread_m=1e-4)
 
     def misplaced(
         self,

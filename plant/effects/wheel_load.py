@@ -6,7 +6,7 @@ the wheel's force on the parcel. Stalled, a motor gives ``m V_ss / tau``.
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import ClassVar, Self, final
 
 from bus.effect import EffectSpec
 from bus.spec import Positive
@@ -19,5 +19,12 @@ class WheelLoadSpec(EffectSpec):
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     excludes: ClassVar[tuple[str, ...]] = ("roller_impacts", "parcel_contact")
+    states: ClassVar[tuple[str, ...]] = ("what its load took from every wheel's speed and travel",)
+    rung: ClassVar[int | None] = 40
     inertia_kg: Positive
     """Of a wheel and what turns with it, at the surface: moment of inertia over the wheel's radius squared."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """50 g."""
+        return cls(inertia_kg=0.05)
