@@ -1,0 +1,186 @@
+"""``mdms effects``: what every effect adds, costs and changes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deploy.commands.options import (
+    DurationOption,
+    JsonOption,
+    QuietOption,
+    SeedOption,
+    SetOption,
+    SolverOption,
+    ToleranceOption,
+    load_scene,
+)
+from deploy.errors import InputError
+
+if TYPE_CHECKING:
+    from deploy.effect_study.ladder import Climbed
+    from deploy.scene import Scene
+
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--output", metavar="DIR", help="Climb the ladder, and draw it into this folder as ladder.png."
+    ),
+]
+
+
+def effects(
+    scene: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SCENE]", help="A scene file, or the name of a bundled scene. Without: all effects."
+        ),
+    ] = None,
+    *,
+    sets: SetOption = None,
+    seed: SeedOption = None,
+    duration: DurationOption = None,
+    solver: SolverOption = None,
+    tolerance: ToleranceOption = None,
+    repeats: Annotated[
+        int, typer.Option("--repeats", min=1, help="Timed runs of each side; the median counts.")
+    ] = 3,
+    advise: Annotated[
+        bool, typer.Option("--advise", help="Tell which effects can go, and which are missing.")
+    ] = False,
+    tolerance_mm: Annotated[
+        float,
+        typer.Option("--tolerance-mm", help="With --advise: how far a corner may be off at the end."),
+    ] = 1.0,
+    ladder: Annotated[
+        bool, typer.Option("--ladder", help="Climb from a quasi-static motion to all effects instead.")
+    ] = False,
+    output: OutputOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Tell what every effect adds to a scene, what it costs, and how far it moves the answer.
+
+    Each effect is toggled by itself: the scene as it is against the scene without; or, where the scene lacks the
+    effect, the scene with typical settings of it against the scene. Both run in this process under one solver. The
+    solver's own error, against a tolerance ten times as fine, says how much of an influence to believe.
+
+    All effects; those of a scene; what to leave out or add; cost against fidelity:
+
+      [cyan]mdms effects[/cyan]
+      [cyan]mdms effects prototype[/cyan]
+      [cyan]mdms effects prototype --advise --tolerance-mm 1[/cyan]
+      [cyan]mdms effects ladder --ladder --output study[/cyan]
+    """
+    from deploy.interruption import Interruption
+
+    if scene is None:
+        _list(as_json=as_json)
+        return
+    if not 0.0 < tolerance_mm < float("inf"):
+        raise InputError(f"--tolerance-mm {tolerance_mm:g}: must be greater than 0")
+    found = load_scene(scene, sets, seed, duration, solver, tolerance)
+    tell = _silent if quiet else _tell
+    interruption = Interruption()
+    with interruption.watching(last=True), interruption.allowed():
+        if ladder or output is not None:
+            _ladder(found, repeats, output, tell, as_json=as_json)
+        else:
+            _study(found, repeats, tolerance_mm if advise else None, tell, as_json=as_json)
+
+
+def _list(*, as_json: bool) -> None:
+    if as_json:
+        from deploy.effect_study.report import declared
+
+        _print_json({"rows": declared()})
+        return
+    from deploy.effect_study.table import print_declared
+
+    print_declared()
+
+
+def _study(
+    scene: Scene, repeats: int, tolerance_mm: float | None, tell: Callable[[str], None], *, as_json: bool
+) -> None:
+    from deploy.effect_study.advice import advise
+    from deploy.effect_study.report import advice_json, row_json
+    from deploy.effect_study.study import Study
+
+    study = Study(scene, repeats, tell)
+    rows = study.rows()
+    advice = None if tolerance_mm is None else advise(study, rows, 1e-3 * tolerance_mm)
+    if as_json:
+        found: dict[str, Any] = {
+            "scene": scene.name,
+            "repeats": repeats,
+            "rows": [row_json(row) for row in rows],
+        }
+        _print_json(found if advice is None else {**found, "advice": advice_json(advice)})
+        return
+    from deploy.effect_study.table import print_advice, print_rows
+
+    print_rows(scene, rows)
+    if advice is not None:
+        print_advice(advice)
+
+
+def _ladder(
+    scene: Scene, repeats: int, output: Path | None, tell: Callable[[str], None], *, as_json: bool
+) -> None:
+    from deploy.effect_study.ladder import climb, rungs
+    from deploy.effect_study.report import ladder_json
+
+    folder = None if output is None else _folder(output)
+    climbed = climb(rungs(scene), repeats, tell)
+    picture = None if folder is None else _draw(scene, climbed, folder)
+    if as_json:
+        _print_json(
+            {
+                "scene": scene.name,
+                "repeats": repeats,
+                "ladder": ladder_json(climbed),
+                "picture": picture and str(picture),
+            }
+        )
+        return
+    from deploy.effect_study.table import print_ladder
+
+    print_ladder(scene, climbed)
+    if picture:
+        print(f"\n{picture}")
+
+
+def _draw(scene: Scene, climbed: list[Climbed], folder: Path) -> Path:
+    from deploy.effect_study.picture import FILE_NAME, draw_ladder
+
+    picture = folder / FILE_NAME
+    draw_ladder(scene, climbed, picture)
+    return picture
+
+
+def _folder(wanted: Path) -> Path:
+    """Make the folder for the picture; what is in it stays."""
+    try:
+        wanted.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"output {wanted}: can't be made: {error.strerror or error}") from None
+    return wanted
+
+
+def _print_json(found: dict[str, Any]) -> None:
+    print(json.dumps(found, indent=2, allow_nan=False))
+
+
+def _tell(line: str) -> None:
+    sys.stderr.write(f"mdms: {line}\n")
+    sys.stderr.flush()
+
+
+def _silent(line: str) -> None:
+    del line

@@ -1,0 +1,160 @@
+"""A scene run once in this process, for what it comes to: no folder, no recording, no picture."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from bus.errors import BusError
+from cell_firmware.effects.registry import CellEffects
+from deploy.errors import DeployError
+from deploy.faults.schedule import deaths
+from deploy.output import run_name
+from deploy.processes.plan import RunOptions, plan
+from deploy.processes.system import System
+from deploy.run import load_plant, status_of
+from deploy.simulate import field_speeds
+from plant.errors import PlantError
+
+if TYPE_CHECKING:
+    from deploy.scene import Scene
+    from plant.plant import Plant
+    from plant.process import Ended, PlantProcess, TickRecord
+    from plant.reports import Event, ParcelStatus
+    from plant.wheels import Floats
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """What a run came to.
+
+    Attributes:
+        status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
+        reason: Why it isn't ``ok``; empty where it is.
+        states: ``(m, 6)`` of all parcels at the end.
+        fates: How each parcel fares at the end.
+        footprints_m: ``(v, 2)`` corners of each about its centre of mass, in its axes.
+        events: Of the plant, all of them.
+        wall_s: Of the run itself, without start-up.
+    """
+
+    status: str
+    reason: str
+    states: Floats
+    fates: Sequence[ParcelStatus]
+    footprints_m: Sequence[Floats]
+    events: Sequence[Event]
+    wall_s: float
+
+
+def needs_cells(scene: Scene) -> bool:
+    """Whether a scene's cells do more than hold a field's speeds on ideal wheels."""
+    return (
+        scene.cells.firmware != "velocity_field"
+        or scene.effects.motors is not None
+        or bool(scene.faults)
+        or any(name in CellEffects.model_fields for name, _ in scene.effects.asked())
+    )
+
+
+def follow(scene: Scene, *, cells: bool) -> Course:
+    """Run a scene to its end, tick by tick.
+
+    Without cells the bits of the motion are those that it has with them, where `needs_cells` says that they do nothing
+    else; only the messages are spared.
+
+    Args:
+        scene: What to run.
+        cells: Whether its cells run too, in a thread of this process, over the memory transport.
+
+    Raises:
+        InputError: The plant refuses the scene.
+    """
+    # What a firmware prints in this process is no part of what the command prints.
+    with contextlib.redirect_stdout(sys.stderr):
+        return _with_cells(scene) if cells else _plant_alone(scene)
+
+
+def _plant_alone(scene: Scene) -> Course:
+    from plant.array import CellArray
+
+    speeds = field_speeds(scene, CellArray(scene.array).positions_m)
+    plant = load_plant(scene, _say)
+    events: list[Event] = []
+    period_ns, end_ns = scene.cells.period_ns, scene.duration_ns
+    status, reason = "ok", ""
+    started = time.perf_counter()
+    try:
+        for tick in range(scene.ticks):
+            _, happened = plant.advance(speeds, min((tick + 1) * period_ns, end_ns))
+            events += happened
+    except PlantError as error:
+        status, reason = status_of(error), str(error)
+    return _course(plant, events, time.perf_counter() - started, status, reason)
+
+
+def _with_cells(scene: Scene) -> Course:
+    options = RunOptions(processes=0, transport="memory")
+    events: list[Event] = []
+    status, reason = "ok", ""
+    started = time.perf_counter()
+    with System(plan(scene, options, run_name(scene, secrets.token_hex(4))), scene, None) as system:
+        plant = load_plant(scene, _say)
+        try:
+            system.open()
+            process = _process(scene, system, plant, events)
+            started = time.perf_counter()
+            ended = process.run()
+            status, reason = ended.status, _why(ended)
+        except (BusError, DeployError) as error:
+            status, reason = "failed", str(error)
+        except PlantError as error:
+            status, reason = status_of(error), str(error)
+        wall_s = time.perf_counter() - started
+    return _course(plant, events, wall_s, status, reason)
+
+
+def _process(scene: Scene, system: System, plant: Plant, events: list[Event]) -> PlantProcess:
+    from plant.process import PlantProcess
+
+    def observe(record: TickRecord) -> None:
+        events.extend(record.events)
+
+    return PlantProcess(
+        plant,
+        system.start(plant.array, encoders=plant.sense().encoder_m is not None),
+        period_ns=scene.cells.period_ns,
+        duration_ns=scene.duration_ns,
+        schedule=deaths(scene),
+        stall=scene.stall,
+        observer=observe,
+    )
+
+
+def _why(ended: Ended) -> str:
+    if ended.status == "ok":
+        return ""
+    return "a cell was lost, and stall.policy is abort"
+
+
+def _course(plant: Plant, events: Sequence[Event], wall_s: float, status: str, reason: str) -> Course:
+    return Course(
+        status=status,
+        reason=reason,
+        states=plant.state,
+        fates=tuple(plant.status),
+        footprints_m=plant.footprints_m,
+        events=tuple(events),
+        wall_s=wall_s,
+    )
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"mdms: {line}\n")
+    sys.stderr.flush()

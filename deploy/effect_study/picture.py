@@ -1,0 +1,135 @@
+"""The picture of a ladder of fidelity: what each rung costs against how far its answer is from the top one's."""
+
+# pyright: reportUnknownMemberType=false
+# (matplotlib leaves the keywords of its drawing methods untyped.)
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deploy.picture import DPI, draw_heading, write_picture
+from deploy.words import counted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from deploy.effect_study.ladder import Climbed
+    from deploy.scene import Scene
+
+FILE_NAME = "ladder.png"
+_WIDTH, _HEIGHT = 12.4, 5.45
+_INK, _DIM, _LINE, _DOT, _TOP = "#22272e", "#8b95a1", "#c9d0d8", "#2f6f9f", "#b3541e"
+Point = tuple[int, float, float]
+"""A rung's number from 1, its wall time in s, and its distance in mm."""
+
+
+def draw_ladder(scene: Scene, climbed: Sequence[Climbed], path: Path) -> None:
+    """Draw cost against distance as a PNG.
+
+    Args:
+        scene: Whose ladder it is.
+        climbed: The rungs, from the bottom.
+        path: The file to write.
+
+    Raises:
+        DeployError: It can't be written.
+    """
+    write_picture(lambda: _figure(scene, climbed), path)
+
+
+def _figure(scene: Scene, climbed: Sequence[Climbed]) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")
+    axes = figure.add_axes((0.8 / _WIDTH, 0.6 / _HEIGHT, 6.3 / _WIDTH, 3.85 / _HEIGHT))
+    words = figure.add_axes((7.4 / _WIDTH, 0.6 / _HEIGHT, 4.8 / _WIDTH, 3.85 / _HEIGHT))
+    points = [
+        (number, one.wall_s, 1e3 * (one.distance.displacement_m or 0.0))
+        for number, one in enumerate(climbed, start=1)
+        if one.distance is not None and one.wall_s is not None
+    ]
+    _draw_points(axes, points)
+    _draw_words(words, climbed)
+    facts = [
+        scene.name,
+        counted(len(scene.lattice()), "cell"),
+        f"{scene.duration_s:g} s",
+        "each rung adds to those before it",
+    ]
+    draw_heading(figure, f"Cost against fidelity: {scene.name}", "  ·  ".join(facts), 0.35)
+    return figure
+
+
+def _draw_points(axes: Axes, points: Sequence[Point]) -> None:
+    """The rungs with their numbers; what is no distance from the top, at the axis' foot."""
+    from matplotlib.ticker import NullLocator
+
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    far = [mm for _, _, mm in points if mm > 0.0]
+    foot = 0.2 * min(far, default=1.0)
+    places = [(number, wall, mm if mm > 0.0 else foot) for number, wall, mm in points]
+    axes.plot([place[1] for place in places], [place[2] for place in places], color=_LINE, lw=1.3, zorder=2)
+    for number, wall, mm in places:
+        top = mm == foot
+        axes.plot(wall, mm, "o", ms=15, color=_TOP if top else _DOT, mec="white", mew=1.2, zorder=3)
+        axes.text(
+            wall, mm, str(number), color="white", ha="center", va="center", size=8, weight="bold", zorder=4
+        )
+    axes.set_yticks(*_ticks(foot, far))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.axhline(foot, color=_LINE, lw=0.8, ls=(0, (4, 3)), zorder=1)
+    axes.annotate(
+        "0: the top rung", (0.0, foot), xycoords=("axes fraction", "data"), xytext=(4, 4),
+        textcoords="offset points", color=_DIM, size=8,
+    )  # fmt: skip
+    axes.set_ylim(0.5 * foot, 3.0 * max(far, default=1.0))
+    axes.margins(x=0.12)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("wall time of a run (s)")
+    axes.set_ylabel("farthest corner at the end, from the top rung's (mm)")
+    axes.grid(visible=True, which="major", color="#eef1f4", lw=0.8, zorder=0)
+
+
+def _ticks(foot: float, far: Sequence[float]) -> tuple[list[float], list[str]]:
+    """Places and labels on the axis of distances: 0 at its foot, above it 1, 2, 5, 10 or only powers of ten."""
+    low, high = math.log10(min(far, default=1.0)), math.log10(max(far, default=1.0))
+    steps = (1, 2, 5) if high - low < 3.0 else (1,)
+    decades = range(math.floor(low) - 1, math.ceil(high) + 1)
+    values = [step * 10.0**decade for decade in decades for step in steps]
+    shown = [value for value in values if 1.5 * foot < value <= 3.0 * 10.0**high]
+    return [foot, *shown], ["0", *(f"{value:g}" for value in shown)]
+
+
+def _draw_words(axes: Axes, climbed: Sequence[Climbed]) -> None:
+    """A line a rung: its number, name, and what it adds; in grey what was left out."""
+    axes.set_axis_off()
+    axes.set_xlim(0.0, 1.0)
+    lines = max(len(climbed), 12)
+    axes.set_ylim(lines, 0.0)
+    for number, one in enumerate(climbed, start=1):
+        there = one.distance is not None
+        y = number - 0.5
+        axes.text(
+            0.02,
+            y,
+            str(number),
+            ha="right",
+            va="center",
+            size=9,
+            weight="bold",
+            color=_INK if there else _LINE,
+        )
+        axes.text(
+            0.06, y - 0.17, one.rung.name, va="center", size=9, weight="bold", color=_INK if there else _DIM
+        )
+        note = one.rung.adds if there else f"left out: {one.reason}"
+        axes.text(0.06, y + 0.27, _cut(note), va="center", size=7.5, color=_DIM, parse_math=False)
+
+
+def _cut(text: str, length: int = 82) -> str:
+    return text if len(text) <= length else text[: length - 1].rstrip() + "…"

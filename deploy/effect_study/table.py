@@ -1,0 +1,151 @@
+"""Effects, their influence, advice and the ladder, in words for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from deploy.effect_study.report import declared
+from deploy.words import counted, short
+
+if TYPE_CHECKING:
+    from deploy.effect_study.advice import Advice
+    from deploy.effect_study.influence import Influence
+    from deploy.effect_study.ladder import Climbed
+    from deploy.effect_study.study import Row
+    from deploy.scene import Scene
+
+_NONE = "–"
+
+
+def print_declared() -> None:
+    """Print every effect, and what it adds to a scene that asks for it."""
+    console = Console(highlight=False)
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column()
+    for one in declared():
+        table.add_row(one["name"], "", one["summary"])
+        for key in ("states", "events", "messages", "parameters", "needs", "excludes", "solvers"):
+            if one[key]:
+                table.add_row("", key, ", ".join(one[key]))
+    console.print(table)
+
+
+def print_rows(scene: Scene, rows: Sequence[Row]) -> None:
+    """Print what every effect costs and does."""
+    console = Console(highlight=False)
+    console.print(
+        f"scene {scene.name}, {scene.duration_s:g} s: with an effect against without it\n", markup=False
+    )
+    table = Table(box=None, pad_edge=False)
+    table.add_column("effect", style="cyan", no_wrap=True)
+    table.add_column("on")
+    for heading in ("cost", "mm", "mrad", "rests, s", "events, s", "solver, mm"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(row.name, "yes" if row.on else "no", *_figures(row))
+    console.print(table)
+    notes = [(row.name, note) for row in rows for note in _notes(row, scene.solver.name)]
+    if notes:
+        console.print()
+    for name, note in notes:
+        console.print(f"{name}: {note}", markup=False)
+    console.print(
+        "\nmm, mrad: how far a corner, an angle is moved at the end; rests: how much later all parcels do; events: the "
+        "farthest that one moves in time; solver: its own error, against a tolerance ten times as fine",
+        style="dim",
+    )
+
+
+def _figures(row: Row) -> Iterable[str]:
+    influence = row.influence
+    if influence is None or row.cost_ratio is None:
+        return [_NONE] * 6
+    return (
+        f"{row.cost_ratio:.2f}",
+        _scaled(influence.displacement_m),
+        _scaled(influence.turn_rad),
+        _settling(influence),
+        _NONE if influence.moved_s is None else f"{influence.moved_s:.3g}",
+        _scaled(row.error and row.error.displacement_m),
+    )
+
+
+def _scaled(value: float | None) -> str:
+    """In thousandths, three digits; 0 only where it is."""
+    return _NONE if value is None else f"{1e3 * value:.3g}"
+
+
+def _settling(influence: Influence) -> str:
+    if influence.settling_s is not None:
+        return f"{influence.settling_s:+.3g}" if influence.settling_s else "0"
+    with_it, without = influence.settled_s
+    return _NONE if with_it is without else "never" if with_it is None else "only now"
+
+
+def _notes(row: Row, solver: str) -> Iterable[str]:
+    if row.reason:
+        yield f"not toggled: {row.reason}"
+        return
+    if row.settings is not None and not row.on:
+        kept = ", ".join(f"{key} = {value}" for key, value in row.settings.items() if value not in (None, []))
+        yield f"tried with {kept}"
+    if row.solver != solver:
+        yield f"both under {row.solver}, as {solver} doesn't know it"
+    if row.beside:
+        yield f"both with {', '.join(row.beside)}, which it needs"
+    if row.along:
+        yield f"toggled with {', '.join(row.along)}, which need it"
+    if row.influence is not None and row.influence.parcels:
+        yield f"{counted(row.influence.parcels, 'parcel')} at the end of one side only"
+    if row.influence is not None and any(row.influence.only):
+        with_it, without = row.influence.only
+        yield f"{counted(with_it, 'event')} only with it, {without} only without"
+
+
+def print_advice(advice: Advice) -> None:
+    """Print which effects to leave out, and which to ask for."""
+    console = Console(highlight=False)
+    limit = f"{short(1e3 * advice.tolerance_m)} mm"
+    console.print()
+    if advice.can_go:
+        together = advice.together and advice.together.displacement_m
+        more = "" if together is None else f" (all of them together: {1e3 * together:.3g} mm)"
+        console.print(f"can go, within {limit}: {', '.join(advice.can_go)}{more}", markup=False)
+    else:
+        console.print(
+            f"No effect of the scene can go: each moves the answer by {limit} or more, or there is none."
+        )
+    if advice.missing:
+        console.print(f"missing, beyond {limit}: {', '.join(advice.missing)}", markup=False)
+    else:
+        console.print(f"No effect that the scene lacks moves the answer by {limit}, with typical settings.")
+    if advice.unclear:
+        console.print(
+            f"unclear: {', '.join(advice.unclear)}: the solver's own error is beyond {limit}; tighten solver.tolerance"
+        )
+
+
+def print_ladder(scene: Scene, climbed: Sequence[Climbed]) -> None:
+    """Print cost and distance of every rung."""
+    console = Console(highlight=False)
+    console.print(
+        f"scene {scene.name}, {scene.duration_s:g} s: each rung adds to those above it\n", markup=False
+    )
+    table = Table(box=None, pad_edge=False)
+    table.add_column("rung", style="cyan", no_wrap=True)
+    table.add_column("adds")
+    for heading in ("wall s", "off top, mm", "mrad"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for one in climbed:
+        if one.distance is None or one.wall_s is None:
+            table.add_row(one.rung.name, f"left out: {one.reason}", _NONE, _NONE, _NONE)
+        else:
+            figures = (_scaled(one.distance.displacement_m), _scaled(one.distance.turn_rad))
+            table.add_row(one.rung.name, one.rung.adds, f"{one.wall_s:.3g}", *figures)
+    console.print(table)

@@ -1,0 +1,104 @@
+"""The ladder of fidelity: each rung is what is below and one thing more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deploy.commands.options import load_scene
+from deploy.effect_study.course import follow
+from deploy.effect_study.influence import Influence, compare
+from deploy.effect_study.ladder import Climbed, climb, rungs
+from deploy.effect_study.picture import draw_ladder
+from deploy.effect_study.variants import effect_types, tables
+from plant.effects.contact_width import ContactWidthSpec
+
+BASE = ["quasi_static", "viscous", "stick_slip"]
+
+
+def test_every_effect_with_a_place_is_a_rung_in_that_order() -> None:
+    placed = [name for name, kind in effect_types().items() if kind.rung is not None]
+    assert [rung.name for rung in rungs(load_scene("ladder"))] == BASE + placed
+
+
+def test_each_rung_has_all_below_it_and_one_effect_more() -> None:
+    below: set[str] = set()
+    solvers = [rung.scene.solver.name for rung in rungs(load_scene("ladder")) if rung.scene is not None]
+    assert solvers == ["quasi_static", *["implicit"] * (len(solvers) - 1)]
+    for rung in rungs(load_scene("ladder")):
+        if rung.scene is None:
+            assert "doesn't go with effects." in rung.reason
+            continue
+        there = tables(rung.scene).keys()
+        assert there - below == (set() if rung.name in BASE else {rung.name})
+        assert below <= there
+        below = set(there)
+
+
+def test_motors_take_over_from_the_law_that_has_its_own() -> None:
+    laws = {
+        rung.name: rung.scene.friction.law for rung in rungs(load_scene("ladder")) if rung.scene is not None
+    }
+    assert laws["stick_slip"] == laws["uneven_supports"] == "stick_slip"
+    assert laws["motors"] == laws["wheel_load"] == "coulomb"
+
+
+def test_a_rung_has_the_scene_s_own_settings_and_what_has_no_place_stays() -> None:
+    found = {rung.name: rung for rung in rungs(load_scene("uneven"))}
+    (own,) = (rung.scene for rung in found.values() if rung.name == "uneven_supports")
+    assert own is not None
+    assert own.effects.uneven_supports == load_scene("uneven").effects.uneven_supports
+    railed = rungs(load_scene("rails"))
+    assert all("parcel_contact" in tables(rung.scene) for rung in railed if rung.scene is not None)
+    assert railed[0].scene is None
+    assert railed[0].reason.startswith("solver.name: leaves out effects.parcel_contact")
+
+
+def test_an_effect_s_declared_place_is_where_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ContactWidthSpec, "rung", 5)
+    assert [rung.name for rung in rungs(load_scene("ladder"))][3] == "contact_width"
+
+
+def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
+    ladder = rungs(load_scene("ladder", duration=0.3))
+    refused = next(rung for rung in rungs(load_scene("rails")) if rung.scene is None)
+    climbed = climb([*ladder[:3], refused], 1, lambda line: None)
+    assert climbed[3].distance is None
+    assert climbed[3].reason == refused.reason
+    top, quasi = climbed[2], climbed[0]
+    assert top.distance is not None
+    assert top.distance.none
+    scenes = [rung.scene for rung in ladder[:3]]
+    assert scenes[0] is not None
+    assert scenes[2] is not None
+    wanted = compare(*(follow(scene, cells=True) for scene in (scenes[0], scenes[2])))
+    assert quasi.distance == wanted
+    assert wanted.displacement_m is not None
+    assert wanted.displacement_m > 1e-4
+    assert all(one.wall_s is not None and one.wall_s > 0.0 for one in climbed[:3])
+
+
+def _at(metres: float) -> Influence:
+    return Influence(
+        displacement_m=metres,
+        turn_rad=0.0,
+        parcels=0,
+        settled_s=(None, None),
+        events=0,
+        moved_s=None,
+        only=(0, 0),
+    )
+
+
+@pytest.mark.parametrize("distances", [(0.1, 1e-3, 0.0), (0.0,), ()])
+def test_a_ladder_of_any_height_is_drawn(tmp_path: Path, distances: tuple[float, ...]) -> None:
+    scene = load_scene("ladder")
+    ladder = rungs(scene)
+    climbed = [
+        Climbed(rung, 0.1 * (n + 1), _at(d))
+        for n, (rung, d) in enumerate(zip(ladder, distances, strict=False))
+    ]
+    climbed += [Climbed(rung, reason="left out") for rung in ladder[len(distances) :]]
+    draw_ladder(scene, climbed, tmp_path / "ladder.png")
+    assert (tmp_path / "ladder.png").read_bytes().startswith(b"\x89PNG")
