@@ -95,9 +95,12 @@ def compare_events(events: Sequence[Event], reference: Sequence[Event], until_s:
 
 
 def _by_key(events: Sequence[Event], until_s: float) -> Mapping[Key, list[float]]:
+    """Times of the events compared: without loads that vanish or return because supports change at that instant."""
     times: dict[Key, list[float]] = {}
+    supports = {(event.parcel, event.time_s) for event in events if event.kind.startswith("support_")}
     for event in events:
-        if event.kind in COMPARED and event.time_s <= until_s:
+        jumps = event.kind.startswith("load_") and (event.parcel, event.time_s) in supports
+        if event.kind in COMPARED and event.time_s <= until_s and not jumps:
             times.setdefault((event.parcel, event.kind, event.cells), []).append(event.time_s)
     return times
 

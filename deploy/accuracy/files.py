@@ -30,7 +30,7 @@ def write_report(report: Report, folder: Path) -> None:
     _write(folder / CSV_NAME, report.to_csv())
     draw_work_precision(report, folder / WORK_PRECISION)
     draw_tolerance(report, folder / TOLERANCE)
-    if report.sampling is not None:
+    if report.sampling:
         draw_sampling(report, folder / SAMPLING)
 
 

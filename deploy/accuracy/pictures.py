@@ -42,7 +42,7 @@ def draw_sampling(report: Report, path: Path) -> None:
     write_picture(lambda: _sampling(report), path)
 
 
-def _page(report: Report, facts: Sequence[str]) -> tuple[Figure, Axes]:
+def _page(report: Report, title: str, facts: Sequence[str]) -> tuple[Figure, Axes]:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")
@@ -52,7 +52,7 @@ def _page(report: Report, facts: Sequence[str]) -> tuple[Figure, Axes]:
     axes.grid(visible=True, which="major", color="#e4e8ec", lw=0.8)
     axes.set_axisbelow(True)
     axes.minorticks_off()
-    draw_heading(figure, report.title, "  ·  ".join([report.scene, *facts]), 0.35)
+    draw_heading(figure, title, "  ·  ".join([report.scene, report.title, *facts]), 0.35)
     return figure, axes
 
 
@@ -81,16 +81,13 @@ def _look(report: Report, line: str) -> dict[str, Any]:
 
 def _legend(axes: Axes, report: Report) -> None:
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, borderaxespad=0.0)
-    left = [row for row in report.rows if row.error_max is None]
-    if not left:
-        return
-    named = list(dict.fromkeys(f"{row.line}: {row.status}" for row in left))
-    text = "\n".join(["not drawn", *named])
-    axes.text(1.03, 0.0, text, transform=axes.transAxes, fontsize=7.5, color="#6b7580", va="bottom")
+    _list(axes, [f"{row.line}: {row.status}" for row in report.rows if row.error_max is None])
 
 
 def _work_precision(report: Report) -> Figure:
-    figure, axes = _page(report, [f"{report.duration_s:g} s", f"reference: {report.reference.method}"])
+    figure, axes = _page(
+        report, "Work and precision", [f"{report.duration_s:g} s", f"reference: {report.reference.method}"]
+    )
     for line in report.lines:
         rows = _of(report, line)
         if not rows:
@@ -109,7 +106,9 @@ def _work_precision(report: Report) -> Figure:
 
 def _tolerance(report: Report) -> Figure:
     figure, axes = _page(
-        report, [f"{report.duration_s:g} s", "on the dashed line a solver gives what was asked"]
+        report,
+        "Tolerance asked, error got",
+        [f"{report.duration_s:g} s", "on the dashed line a solver gives what was asked"],
     )
     asked: list[float] = []
     for line in report.lines:
@@ -130,25 +129,50 @@ def _tolerance(report: Report) -> Figure:
 
 
 def _sampling(report: Report) -> Figure:
-    sampling = report.sampling
-    assert sampling is not None
-    rows = [row for row in sampling.rows if row.error_max is not None]
-    facts = [f"the whole system, {counted(report.cells, 'cell')}", f"errors from {sampling.against}"]
-    figure, axes = _page(report, facts)
-    axes.set_position((0.085, 0.1, 0.88, 0.74))
-    walls, errors = [row.wall_s or 0.0 for row in rows], [max(row.error_max or 0.0, _FLOOR_M) for row in rows]
-    axes.plot(walls, errors, "o-", color=COLOURS[0], lw=1.6, ms=6)
-    for row, wall, error in zip(rows, walls, errors, strict=True):
-        axes.annotate(
-            f"{row.period_s * 1e3:g} ms",
-            (wall, error),
-            xytext=(0, 8),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8,
+    figure, axes = _page(
+        report,
+        "The price of sampling",
+        [counted(report.cells, "cell"), "cells, bus and plant in one process"],
+    )
+    lowest, highest = 1.0, _FLOOR_M
+    for number, sampling in enumerate(report.sampling):
+        rows = [row for row in sampling.rows if row.error_max is not None]
+        walls, errors = (
+            [row.wall_s or 0.0 for row in rows],
+            [max(row.error_max or 0.0, _FLOOR_M) for row in rows],
         )
-    if errors:
-        axes.set_ylim(min(errors) / 5.0, max(errors) * 5.0)
-    axes.set_xlabel("wall time of the run (s)")
+        label = f"{sampling.wheels};\nerrors from {sampling.against}"
+        axes.plot(walls, errors, marker=_MARKS[number], color=COLOURS[number], lw=1.6, ms=6, label=label)
+        lowest, highest = min([lowest, *errors]), max([highest, *errors])
+        for row, wall, error in zip(rows, walls, errors, strict=True):
+            axes.annotate(
+                f"{row.period_s * 1e3:.3g} ms",
+                (wall, error),
+                xytext=(0, 8),
+                textcoords="offset points",
+                ha="center",
+                fontsize=8,
+            )
+    axes.set_ylim(lowest / 10.0, highest * 10.0)
+    axes.set_xlabel("wall time of the run (s); beside each point the control period")
     axes.set_ylabel("largest displacement of a corner (m)")
+    axes.legend(
+        loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, borderaxespad=0.0, labelspacing=1.2
+    )
+    _list(
+        axes,
+        [
+            f"{row.period_s * 1e3:.3g} ms: {row.status}"
+            for one in report.sampling
+            for row in one.rows
+            if row.status != "ok"
+        ],
+    )
     return figure
+
+
+def _list(axes: Axes, left: Sequence[str]) -> None:
+    """What is not drawn, by name."""
+    if left:
+        text = "\n".join(["not drawn", *dict.fromkeys(left)])
+        axes.text(1.03, 0.0, text, transform=axes.transAxes, fontsize=7.5, color="#6b7580", va="bottom")

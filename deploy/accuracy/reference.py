@@ -1,11 +1,12 @@
 """What solvers are judged by: a course of another method, checked by a third and by a closed form.
 
-Methods are tried in an order, from the most independent and finest on. None but ``exact`` goes through captured
-chatter: from its onset on the reference is ``exact`` with every crossing located, and that is said.
+Methods are tried in an order, from the finest on. Where chatter is too dense for them, the reference is ``exact`` with
+every crossing located from its onset on, and that is said.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
@@ -101,7 +102,8 @@ class Referee:
 
     Args:
         scene: with ideal wheels.
-        limit_s: wall time that one course may take.
+        limit_s: processor time that one course may take.
+        budget_s: processor time that all of them may take.
         thorough: whether to ask a further method where a closed form has answered.
         look: called now and then; may raise.
         methods: what to try, in order.
@@ -112,6 +114,7 @@ class Referee:
         scene: Scene,
         *,
         limit_s: float,
+        budget_s: float = np.inf,
         thorough: bool = True,
         look: Callable[[], None] = lambda: None,
         methods: Sequence[Settings] = METHODS,
@@ -120,6 +123,8 @@ class Referee:
         self._methods = list(methods)
         self._notes: list[str] = []
         self._exact: Course | None = None
+        self._located: Course | None = None
+        self._over_s = time.process_time() + budget_s
 
     def find(self) -> Reference:
         """Compute it, and check it.
@@ -129,32 +134,40 @@ class Referee:
         """
         self._exact = self._try(FINEST)
         onset = self._onset()
+        if onset is not None:
+            self._notes.append(
+                f"Chatter is captured from {onset:.6g} s on: events are compared before it. What solvers that locate "
+                "every crossing agree on after it is beside captured chatter by up to capture_m, which is no error of "
+                "their tolerance."
+            )
+            self._located = self._try({**FINEST, "capture_m": LOCATED_M})
         first, others = self._first(onset)
         if first is None:
-            if self._exact is None:
+            course = self._located or self._exact
+            if course is None:
                 raise InputError(f"scene {self._scene.name}: no reference: {' '.join(self._notes)}")
             self._notes.append("No other method gets through: exact is judged against itself, finer.")
-            return self._checked(FINEST, self._exact, [], None)
-        settings, course = first
-        if onset is not None:
-            course = self._through_chatter(settings, course, onset)
-        return self._checked(settings, course, others, onset)
+            return self._checked(FINEST, course, [], onset)
+        return self._checked(*first, others, onset)
 
     # --- courses --------------------------------------------------------------------------------------------------
 
     def _try(self, settings: Settings, until_s: float | None = None) -> Course | None:
         """A course, or None and a note where it is not to be had."""
         why = refusal(self._scene, settings)
+        left_s = min(self._limit_s, self._over_s - time.process_time())
+        if why is None and left_s <= 0.0:
+            why = "not begun, for lack of time"
         if why is None:
             try:
-                course = follow(with_solver(self._scene, settings, until_s), self._limit_s, self._look)
+                course = follow(with_solver(self._scene, settings, until_s), left_s, self._look)
             except PlantError as error:
                 why = str(error)
             else:
                 if course.status == "ok":
                     return course
                 why = course.reason
-        self._notes.append(f"{spoken(settings)}: {why}.")
+        self._notes.append(f"{spoken(settings)}: {(why or 'no reason is known').rstrip('.')}.")
         return None
 
     def _onset(self) -> float | None:
@@ -167,35 +180,31 @@ class Referee:
         before = self._exact.samples_until(first) - 2
         return float(self._exact.time_s[max(before, 0)])
 
-    def _first(self, until_s: float | None) -> tuple[tuple[Settings, Course] | None, list[Settings]]:
-        """The first method that gets to ``until_s``, and those that are left."""
+    def _first(self, onset_s: float | None) -> tuple[tuple[Settings, Course] | None, list[Settings]]:
+        """The first method that gets to the end, or else to the onset of chatter; and those that are left."""
         left = list(self._methods)
-        while left and until_s != 0.0:
+        while left:
             settings = left.pop(0)
-            course = self._try(settings, until_s)
+            course = self._try(settings)
+            if course is None and onset_s:
+                before = self._try(settings, onset_s)
+                course = None if before is None else self._through_chatter(settings, before, onset_s)
             if course is not None:
                 return (settings, course), left
         return None, left
 
     def _through_chatter(self, settings: Settings, course: Course, onset_s: float) -> Course:
         """A course up to the onset of chatter, and from there on that of ``exact``, every crossing located."""
-        located = self._try({**FINEST, "capture_m": LOCATED_M})
-        after = located or self._exact
+        after = self._located or self._exact
         assert after is not None, "this is a bug: chatter without a course of exact"
-        how = (
-            f"every crossing located down to {LOCATED_M:g} m"
-            if located
-            else "chatter captured at its default"
-        )
+        how = f"every crossing located down to {LOCATED_M:g} m" if self._located else "chatter captured"
         self._notes.append(
-            f"Chatter is captured from {onset_s:.6g} s on. {settings['name']} is the reference before; then it is "
-            f"exact at 1e-14, {how}: no other method goes through it. Events are compared before it."
+            f"From {onset_s:.6g} s on the reference is not {settings['name']} but exact at 1e-14, {how}."
         )
-        count = len(course.time_s)
         return replace(
             course,
             time_s=after.time_s,
-            state=np.concatenate([course.state, after.state[count:]]),
+            state=np.concatenate([course.state, after.state[len(course.time_s) :]]),
             events=[*course.events, *(event for event in after.events if event.time_s > onset_s)],
         )
 
@@ -207,9 +216,13 @@ class Referee:
         until = float(course.time_s[-1]) if onset is None else onset
         agreement: list[Agreement] = [*self._closed(course)]
         second: tuple[str, Course] | None = None
-        if self._exact is not None and settings["name"] != "exact":
-            agreement.append(_apart(spoken(FINEST), course, self._exact, until))
-            second = "exact", self._exact
+        finest = self._located or self._exact
+        if finest is not None and settings["name"] != "exact":
+            second = "exact", finest
+            agreement.append(_apart(spoken(FINEST), course, finest, until))
+            if self._located is not None:
+                located = spoken({**FINEST, "capture_m": LOCATED_M})
+                agreement.append(_apart(located, course, finest, float(course.time_s[-1])))
         if others and (self._thorough or not agreement or second is None):
             third = next(
                 ((one, found) for one in others if (found := self._try(one, onset)) is not None), None

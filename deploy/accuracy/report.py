@@ -98,13 +98,15 @@ class Sampled:
 @final
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """The price of sampling.
+    """The price of sampling, for one kind of wheels.
 
     Attributes:
+        wheels: what turns them, in words.
         against: what errors are measured from, in words.
         rows: from the longest period to the shortest.
     """
 
+    wheels: str
     against: str
     rows: Sequence[Sampled]
 
@@ -124,7 +126,7 @@ class Report:
         quick: whether only some settings were tried.
         reference: what solvers were judged by.
         rows: line by line, coarse to fine.
-        sampling: the price of sampling; None where it was not asked for, or is not to be had.
+        sampling: the price of sampling; none where it was not asked for.
     """
 
     scene: str
@@ -136,7 +138,7 @@ class Report:
     quick: bool
     reference: Reference
     rows: Sequence[Row]
-    sampling: Sampling | None
+    sampling: Sequence[Sampling]
 
     @property
     def lines(self) -> list[str]:
@@ -165,7 +167,7 @@ class Report:
             "versions": versions(),
             "reference": reference_json(self.reference),
             "rows": [asdict(row) for row in self.rows],
-            "sampling": None if self.sampling is None else asdict(self.sampling),
+            "sampling": [asdict(one) for one in self.sampling],
         }
 
     def to_json(self) -> str:

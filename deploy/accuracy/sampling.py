@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from deploy.processes.plan import RunOptions
 from deploy.recordings.replay import load
 from deploy.run import run
 from deploy.scene import Scene
+from plant.effects.motors import MotorsSpec
 
 if TYPE_CHECKING:
     from deploy.accuracy.course import Course
@@ -26,7 +28,7 @@ Floats = NDArray[np.float64]
 
 COARSEST = 8
 """The longest period is so many of the scene's own."""
-HALVINGS = 6
+HALVINGS = 5
 """Of the longest; a quick study makes ..."""
 FEW_HALVINGS = 3
 """... so many."""
@@ -34,11 +36,13 @@ FEW_HALVINGS = 3
 
 def price_of_sampling(
     scene: Scene, reference: Course, *, quick: bool, limit_s: float, look: Callable[[], None]
-) -> Sampling:
+) -> list[Sampling]:
     """Run the whole system in this process, over the memory transport, at periods that halve.
 
-    Ideal wheels run at the field's speed, and nothing that a cell senses changes it: errors are then measured from the
-    reference. With motors the speed loop closes once a period: errors are measured from the shortest period's run.
+    Ideal wheels run at the field's speed, and nothing that a cell senses changes it: sampling costs time, and errors,
+    measured from the reference, are rounding. With motors the speed loop closes once a period: errors are measured from
+    the run at the shortest. A scene without motors is also run with them at their defaults, if it may have them and
+    the study isn't quick.
 
     Args:
         scene: as the cells have it, motors included.
@@ -47,6 +51,25 @@ def price_of_sampling(
         limit_s: no shorter period is tried after a run longer than this.
         look: called before every run; may raise.
     """
+    with_motors = scene.effects.motors is not None
+    wheels = "motors" if with_motors else "ideal wheels"
+    found = [_series(scene, wheels, reference, quick=quick, limit_s=limit_s, look=look)]
+    if not with_motors and not quick:
+        effects = scene.effects.model_copy(update={"motors": MotorsSpec()})
+        try:
+            driven = Scene.model_validate(dict(scene) | {"effects": effects}).named(scene.name)
+        except ValidationError:  # its law, an effect or its solver doesn't go with them
+            return found
+        found.append(
+            _series(driven, "motors at their defaults", reference, quick=quick, limit_s=limit_s, look=look)
+        )
+    return found
+
+
+def _series(
+    scene: Scene, wheels: str, reference: Course, *, quick: bool, limit_s: float, look: Callable[[], None]
+) -> Sampling:
+    """All periods, the longest first."""
     periods = [COARSEST * scene.cells.period_ns]
     for _ in range(FEW_HALVINGS if quick else HALVINGS):
         if periods[-1] % 2 == 0:
@@ -54,32 +77,30 @@ def price_of_sampling(
     found: list[tuple[Sampled, Floats | None]] = []
     for period_ns in periods:
         look()
-        if found and (found[-1][0].wall_s or 0.0) > limit_s:
-            found.append((Sampled(period_ns * 1e-9, None, None, "omitted", _slow(found[-1][0])), None))
+        slow = next((row for row, _ in found if (row.wall_s or 0.0) > limit_s), None)
+        if slow is not None:
+            why = f"the run at {slow.period_s:g} s took {slow.wall_s:.3g} s"
+            found.append((Sampled(period_ns * 1e-9, None, None, "omitted", why), None))
             continue
         found.append(_whole(scene, period_ns, periods[0]))
-    motors = scene.effects.motors is not None
     known, against = _common(reference, periods[0]), "the reference"
-    if motors:
-        finest = max((k for k, (_, states) in enumerate(found) if states is not None), default=None)
-        if finest is None:
-            return Sampling("nothing: no run came to its end", [row for row, _ in found])
-        known, against = found[finest][1], f"the run at {found[finest][0].period_s:g} s, the shortest period"
-        found[finest] = found[finest][0], None
-    assert known is not None
-    rows: list[Sampled] = []
-    for row, states in found:
-        if states is None:
-            rows.append(row)
-            continue
-        count = min(len(states), len(known))
-        off = displacement_m(states[:count], known[:count], reference.footprints_m)
-        rows.append(Sampled(row.period_s, float(off.max()), row.wall_s, row.status, row.reason))
-    return Sampling(against, rows)
+    if scene.effects.motors is not None:
+        ended = [k for k, (_, states) in enumerate(found) if states is not None]
+        if len(ended) < 2:
+            return Sampling(wheels, "nothing: too few runs came to their end", [row for row, _ in found])
+        row, finest = found[ended[-1]]
+        assert finest is not None
+        known, against = finest, f"the run at {row.period_s * 1e3:g} ms"
+        found[ended[-1]] = row, None  # nothing judges it
+    return Sampling(wheels, against, [_judged(row, states, known, reference) for row, states in found])
 
 
-def _slow(row: Sampled) -> str:
-    return f"the run at {row.period_s:g} s took {row.wall_s:.3g} s"
+def _judged(row: Sampled, states: Floats | None, known: Floats, reference: Course) -> Sampled:
+    if states is None:
+        return row
+    count = min(len(states), len(known))
+    off = displacement_m(states[:count], known[:count], reference.footprints_m)
+    return replace(row, error_max=float(off.max()))
 
 
 def _common(course: Course, every_ns: int) -> Floats:

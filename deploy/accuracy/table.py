@@ -12,7 +12,7 @@ from deploy.words import counted
 if TYPE_CHECKING:
     from deploy.accuracy.report import Report, Row, Sampling
 
-_WIDTH = 124
+_WIDTH = 132
 """Columns that the table needs."""
 _KEY = (
     "error: largest displacement of any corner of a footprint. events: found −missed +invented; times: largest error "
@@ -31,11 +31,13 @@ def print_report(report: Report) -> None:
     console.print(_table(report))
     for line in remarks(report):
         console.print(line, markup=False, soft_wrap=True)
-    if report.sampling is not None:
+    for sampling in report.sampling:
         console.print()
-        console.print("The whole system, cells and messages included, as the control period shrinks:")
-        console.print(_sampling(report.sampling))
-        console.print(f"Errors from {report.sampling.against}.", markup=False)
+        head = "the whole system, cells and messages included, as the control period shrinks"
+        console.print(
+            f"{sampling.wheels}: {head}; errors from {sampling.against}", markup=False, soft_wrap=True
+        )
+        console.print(_sampling(sampling))
 
 
 def heading(report: Report) -> list[str]:
@@ -119,11 +121,12 @@ def remarks(report: Report) -> list[str]:
     found += list(
         dict.fromkeys(f"{row.line} {row.note}." for row in report.rows if row.note and row.status == "ok")
     )
-    own = sorted(
-        {row.solver for row in report.rows if row.judged_by and row.judged_by != report.reference.solver}
-    )
-    by = {row.solver: row.judged_by for row in report.rows}
-    found += [f"{name} is judged by {by[name]}, not by itself." for name in own]
+    judged = {
+        row.solver: row.judged_by
+        for row in report.rows
+        if row.judged_by not in (None, report.reference.solver)
+    }
+    found += [f"{name} is judged by {judge}, not by itself." for name, judge in judged.items()]
     found += [
         f"{row.solver} {row.setting}: order of events differs from {row.order_until:.4g} s on "
         f"({metres(row.error_before)} m before, {metres(row.error_end)} m at the end"
@@ -135,12 +138,20 @@ def remarks(report: Report) -> list[str]:
         for row in report.rows
         if row.order_until is not None
     ]
+    return [*found, *_left_out(report)]
+
+
+def _left_out(report: Report) -> list[str]:
+    """Rows without figures and why, those of a line that have one reason together."""
+    settings: dict[tuple[str, str], list[str]] = {}
     for row in report.rows:
         if row.status != "ok":
             before = "" if row.error_before is None else f" ({metres(row.error_before)} m before chatter)"
-            what = row.line if row.value is None else f"{row.solver} {row.setting}"
-            found.append(f"{what}: {row.status}: {row.reason}{before}")
-    return found
+            value = "" if row.value is None else f"{row.value:g}"
+            settings.setdefault((row.line, f"{row.status}: {row.reason}{before}"), []).append(value)
+    return [
+        " ".join([line, ", ".join(values)]).strip() + f": {why}" for (line, why), values in settings.items()
+    ]
 
 
 def _sampling(sampling: Sampling) -> Table:
