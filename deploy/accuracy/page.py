@@ -24,7 +24,7 @@ SECTIONS: Mapping[str, Callable[[int], Section]] = {
     "paper": paper.section,
 }
 """How each section is measured, by its name, in the order of the page; the argument is how often for a time."""
-_VERSIONS = ("numpy", "numba", "llvmlite", "scipy", "heyoka", "matplotlib")
+VERSIONS = ("numpy", "numba", "llvmlite", "scipy", "heyoka", "matplotlib")
 
 
 def write(
@@ -70,13 +70,15 @@ def write(
 
 def _page(sections: Sequence[Section], repeats: int) -> str:
     parts = [f"## {section.title}\n\n{section.text.strip()}\n" for section in sections]
-    return prose("page", command=COMMAND, sections="\n".join(parts), facts=_facts(), repeats=str(repeats))
+    return prose(
+        "page", command=COMMAND, sections="\n".join(parts), facts=facts(VERSIONS), repeats=str(repeats)
+    )
 
 
-def _facts() -> str:
-    """Machine and versions, as a table."""
+def facts(packages: Sequence[str]) -> str:
+    """Machine, and versions of Python and of the packages that are installed, as a table."""
     rows = [("processor", f"{_processor()}, {os.cpu_count()} in all"), ("Python", platform.python_version())]
-    for name in _VERSIONS:
+    for name in packages:
         with suppress(metadata.PackageNotFoundError):
             rows.append((name, metadata.version(name)))
     return table(("", ""), rows)
