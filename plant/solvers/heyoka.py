@@ -7,6 +7,7 @@ parcel; a support set and the cells in reach are parameters, sums that a change 
 
 from __future__ import annotations
 
+import math
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, final
 
@@ -29,6 +30,9 @@ SUMS = 7
 """Weighted sums over the wheels that the motion needs, each affine in the place: see ``Course.sums``."""
 DECAYING = 3
 """Those of them that go with the wheels' velocities; motors have as many more, which decay."""
+COOLDOWN_S = 1e-10
+"""After an event its function is looked at again: heyoka's own choice grows as the function's rate vanishes, up to
+microseconds at a graze, and whatever it finds twice changes nothing (``Course.reached``)."""
 MARGIN = 0.5
 """How far, over the pitch, a parcel may go before cells are looked for that have come into reach."""
 
@@ -61,7 +65,7 @@ class Heyoka(RestartedSolver):
     def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
         """See ``RestartedSolver``."""
         (course,) = (course for course in self._courses if course.parcel is parcel)
-        if now_s == 0.0 or course.gone:
+        if course.gone:
             course.settle(now_s)
         course.load(leg.motion, leg.grip)
         until_s, times_s = leg.span_s, leg.times_s
@@ -97,7 +101,7 @@ class Course:
         parcel: which.
         integrator: heyoka's.
         events: how many event functions there are.
-        gone: whether other cells have come into reach since they were looked for.
+        gone: whether it must ``settle``: other cells may have come into reach, or a call has ended.
     """
 
     def __init__(
@@ -122,7 +126,7 @@ class Course:
             np.zeros(6),
             pars=np.zeros(self._pars_at[-1]),
             tol=tolerance,
-            t_events=[hy.t_event(event) for event in events],
+            t_events=[hy.t_event(event, cooldown=COOLDOWN_S) for event in events],
             compact_mode=True,
         )
 
@@ -255,11 +259,17 @@ class Course:
         return state
 
     def reached(self, at_s: float, event: int | None) -> Reached:
-        """What an event is: of an edge's line, only what is within the edge is a crossing."""
+        """What an event is: of an edge's line, only what is within the edge is a crossing.
+
+        Of all that happen at one instant heyoka names one, and none at the end of a call.
+        """
+        x, y = self.integrator.state[:2].tolist()
+        margin = MARGIN * self._solver.array.pitch_m - float(self.parcel.shape.par[layout.ON_SURFACE])
+        # the next call has another zero of time
+        self.gone = event is None or math.hypot(x, y) >= margin
         if event is None:
-            return Reached(at_s, self._near[:0], False)
+            return Reached(at_s, self._crossed(-1), False)
         edges = self.events - self._loads - 2
-        self.gone = event == self.events - 1
         slot = event // (edges // self._slots) if event < edges else -1
         return Reached(at_s, self._crossed(slot), edges <= event < self.events - 1)
 

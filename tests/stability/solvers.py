@@ -103,7 +103,8 @@ STEPWISE = "its tolerance is that of a step: what errors come to over a run is n
 SECOND_S = "its tolerance is that of a second of motion: far shorter and longer ones are not meant"
 TOO_FAR = "what a step may be off by is less than the rounding of such a place; it does not get on"
 THROWN = "a parcel too fast for its steps is thrown off the array in one of them"
-ELSEWHERE = "takes seconds to compile for every plant, and is compared with exact where it has its own tests"
+EVEN = "misses it where an edge leaves a cell from rest, or only just reaches one to the last bit"
+COMPILED = "an event function a cell under the parcel is compiled: thousands take minutes"
 GIVEN = "the length of its steps is given"
 FOLLOWS = "follows chatter through step by step; nothing replaces its limit"
 
@@ -194,8 +195,8 @@ SOLVERS = {
         settings={"name": "heyoka"},
         package="heyoka",
         declines={
-            Claim.EVENTS: ELSEWHERE,
-            Claim.LOADS: ELSEWHERE,
+            Claim.EVENTS: EVEN,
+            Claim.LOADS: COMPILED,
             Claim.REST: STEPWISE,
             Claim.MOTION: STEPWISE,
             Claim.PACE: "no step of its own is promised to be long",

@@ -85,6 +85,32 @@ def test_a_row_of_cells_that_enters_at_one_instant_enters_as_one() -> None:
     assert told[1] == told[0]
 
 
+@pytest.mark.parametrize("tick_ns", [62_500_000, 125_000_000, SECOND])
+def test_cells_come_and_go_on_time_where_all_else_falls_on_the_same_instant(tick_ns: int) -> None:
+    """Ends of calls, and the parcel's leaving of the place that it looked for cells from: at every second column."""
+    body = parcel(size_m=(0.5, 0.4), position_m=(-1.0, 0.0), angle_rad=0.0, velocity_m_s=(0.5, 0.0))
+    plant = solved(heyoka(), body, pitch_m=0.125, rows=4, columns=40)
+    events = []
+    for until in range(tick_ns, SECOND + 1, tick_ns):
+        events += plant.advance(drive(plant, 0.5), until)[1]
+    for kind in ("support_gained", "support_lost"):
+        times = [event.time_s for event in events if event.kind == kind]
+        assert times == pytest.approx(np.repeat([0.125, 0.375, 0.625, 0.875], 4), abs=1e-14)
+
+
+@pytest.mark.parametrize("over_m", [1e-9, 1e-12])
+def test_an_edge_that_hardly_passes_a_column_before_it_turns_back_gains_and_loses_it(over_m: float) -> None:
+    """The two roots are no farther apart than heyoka itself, left to choose, would look away."""
+    kappa = 0.2 * 9.81
+    turn = np.sqrt(kappa * 2.0 - 0.25 * kappa**2)
+    farthest = 0.3 * np.exp(-0.5 * kappa * np.pi / turn)
+    body = parcel(size_m=(2.0 * (0.35 + over_m - farthest), 0.3), position_m=(-0.3, 0.0), angle_rad=0.0)
+    plant = solved(heyoka(), body, rows=3)
+    _, events = plant.advance(elliptic(plant, -2.0, -2.0), round(1.3 * np.pi / turn * SECOND))
+    kinds = [event.kind for event in events if event.cells[0][1] == 13]
+    assert kinds == ["support_gained"] * 3 + ["support_lost"] * 3
+
+
 def test_rolling_is_that_of_implicit() -> None:
     body = parcel(position_m=(0.05, 0.03), angle_rad=0.4, velocity_m_s=(0.02, -0.01))
     ends = []
