@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, Final, final
+from typing import Annotated, ClassVar, Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +27,20 @@ class LinkDelaySpec(CellEffectSpec):
     overtaken.
     """
 
+    states: ClassVar[tuple[str, ...]] = ("messages under way",)
+    messages: ClassVar[tuple[str, ...]] = ("messages between neighbours take longer",)
+    rung: ClassVar[int | None] = 70
     ticks: Ticks | None = None
     """Delay of every message."""
     between_ticks: tuple[Ticks, Ticks] | None = None
     """Or the least and the greatest delay: each message has its own, all that are possible being as likely."""
     ordered: bool = True
     """Whether a message waits for those sent before it on the same link; else it may arrive before them."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """Up to two ticks."""
+        return cls(between_ticks=(0, 2))
 
     @model_validator(mode="after")
     def _one_of_two(self) -> LinkDelaySpec:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, final
+from typing import Annotated, ClassVar, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,15 @@ from cell_firmware.firmware import Inbox, Inputs
 class LinkLossSpec(CellEffectSpec):
     """Each message between neighbours is lost with the same probability, each by itself."""
 
+    messages: ClassVar[tuple[str, ...]] = ("messages between neighbours get lost",)
+    rung: ClassVar[int | None] = 80
     probability: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
     """Of a message, that its receiver never sees it."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """One message in a hundred."""
+        return cls(probability=0.01)
 
     def stages(self, site: Site) -> Iterator[Stage]:
         """One, where there are messages to lose."""

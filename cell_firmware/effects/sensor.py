@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, Final, final
+from typing import Annotated, ClassVar, Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +27,20 @@ class SensorSpec(CellEffectSpec):
     k − latency. Before anything has come in, sensors say that nothing is there.
     """
 
+    states: ClassVar[tuple[str, ...]] = ("readings under way",)
+    messages: ClassVar[tuple[str, ...]] = ("what cells are told of sensors errs and lags",)
+    rung: ClassVar[int | None] = 60
     false_positive: Probability = 0.0
     """Probability, a reading and tick, that a sensor with nothing over it says there is."""
     false_negative: Probability = 0.0
     """The same of one with a parcel over it, that it says there is not."""
     latency_ticks: Annotated[int, Field(ge=0, le=LONGEST_TICKS)] = 0
     """How many ticks later than without the effect the cell sees a reading."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """One reading in a thousand is wrong, and each a tick late."""
+        return cls(false_positive=1e-3, false_negative=1e-3, latency_ticks=1)
 
     def stages(self, site: Site) -> Iterator[Stage]:
         """Errors, then latency."""

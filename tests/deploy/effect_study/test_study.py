@@ -25,6 +25,9 @@ SHOWN = {
     "motors": ("prototype", 0.5),
     "wheel_load": ("loaded", 0.4),
     "roller_impacts": ("bumpy", 0.5),
+    "sensor": ("noisy", 0.5),
+    "link_delay": ("noisy", 0.5),
+    "link_loss": ("noisy", 0.5),
     "feeders": ("stream", 3.0),
     "parcel_contact": ("rails", 2.5),
 }
@@ -63,13 +66,17 @@ def test_where_an_effect_counts_its_influence_is_far_above_the_solver_s_error(ef
         assert row.influence.displacement_m > 1e-6
 
 
-IDLE = {"parcel_contact": "elliptic"}
-"""Scenes in which an effect has nothing to do."""
-
-
-@pytest.mark.parametrize("effect", IDLE)
-def test_an_effect_with_nothing_to_do_moves_nothing_at_all(effect: str) -> None:
-    row = study(loaded(IDLE[effect], duration=0.3)).row(effect)
+@pytest.mark.parametrize(
+    ("effect", "scene"),
+    [
+        ("parcel_contact", "elliptic"),  # one parcel and no rail
+        ("sensor", "heat"),  # firmware that doesn't look
+        ("link_delay", "prototype"),  # firmware that doesn't talk
+        ("link_loss", "prototype"),
+    ],
+)
+def test_an_effect_with_nothing_to_do_moves_nothing_at_all(effect: str, scene: str) -> None:
+    row = study(loaded(scene, duration=0.3)).row(effect)
     assert not row.on
     assert row.influence is not None
     assert row.influence.none
@@ -160,6 +167,7 @@ def test_the_plant_alone_moves_a_field_s_parcels_as_with_cells_to_the_last_bit()
     [
         ("heat", ()),
         ("prototype", ()),
+        ("elliptic", ("effects.sensor={}",)),
         ("elliptic", ("faults=[{ at_s = 0.1, cell = [9, 9] }]",)),
     ],
 )
