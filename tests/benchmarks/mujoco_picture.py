@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from deploy.accuracy.evidence.drawing import panels
-from deploy.overview_map import INK, colour
+from deploy.overview.scenery import INK, colour
 
 
 def draw(rows: Sequence[Any]) -> Figure:
