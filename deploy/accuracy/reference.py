@@ -136,9 +136,8 @@ class Referee:
         onset = self._onset()
         if onset is not None:
             self._notes.append(
-                f"Chatter is captured from {onset:.6g} s on: events are compared before it. What solvers that locate "
-                "every crossing agree on after it is beside captured chatter by up to capture_m, which is no error of "
-                "their tolerance."
+                f"Chatter is captured from {onset:.6g} s on: events are compared before it. After it, captured chatter "
+                "is beside chatter followed crossing by crossing by up to capture_m, whatever the tolerance."
             )
             self._located = self._try({**FINEST, "capture_m": LOCATED_M})
         first, others = self._first(onset)

@@ -12,7 +12,7 @@ from deploy.words import counted
 if TYPE_CHECKING:
     from deploy.accuracy.report import Report, Row, Sampling
 
-_WIDTH = 132
+_WIDTH = 148
 """Columns that the table needs."""
 _KEY = (
     "error: largest displacement of any corner of a footprint. events: found −missed +invented; times: largest error "
@@ -89,7 +89,9 @@ def _table(report: Report) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("solver", style="cyan", no_wrap=True)
     table.add_column("", no_wrap=True)
-    for name in ("error, m", "at end, m", "events", "times, s", "wall, ms", "shortest–longest"):
+    chatter = report.reference.chatter_s is not None
+    before = ("before chatter",) if chatter else ()
+    for name in ("error, m", *before, "at end, m", "events", "times, s", "wall, ms", "shortest–longest"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("s/s", justify="right", no_wrap=True)
     table.add_column("steps", justify="right", no_wrap=True)
@@ -104,6 +106,7 @@ def _table(report: Report) -> Table:
             row.solver,
             row.setting,
             metres(row.error_max),
+            *([metres(row.error_before)] if chatter else []),
             metres(row.error_end),
             events(row),
             metres(row.event_time_error),
