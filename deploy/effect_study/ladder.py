@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import TYPE_CHECKING, Any, final
 
 from deploy.effect_study.course import Course, follow, needs_cells
 from deploy.effect_study.influence import Influence, compare
+from deploy.effect_study.toggling import dependents
 from deploy.effect_study.variants import NotPossible, Table, effect_types, summary, tables, typical, variant
 
 if TYPE_CHECKING:
@@ -36,12 +37,19 @@ class Rung:
         adds: That in words.
         scene: What is run; None where it doesn't fit on what is below.
         reason: Why not; empty where it does.
+        instead: Effects below that it leaves out because it doesn't go with them: it stands beside the ladder.
     """
 
     name: str
     adds: str
     scene: Scene | None
     reason: str = ""
+    instead: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """What it adds, and in place of what."""
+        return f"{self.adds}; in place of {', '.join(self.instead)}" if self.instead else self.adds
 
 
 @final
@@ -68,35 +76,61 @@ def rungs(scene: Scene) -> list[Rung]:
     Below are a quasi-static motion under viscous friction, the same with inertia, and stick-slip. On these come the
     registered effects that have a place, in its order, with the scene's settings or typical ones; from the motors on
     they, and no longer the law, are what drives, and traction is Coulomb's alone. What has no place (feeders, rails) is
-    the same on all rungs, as the scene has it.
+    the same on all rungs, as the scene has it. An effect that doesn't go with one below stands beside the ladder, in
+    the other's place, and those above do without it.
 
     Args:
         scene: With or without effects; its law's coefficients serve where they can.
     """
-    own = tables(scene)
-    kept = {name: table for name, table in own.items() if effect_types()[name].rung is None}
-    law = scene.friction.model_dump(mode="json")
-    viscous = law if law["law"] == "viscous" else VISCOUS
-    stick_slip = law if law["law"] == "stick_slip" else STICK_SLIP
-    coulomb = {"law": "coulomb", "coefficient": stick_slip["coefficient"]}
-    above = scene.solver.model_dump(mode="json") if scene.solver.name == "implicit" else {"name": "implicit"}
+    kept = {name: table for name, table in tables(scene).items() if effect_types()[name].rung is None}
+    viscous, stick_slip = _law(scene, VISCOUS), _law(scene, STICK_SLIP)
+    above = _solver(scene)
     found = [
         _rung("quasi_static", "viscous friction, no inertia", scene, kept, viscous, QUASI_STATIC),
         _rung("viscous", "inertia", scene, kept, viscous, above),
         _rung("stick_slip", "rolling wheels, traction that runs out", scene, kept, stick_slip, above),
     ]
     for name, kind in effect_types().items():
-        if kind.rung is None:
-            continue
-        try:
-            wanted = {**kept, name: own.get(name) or typical(name, scene)}
-        except NotPossible as why:
-            found.append(Rung(name, summary(name), None, str(why)))
-            continue
-        rung = _rung(name, summary(name), scene, wanted, coulomb if "motors" in wanted else stick_slip, above)
-        found.append(rung)
-        kept = kept if rung.scene is None else wanted
+        if kind.rung is not None:
+            found.append(rung := _next(scene, kept, name))
+            if rung.scene is not None and not rung.instead:
+                kept = tables(rung.scene)
     return found
+
+
+def _next(scene: Scene, kept: Mapping[str, Table], name: str) -> Rung:
+    """An effect on what is ``kept`` from below."""
+    own = tables(scene)
+    gone = _in_its_way(name, kept)
+    instead = tuple(other for other in kept if other in gone)
+    try:
+        settings = own[name] if name in own else typical(name, scene)
+    except NotPossible as why:
+        return Rung(name, summary(name), None, str(why))
+    effects = {**{other: table for other, table in kept.items() if other not in gone}, name: settings}
+    law = _law(scene, STICK_SLIP)
+    if "motors" in effects:
+        law = {"law": "coulomb", "coefficient": law["coefficient"]}
+    return replace(_rung(name, summary(name), scene, effects, law, _solver(scene)), instead=instead)
+
+
+def _in_its_way(name: str, kept: Mapping[str, Table]) -> set[str]:
+    """Effects with which one doesn't go, and those that build on them; none where the scene itself can't do without."""
+    types = effect_types()
+    against = [other for other in kept if other in types[name].excludes or name in types[other].excludes]
+    found = {other for one in against for other in dependents(one, kept)}
+    return set() if any(types[other].rung is None for other in found) else found
+
+
+def _law(scene: Scene, usual: Table) -> Table:
+    """The scene's law if it is of that kind, else the usual one of it."""
+    own = scene.friction.model_dump(mode="json")
+    return own if own["law"] == usual["law"] else usual
+
+
+def _solver(scene: Scene) -> Table:
+    """What the rungs with inertia run under: the scene's solver if it knows all effects, with its settings."""
+    return scene.solver.model_dump(mode="json") if scene.solver.name == "implicit" else {"name": "implicit"}
 
 
 def _rung(name: str, adds: str, scene: Scene, effects: Mapping[str, Any], law: Table, solver: Table) -> Rung:
@@ -110,26 +144,27 @@ def climb(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> 
     """Run every rung, all in the same way: with their cells if one of them needs them.
 
     Args:
-        ladder: From the bottom; the distance is from the last that comes to its end.
-        repeats: Timed runs of each, at least 1, after one that is not timed.
+        ladder: From the bottom; the distance is from the last that comes to its end, and is not beside it.
+        repeats: Timed runs of each, at least 1, after one that is not timed; they take turns, so that a slower machine
+            is slower for all.
         tell: Told what begins, one line.
     """
-    scenes = [rung.scene for rung in ladder]
-    cells = any(scene is not None and needs_cells(scene) for scene in scenes)
-    courses: dict[int, Course] = {}
-    walls: dict[int, float] = {}
-    for number, scene in enumerate(scenes):
-        if scene is None:
-            continue
-        tell(f"{ladder[number].name} ...")
-        courses[number] = follow(scene, cells=cells)
-        walls[number] = median(follow(scene, cells=cells).wall_s for _ in range(repeats))
-    ended = [number for number, course in courses.items() if course.status == "ok"]
-    found: list[Climbed] = []
-    for number, rung in enumerate(ladder):
-        if number in ended:
-            distance = compare(courses[number], courses[ended[-1]])
-            found.append(Climbed(rung, walls[number], distance))
-        else:
-            found.append(Climbed(rung, reason=rung.reason or courses[number].reason))
-    return found
+    there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
+    cells = any(needs_cells(scene) for scene in there.values())
+    courses: dict[str, Course] = {}
+    for name, scene in there.items():
+        tell(f"{name} ...")
+        courses[name] = follow(scene, cells=cells)
+    walls: dict[str, list[float]] = {name: [] for name in there}
+    for turn in range(repeats):
+        tell(f"times, {turn + 1} of {repeats} ...")
+        for name, scene in there.items():
+            walls[name].append(follow(scene, cells=cells).wall_s)
+    ended = [rung.name for rung in ladder if rung.name in courses and courses[rung.name].status == "ok"]
+    tops = [rung.name for rung in ladder if rung.name in ended and not rung.instead]
+    return [
+        Climbed(rung, median(walls[rung.name]), compare(courses[rung.name], courses[tops[-1]]))
+        if rung.name in ended and tops
+        else Climbed(rung, reason=rung.reason or courses[rung.name].reason)
+        for rung in ladder
+    ]

@@ -22,9 +22,11 @@ if TYPE_CHECKING:
 
 FILE_NAME = "ladder.png"
 _WIDTH, _HEIGHT = 12.4, 5.45
-_INK, _DIM, _LINE, _DOT, _TOP = "#22272e", "#8b95a1", "#c9d0d8", "#2f6f9f", "#b3541e"
-Point = tuple[int, float, float]
-"""A rung's number from 1, its wall time in s, and its distance in mm."""
+_INK, _DIM, _LINE, _DOT, _TOP, _BESIDE = (
+    "#22272e", "#8b95a1", "#c9d0d8", "#2f6f9f", "#b3541e", "#8fa0b2",
+)  # fmt: skip
+Point = tuple[int, float, float, bool]
+"""A rung's number from 1, its wall time in s, its distance in mm, and whether it stands beside the ladder."""
 
 
 def draw_ladder(scene: Scene, climbed: Sequence[Climbed], path: Path) -> None:
@@ -48,7 +50,7 @@ def _figure(scene: Scene, climbed: Sequence[Climbed]) -> Figure:
     axes = figure.add_axes((0.8 / _WIDTH, 0.6 / _HEIGHT, 6.3 / _WIDTH, 3.85 / _HEIGHT))
     words = figure.add_axes((7.4 / _WIDTH, 0.6 / _HEIGHT, 4.8 / _WIDTH, 3.85 / _HEIGHT))
     points = [
-        (number, one.wall_s, 1e3 * (one.distance.displacement_m or 0.0))
+        (number, one.wall_s, 1e3 * (one.distance.displacement_m or 0.0), bool(one.rung.instead))
         for number, one in enumerate(climbed, start=1)
         if one.distance is not None and one.wall_s is not None
     ]
@@ -70,13 +72,14 @@ def _draw_points(axes: Axes, points: Sequence[Point]) -> None:
 
     axes.set_xscale("log")
     axes.set_yscale("log")
-    far = [mm for _, _, mm in points if mm > 0.0]
+    far = [mm for _, _, mm, _ in points if mm > 0.0]
     foot = 0.2 * min(far, default=1.0)
-    places = [(number, wall, mm if mm > 0.0 else foot) for number, wall, mm in points]
-    axes.plot([place[1] for place in places], [place[2] for place in places], color=_LINE, lw=1.3, zorder=2)
-    for number, wall, mm in places:
-        top = mm == foot
-        axes.plot(wall, mm, "o", ms=15, color=_TOP if top else _DOT, mec="white", mew=1.2, zorder=3)
+    places = [(number, wall, mm if mm > 0.0 else foot, beside) for number, wall, mm, beside in points]
+    way = [(wall, mm) for _, wall, mm, beside in places if not beside]
+    axes.plot([wall for wall, _ in way], [mm for _, mm in way], color=_LINE, lw=1.3, zorder=2)
+    for number, wall, mm, beside in places:
+        shade = _BESIDE if beside else _TOP if mm == foot else _DOT
+        axes.plot(wall, mm, "o", ms=15, color=shade, mec="white", mew=1.2, zorder=3)
         axes.text(
             wall, mm, str(number), color="white", ha="center", va="center", size=8, weight="bold", zorder=4
         )
@@ -127,7 +130,7 @@ def _draw_words(axes: Axes, climbed: Sequence[Climbed]) -> None:
         axes.text(
             0.06, y - 0.17, one.rung.name, va="center", size=9, weight="bold", color=_INK if there else _DIM
         )
-        note = one.rung.adds if there else f"left out: {one.reason}"
+        note = one.rung.words if there else f"left out: {one.reason}"
         axes.text(0.06, y + 0.27, _cut(note), va="center", size=7.5, color=_DIM, parse_math=False)
 
 

@@ -94,6 +94,7 @@ def ladder_json(climbed: Sequence[Climbed]) -> list[dict[str, Any]]:
         {
             "name": one.rung.name,
             "adds": one.rung.adds,
+            "in_place_of": list(one.rung.instead),
             "wall_s": one.wall_s,
             "distance_m": one.distance and one.distance.displacement_m,
             "distance_rad": one.distance and one.distance.turn_rad,

@@ -147,5 +147,5 @@ def print_ladder(scene: Scene, climbed: Sequence[Climbed]) -> None:
             table.add_row(one.rung.name, f"left out: {one.reason}", _NONE, _NONE, _NONE)
         else:
             figures = (_scaled(one.distance.displacement_m), _scaled(one.distance.turn_rad))
-            table.add_row(one.rung.name, one.rung.adds, f"{one.wall_s:.3g}", *figures)
+            table.add_row(one.rung.name, one.rung.words, f"{one.wall_s:.3g}", *figures)
     console.print(table)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
@@ -78,6 +79,6 @@ def _needs(name: str) -> set[str]:
     return found
 
 
-def dependents(name: str, own: dict[str, Table]) -> set[str]:
+def dependents(name: str, own: Mapping[str, Table]) -> set[str]:
     """The effect, and those of the scene's that build on it."""
     return {name} | {other for other in own if name in _needs(other)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from deploy.effect_study.ladder import Climbed, climb, rungs
 from deploy.effect_study.picture import draw_ladder
 from deploy.effect_study.variants import effect_types, tables
 from plant.effects.contact_width import ContactWidthSpec
+from plant.effects.roller_impacts import RollerImpactsSpec
 
 BASE = ["quasi_static", "viscous", "stick_slip"]
 
@@ -27,13 +29,32 @@ def test_each_rung_has_all_below_it_and_one_effect_more() -> None:
     solvers = [rung.scene.solver.name for rung in rungs(load_scene("ladder")) if rung.scene is not None]
     assert solvers == ["quasi_static", *["implicit"] * (len(solvers) - 1)]
     for rung in rungs(load_scene("ladder")):
-        if rung.scene is None:
-            assert "doesn't go with effects." in rung.reason
-            continue
-        there = tables(rung.scene).keys()
+        assert rung.scene is not None
+        there = set(tables(rung.scene))
         assert there - below == (set() if rung.name in BASE else {rung.name})
-        assert below <= there
-        below = set(there)
+        assert below - there == set(rung.instead)
+        below = below if rung.instead else there
+
+
+def test_an_effect_that_doesn_t_go_with_one_below_stands_beside_the_ladder(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(RollerImpactsSpec, "excludes", ("motors",))
+    found = {rung.name: rung for rung in rungs(load_scene("ladder"))}
+    beside, above = found["roller_impacts"], found["sensor"]
+    assert beside.instead == ("motors", "wheel_load")  # which needs motors
+    assert beside.scene is not None
+    assert beside.scene.friction.law == "stick_slip"
+    assert beside.words.endswith("; in place of motors, wheel_load")
+    assert above.scene is not None
+    assert {"motors", "wheel_load"} <= tables(above.scene).keys()
+    assert "roller_impacts" not in tables(above.scene)
+
+
+def test_the_top_is_never_a_rung_beside_the_ladder() -> None:
+    low, top, beside = rungs(load_scene("ladder", duration=0.1))[:3]
+    climbed = climb([low, top, replace(beside, instead=("motors",))], 1, lambda line: None)
+    assert [one.distance is not None and one.distance.none for one in climbed] == [False, True, False]
 
 
 def test_motors_take_over_from_the_law_that_has_its_own() -> None:
@@ -53,6 +74,8 @@ def test_a_rung_has_the_scene_s_own_settings_and_what_has_no_place_stays() -> No
     assert all("parcel_contact" in tables(rung.scene) for rung in railed if rung.scene is not None)
     assert railed[0].scene is None
     assert railed[0].reason.startswith("solver.name: leaves out effects.parcel_contact")
+    (load,) = (rung for rung in railed if rung.name == "wheel_load")
+    assert (load.scene, load.reason) == (None, "effects.wheel_load: doesn't go with effects.parcel_contact")
 
 
 def test_an_effect_s_declared_place_is_where_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,7 +85,7 @@ def test_an_effect_s_declared_place_is_where_it_stands(monkeypatch: pytest.Monke
 
 def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
     ladder = rungs(load_scene("ladder", duration=0.3))
-    refused = next(rung for rung in rungs(load_scene("rails")) if rung.scene is None)
+    refused = replace(ladder[0], name="refused", scene=None, reason="it doesn't fit")
     climbed = climb([*ladder[:3], refused], 1, lambda line: None)
     assert climbed[3].distance is None
     assert climbed[3].reason == refused.reason
