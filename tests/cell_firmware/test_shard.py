@@ -15,6 +15,7 @@ from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.sensor import SensorSpec
+from cell_firmware.effects.stage import Site
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
@@ -197,3 +198,26 @@ def test_ticks_must_follow_each_other(grid: Callable[..., Lattice], everything: 
     shard.step(0, bits)
     with pytest.raises(FirmwareError, match="this is a bug: a shard was given tick 2 after tick 0"):
         shard.step(2, bits)
+
+
+class Looking(Firmware):
+    """Keeps what it is given."""
+
+    def init(self, cells: Cells) -> State:
+        return {"here": cells.row}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        self.seen = inputs
+        return state, Outputs(np.zeros((len(inputs.presence), 2)))
+
+
+def test_without_effects_nothing_stands_between_the_senses_and_the_firmware(
+    grid: Callable[..., Lattice], everything: Callable[..., Cells]
+):
+    lattice = grid(1, 2)
+    assert CellEffects().stages(Site(np.arange(2), 1, Echo.message, 0)) == {}
+    for effects in (None, EFFECTS["ordered"].stages(Site(np.arange(2), 1, None, 0))):
+        firmware, presence = Looking(NoParameters()), np.ones((2, 1), dtype=np.bool_)
+        shard = Shard(Controller(firmware), everything(lattice), Partition.even(lattice, 1), 0, effects)
+        shard.step(0, presence)
+        assert (firmware.seen.presence is presence) == (effects is None)

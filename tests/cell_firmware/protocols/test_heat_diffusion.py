@@ -8,6 +8,9 @@ from pydantic import ValidationError
 
 from bus.lattice import Lattice
 from bus.partition import Partition
+from cell_firmware.effects.link_delay import LinkDelaySpec
+from cell_firmware.effects.link_loss import LinkLossSpec
+from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import ParametersError
 from cell_firmware.protocols.heat_diffusion import HeatDiffusion, HeatDiffusionParameters
 
@@ -133,3 +136,64 @@ def test_a_cell_named_twice_is_refused():
     twice = [{"cell": [0, 0], "speed_m_s": [0, 0]}, {"cell": [0, 0], "speed_m_s": [1, 0]}]
     with pytest.raises(ValidationError, match=r"names cell \[0, 0\] twice"):
         heat(held=twice)
+
+
+def neighbours_of(lattice: Lattice) -> NDArray[np.int64]:
+    return (lattice.neighbours >= 0).sum(axis=1)
+
+
+@pytest.mark.parametrize("ticks", [1, 4])
+def test_over_slow_links_the_flat_end_weighs_a_cell_by_one_plus_what_it_has_under_way(
+    ticks: int, grid: Callable[..., Lattice], run: Callable[..., Any]
+):
+    """What is kept is the sum of all speeds and, for each link, of ``r`` times the last ``d`` speeds of its source."""
+    lattice = grid(3, 4, missing=[(1, 1)])
+    hot: dict[str, Any] = {**HEAT, "initial": [{"cell": [0, 0], "speed_m_s": [1.0, -0.5]}], "held": []}
+    effects = CellEffects(link_delay=LinkDelaySpec(ticks=ticks))
+    end = run(heat(**hot), Partition.even(lattice, 1), 2000, effects=effects).drives[-1]
+    weight = 1.0 + 0.23 * ticks * (lattice.neighbours >= 0).sum(axis=1)
+    start = initial(lattice, hot)
+    flat = weight @ start / weight.sum()
+    np.testing.assert_allclose(end, np.tile(flat, (len(lattice), 1)), rtol=0, atol=1e-12)
+    assert abs(flat - start.mean(axis=0)).max() > 1e-3  # not what quick links keep
+
+
+def test_where_messages_get_lost_speeds_are_those_of_slower_conduction_on_average(
+    grid: Callable[..., Lattice], run: Callable[..., Any]
+):
+    """Losses are independent of what was sent: the mean over seeds is the power of the mean matrix."""
+    lattice, loss, ticks, seeds = grid(3, 4), 0.3, 25, 200
+    firmware = heat(initial=[], held=[{"cell": [0, 0], "speed_m_s": [1.0, 0.0]}], speed_m_s=[0.0, 0.0])
+    effects = CellEffects(link_loss=LinkLossSpec(probability=loss))
+    ends = np.array(
+        [
+            run(firmware, Partition.even(lattice, 1), ticks, effects=effects, seed=seed).drives[-1, :, 0]
+            for seed in range(seeds)
+        ]
+    )
+    slower, as_they_are = (
+        np.linalg.matrix_power(matrix(lattice, number, [0]), ticks - 1)[:, 0]
+        for number in (0.23 * (1 - loss), 0.23)
+    )
+    error = ends.std(axis=0) / np.sqrt(seeds)
+    assert (abs(ends.mean(axis=0) - slower) <= 4.0 * error).all()
+    assert (abs(as_they_are - slower)[1:] > 8.0 * error[1:]).all()
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+def test_no_link_takes_a_speed_out_of_the_range_in_which_all_began(
+    ordered: bool, grid: Callable[..., Lattice], run: Callable[..., Any]
+):
+    """Each step is a mean with weights of at least 0, whatever comes and however old: stable up to r = 1/4."""
+    lattice = grid(3, 4)
+    effects = CellEffects(
+        link_loss=LinkLossSpec(probability=0.3),
+        link_delay=LinkDelaySpec(between_ticks=(0, 6), ordered=ordered),
+    )
+    firmware = heat(diffusion_number=0.25, held=[], initial=[{"cell": [1, 1], "speed_m_s": [1.0, -1.0]}])
+    drives = run(firmware, Partition.even(lattice, 1), 300, effects=effects, seed=3).drives
+    rounding = 1e-15
+    assert (drives[..., 0] >= 0.05 - rounding).all()
+    assert (drives[..., 0] <= 1.0 + rounding).all()
+    spread = np.ptp(drives, axis=1)[:, 0]
+    assert spread[-1] < 1e-3 * spread[0]
