@@ -34,7 +34,6 @@ LINKS: dict[str, dict[str, Any]] = {
     "delay 4": {"link_delay": {"ticks": 4}},
     "delay 0 to 4": {"link_delay": {"between_ticks": [0, 4]}},
     "delay 0 to 4, not in order": {"link_delay": {"between_ticks": [0, 4], "ordered": False}},
-    "both, 0.1 and 0 to 4": {"link_loss": {"probability": 0.1}, "link_delay": {"between_ticks": [0, 4]}},
 }
 METHOD = f"""\
 Method. heat_diffusion (diffusion number {NUMBER}) on {ROWS} x {COLUMNS} cells, {TICKS} ticks, {{seeds}} seeds.
