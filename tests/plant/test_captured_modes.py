@@ -31,6 +31,12 @@ SCENES: dict[str, dict[str, Any]] = {
         "centre": (-0.03, 0.03),
         "at": (-0.1, -0.05, 1.0),
     },
+    "one side unloads": {
+        "holes": (5, 4, 5),
+        "size": (0.38, 0.44),
+        "centre": (-0.09, 0.06),
+        "at": (-0.2, -0.1, 2.5),
+    },
 }
 """Parcels with their weight off the centre on arrays with holes: a corner often stands clear of its cells."""
 ONE_EDGE = ("seven", "five", "other five")
@@ -134,6 +140,27 @@ def test_captured_motion_is_the_mixture_of_its_sides_each_with_its_own_loads(
         lifted_on_one_side += len(set(clear)) > 1
     assert compared[groups_seen] > 10
     assert lifted_on_one_side > 10 or name == "three edges"
+
+
+@pytest.mark.parametrize(
+    ("name", "captured_ms", "spin"),
+    [("other five", 4360, 0.0), ("two edges", 4020, 0.0), ("one side unloads", 6000, 0.3)],
+)
+def test_captured_motion_is_the_same_in_one_go_and_in_short_ticks(
+    name: str, captured_ms: int, spin: float
+) -> None:
+    """Between ticks fractions change, and loads of either side vanish: nothing of that waits for the next look."""
+    ends = []
+    for tick_ms in (2000, 10):
+        plant, drives = _scene(name, 1e-6)
+        plant.advance(drives, captured_ms * 1_000_000)
+        groups = int(plant._solver.parcels[0].ctl[layout.N_GROUPS])
+        drives = drives + plant.array.positions_m @ np.array([[0.0, spin], [-spin, 0.0]])
+        for until in range(captured_ms + tick_ms, captured_ms + 2001, tick_ms):
+            plant.advance(drives, until * 1_000_000)
+        assert groups == plant._solver.parcels[0].ctl[layout.N_GROUPS] > 0
+        ends.append(plant.state)
+    assert ends[0] == pytest.approx(ends[1], abs=1e-11)
 
 
 @pytest.mark.parametrize("spin", [0.2, -0.2])

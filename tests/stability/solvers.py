@@ -104,7 +104,7 @@ SECOND_S = "its tolerance is that of a second of motion: far shorter and longer 
 TOO_FAR = "what a step may be off by is less than the rounding of such a place; it does not get on"
 THROWN = "a parcel too fast for its steps is thrown off the array in one of them"
 EVEN = "misses it where an edge leaves a cell from rest, or only just reaches one to the last bit"
-COMPILED = "an event function a cell under the parcel is compiled: thousands take minutes"
+COMPILED = "an event function a cell in reach is compiled, for every plant anew"
 GIVEN = "the length of its steps is given"
 FOLLOWS = "follows chatter through step by step; nothing replaces its limit"
 
