@@ -93,8 +93,8 @@ def _notes(row: Row, solver: str) -> Iterable[str]:
         yield f"not toggled: {row.reason}"
         return
     if row.settings is not None and not row.on:
-        kept = ", ".join(f"{key} = {value}" for key, value in row.settings.items() if value not in (None, []))
-        yield f"tried with {kept}"
+        given = ((key, value) for key, value in row.settings.items() if value not in (None, []))
+        yield f"tried with {', '.join(f'{key} = {_plain(value)}' for key, value in given)}"
     if row.solver != solver:
         yield f"both under {row.solver}, as {solver} doesn't know it"
     if row.beside:
@@ -106,6 +106,10 @@ def _notes(row: Row, solver: str) -> Iterable[str]:
     if row.influence is not None and any(row.influence.only):
         with_it, without = row.influence.only
         yield f"{counted(with_it, 'event')} only with it, {without} only without"
+
+
+def _plain(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def print_advice(advice: Advice) -> None:
