@@ -60,19 +60,44 @@ class LinkDelaySpec(CellEffectSpec):
 
     def stages(self, site: Site) -> Iterator[Stage]:
         """One, where there are messages to delay."""
-        if self.bounds_ticks[1] and site.message is not None:
-            yield _Delay(self, site, site.message)
+        least, greatest = self.bounds_ticks
+        if site.message is None or greatest == 0:
+            return
+        if least == greatest:
+            yield _AllAlike(greatest, site, site.message)
+        else:
+            yield _EachItsOwn(self, site, site.message)
 
 
 @final
-class _Delay(Stage):
+class _AllAlike(Stage):
+    """Keeps whole inboxes, as many as the delay has ticks: nothing can overtake anything."""
+
+    def __init__(self, ticks: int, site: Site, message: np.dtype[np.void]) -> None:
+        super().__init__()
+        shape = (len(site.cells), len(SIDES))
+        self._under_way = [
+            Inbox(np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=message)) for _ in range(ticks)
+        ]
+
+    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """Exchanges what has come for what came as many ticks ago."""
+        del alive
+        inbox, slot = inputs.inbox, tick % len(self._under_way)
+        assert inbox is not None, "this is a bug: no inbox, but messages to delay"
+        due, self._under_way[slot] = self._under_way[slot], inbox
+        return replace(inputs, inbox=due)
+
+
+@final
+class _EachItsOwn(Stage):
     """Keeps every message at its receiver until it is due: one inbox a tick, as many as the greatest delay spans."""
 
     def __init__(self, spec: LinkDelaySpec, site: Site, message: np.dtype[np.void]) -> None:
         super().__init__()
         self._least, greatest = spec.bounds_ticks
         self._choices = greatest - self._least + 1
-        self._draws = Draws(site.seed, "link_delay", site.link_places()) if self._choices > 1 else None
+        self._draws = Draws(site.seed, "link_delay", site.link_places())
         links = len(SIDES) * len(site.cells)
         self._last_due = np.zeros(links, dtype=np.int64) if spec.ordered else None
         self._received = np.zeros((greatest + 1, links), dtype=np.bool_)
@@ -87,7 +112,7 @@ class _Delay(Stage):
         came = np.flatnonzero(inbox.received)
         slots = self._due(tick, came) % len(self._received)
 
-        # What is there was sent earlier: it is overtaken, or arrives at the same time.
+        # What is there was sent earlier and would arrive at the same time: it is overtaken.
         overtaken = np.zeros(shape, dtype=np.bool_)
         overtaken.flat[came] = self._received[slots, came]
         self.count("overtaken", overtaken, alive)
@@ -102,10 +127,8 @@ class _Delay(Stage):
 
     def _due(self, tick: int, came: NDArray[np.int64]) -> NDArray[np.int64]:
         """When each of the messages that ``came`` is to be read: the tick."""
-        due = np.full(len(came), tick + self._least)
-        if self._draws is not None:
-            chance = self._draws.uniform(tick)[came]
-            due += (chance * self._choices).astype(np.int64)
+        chance = self._draws.uniform(tick)[came]
+        due = tick + self._least + (chance * self._choices).astype(np.int64)
         if self._last_due is not None:
             due = np.maximum(due, self._last_due[came])
             self._last_due[came] = due

@@ -71,6 +71,7 @@ EFFECTS = {
         link_loss=LinkLossSpec(probability=0.3),
         link_delay=LinkDelaySpec(between_ticks=(0, 2)),
     ),
+    "slow": CellEffects(link_delay=LinkDelaySpec(ticks=2)),
     "overtaking": CellEffects(link_delay=LinkDelaySpec(between_ticks=(0, 3), ordered=False)),
 }
 
@@ -85,7 +86,8 @@ def cut(lattice: Lattice, labels: list[int]) -> Partition:
 
 @pytest.mark.parametrize("kind", FIRMWARE)
 @pytest.mark.parametrize(
-    ("motors", "effects"), [(False, "none"), (True, "none"), (False, "ordered"), (False, "overtaking")]
+    ("motors", "effects"),
+    [(False, "none"), (True, "none"), (False, "ordered"), (False, "slow"), (False, "overtaking")],
 )
 @settings(max_examples=25)
 @given(data=st.data())
