@@ -35,7 +35,7 @@ def test_messages_are_lost_as_often_as_asked_and_each_is_counted(grid: Grid, run
 
 
 def test_the_two_directions_of_a_link_and_neighbouring_ticks_lose_by_themselves(grid: Grid, run: Run) -> None:
-    heard, _ = heard_on(grid(1, 2), run, 8001, loss(0.5))
+    heard, _ = heard_on(grid(1, 2), run, 4001, loss(0.5))
     lost = heard[1:] < 0
     for one, other in ((lost[:, 0], lost[:, 1]), (lost[1:, 0], lost[:-1, 0])):
         both = int((one & other).sum())
