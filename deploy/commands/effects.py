@@ -88,6 +88,9 @@ def effects(
     tell = _silent if quiet else _tell
     interruption = Interruption()
     with interruption.watching(last=True), interruption.allowed():
+        from deploy.run import load_plant
+
+        load_plant(found, tell)  # whatever the plant refuses in the scene itself is bad input
         if ladder or output is not None:
             _ladder(found, repeats, output, tell, as_json=as_json)
         else:

@@ -138,9 +138,7 @@ def _process(scene: Scene, system: System, plant: Plant, events: list[Event]) ->
 
 
 def _why(ended: Ended) -> str:
-    if ended.status == "ok":
-        return ""
-    return "a cell was lost, and stall.policy is abort"
+    return "" if ended.status == "ok" else "a cell was lost, and stall.policy is abort"
 
 
 def _course(plant: Plant, events: Sequence[Event], wall_s: float, status: str, reason: str) -> Course:

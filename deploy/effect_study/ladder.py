@@ -11,6 +11,7 @@ from deploy.effect_study.course import Course, follow, needs_cells
 from deploy.effect_study.influence import Influence, compare
 from deploy.effect_study.toggling import dependents
 from deploy.effect_study.variants import NotPossible, Table, effect_types, summary, tables, typical, variant
+from deploy.errors import InputError
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -152,19 +153,26 @@ def climb(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> 
     there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
     cells = any(needs_cells(scene) for scene in there.values())
     courses: dict[str, Course] = {}
+    reasons = {rung.name: rung.reason for rung in ladder}
     for name, scene in there.items():
         tell(f"{name} ...")
-        courses[name] = follow(scene, cells=cells)
-    walls: dict[str, list[float]] = {name: [] for name in there}
+        try:
+            course = follow(scene, cells=cells)
+        except InputError as why:  # a scene may be valid, and its plant still refuse it
+            reasons[name] = str(why)
+            continue
+        reasons[name] = course.reason
+        if course.status == "ok":
+            courses[name] = course
+    walls: dict[str, list[float]] = {name: [] for name in courses}
     for turn in range(repeats):
         tell(f"times, {turn + 1} of {repeats} ...")
-        for name, scene in there.items():
-            walls[name].append(follow(scene, cells=cells).wall_s)
-    ended = [rung.name for rung in ladder if rung.name in courses and courses[rung.name].status == "ok"]
-    tops = [rung.name for rung in ladder if rung.name in ended and not rung.instead]
+        for name, spans in walls.items():
+            spans.append(follow(there[name], cells=cells).wall_s)
+    tops = [rung.name for rung in ladder if rung.name in courses and not rung.instead]
     return [
         Climbed(rung, median(walls[rung.name]), compare(courses[rung.name], courses[tops[-1]]))
-        if rung.name in ended and tops
-        else Climbed(rung, reason=rung.reason or courses[rung.name].reason)
+        if rung.name in courses and tops
+        else Climbed(rung, reason=reasons[rung.name])
         for rung in ladder
     ]

@@ -11,6 +11,7 @@ from deploy.effect_study.course import Course, follow
 from deploy.effect_study.influence import Influence, compare
 from deploy.effect_study.toggling import Toggled, toggled
 from deploy.effect_study.variants import NotPossible, Table, effect_types, refined, tables
+from deploy.errors import InputError
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -85,10 +86,9 @@ class Study:
         on = name in tables(self.scene)
         self.tell(f"{name} ...")
         try:
-            pair = toggled(self.scene, name)
-        except NotPossible as why:
+            return self._measured(name, on, toggled(self.scene, name))
+        except (NotPossible, InputError) as why:  # a scene may be valid, and its plant still refuse it
             return Row(name=name, on=on, reason=str(why))
-        return self._measured(name, on, pair)
 
     def _measured(self, name: str, on: bool, pair: Toggled) -> Row:
         with_it, without = (self.course(scene, cells=pair.cells) for scene in (pair.on, pair.off))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ from deploy.cli import main
 from deploy.effect_study.variants import effect_types
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
+from plant.plant import Plant
 
 
 def effects(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
@@ -111,6 +115,7 @@ def test_the_ladder_is_printed_and_drawn(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["elliptic", "--set", "parcels.0.position_m=[3.0,0.0]"], "scene elliptic: parcels[0]"),
         (["elliptic", "--tolerance-mm", "0"], "--tolerance-mm 0: must be greater than 0"),
         (["eliptic"], "neither a bundled scene nor a file; nearest: elliptic"),
         (["elliptic", "--set", "effects.fog={}"], "unknown key"),
@@ -121,6 +126,25 @@ def test_bad_input_is_refused(capsys: pytest.CaptureFixture[str], arguments: lis
     shown = capsys.readouterr()
     assert shown.out == ""
     assert words in shown.err
+
+
+def test_a_signal_in_the_middle_of_a_run_ends_it_and_its_cells(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    advance, calls = Plant.advance, [0]
+
+    def interrupted(plant: Plant, drives: Any, until_ns: int) -> Any:
+        calls[0] += 1
+        if calls[0] == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+        return advance(plant, drives, until_ns)
+
+    monkeypatch.setattr(Plant, "advance", interrupted)
+    only(monkeypatch, "motors")
+    assert main(["effects", "prototype", "--quiet"]) == 130
+    assert tuple(capsys.readouterr()) == ("", "mdms: interrupted\n")
+    assert calls[0] == 5
+    assert not any(thread.name == "cells" for thread in threading.enumerate())
 
 
 def test_an_output_that_is_a_file_is_refused_before_anything_runs(

@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 
 from deploy.commands.options import load_scene
-from deploy.effect_study.course import follow
+from deploy.effect_study import ladder as ladder_module
+from deploy.effect_study.course import Course, follow
 from deploy.effect_study.influence import Influence, compare
 from deploy.effect_study.ladder import Climbed, climb, rungs
 from deploy.effect_study.picture import draw_ladder
 from deploy.effect_study.variants import effect_types, tables
+from deploy.errors import InputError
+from deploy.scene import Scene
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
 
@@ -100,6 +103,20 @@ def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
     assert wanted.displacement_m is not None
     assert wanted.displacement_m > 1e-4
     assert all(one.wall_s is not None and one.wall_s > 0.0 for one in climbed[:3])
+
+
+def test_a_rung_that_blows_up_is_left_out_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    def followed(scene: Scene, *, cells: bool) -> Course:
+        if scene.friction.law == "stick_slip":
+            raise InputError("it doesn't stand")
+        course = follow(scene, cells=cells)
+        quasi = scene.solver.name == "quasi_static"
+        return replace(course, status="unstable", reason="it blew up") if quasi else course
+
+    monkeypatch.setattr(ladder_module, "follow", followed)
+    climbed = climb(rungs(load_scene("ladder", duration=0.05))[:3], 1, lambda line: None)
+    assert [one.reason for one in climbed] == ["it blew up", "", "it doesn't stand"]
+    assert [one.distance is None for one in climbed] == [True, False, True]
 
 
 def _at(metres: float) -> Influence:

@@ -15,6 +15,7 @@ from deploy.effect_study.influence import compare
 from deploy.effect_study.study import Study
 from deploy.effect_study.toggling import toggled
 from deploy.effect_study.variants import NotPossible, effect_types, refined, tables, variant
+from deploy.errors import InputError
 from deploy.scene import Scene
 from deploy.scene_errors import SceneError
 from deploy.scene_files import bundled_names
@@ -220,6 +221,15 @@ def test_the_cost_is_the_median_with_over_the_median_without(monkeypatch: pytest
     # the first of either side, which may compile, and the last, under a finer solver, don't count
     assert row.wall_s == (9.0, 1.5)
     assert row.cost_ratio == 6.0
+
+
+def test_a_plant_that_refuses_one_side_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(scene: Scene, *, cells: bool) -> Any:
+        raise InputError("parcels[0] doesn't stand")
+
+    monkeypatch.setattr(study_module, "follow", refused)
+    row = study(loaded("elliptic")).row("motors")
+    assert (row.influence, row.cost_ratio, row.reason) == (None, None, "parcels[0] doesn't stand")
 
 
 def test_a_run_that_ends_early_is_a_reason_and_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
