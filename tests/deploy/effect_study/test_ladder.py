@@ -18,6 +18,7 @@ from deploy.errors import InputError
 from deploy.scene import Scene
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
+from plant.effects.wheel_load import WheelLoadSpec
 
 BASE = ["quasi_static", "viscous", "stick_slip"]
 
@@ -43,6 +44,7 @@ def test_an_effect_that_doesn_t_go_with_one_below_stands_beside_the_ladder(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(RollerImpactsSpec, "excludes", ("motors",))
+    monkeypatch.setattr(WheelLoadSpec, "excludes", ())
     found = {rung.name: rung for rung in rungs(load_scene("ladder"))}
     beside, above = found["roller_impacts"], found["sensor"]
     assert beside.instead == ("motors", "wheel_load")  # which needs motors
