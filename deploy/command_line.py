@@ -23,10 +23,10 @@ COMMANDS = {
 }
 """Every command and its line in the list; command NAME is function NAME of ``deploy.commands.NAME``."""
 
-_ALONE = {"--realtime": "1"}
-"""Options that may stand without a value, and what they mean then."""
-
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
+
+_ALONE = {"--realtime": ("1", _NUMBER), "--docs": ("docs", re.compile(r"[^-].*"))}
+"""Options that may stand without a value: what they mean then, and what a value looks like."""
 
 _HELP = """A Modular Distributed Manipulator System in software.
 
@@ -53,8 +53,10 @@ def completed(arguments: Sequence[str]) -> list[str]:
     given = list(arguments)
     for i, argument in enumerate(arguments):
         following = arguments[i + 1] if i + 1 < len(arguments) else ""
-        if argument in _ALONE and not _NUMBER.fullmatch(following):
-            given[i] = f"{argument}={_ALONE[argument]}"
+        if argument in _ALONE:
+            value, pattern = _ALONE[argument]
+            if not pattern.fullmatch(following):
+                given[i] = f"{argument}={value}"
     return given
 
 

@@ -6,18 +6,20 @@ import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
-from deploy.accuracy.evidence import chatter, continuum, graze, paper
+from deploy.accuracy.evidence import chatter, continuum, graze, paper, sweep
 from deploy.accuracy.evidence.section import PICTURES, Section, prose, table
 from deploy.errors import DeployError, InputError
-from deploy.picture import write_picture
 
 FILE_NAME = "accuracy.md"
 COMMAND = "mdms accuracy --docs"
 REPEATS = 5
 SECTIONS: Mapping[str, Callable[[int], Section]] = {
+    "elliptic": partial(sweep.section, "elliptic", sampling=True),
+    "coulomb": partial(sweep.section, "coulomb", sampling=False),
     "graze": graze.section,
     "chatter": chatter.section,
     "continuum": continuum.section,
@@ -31,7 +33,7 @@ def write(
     folder: Path,
     *,
     repeats: int = REPEATS,
-    sections: Sequence[str] = tuple(SECTIONS),
+    sections: Sequence[str] | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Path:
     """Measure everything, and write the page and its pictures.
@@ -41,7 +43,7 @@ def write(
     Args:
         folder: For ``accuracy.md``; pictures go to ``images/accuracy`` in it.
         repeats: Runs for a time.
-        sections: Which; the page has no others.
+        sections: Which, the page then has no others; None: all.
         say: Told what is measured now.
 
     Returns:
@@ -51,12 +53,13 @@ def write(
         InputError: There is no such section, or the folder can't be made.
         DeployError: It can't be written.
     """
-    unknown = [name for name in sections if name not in SECTIONS]
+    wanted = list(SECTIONS) if sections is None else sections
+    unknown = [name for name in wanted if name not in SECTIONS]
     if unknown:
         raise InputError(f"section {unknown[0]}: there are {', '.join(SECTIONS)}")
     made: list[Section] = []
-    for name in sections:
-        say(f"accuracy: measuring {name}")
+    for name in wanted:
+        say(f"measuring {name} ...")
         made.append(SECTIONS[name](repeats))
     try:
         (folder / PICTURES).mkdir(parents=True, exist_ok=True)
@@ -64,7 +67,7 @@ def write(
         raise InputError(f"{folder}: can't be made: {error.strerror or error}") from None
     for section in made:
         for file, draw in section.pictures.items():
-            write_picture(draw, folder / PICTURES / file)
+            draw(folder / PICTURES / file)
     return _write(folder / FILE_NAME, _page(made, repeats))
 
 

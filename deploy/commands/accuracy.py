@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,6 @@ from deploy.commands.options import (
     DurationOption,
     JsonOption,
     QuietOption,
-    SceneArgument,
     SetOption,
     load_scene,
 )
@@ -21,6 +21,19 @@ from deploy.errors import InputError
 if TYPE_CHECKING:
     from deploy.accuracy.report import Report
 
+SceneArgument = Annotated[
+    str | None,
+    typer.Argument(metavar="SCENE", help="A scene file, or the name of a bundled scene."),
+]
+DocsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--docs",
+        metavar="[DIR]",
+        help="Instead of a scene: measure all that the page on accuracy says, and write accuracy.md and its pictures "
+        "to DIR (alone: docs). Takes minutes.",
+    ),
+]
 OutputOption = Annotated[
     Path | None,
     typer.Option(
@@ -56,10 +69,11 @@ SamplingOption = Annotated[
 
 
 def accuracy(
-    scene: SceneArgument,
+    scene: SceneArgument = None,
     *,
     sets: SetOption = None,
     duration: DurationOption = None,
+    docs: DocsOption = None,
     target: TargetOption = None,
     quick: QuickOption = False,
     repeats: RepeatsOption = None,
@@ -79,6 +93,10 @@ def accuracy(
       [cyan]mdms accuracy elliptic --quick[/cyan]
       [cyan]mdms accuracy elliptic --output study[/cyan]
       [cyan]mdms accuracy elliptic --target 1e-6[/cyan]
+
+    The page on accuracy of the documentation, measured again:
+
+      [cyan]mdms accuracy --docs[/cyan]
     """
     from dataclasses import replace
 
@@ -87,6 +105,11 @@ def accuracy(
 
     if target is not None and not 0.0 < target < float("inf"):
         raise InputError(f"--target {target}: must be > 0, metres")
+    if docs is not None:
+        _write_page(scene, docs, repeats, _silent if quiet else _say)
+        return
+    if scene is None:
+        raise InputError("accuracy: which SCENE? (`mdms scenes` lists those that are bundled)")
     found = load_scene(scene, sets, duration=duration)
     interruption = Interruption()
     with interruption.watching(last=True), interruption.allowed():
@@ -98,6 +121,17 @@ def accuracy(
 
             write_report(report, folder)
     _tell(report, target, folder, as_json=as_json)
+
+
+def _write_page(scene: str | None, docs: Path, repeats: int | None, say: Callable[[str], None]) -> None:
+    from deploy.accuracy.page import REPEATS, write
+    from deploy.interruption import Interruption
+
+    if scene is not None:
+        raise InputError(f"--docs {docs}: takes no SCENE: the page has its own")
+    interruption = Interruption()
+    with interruption.watching(last=True), interruption.allowed():
+        print(write(docs, repeats=REPEATS if repeats is None else repeats, say=say))
 
 
 def _tell(report: Report, target: float | None, folder: Path | None, *, as_json: bool) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -16,6 +17,7 @@ from deploy.accuracy.evidence.drawing import panels
 from deploy.accuracy.evidence.runs import Run, apart_m, changes_at, run, scene_with
 from deploy.accuracy.evidence.section import Section, error, milliseconds, picture, power, prose, table
 from deploy.overview.scenery import INK, colour
+from deploy.picture import write_picture
 from plant.array import CellArray
 
 if TYPE_CHECKING:
@@ -173,7 +175,9 @@ def describe(rows: Sequence[Row], repeats: int) -> Section:
         tolerance=power(TOLERANCE),
         repeats=str(repeats),
     )
-    return Section("Chatter, with and without capture", text, {FILE: lambda: draw(first)})
+    return Section(
+        "Chatter, with and without capture", text, {FILE: partial(write_picture, partial(draw, first))}
+    )
 
 
 def _line(row: Row) -> tuple[str, ...]:

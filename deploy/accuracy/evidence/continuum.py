@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, final
 
@@ -18,6 +19,7 @@ from deploy.accuracy.evidence.runs import scene_with
 from deploy.accuracy.evidence.section import Section, picture, prose, table
 from deploy.orientations.study import study
 from deploy.overview.scenery import INK, colour
+from deploy.picture import write_picture
 from plant.crossings import TURN
 
 if TYPE_CHECKING:
@@ -137,7 +139,9 @@ def describe(rows: Sequence[Row]) -> Section:
         beyond=f"{(rows[0].most - 1.0) * 100.0:.0f}",
         command=f"mdms orientations elliptic --at 0,0 {settings} --json",
     )
-    return Section("From cells to a continuous surface", text, {FILE: lambda: draw(rows)})
+    return Section(
+        "From cells to a continuous surface", text, {FILE: partial(write_picture, partial(draw, rows))}
+    )
 
 
 def _line(row: Row) -> tuple[str, ...]:

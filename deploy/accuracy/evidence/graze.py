@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from typing import Any, final
 
@@ -13,6 +14,7 @@ from deploy.accuracy.evidence.graze_picture import draw_graze
 from deploy.accuracy.evidence.graze_steps import Steps, steps_past
 from deploy.accuracy.evidence.runs import Run, apart_m, run, scene_with
 from deploy.accuracy.evidence.section import Section, error, milliseconds, picture, power, prose, table
+from deploy.picture import write_picture
 
 CELL = (12, 16)
 """Row and column of the cell that is clipped."""
@@ -143,7 +145,7 @@ def describe(found: Graze, repeats: int) -> Section:
         agreement=error(found.agreement_m),
         repeats=str(repeats),
     )
-    return Section(_TITLE, text, {FILE: lambda: draw_graze(found.steps, found.rows)})
+    return Section(_TITLE, text, {FILE: partial(write_picture, partial(draw_graze, found.steps, found.rows))})
 
 
 def _line(row: Row) -> tuple[str, ...]:

@@ -1,14 +1,11 @@
-"""The damped oscillator that a centre of mass is in a linear field, in closed form."""
+"""What is known of the damped oscillator that a centre of mass is in a linear field: damping, overshoot, period."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from plant.wheels import Floats
 
 
 @final
@@ -48,12 +45,3 @@ class Oscillator:
     def overshoot_s(self) -> float:
         """When it is there: half a period."""
         return float(np.pi / self.swing_rad_s)
-
-    def way(self, start: float, time_s: Floats) -> Floats:
-        """``(T,)`` where it is, from ``start`` at rest."""
-        decay = self.damping * self.natural_rad_s
-        swing = self.swing_rad_s * time_s
-        return np.asarray(
-            start * np.exp(-decay * time_s) * (np.cos(swing) + decay / self.swing_rad_s * np.sin(swing)),
-            dtype=np.float64,
-        )

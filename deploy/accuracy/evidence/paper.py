@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from deploy.accuracy.closed_form import closed_form
 from deploy.accuracy.evidence.oscillator import Oscillator
 from deploy.accuracy.evidence.paper_picture import draw_scene
 from deploy.accuracy.evidence.runs import Run, run, scene_with
 from deploy.accuracy.evidence.section import Section, error, picture, power, prose, table
 from deploy.orientations.study import study
+from deploy.picture import write_picture
 from deploy.simulate import field_speeds
 from deploy.track import Track
 from plant.array import CellArray
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
     from deploy.scene import Scene
     from plant.orientations import Orientation
+    from plant.wheels import Floats
 
 FIGURES = {"elliptic": "12", "misaligned": "13", "squeeze": "14"}
 FILE = "paper_{}.png"
@@ -55,16 +58,16 @@ class Swing:
 
     Attributes:
         axis: ``x`` or ``y``.
-        start_m: where it begins, at rest.
-        oscillator: what it is in closed form; None where the field isn't linear.
+        oscillator: what it is; None where the field isn't linear.
+        closed_m: ``(T,)`` where it is in closed form; None likewise.
         overshoot: how far it is seen to swing to the other side, over where it began; None: it doesn't.
         overshoot_s: when it is there, or is nearest to it.
         off_m: the farthest that it is from the closed form; None where there is none.
     """
 
     axis: str
-    start_m: float
     oscillator: Oscillator | None
+    closed_m: Floats | None
     overshoot: float | None
     overshoot_s: float
     off_m: float | None
@@ -119,8 +122,12 @@ def _simulation(name: str) -> Simulation:
 
 
 def _swings(scene: Scene, course: Run) -> list[Swing]:
-    array = CellArray(scene.array)
-    field = linear_field(array.positions_m, field_speeds(scene, array.positions_m))
+    positions = CellArray(scene.array).positions_m
+    speeds = field_speeds(scene, positions)
+    field, known = (
+        linear_field(positions, speeds),
+        closed_form(scene, speeds, course.state[:1], course.time_s),
+    )
     kappa = viscous_of(scene.friction, "the paper's simulations").rate(scene.gravity_m_s2)
     swings: list[Swing] = []
     for axis, name in enumerate("xy"):
@@ -128,10 +135,9 @@ def _swings(scene: Scene, course: Run) -> list[Swing]:
         lowest = int(np.argmin(way / start))
         across = -float(way[lowest]) / start if way[lowest] * start < 0.0 else None
         oscillator = None if field is None else Oscillator(kappa, float(field.rate_per_s[axis, axis]))
-        off = None
-        if oscillator is not None:
-            off = float(np.max(np.abs(way - oscillator.way(start, course.time_s))))
-        swings.append(Swing(name, start, oscillator, across, float(course.time_s[lowest]), off))
+        closed = None if known is None else known[:, 0, axis]
+        off = None if closed is None else float(np.max(np.abs(way - closed)))
+        swings.append(Swing(name, oscillator, closed, across, float(course.time_s[lowest]), off))
     return swings
 
 
@@ -176,18 +182,14 @@ def describe(simulations: Sequence[Simulation]) -> Section:
         tolerance=power(TOLERANCE),
         sample=f"{_SAMPLE_S * 1e3:g}",
     )
-    drawn = {FILE.format(name): partial(_draw, one) for name, one in by_name.items()}
+    drawn = {FILE.format(name): partial(write_picture, partial(_draw, one)) for name, one in by_name.items()}
     return Section("The paper's three simulations", text, drawn)
 
 
 def _draw(one: Simulation) -> Figure:
-    closed = [
-        None if swing.oscillator is None else swing.oscillator.way(swing.start_m, one.track.time_s)
-        for swing in one.swings
-    ]
     number, name = FIGURES[one.scene.name], one.scene.name
     facts = f"{name}  ·  after the paper's Fig. {number}, with values of ours  ·  {one.changes} changes of supports"
-    return draw_scene(one.track, closed, one.stable, facts)
+    return draw_scene(one.track, [swing.closed_m for swing in one.swings], one.stable, facts)
 
 
 def _swing(one: Simulation, swing: Swing) -> tuple[str, ...]:

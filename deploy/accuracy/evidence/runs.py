@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.accuracy.errors import displacement_m
 from deploy.overrides import Override
 from deploy.scene_files import load_scene
 from deploy.simulate import field_speeds
@@ -117,11 +118,4 @@ def _once(scene: Scene, spec: PlantSpec, until_ns: int, sample_ns: int) -> Any:
 
 def apart_m(one: Run, other: Run) -> Floats:
     """``(T,)`` the largest displacement of any corner between two runs that were looked at at the same times."""
-    away = _corners(one) - _corners(other)
-    return np.asarray(np.hypot(away[..., 0], away[..., 1]).max(axis=1), dtype=np.float64)
-
-
-def _corners(one: Run) -> Floats:
-    c, s = np.cos(one.state[:, 2, None]), np.sin(one.state[:, 2, None])
-    x, y = one.footprint_m.T
-    return one.state[:, None, :2] + np.stack([c * x - s * y, s * x + c * y], axis=-1)
+    return displacement_m(one.state[:, None], other.state[:, None], [one.footprint_m])

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
-from typing import TYPE_CHECKING, final
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from pathlib import Path
+from typing import final
 
 PICTURES = "images/accuracy"
 """Where pictures are, seen from the page."""
@@ -22,12 +20,12 @@ class Section:
     Attributes:
         title: its heading.
         text: Markdown under it.
-        pictures: how each is drawn, by the name of its file.
+        pictures: what draws each into a file, by the name of that.
     """
 
     title: str
     text: str
-    pictures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict[str, Callable[[], "Figure"]])
+    pictures: Mapping[str, Callable[[Path], None]] = field(default_factory=dict[str, Callable[[Path], None]])
 
 
 def prose(name: str, **words: str) -> str:

@@ -159,11 +159,18 @@ def test_each_rests_at_an_orientation_that_attracts(simulations: dict[str, paper
         assert one.rests_at in one.stable
 
 
-def test_the_oscillator_obeys_its_equation() -> None:
-    own, step = Oscillator(kappa=1.962, k=-2.0), 1e-3
-    time = np.arange(0.0, 5.0, step)
-    way = own.way(0.5, time)
-    speed, pull = (way[2:] - way[:-2]) / (2 * step), (way[2:] - 2 * way[1:-1] + way[:-2]) / step**2
-    assert pull == pytest.approx(own.kappa * (own.k * way[1:-1] - speed), abs=1e-5)
-    assert way[0] == 0.5
-    assert way.min() == pytest.approx(-0.5 * own.overshoot, abs=1e-6)
+def test_the_oscillator_s_overshoot_is_that_of_its_equation_integrated() -> None:
+    integrate = pytest.importorskip("scipy.integrate").solve_ivp
+    own = Oscillator(kappa=1.962, k=-2.0)
+    turned = lambda t, y: y[1]  # noqa: E731 - back at rest
+    turned.direction = 1.0
+    found = integrate(
+        lambda t, y: [y[1], own.kappa * (own.k * y[0] - y[1])],
+        (1e-3, 5.0),
+        [0.5, 0.0],
+        events=turned,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    assert found.t_events[0][0] - 1e-3 == pytest.approx(own.overshoot_s, abs=1e-6)
+    assert found.y_events[0][0][0] == pytest.approx(-0.5 * own.overshoot, abs=1e-8)

@@ -9,6 +9,7 @@ import pytest
 
 from deploy.accuracy import page
 from deploy.accuracy.evidence.section import Section, error, milliseconds, power, prose
+from deploy.cli import main
 from deploy.errors import InputError
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -36,12 +37,7 @@ def test_every_section_is_in_the_page_once() -> None:
 
 
 def _made(name: str) -> Section:
-    def draw() -> object:
-        from matplotlib.figure import Figure
-
-        return Figure(figsize=(1, 1))
-
-    return Section(f"Title of {name}", "Text, 12.3 ms.", {f"{name}.png": draw})  # type: ignore[dict-item]
+    return Section(f"Title of {name}", "Text, 12.3 ms.", {f"{name}.png": Path.touch})
 
 
 def test_page_and_pictures_are_written_in_the_order_of_the_sections(
@@ -55,7 +51,7 @@ def test_page_and_pictures_are_written_in_the_order_of_the_sections(
     assert "medians of 2 runs" in text
     assert "| numpy |" in text
     assert "processor" in text
-    assert [line.split()[-1] for line in said] == ["two", "one"]
+    assert [line.split()[1] for line in said] == ["two", "one"]
     assert sorted(file.name for file in (tmp_path / "docs" / "images" / "accuracy").iterdir()) == [
         "one.png",
         "two.png",
@@ -77,12 +73,28 @@ def test_nothing_is_written_where_a_measurement_fails(
 def test_an_unknown_section_and_a_folder_that_is_a_file_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(InputError, match="there are graze, chatter, continuum, paper"):
+    with pytest.raises(InputError, match="there are elliptic, coulomb, graze, chatter, continuum, paper"):
         page.write(tmp_path, sections=("grace",))
     monkeypatch.setattr(page, "SECTIONS", {"one": lambda _: _made("one")})
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="can't be made"):
         page.write(tmp_path / "file", sections=("one",))
+
+
+def test_the_page_is_written_by_a_command_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(page, "SECTIONS", {"one": lambda _: _made("one")})
+    monkeypatch.chdir(tmp_path)
+    assert main(["accuracy", "--docs"]) == 0
+    assert capsys.readouterr().out == "docs/accuracy.md\n"
+    assert main(["accuracy", "--docs", "elsewhere", "--repeats", "2", "--quiet"]) == 0
+    assert "medians of 2 runs" in (tmp_path / "elsewhere" / "accuracy.md").read_text(encoding="utf-8")
+    capsys.readouterr()
+    assert main(["accuracy", "elliptic", "--docs"]) == 2
+    assert "takes no SCENE" in capsys.readouterr().err
+    assert main(["accuracy"]) == 2
+    assert "which SCENE?" in capsys.readouterr().err
 
 
 def test_words_of_the_page_are_all_given_their_numbers() -> None:
