@@ -100,16 +100,17 @@ def _remarks(report: Report) -> list[str]:
         for row in rows
         if row.judged_by and row.judged_by != report.reference.solver
     ]
-    found += [
-        f"{row.solver if row.status == 'omitted' else f'{row.line} {power(row.value or 0.0)}'}: {row.status}: {row.reason}."
-        for row in rows
-        if row.status != "ok"
-    ]
+    found += [f"{_named(row)}: {row.status}: {row.reason}." for row in rows if row.status != "ok"]
     parted = [
-        f"{row.line} {power(row.value or 0.0)} from {row.order_until:.4g} s ({metres(row.error_before)} m before)"
+        f"{_named(row)} from {row.order_until:.4g} s ({metres(row.error_before)} m before)"
         for row in rows
         if row.order_until is not None and row.note is None
     ]
     if parted:
         found.append(f"The order of events is not the reference's with {'; '.join(parted)}.")
     return list(dict.fromkeys(found))
+
+
+def _named(row: Row) -> str:
+    """A setting; what no setting of a solver is tried for, that solver."""
+    return row.solver if row.value is None or row.status == "omitted" else f"{row.line} {power(row.value)}"
