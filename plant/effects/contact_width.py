@@ -18,7 +18,7 @@ from bus.spec import Positive
 class ContactWidthSpec(EffectSpec):
     """Wheels that come to be under a parcel by and by."""
 
-    solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
+    solvers: ClassVar[tuple[str, ...] | None] = ("implicit", "fixed_step", "quasi_static")
     rung: ClassVar[int | None] = 20
     width_m: Positive
     """Over which a cell comes to be under a parcel, half of it on either side of the edge; at most the pitch."""

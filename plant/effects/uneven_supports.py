@@ -33,7 +33,7 @@ class SupportSpec(Spec):
 class UnevenSupportsSpec(EffectSpec):
     """Cells of unequal spring rates and heights."""
 
-    solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
+    solvers: ClassVar[tuple[str, ...] | None] = ("implicit", "fixed_step", "quasi_static")
     rung: ClassVar[int | None] = 10
     stiffness_n_per_m: Positive
     """Mean spring rate of a cell."""

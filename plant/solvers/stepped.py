@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.kernels import implicit_layout, layout
 from plant.solvers.implicit import FIRST_STEP_S, coefficients
-from plant.solvers.springs import make_springs
+from plant.solvers.springs import make_edges, make_springs
 from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -42,7 +42,8 @@ class SteppedSolver(ThreadedSolver[Work]):
     ) -> None:
         super().__init__(array, scene.parcels, rate)
         self._entry: Any = entry
-        self._springs: Any = make_springs(scene, array)
+        self._springs = make_springs(scene, array)
+        self._edges = make_edges(scene, self.capacity)
         traction = scene.friction.traction()
         self._laws: Floats = np.zeros((len(scene.parcels), implicit_layout.LAW_SIZE))
         self._paces: Floats = np.zeros((len(scene.parcels), implicit_layout.PACE_SIZE))
@@ -55,7 +56,7 @@ class SteppedSolver(ThreadedSolver[Work]):
 
     def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
-        surface = surface._replace(springs=self._springs)
+        surface = surface._replace(springs=self._springs, edges=self._edges)
         laws, paces = self._laws, self._paces
         return self._entry.advance_block(
             surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report

@@ -10,20 +10,24 @@ from plant.kernels import layout
 from plant.plant import Plant
 from plant.specs import ParcelSpec, PlantSpec
 from tests.plant.laws import VISCOUS
-from tests.plant.scenes import SECOND, Floats, G, elliptic, parcel, spec
+from tests.plant.scenes import SECOND, Floats, G, elliptic, parcel, solved, spec
 
 CHATTERS = parcel(size_m=(0.68, 0.42))
 """It meets 60,958 support changes in 20 s where each is located, and rests with a cell on its edge."""
 
 
 def wide(
-    width_m: float, body: ParcelSpec, effects: dict[str, object] | None = None, **array: object
+    width_m: float,
+    body: ParcelSpec,
+    effects: dict[str, object] | None = None,
+    solver: dict[str, object] | None = None,
+    **array: object,
 ) -> Plant:
     """A plant under the viscous law whose wheels have a width."""
     values = dict(spec(body, **array))  # type: ignore[arg-type]
     values |= {
         "friction": VISCOUS,
-        "solver": {"name": "implicit", "tolerance": 1e-9},
+        "solver": solver or {"name": "implicit", "tolerance": 1e-9},
         "effects": {"contact_width": {"width_m": width_m}} | (effects or {}),
     }
     return Plant(PlantSpec.model_validate(values))
@@ -81,6 +85,34 @@ def test_as_wheels_become_points_the_motion_tends_to_the_captured_one_at_first_o
         assert plant._solver.parcels[0].ctl[layout.N_STEPS] < 20_000
 
 
+def test_fixed_steps_come_to_the_motion_of_implicit_sooner_than_on_wheels_that_are_points() -> None:
+    """There each change is as wrong as its force jumps, whatever the method; here nothing jumps."""
+    fine, points = wide(0.05, parcel()), Plant(spec(parcel()))
+    for plant in (fine, points):
+        plant.advance(elliptic(plant), SECOND // 2)
+    assert min(fine.support_changes, points.support_changes) > 4
+    settings = {"name": "fixed_step", "step_s": 1e-3}
+    smooth, jumps = wide(0.05, parcel(), solver=settings), solved(settings, parcel())
+    for plant in (smooth, jumps):
+        plant.advance(elliptic(plant), SECOND // 2)
+    off = np.abs(smooth.state - fine.state).max()
+    assert off < 1e-7
+    assert off < 0.01 * np.abs(jumps.state - points.state).max()
+
+
+def test_without_inertia_too_a_cell_on_its_edge_carries_its_part_and_nothing_chatters() -> None:
+    """The parcel comes to the angle at which ``implicit`` rests it."""
+    plants = [wide(1e-2, CHATTERS), wide(1e-2, CHATTERS, solver={"name": "quasi_static", "tolerance": 1e-9})]
+    for plant in plants:
+        plant.advance(elliptic(plant), 30 * SECOND)
+    slow, quasi = plants
+    assert quasi.state[0, :3] == pytest.approx(slow.state[0, :3], abs=1e-6)
+    # on wheels that are points its changes never end
+    before = quasi.support_changes
+    quasi.advance(elliptic(quasi), 60 * SECOND)
+    assert before == quasi.support_changes < 200
+
+
 def test_a_parcel_comes_to_rest_on_wheels_with_a_width_and_stays() -> None:
     plant = wide(1e-2, CHATTERS)
     plant.trajectory(elliptic(plant), 60 * SECOND, SECOND // 10)
@@ -93,7 +125,8 @@ def test_a_parcel_comes_to_rest_on_wheels_with_a_width_and_stays() -> None:
 def test_the_effect_is_refused_where_it_does_not_fit() -> None:
     values = dict(spec(CHATTERS))
     with pytest.raises(
-        ValidationError, match=r"solver\.name exact leaves out effects\.contact_width; use implicit"
+        ValidationError,
+        match=r"solver\.name exact leaves out effects\.contact_width; use implicit or fixed_step or quasi_static",
     ):
         PlantSpec.model_validate(values | {"effects": {"contact_width": {"width_m": 1e-3}}})
     with pytest.raises(ValidationError, match=r"width_m 0\.2: must be at most the array's pitch_m, 0\.1"):

@@ -11,6 +11,8 @@ from scipy.optimize import nnls
 from bus.lattice import Lattice
 from plant.effects.uneven_supports import SupportSpec, UnevenSupportsSpec, supports
 from plant.errors import PlantError
+from plant.friction.registry import FrictionSpec
+from plant.friction.viscous import Viscous
 from plant.kernels import layout
 from plant.plant import Plant
 from plant.specs import ParcelSpec, PlantSpec
@@ -26,12 +28,15 @@ def uneven(
     tolerance: float = 1e-8,
     seed: int = 0,
     array: dict[str, object] | None = None,
+    solver: dict[str, object] | None = None,
+    law: FrictionSpec = VISCOUS,
     **effect: object,
 ) -> Plant:
-    """A plant under the viscous law on supports of their own."""
+    """A plant on supports of their own, under the viscous law unless said otherwise."""
     settings = UnevenSupportsSpec.model_validate({"stiffness_n_per_m": 1e4} | effect)
-    plain = lawful_spec(*parcels, tolerance=tolerance, **(array or {}))
-    return Plant(PlantSpec.model_validate(plain | {"effects": {"uneven_supports": settings}, "seed": seed}))
+    plain = lawful_spec(*parcels, tolerance=tolerance, **(array or {})) | {"friction": law}
+    plain |= {"effects": {"uneven_supports": settings}, "seed": seed}
+    return Plant(PlantSpec.model_validate(plain | ({"solver": solver} if solver else {})))
 
 
 def lawful_spec(*parcels: ParcelSpec, tolerance: float, **array: object) -> dict[str, object]:
@@ -53,7 +58,8 @@ def drawn(plant: Plant, seed: int, **effect: object) -> tuple[Floats, Floats]:
 
 def carried(plant: Plant) -> tuple[np.ndarray, Floats]:
     """Cells under the parcel, ascending, and their loads in N as the solver has them."""
-    inner, seg = plant._solver.parcels[0], plant._solver.desk(0).work.seg
+    inner, work = plant._solver.parcels[0], plant._solver.desk(0).work
+    seg = getattr(work, "pulls", work).seg
     springs = plant._solver._springs
     listed = inner.mem[: inner.ctl[layout.N_MEMBERS]]
     listed = listed[np.argsort(listed[:, layout.CELL])]
@@ -115,8 +121,9 @@ def optimal(place: Floats, rate: Floats, height: Floats, centre: Floats, loads: 
 # --- loads --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("solver", ["implicit", "fixed_step", "quasi_static"])
 @pytest.mark.parametrize("height_spread_m", [0.0, 1e-5, 1e-3, 0.1])
-def test_loads_are_the_springs_own_and_never_pull(height_spread_m: float) -> None:
+def test_loads_are_the_springs_own_and_never_pull(height_spread_m: float, solver: str) -> None:
     draw = np.random.default_rng(3)
     effect = {"stiffness_spread": 0.5, "height_spread_m": height_spread_m}
     lifted = 0
@@ -126,7 +133,9 @@ def test_loads_are_the_springs_own_and_never_pull(height_spread_m: float) -> Non
             position_m=tuple(draw.uniform(-0.3, 0.3, 2)),
             angle_rad=float(draw.uniform(-4.0, 4.0)),
         )
-        plant = uneven(body, seed=seed, **effect)
+        plant = uneven(body, seed=seed, solver={"name": solver}, **effect)
+        # and at the end of a call, not only at the start
+        plant.advance(elliptic(plant), 20_000_000)
         rate, height = drawn(plant, seed, **effect)
         cells, loads = carried(plant)
         place, centre = plant.array.positions_m[cells], plant.state[0, :2]
@@ -217,6 +226,65 @@ def test_the_motion_is_that_of_an_independent_integration_and_turns_the_parcel_o
     assert abs(plant.state[0, 2] - plain.state[0, 2]) > 1e-4
 
 
+UNEVEN = {"stiffness_spread": 0.4, "height_spread_m": 4e-4}
+MOVES = parcel(position_m=(0.05, 0.03), angle_rad=0.4, velocity_m_s=(0.3, -0.2), angular_velocity_rad_s=0.5)
+
+
+def test_fixed_steps_come_to_the_motion_of_implicit_at_first_order() -> None:
+    fine = uneven(MOVES, seed=5, tolerance=1e-9, **UNEVEN)
+    fine.advance(elliptic(fine), 2 * SECOND // 5)
+    off, steps_s = [], (1e-3, 1e-4, 1e-5)
+    for step_s in steps_s:
+        solver = {"name": "fixed_step", "method": "euler", "step_s": step_s}
+        plant = uneven(MOVES, seed=5, solver=solver, **UNEVEN)
+        plant.advance(elliptic(plant), 2 * SECOND // 5)
+        off.append(np.abs(plant.state - fine.state).max())
+    assert fine.support_changes > 4
+    assert np.polyfit(np.log(steps_s), np.log(off), 1)[0] == pytest.approx(1.0, abs=0.1)
+    assert off[-1] < 1e-5
+
+
+def test_without_inertia_a_parcel_has_the_velocity_at_which_its_own_springs_balance_what_wheels_pull() -> (
+    None
+):
+    plant = uneven(MOVES, seed=5, solver={"name": "quasi_static"}, **UNEVEN)
+    rate, height = drawn(plant, 5, **UNEVEN)
+    wheels, counts = elliptic(plant), set()
+    for tick in range(1, 26):
+        plant.advance(wheels, tick * 20_000_000)
+        cells, _ = carried(plant)
+        place, centre = plant.array.positions_m[cells], plant.state[0, :2]
+        loads = spring_loads(place, rate[cells], height[cells], centre)
+        assert loads is not None
+        counts.add(int(np.sum(loads > 0.0)))
+        arm = place - centre
+        across = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+        # moments balance about the centre of mass, so that no turning pulls it along: sums of N r vanish
+        velocity = loads @ wheels[cells] / WEIGHT
+        turn = loads @ np.sum(across * wheels[cells], axis=1) / (loads @ np.sum(arm * arm, axis=1))
+        assert plant.state[0, 3:] == pytest.approx([*velocity, turn], abs=1e-9)
+    assert len(counts) > 1
+
+
+def test_quasi_static_motion_is_that_of_implicit_where_inertia_hardly_counts() -> None:
+    ends = []
+    for mu in (50.0, 500.0):
+        law = Viscous(coefficient_s_per_m=mu)
+        pair = [
+            uneven(MOVES, seed=5, law=law, solver=solver, **UNEVEN)
+            for solver in (
+                {"name": "quasi_static", "tolerance": 1e-8},
+                {"name": "implicit", "tolerance": 1e-8},
+            )
+        ]
+        for plant in pair:
+            plant.advance(elliptic(plant), SECOND // 2)
+        ends.append(np.abs(pair[0].state[0, :3] - pair[1].state[0, :3]).max())
+    # what is left falls with the time 1 / (mu g) in which wheels take the parcel along
+    assert ends[1] < 0.2 * ends[0]
+    assert ends[1] < 1e-3
+
+
 # --- what is drawn ------------------------------------------------------------------------------------------------
 
 
@@ -240,7 +308,8 @@ def test_the_effect_is_refused_where_it_does_not_fit() -> None:
     plain = lawful_spec(tolerance=1e-6)
     effect: dict[str, object] = {"stiffness_n_per_m": 1e4}
     with pytest.raises(
-        ValidationError, match=r"solver\.name exact leaves out effects\.uneven_supports; use implicit"
+        ValidationError,
+        match=r"solver\.name exact leaves out effects\.uneven_supports; use implicit or fixed_step or quasi_static",
     ):
         PlantSpec.model_validate(
             plain | {"solver": {"name": "exact"}, "effects": {"uneven_supports": effect}}
