@@ -112,10 +112,9 @@ def rms_error(profile: TorqueProfile, peak_n_m: float) -> float:
     low = profile.angles_rad
     high = np.append(low[1:], low[0] + TURN)
     cross = 0.5 * (np.cos(2.0 * low) - np.cos(2.0 * high))
-    square = 0.5 * (high - low) - 0.125 * (np.sin(4.0 * high) - np.sin(4.0 * low))
     torque = profile.torque_n_m
-    total = np.sum(torque**2 * (high - low) - 2.0 * peak_n_m * torque * cross + peak_n_m**2 * square)
-    return math.sqrt(max(float(total), 0.0) / TURN)
+    total = float(np.sum(torque**2 * (high - low) - 2.0 * peak_n_m * torque * cross))
+    return math.sqrt(max(total / TURN + 0.5 * peak_n_m**2, 0.0))
 
 
 def section(repeats: int) -> Section:
