@@ -128,6 +128,7 @@ def section(repeats: int) -> Section:
 def describe(found: Graze, repeats: int) -> Section:
     """What was measured, in words."""
     ends = {tolerance: f"{steps[0, 1]:.4f}" for tolerance, steps in found.steps.ends.items()}
+    late = max(row.late_s or 0.0 for row in found.rows if row.solver == "DOP853")
     text = prose(
         "graze",
         row=str(CELL[0]),
@@ -141,6 +142,7 @@ def describe(found: Graze, repeats: int) -> Section:
         picture=picture(FILE, _SEEN),
         table=table(_HEADING, [_line(row) for row in found.rows]),
         floor=error(min(row.end_m for row in found.rows if row.solver == "DOP853")),
+        late=f"{1e3 * late:.1f}",
         reference=found.reference,
         agreement=error(found.agreement_m),
         repeats=str(repeats),
