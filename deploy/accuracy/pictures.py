@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _WIDTH, _HEIGHT = 9.6, 6.0
 """Of a page, inches."""
 _MARKS = "os^Dv<>Ph*X"
+_STROKES = ("-", "--", "-.", ":")
 _FLOOR_M = 1e-16
 """Errors below this, nought among them, are drawn here: rounding."""
 _GUIDE = "#8b95a1"
@@ -65,14 +66,16 @@ def _errors(rows: Sequence[Row]) -> list[float]:
 
 
 def _look(report: Report, line: str) -> dict[str, Any]:
-    """Colour by solver and mark by line, the same in every picture."""
+    """Colour by solver, stroke and mark by line, the same in every picture."""
     names = report.lines
     solvers = list(dict.fromkeys(row.solver for row in report.rows))
     solver = next(row.solver for row in report.rows if row.line == line)
     number = names.index(line)
+    among = list(dict.fromkeys(row.line for row in report.rows if row.solver == solver)).index(line)
     return {
         "color": COLOURS[solvers.index(solver) % len(COLOURS)],
         "marker": _MARKS[number % len(_MARKS)],
+        "ls": _STROKES[among % len(_STROKES)],
         "ms": 5.5,
         "lw": 2.2 if solver == "exact" else 1.3,
         "zorder": 5 if solver == "exact" else 3,
@@ -141,7 +144,7 @@ def _sampling(report: Report) -> Figure:
             [row.wall_s or 0.0 for row in rows],
             [max(row.error_max or 0.0, _FLOOR_M) for row in rows],
         )
-        label = f"{sampling.wheels};\nerrors from {sampling.against}"
+        label = f"{sampling.wheels}:\nerrors from\n{sampling.against}"
         axes.plot(walls, errors, marker=_MARKS[number], color=COLOURS[number], lw=1.6, ms=6, label=label)
         lowest, highest = min([lowest, *errors]), max([highest, *errors])
         for row, wall, error in zip(rows, walls, errors, strict=True):

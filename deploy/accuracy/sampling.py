@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from deploy.accuracy.errors import displacement_m
 from deploy.accuracy.report import Sampled, Sampling
 from deploy.errors import DeployError
+from deploy.interruption import Interrupted
 from deploy.processes.plan import RunOptions
 from deploy.recordings.replay import load
 from deploy.run import run
@@ -50,6 +51,9 @@ def price_of_sampling(
         quick: whether to spare the short periods.
         limit_s: no shorter period is tried after a run longer than this.
         look: called before every run; may raise.
+
+    Raises:
+        Interrupted: a signal came during a run.
     """
     with_motors = scene.effects.motors is not None
     wheels = "motors" if with_motors else "ideal wheels"
@@ -120,6 +124,8 @@ def _whole(scene: Scene, period_ns: int, every_ns: int) -> tuple[Sampled, Floats
             track = load(Path(folder) / "run").track()
         except DeployError as error:
             return Sampled(period_s, None, None, "failed", str(error)), None
+    if summary.status == "interrupted":  # the run has taken the signal for itself
+        raise Interrupted
     row = Sampled(period_s, None, summary.wall_s, summary.status, summary.reason)
     if summary.status != "ok":
         return row, None

@@ -13,6 +13,8 @@ import pytest
 from deploy.accuracy import course, sampling
 from deploy.accuracy.files import CSV_NAME, JSON_NAME, SAMPLING, TOLERANCE, WORK_PRECISION
 from deploy.cli import main
+from deploy.ledger import Ledger
+from plant.process import TickRecord
 
 QUICK = ("accuracy", "elliptic", "--quick", "--repeats", "1", "--duration", "0.15", "--quiet")
 ALONE = (*QUICK, "--no-sampling")
@@ -119,4 +121,19 @@ def test_a_signal_in_the_middle_leaves_nothing(
     assert main([*ALONE, "--output", str(tmp_path / "new")]) == 130
     shown = capsys.readouterr()
     assert (shown.out, shown.err) == ("", "mdms: interrupted\n")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_signal_that_a_run_of_the_whole_system_takes_ends_the_study_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    inner = Ledger.tick
+
+    def interrupted(self: Ledger, record: TickRecord) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        inner(self, record)
+
+    monkeypatch.setattr(Ledger, "tick", interrupted)
+    assert main([*QUICK, "--output", str(tmp_path / "new")]) == 130
+    assert tuple(capsys.readouterr()) == ("", "mdms: interrupted\n")
     assert not (tmp_path / "new").exists()
