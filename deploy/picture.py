@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deploy.errors import DeployError
+from deploy.files import written_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,15 +46,8 @@ def write_picture(make: Callable[[], Figure], path: str | Path) -> None:
 
     with mpl.rc_context(_STYLE):
         canvas = FigureCanvasAgg(make())
-        draft = Path(path).with_name(f".{Path(path).name}.draft")
-        try:
+        with written_whole(Path(path)) as draft:
             canvas.print_png(str(draft))
-            draft.replace(path)
-        except OSError as error:
-            raise DeployError(f"can't write the picture {path}: {error.strerror or error}") from error
-        finally:
-            with suppress(OSError):
-                draft.unlink()
 
 
 def draw_heading(figure: Figure, title: str, subtitle: str, left_in: float) -> None:

@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.errors import DeployError
+from deploy.files import write_text
 from plant.reports import TrafficCount
 
 FILE_NAME = "summary.json"
@@ -140,12 +140,7 @@ class Summary:
             DeployError: It can't be written.
         """
         path = Path(folder) / FILE_NAME
-        draft = path.with_name(f".{FILE_NAME}.draft")
-        try:
-            draft.write_text(self.to_json(indent=2) + "\n", encoding="utf-8")
-            draft.replace(path)
-        except OSError as error:
-            raise DeployError(f"can't write the summary {path}: {error.strerror or error}") from error
+        write_text(path, self.to_json(indent=2) + "\n")
         return path
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.errors import DeployError
+from deploy.files import write_text
 
 if TYPE_CHECKING:
     from deploy.accuracy.report import Report
@@ -26,21 +25,9 @@ def write_report(report: Report, folder: Path) -> None:
     """
     from deploy.accuracy.pictures import draw_sampling, draw_tolerance, draw_work_precision
 
-    _write(folder / JSON_NAME, report.to_json() + "\n")
-    _write(folder / CSV_NAME, report.to_csv())
+    write_text(folder / JSON_NAME, report.to_json() + "\n")
+    write_text(folder / CSV_NAME, report.to_csv())
     draw_work_precision(report, folder / WORK_PRECISION)
     draw_tolerance(report, folder / TOLERANCE)
     if report.sampling:
         draw_sampling(report, folder / SAMPLING)
-
-
-def _write(path: Path, text: str) -> None:
-    draft = path.with_name(f".{path.name}.draft")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        raise DeployError(f"can't write {path}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            draft.unlink()

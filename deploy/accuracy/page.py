@@ -12,7 +12,8 @@ from pathlib import Path
 
 from deploy.accuracy.evidence import chatter, continuum, graze, paper, sweep
 from deploy.accuracy.evidence.section import PICTURES, Section, prose, table
-from deploy.errors import DeployError, InputError
+from deploy.errors import InputError
+from deploy.files import write_text
 
 FILE_NAME = "accuracy.md"
 COMMAND = "mdms accuracy --docs"
@@ -68,7 +69,9 @@ def write(
     for section in made:
         for file, draw in section.pictures.items():
             draw(folder / PICTURES / file)
-    return _write(folder / FILE_NAME, _page(made, repeats))
+    path = folder / FILE_NAME
+    write_text(path, _page(made, repeats))
+    return path
 
 
 def _page(sections: Sequence[Section], repeats: int) -> str:
@@ -94,17 +97,3 @@ def _processor() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
-
-
-def _write(path: Path, text: str) -> Path:
-    """The page, whole or not at all."""
-    draft = path.with_name(f".{path.name}.draft")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        raise DeployError(f"can't write {path}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            draft.unlink()
-    return path

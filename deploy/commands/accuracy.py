@@ -17,6 +17,7 @@ from deploy.commands.options import (
     load_scene,
 )
 from deploy.errors import InputError
+from deploy.files import made_folder
 
 if TYPE_CHECKING:
     from deploy.accuracy.report import Report
@@ -115,7 +116,7 @@ def accuracy(
     with interruption.watching(last=True), interruption.allowed():
         plan = replace(Plan.of(quick=quick, repeats=repeats), sampling=sampling and target is None)
         report = study(found, plan, say=_silent if quiet else _say, look=interruption.check)
-        folder = None if output is None else _folder(output)
+        folder = None if output is None else made_folder(output)
         if folder is not None:
             from deploy.accuracy.files import write_report
 
@@ -147,14 +148,6 @@ def _tell(report: Report, target: float | None, folder: Path | None, *, as_json:
             print(f"\n{folder}")
     if target is not None and report.cheapest(target) is None:
         raise typer.Exit(1)
-
-
-def _folder(wanted: Path) -> Path:
-    try:
-        wanted.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"output {wanted}: can't be made: {error.strerror or error}") from None
-    return wanted
 
 
 def _say(line: str) -> None:

@@ -21,6 +21,7 @@ from deploy.commands.options import (
     load_scene,
 )
 from deploy.errors import InputError
+from deploy.files import made_folder
 
 if TYPE_CHECKING:
     from deploy.effect_study.ladder import Climbed
@@ -139,7 +140,7 @@ def _ladder(
     from deploy.effect_study.ladder import climb, rungs
     from deploy.effect_study.report import ladder_json
 
-    folder = None if output is None else _folder(output)
+    folder = None if output is None else made_folder(output)
     climbed = climb(rungs(scene), repeats, tell)
     picture = None if folder is None else _draw(scene, climbed, folder)
     if as_json:
@@ -165,15 +166,6 @@ def _draw(scene: Scene, climbed: list[Climbed], folder: Path) -> Path:
     picture = folder / FILE_NAME
     draw_ladder(scene, climbed, picture)
     return picture
-
-
-def _folder(wanted: Path) -> Path:
-    """Make the folder for the picture; what is in it stays."""
-    try:
-        wanted.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"output {wanted}: can't be made: {error.strerror or error}") from None
-    return wanted
 
 
 def _print_json(found: dict[str, Any]) -> None:

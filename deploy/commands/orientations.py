@@ -12,6 +12,7 @@ import typer
 from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
 from deploy.commands.poses import ParcelOption, check_parcel, numbers
 from deploy.errors import InputError
+from deploy.files import made_folder
 
 if TYPE_CHECKING:
     from deploy.orientations.sizes import SizeMap
@@ -90,7 +91,7 @@ def _one(asked: Study, output: Path | None, *, as_json: bool) -> None:
     if output is not None:
         from deploy.orientations.picture import FILE_NAME, draw_orientations
 
-        picture = _folder(output) / FILE_NAME
+        picture = made_folder(output) / FILE_NAME
         draw_orientations(asked, profile, picture)
     if as_json:
         found = {**_head(asked), **_plain(profile), "picture": picture and str(picture)}
@@ -106,7 +107,7 @@ def _one(asked: Study, output: Path | None, *, as_json: bool) -> None:
 def _many(asked: Study, ranges: tuple[Floats, Floats], output: Path | None, *, as_json: bool) -> None:
     from deploy.orientations.sizes import size_map
 
-    folder = None if output is None else _folder(output)
+    folder = None if output is None else made_folder(output)
     sizes = size_map(asked, *ranges)
     picture = None
     if folder is not None:
@@ -143,15 +144,6 @@ def _ranges(text: str) -> tuple[Floats, Floats]:
         if not len(values) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
             raise InputError(f"--sizes {text}: lengths and widths must be > 0, and one at least of each")
     return lengths, widths
-
-
-def _folder(wanted: Path) -> Path:
-    """Make the folder for the picture; what is in it stays."""
-    try:
-        wanted.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"output {wanted}: can't be made: {error.strerror or error}") from None
-    return wanted
 
 
 def _head(asked: Study) -> dict[str, Any]:

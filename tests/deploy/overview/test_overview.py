@@ -233,7 +233,7 @@ def test_the_same_run_gives_the_same_picture(tmp_path: Path, track: Track) -> No
 
 
 def test_a_picture_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path, track: Track) -> None:
-    with pytest.raises(DeployError, match=r"can't write the picture .*overview\.png: No such file"):
+    with pytest.raises(DeployError, match=r"can't write .*overview\.png: No such file"):
         draw_overview(track, tmp_path / "absent" / "overview.png")
 
 
