@@ -89,6 +89,9 @@ def test_events_in_another_order_are_found_but_the_order_differs_from_there() ->
 def test_events_of_one_instant_have_no_order() -> None:
     known = [event(1.0, cell=1), event(1.0, cell=2)]
     assert compare_events([event(1.0, cell=2), event(1.00000001, cell=1)], known, 10.0).order_until_s is None
+    apart = [event(1.0, cell=1), event(1.000001, cell=2)]
+    at_once = [event(1.0000005, cell=1), event(1.0000005 - 5e-10, cell=2)]
+    assert compare_events(at_once, apart, 10.0).order_until_s is None
 
 
 def test_what_is_invented_and_taken_back_at_once_is_counted_but_changes_no_order() -> None:
