@@ -15,6 +15,7 @@ from plant.kernels.modes import settled
 from plant.kernels.motion import onto_surfaces, surface_rates
 from plant.kernels.outrun import outrunning, watch
 from plant.kernels.roots import horner
+from plant.kernels.samples import fill
 from plant.kernels.series import taylor
 from plant.kernels.slips import underside
 from plant.kernels.turning import next_turn
@@ -246,7 +247,5 @@ def advance(surface, parcel, work, span, budget, times, out, events):
         if used > budget:
             ctl[at.STATUS] = at.TOO_MANY_EVENTS
             ctl[at.CULPRIT] = int(work.found[0, at.EV_CELL])
-    for i in range(sampled, times.shape[0]):
-        for k in range(6):
-            out[i, k] = y[k]
+    fill(y, times, sampled, out)
     return now

@@ -9,10 +9,12 @@ from __future__ import annotations
 from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.advance import finite
-from plant.kernels.implicit_advance import decay, find_loads, note_changes, note_outrun, remember
+from plant.kernels.implicit_advance import decay, find_loads
 from plant.kernels.implicit_pull import pull
 from plant.kernels.implicit_step import grasp, sign
 from plant.kernels.jit import kernel
+from plant.kernels.samples import fill, sampled_until
+from plant.kernels.step_news import note_changes, note_outrun, remember
 
 NOW = 0.0
 """Forces are those of this instant, not those of an instant ahead. Named, for the compiler: see ``layout.ZERO``."""
@@ -131,11 +133,6 @@ def advance(surface, parcel, work, scheme, span, times, out, events):
         note_changes(parcel, work, before, now, events)
         if work.law[im.PUSH_PER_SHARE] != 0.0:
             note_outrun(surface, parcel, work, now, decay(parcel.par, now), events)
-        while sampled < times.shape[0] and times[sampled] <= now:
-            for k in range(6):
-                out[sampled, k] = y[k]
-            sampled += 1
-    for i in range(sampled, times.shape[0]):
-        for k in range(6):
-            out[i, k] = y[k]
+        sampled = sampled_until(now, y, times, sampled, out)
+    fill(y, times, sampled, out)
     return now

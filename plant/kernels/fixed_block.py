@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.fixed_advance import advance
 from plant.kernels.jit import kernel
 from plant.kernels.parcels import LOG_CAPACITY
-from plant.kernels.pick import note_news, parcel_of
+from plant.kernels.pick import begin_turn, end_turn, note_news, parcel_of
 from plant.kernels.springs import surface_under
 
 
@@ -18,7 +17,6 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
     All as for ``plant.kernels.implicit_block.advance_block``, but that ``work`` is a
     ``plant.solvers.fixed_step.FixedWork``.
     """
-    law, pace = work.pulls.law, work.pulls.pace
     used, noted = at.ZERO, at.ZERO
     for n in range(block.shape[0]):
         if used + LOG_CAPACITY > events.shape[0]:
@@ -26,16 +24,12 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
         i = block[n]
         parcel = parcel_of(parcels, i)
         changes = parcel.ctl[at.N_EVENTS]
-        for k in range(im.LAW_SIZE):
-            law[k] = laws[i, k]
-        for k in range(im.PACE_SIZE):
-            pace[k] = paces[i, k]
+        begin_turn(work.pulls, laws, paces, i)
         log = events[used : used + LOG_CAPACITY]
         moved = advance(
             surface_under(surface, i), parcel, work.pulls, work.scheme, span, times, out[:, i], log
         )
-        for k in range(im.PACE_SIZE):
-            paces[i, k] = pace[k]
+        end_turn(work.pulls, paces, i)
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
         used += logged
     return block.shape[0], noted

@@ -12,14 +12,15 @@ from math import cos, exp, sin
 from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.advance import finite
-from plant.kernels.changes import log
 from plant.kernels.footprint import box, inside
 from plant.kernels.impacts import allowed, strike
 from plant.kernels.implicit_step import EPSILON, grasp, new_velocity, regime
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
+from plant.kernels.samples import fill, sampled_until
 from plant.kernels.springs import reach, smooth, touches
-from plant.kernels.wheel_speeds import extrapolate, keep, slow, speed, tabulate, take_back
+from plant.kernels.step_news import note_changes, note_outrun, remember, same
+from plant.kernels.wheel_speeds import extrapolate, keep, slow, tabulate, take_back
 
 PARTS = 4
 """Into how many parts a controlled step is cut at most."""
@@ -168,17 +169,6 @@ def length(state, first, parcel):
 
 
 @kernel
-def same(parcel, work, before):
-    """Whether the cells under the parcel, and those that carry load, are as ``remember`` kept them."""
-    if parcel.ctl[at.N_MEMBERS] != before:
-        return False
-    for i in range(before):
-        if parcel.mem[i, at.CELL] != work.kept[i, 0] or parcel.mem[i, at.MARK] != work.kept[i, 1]:
-            return False
-    return True
-
-
-@kernel
 def unseen(surface, parcel, work, now, h, before):
     """Error, m, by a change in the first or last part of a step just taken, which extrapolation can't see.
 
@@ -246,63 +236,6 @@ def longest(par, now, left):
 
 
 @kernel
-def remember(parcel, work):
-    """Keep which cells are under the parcel, and which of them carry load."""
-    for i in range(parcel.ctl[at.N_MEMBERS]):
-        work.kept[i, 0], work.kept[i, 1] = parcel.mem[i, at.CELL], parcel.mem[i, at.MARK]
-    return parcel.ctl[at.N_MEMBERS]
-
-
-@kernel
-def note_changes(parcel, work, before, now, events):
-    """Log what is not as ``remember`` kept it. Returns how many changes."""
-    mem, ctl, kept, where = parcel.mem, parcel.ctl, work.kept, work.where
-    changes = at.ZERO
-    for i in range(ctl[at.N_MEMBERS]):
-        where[mem[i, at.CELL]] = 1 + mem[i, at.MARK]
-    for i in range(before):
-        cell, mark = kept[i, 0], where[kept[i, 0]] - 1
-        if mark != kept[i, 1]:
-            kind = at.LEAVE if mark < 0 else (at.UNLOAD if mark == at.LIFTED else at.TOUCH)
-            log(events, ctl, now, kind, cell, at.NO_CELL)
-            changes += 1
-        where[cell] = 0
-    for i in range(ctl[at.N_MEMBERS]):
-        cell = mem[i, at.CELL]
-        if where[cell] != 0:
-            log(events, ctl, now, at.ENTER, cell, at.NO_CELL)
-            changes += 1
-            where[cell] = 0
-    ctl[at.N_EVENTS] += changes
-    return changes
-
-
-@kernel
-def outran(velocity, speed):
-    """Whether the underside is faster than a wheel in the wheel's own direction, or moves where the wheel stands."""
-    zero = 1e-9 * abs(speed) + 1e-12
-    return velocity * speed > (abs(speed) + zero) * abs(speed) or (speed == 0.0 and abs(velocity) > zero)
-
-
-@kernel
-def note_outrun(surface, parcel, work, now, e, events):
-    """Log where a law that takes every wheel to outrun the parcel begins not to hold."""
-    y, mem, ctl, pace = parcel.y, parcel.mem, parcel.ctl, work.pace
-    first = at.NO_CELL
-    for i in range(ctl[at.N_MEMBERS]):
-        cell = mem[i, at.CELL]
-        if mem[i, at.MARK] == at.ACTIVE and surface.grip[cell] != 0.0 and first < 0:
-            vx = y[at.UX] - y[at.OMEGA] * (surface.pos[cell, 1] - y[1])
-            vy = y[at.UY] + y[at.OMEGA] * (surface.pos[cell, 0] - y[0])
-            wheel_x, wheel_y = speed(work, surface, cell, e)
-            if outran(vx, wheel_x) or outran(vy, wheel_y):
-                first = cell
-    if first >= 0 and pace[im.OUTRUN] == 0.0:
-        log(events, ctl, now, at.OUTRAN, first, at.NO_CELL)
-    pace[im.OUTRUN] = 1.0 if first >= 0 else 0.0
-
-
-@kernel
 def step(surface, parcel, work, now, left, events):
     """One step of at most ``left`` seconds and what it changed. Returns (status, seconds, attempts)."""
     pace, attempts = work.pace, 1
@@ -365,11 +298,6 @@ def advance(surface, parcel, work, span, times, out, events):
         ctl[at.STATUS] = status
         if status == at.MOVING and attempts > STEPS_PER_CALL + STEPS_PER_SECOND * span:
             ctl[at.STATUS] = im.ENDLESS_STEPS
-        while sampled < times.shape[0] and times[sampled] <= now:
-            for k in range(6):
-                out[sampled, k] = y[k]
-            sampled += 1
-    for i in range(sampled, times.shape[0]):
-        for k in range(6):
-            out[i, k] = y[k]
+        sampled = sampled_until(now, y, times, sampled, out)
+    fill(y, times, sampled, out)
     return now

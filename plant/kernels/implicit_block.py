@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.implicit_advance import advance
 from plant.kernels.jit import kernel
 from plant.kernels.parcels import LOG_CAPACITY
-from plant.kernels.pick import note_news, parcel_of
+from plant.kernels.pick import begin_turn, end_turn, note_news, parcel_of
 from plant.kernels.springs import surface_under
 from plant.kernels.wheel_speeds import full, hand_over
 
@@ -39,15 +38,11 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
         i = block[n]
         parcel = parcel_of(parcels, i)
         changes = parcel.ctl[at.N_EVENTS]
-        for k in range(im.LAW_SIZE):
-            work.law[k] = laws[i, k]
-        for k in range(im.PACE_SIZE):
-            work.pace[k] = paces[i, k]
+        begin_turn(work, laws, paces, i)
         log = events[used : used + LOG_CAPACITY]
         moved = advance(surface_under(surface, i), parcel, work, span, times, out[:, i], log)
         hand_over(work, parcel, span - moved)
-        for k in range(im.PACE_SIZE):
-            paces[i, k] = work.pace[k]
+        end_turn(work, paces, i)
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
         used += logged
     return block.shape[0], noted

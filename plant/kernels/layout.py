@@ -145,7 +145,6 @@ ONLY_FAR: Final = 5
 CORNER: Final = 6
 LINE: Final = 7
 CAPTURE_BEGINS: Final = 8
-CAPTURE_ENDS: Final = 9
 TIP: Final = 10
 OUTRAN: Final = 11
 SWITCH: Final = 12

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
 from plant.kernels.parcels import CHANGES, LOG_CAPACITY, LOGGED, MOVED, WHICH, Parcel
@@ -34,3 +35,19 @@ def note_news(ctl, i, moved, changes, report, noted):
     row = report[noted]
     row[WHICH], row[MOVED], row[CHANGES], row[LOGGED] = i, moved, ctl[at.N_EVENTS] - changes, logged
     return noted + 1, logged
+
+
+@kernel
+def begin_turn(work, laws, paces, i):
+    """Copy law and pace of parcel ``i`` into a ``plant.solvers.implicit.Work``."""
+    for k in range(im.LAW_SIZE):
+        work.law[k] = laws[i, k]
+    for k in range(im.PACE_SIZE):
+        work.pace[k] = paces[i, k]
+
+
+@kernel
+def end_turn(work, paces, i):
+    """Copy the pace, as it has become, back."""
+    for k in range(im.PACE_SIZE):
+        paces[i, k] = work.pace[k]

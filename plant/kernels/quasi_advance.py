@@ -11,9 +11,11 @@ from math import exp, isfinite
 
 from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
-from plant.kernels.implicit_advance import length, note_changes, remember
+from plant.kernels.implicit_advance import length
 from plant.kernels.jit import kernel
 from plant.kernels.quasi_step import velocity
+from plant.kernels.samples import fill, sampled_until
+from plant.kernels.step_news import note_changes, remember
 
 JUMP = 1e-2
 """A step however short may be wrong by this share of the tolerance: a jump of the velocity can't be had for less."""
@@ -169,11 +171,6 @@ def advance(surface, parcel, work, span, times, out, events):
         status, h = step(surface, parcel, work, now, target - now, events)
         ctl[at.STATUS] = status
         now = target if h >= target - now else now + h
-        while sampled < times.shape[0] and times[sampled] <= now:
-            for k in range(6):
-                out[sampled, k] = y[k]
-            sampled += 1
-    for i in range(sampled, times.shape[0]):
-        for k in range(6):
-            out[i, k] = y[k]
+        sampled = sampled_until(now, y, times, sampled, out)
+    fill(y, times, sampled, out)
     return now
