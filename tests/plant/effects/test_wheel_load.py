@@ -222,6 +222,26 @@ def test_fixed_steps_are_of_first_order_in_the_wheels_too() -> None:
     assert np.log2(np.array(off[:-1]) / off[1:]) == pytest.approx([1.0, 1.0], abs=0.15)
 
 
+@pytest.mark.parametrize("step_s", [2e-3, 0.05])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_in_steps_of_any_length_wheels_lose_what_the_parcel_gets_less_what_motors_make_up(
+    step_s: float, axis: int
+) -> None:
+    """Speed and encoder together: ``m sum (D + integral of D / tau) = -M U`` for what the load takes, D, of speeds."""
+    plant = Plant(scene(VISCOUS, box(angle_rad=0.0), solver={"step_s": step_s}))
+    drives = np.zeros((len(plant.array), 2))
+    drives[:, axis] = VOLTS
+    plant.advance(drives, SECOND // 5)
+    encoders = plant.sense().encoder_m
+    assert encoders is not None
+    settled = -np.expm1(-0.2 / TAU)
+    slower = plant.wheel_speed[:, axis] - settled
+    behind = encoders[:, axis] - (0.2 - TAU * settled)
+    assert slower.min() < -0.02
+    lost = INERTIA * np.sum(slower + behind / TAU)
+    assert lost == pytest.approx(-MASS * plant.state[0, 3 + axis], abs=1e-12)
+
+
 def test_many_calls_come_to_what_one_does() -> None:
     whole, parts = (Plant(scene(VISCOUS, box(velocity_m_s=(0.3, 0.2)))) for _ in range(2))
     volts = field(whole)
