@@ -18,7 +18,7 @@ class WheelLoadSpec(EffectSpec):
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
     needs: ClassVar[tuple[str, ...]] = ("motors",)
-    excludes: ClassVar[tuple[str, ...]] = ("roller_impacts", "parcel_contact")
+    excludes: ClassVar[tuple[str, ...]] = ("parcel_contact",)
     states: ClassVar[tuple[str, ...]] = ("what its load took from every wheel's speed and travel",)
     rung: ClassVar[int | None] = 40
     inertia_kg: Positive

@@ -12,7 +12,7 @@ def rollers_under(surface, i):
     """The wheels' rollers as parcel ``i`` meets them."""
 
 
-def allowed(surface, parcel, now, h):
+def allowed(surface, parcel, work, now, h):
     """How long a step may be that wants to be ``h``, s."""
 
 
@@ -26,7 +26,7 @@ def _no_rollers(_surface, _i):
 
 
 @answer(allowed, "rollers", own=False)
-def _any_length(_surface, _parcel, _now, h):
+def _any_length(_surface, _parcel, _work, _now, h):
     return h
 
 

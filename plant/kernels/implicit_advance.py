@@ -245,11 +245,11 @@ def step(surface, parcel, work, now, left, events):
     before = remember(parcel, work)
     if pace[im.FIXED] > 0.0:
         # equal steps up to where a state is asked for, none longer than said
-        most = allowed(surface, parcel, now, pace[im.FIXED])
+        most = allowed(surface, parcel, work, now, pace[im.FIXED])
         h = left / max(1.0, -((1e-9 - left / most) // 1.0))
         status = cut(surface, parcel, work, now, h, im.ONE_PART)
     else:
-        most = allowed(surface, parcel, now, min(longest(parcel.par, now, left), pace[im.NEXT]))
+        most = allowed(surface, parcel, work, now, min(longest(parcel.par, now, left), pace[im.NEXT]))
         status, h, attempts = controlled(surface, parcel, work, now, most, before)
     if status == at.MOVING and not finite(parcel.y):
         status = at.NOT_FINITE

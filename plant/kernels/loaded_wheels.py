@@ -23,11 +23,14 @@ from plant.kernels.implicit_pull import pull
 from plant.kernels.jit import kernel
 from plant.kernels.questions import answer
 from plant.kernels.wheel_speeds import (
+    begun,
     extrapolate,
     full,
     hand_over,
     keep,
     lighten,
+    lightness,
+    recoil,
     slow,
     speed,
     tabulate,
@@ -72,6 +75,27 @@ def _speed(work, surface, cell, e):
     vx, vy = unloaded(surface, cell, e)
     k = work.slowing.place[cell]
     return (vx, vy) if k < 0 else (vx + work.slowing.now[k, 0], vy + work.slowing.now[k, 1])
+
+
+@answer(begun, "slowing", own=True)
+def _begun(work, surface, cell, e):
+    vx, vy = unloaded(surface, cell, e)
+    k = work.slowing.place[cell]
+    return (vx, vy) if k < 0 else (vx + work.slowing.begin[k, 0], vy + work.slowing.begin[k, 1])
+
+
+@answer(lightness, "slowing", own=True)
+def _lightness(work):
+    return 1.0 / work.law[im.WHEEL]
+
+
+@answer(recoil, "slowing", own=True)
+def _recoil(work, cell, axis, impulse):
+    slowing = work.slowing
+    k = slowing.place[cell]
+    if k < 0:
+        k = enlist(slowing, cell)
+    slowing.now[k, axis] -= impulse / work.law[im.WHEEL]
 
 
 @answer(lighten, "slowing", own=True)

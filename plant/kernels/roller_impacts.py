@@ -14,16 +14,15 @@ from plant.kernels.impacts import allowed, rollers_under, strike
 from plant.kernels.implicit_advance import decay
 from plant.kernels.jit import kernel
 from plant.kernels.questions import answer
-from plant.kernels.slips import lever, slip_now
+from plant.kernels.slips import lever
 from plant.kernels.springs import gap, plane_at, stiffness
 from plant.kernels.surface import Rollers
+from plant.kernels.wheel_speeds import begun, lightness, recoil, speed, unloaded
 
 PART = 0.25
 """Longest step, in spacings of slip at the fastest wheel."""
 SHORTEST = 1e-5
 """Rollers may pass more than one in a step where it would have to be shorter, s: each still strikes."""
-WHOLE = 1.0
-"""A wheel without load runs at its own speed."""
 
 
 @answer(rollers_under, "rollers", own=True)
@@ -33,8 +32,8 @@ def _own(surface, i):
 
 
 @answer(allowed, "rollers", own=True)
-def _one_roller(surface, parcel, now, h):
-    fastest, way_m = fastest_slip(surface, parcel, now), PART * surface.rollers.spacing_m
+def _one_roller(surface, parcel, work, now, h):
+    fastest, way_m = fastest_slip(surface, parcel, work, now), PART * surface.rollers.spacing_m
     return h if fastest * h <= way_m else min(h, max(way_m / fastest, SHORTEST))
 
 
@@ -54,25 +53,34 @@ def _strike(surface, parcel, work, now, h):
         ry = surface.pos[cell, 1] - parcel.y[1] - work.seg[at.CY]
         share = max(stiffness(surface, cell, i) * (a0 + bx * rx + by * ry - gap(surface, cell)), 0.0)
         for axis in range(2):
-            slip, _ = slip_now(surface, work.begin, WHOLE, before, cell, axis)
-            slip_after, _ = slip_now(surface, work.end, WHOLE, after, cell, axis)
+            slip = slip_at(begun(work, surface, cell, before), surface, work.begin, cell, axis)
+            slip_after = slip_at(speed(work, surface, cell, after), surface, work.end, cell, axis)
             struck = pass_by(rollers, cell, axis, 0.5 * h * (slip + slip_after))
             if struck != 0.0:
-                push(surface, parcel, after, cell, axis, struck * rollers.impulse_m_s * share)
+                push(surface, parcel, work, after, cell, axis, struck * rollers.impulse_m_s * share)
 
 
 @kernel
-def fastest_slip(surface, parcel, now):
+def slip_at(wheels, surface, y, cell, axis):
+    """Slip along an axis of a cell's wheels, which run at ``wheels`` (vx, vy), m/s."""
+    return wheels[axis] - y[at.UX + axis] - lever(surface, y, cell, axis) * y[at.OMEGA]
+
+
+@kernel
+def fastest_slip(surface, parcel, work, now):
     """Speed that no slip under the parcel exceeds as the motors settle, nor any corner's way over the cells, m/s."""
     y, e = parcel.y, decay(parcel.par, now)
     fastest = (y[at.UX] * y[at.UX] + y[at.UY] * y[at.UY]) ** 0.5 + parcel.par[at.RADIUS] * abs(y[at.OMEGA])
     for i in range(parcel.ctl[at.N_MEMBERS]):
         cell = parcel.mem[i, at.CELL]
         if parcel.mem[i, at.MARK] == at.ACTIVE and surface.grip[cell] != 0.0:
+            wheels, without = speed(work, surface, cell, e), unloaded(surface, cell, e)
             for axis in range(2):
-                slip, _ = slip_now(surface, y, WHOLE, e, cell, axis)
-                # what is left of the motors' transient goes: the wheel's speed stays between the two
+                # what is left of the motors' transient goes, and what a load took comes back: the wheel's speed stays
+                # between these
+                slip = slip_at(without, surface, y, cell, axis)
                 fastest = max(fastest, abs(slip), abs(slip - e * surface.decay[cell, axis]))
+                fastest = max(fastest, abs(slip_at(wheels, surface, y, cell, axis)))
     return fastest
 
 
@@ -88,12 +96,16 @@ def pass_by(rollers, cell, axis, way):
 
 
 @kernel
-def push(surface, parcel, e, cell, axis, impulse):
-    """Strike the parcel at a wheel along an axis, by at most what stops the slip there; ``impulse`` per kg, m/s."""
+def push(surface, parcel, work, e, cell, axis, impulse):
+    """Strike the parcel at a wheel along an axis, by at most what stops the slip there; ``impulse`` per kg, m/s.
+
+    A wheel that feels what it pulls is struck back.
+    """
     y, per_inertia = parcel.y, parcel.par[at.MASS_OVER_INERTIA]
     arm = lever(surface, y, cell, axis)
-    slip, _ = slip_now(surface, y, WHOLE, e, cell, axis)
-    stops = slip / (1.0 + arm * arm * per_inertia)
+    slip = slip_at(speed(work, surface, cell, e), surface, y, cell, axis)
+    stops = slip / (1.0 + arm * arm * per_inertia + lightness(work))
     given = min(max(stops, 0.0), impulse) if impulse > 0.0 else max(min(stops, 0.0), impulse)
     y[at.UX + axis] += given
     y[at.OMEGA] += arm * given * per_inertia
+    recoil(work, cell, axis, given)

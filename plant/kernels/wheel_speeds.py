@@ -14,6 +14,18 @@ def speed(work, surface, cell, e):
     """Surface speed of a cell's wheels now (vx, vy), ``e`` being the motors' decay factor."""
 
 
+def begun(work, surface, cell, e):
+    """The same where the step began that was ``keep``'s, ``e`` being the factor then."""
+
+
+def lightness(work):
+    """The parcel's mass over that of a wheel as the surface feels it."""
+
+
+def recoil(work, cell, axis, impulse):
+    """Take from a wheel, per kilogram of the parcel, the impulse that it gives along an axis, m/s."""
+
+
 def lighten(work, parcel, row, cell, share, h):
     """Let the wheels in ``work.wheels[row]``, under a ``share`` of the weight, give way in a step of ``h``."""
 
@@ -97,3 +109,18 @@ def _nothing_to_tell(_work, _parcel, _left):
 @answer(speed, "slowing", own=False)
 def _of_the_motor(_work, surface, cell, e):
     return unloaded(surface, cell, e)
+
+
+@answer(begun, "slowing", own=False)
+def _of_the_motor_then(_work, surface, cell, e):
+    return unloaded(surface, cell, e)
+
+
+@answer(lightness, "slowing", own=False)
+def _heavy(_work):
+    return 0.0
+
+
+@answer(recoil, "slowing", own=False)
+def _unshaken(_work, _cell, _axis, _impulse):
+    return

@@ -23,6 +23,8 @@ INERTIA = 0.3
 MASS = 2.0
 VOLTS = 10.0
 """For 1 m/s."""
+ROLLERS = {"spacing_m": 2e-3, "impulse_s": 1e-3}
+"""They pull more than the law does."""
 Pull = Callable[[Floats, Floats, Floats], Floats]
 LAWS = [VISCOUS, COULOMB, CONE, SLIDING]
 NAMES = ["viscous", "coulomb", "cone", "sliding"]
@@ -35,6 +37,7 @@ def scene(
     tau: float = TAU,
     solver: dict[str, object] | None = None,
     width_m: float | None = None,
+    rollers: dict[str, float] | None = None,
     **array: object,
 ) -> PlantSpec:
     """A small array of motors, which feel what they pull but where ``inertia_kg`` is None."""
@@ -43,6 +46,8 @@ def scene(
         effects["wheel_load"] = {"inertia_kg": inertia_kg}
     if width_m is not None:
         effects["contact_width"] = {"width_m": width_m}
+    if rollers is not None:
+        effects["roller_impacts"] = rollers
     values = dict(spec(*bodies, **({"rows": 8, "columns": 10} | array)))  # type: ignore[arg-type]
     values |= {"friction": law, "effects": effects}
     values["solver"] = {"name": "implicit"} | ({"tolerance": 1e-9} if solver is None else solver)
@@ -210,6 +215,22 @@ def test_on_wheels_without_command_long_steps_gain_no_energy(
         before = after
 
 
+def test_rollers_however_hard_add_no_energy_to_parcel_and_wheels_together() -> None:
+    """Light wheels: an impact that stopped the slip as if they were fast would throw them back."""
+    body = box(velocity_m_s=(0.3, 0.1), angular_velocity_rad_s=1.0)
+    slick = VISCOUS.model_copy(update={"coefficient_s_per_m": 1e-9})
+    plant = Plant(scene(slick, body, tau=1e6, rollers={"spacing_m": 2e-3, "impulse_s": 1.0}))
+    still = np.zeros((len(plant.array), 2))
+    told = [energy(plant, INERTIA)]
+    for tick in range(1, 40):
+        plant.advance(still, tick * SECOND // 1000)
+        told.append(energy(plant, INERTIA))
+    assert np.diff(told).max() <= 1e-9 * told[0]
+    assert np.abs(plant.wheel_speed).max() > 0.05
+    # what is left is what parcel and some twenty wheels that run along with it have together
+    assert told[-1] < 0.6 * told[0]
+
+
 def test_fixed_steps_are_of_first_order_in_the_wheels_too() -> None:
     fine = Plant(scene(VISCOUS, box()))
     volts = field(fine)
@@ -222,13 +243,14 @@ def test_fixed_steps_are_of_first_order_in_the_wheels_too() -> None:
     assert np.log2(np.array(off[:-1]) / off[1:]) == pytest.approx([1.0, 1.0], abs=0.15)
 
 
+@pytest.mark.parametrize("rollers", [None, ROLLERS], ids=["smooth", "rollers"])
 @pytest.mark.parametrize("step_s", [2e-3, 0.05])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_in_steps_of_any_length_wheels_lose_what_the_parcel_gets_less_what_motors_make_up(
-    step_s: float, axis: int
+    step_s: float, axis: int, rollers: dict[str, float] | None
 ) -> None:
     """Speed and encoder together: ``m sum (D + integral of D / tau) = -M U`` for what the load takes, D, of speeds."""
-    plant = Plant(scene(VISCOUS, box(angle_rad=0.0), solver={"step_s": step_s}))
+    plant = Plant(scene(VISCOUS, box(angle_rad=0.0), solver={"step_s": step_s}, rollers=rollers))
     drives = np.zeros((len(plant.array), 2))
     drives[:, axis] = VOLTS
     plant.advance(drives, SECOND // 5)
