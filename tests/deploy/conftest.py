@@ -1,7 +1,8 @@
-"""A small made-up run, and ways to record it."""
+"""Signals as they were after every test; a small made-up run, and ways to record it."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,15 @@ from deploy.recordings.format import Header
 from deploy.recordings.recorder import Recorder
 
 PERIOD_NS = 4_096_000
+
+
+@pytest.fixture(autouse=True)
+def signals_again() -> Iterator[None]:
+    """A command that is interrupted ignores further signals for good, and so would every process started after it."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @dataclass
