@@ -68,7 +68,7 @@ def _figure(scene: Scene, climbed: Sequence[Climbed]) -> Figure:
 
 def _draw_points(axes: Axes, points: Sequence[Point]) -> None:
     """The rungs with their numbers; what is no distance from the top, at the axis' foot."""
-    from matplotlib.ticker import NullLocator
+    from matplotlib.ticker import LogLocator, NullLocator
 
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -92,6 +92,8 @@ def _draw_points(axes: Axes, points: Sequence[Point]) -> None:
     )  # fmt: skip
     axes.set_ylim(0.5 * foot, 3.0 * max(far, default=1.0))
     axes.margins(x=0.12)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("wall time of a run (s)")
     axes.set_ylabel("farthest corner at the end, from the top rung's (mm)")
