@@ -139,9 +139,18 @@ def test_a_quick_study_that_runs_out_of_time_lists_what_it_did_not_begin(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(studied, "QUICK_S", -1.0)
+    monkeypatch.setattr(studied, "QUICK_LEFT_S", -1.0)
     report = study(load_scene("elliptic", duration=0.05), PLAN)
     assert report.rows
     assert all(row.status == "omitted" and row.reason for row in report.rows)
+
+
+def test_a_quick_study_of_many_parcels_does_without_references_made_one_parcel_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(studied, "QUICK_PARCELS", 0)
+    report = study(load_scene("elliptic", duration=0.05), PLAN)
+    assert report.reference.method.startswith("implicit")
 
 
 def test_a_scene_without_parcels_is_refused() -> None:
