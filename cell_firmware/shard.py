@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.partition import Partition
-from cell_firmware.controller import Controller
+from cell_firmware.controller import Controller, Instant
 from cell_firmware.effects.stage import Stage
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox
+from cell_firmware.specs import nanoseconds
 
 Indices = NDArray[np.int64]
 
@@ -59,7 +60,7 @@ class Shard:
     order of ``partition.outgoing(shard)`` and ``partition.incoming(shard)``.
 
     Args:
-        controller: Firmware and speed loop.
+        controller: Of the cells.
         cells: All cells of the array, in the lattice's order.
         partition: How the array is cut.
         shard: Which part of it this is.
@@ -89,9 +90,11 @@ class Shard:
         self._controller = controller
         self._effects = effects or {}
         self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
-        self._message = controller.firmware.message
+        self._message = controller.message
         self._state = controller.init(cells.take(self.indices))
         self._active: Indices | None = None  # rows still alive, once some are not
+        self._retired = Counter[str]()  # what the others' boards had counted
+        self._period_ns = nanoseconds(cells.period_s)
         self._tick = -1
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         self._outgoing = np.zeros(self._n * 4, dtype=self._message or np.bool_)
@@ -144,7 +147,8 @@ class Shard:
             active = self._active
             if active is not None:
                 inputs = inputs.take(active)
-            self._state, outputs = self._controller.step(tick, self._state, inputs)
+            now = Instant(tick, np.array(tick * self._period_ns))
+            self._state, outputs = self._controller.step(now, self._state, inputs)
             if active is None:
                 drive = outputs.drive
             else:
@@ -202,14 +206,18 @@ class Shard:
             return
         rows = np.flatnonzero(keep)
         self._active = rows if self._active is None else self._active[rows]
+        before = Counter(self._controller.counted(self._state))
         self._state = self._state.take(rows)
+        before.subtract(self._controller.counted(self._state))
+        self._retired.update(before)
 
     def counted(self) -> Counter[str]:
-        """What effects did to the shard's cells so far, by ``effect.what``."""
-        total = Counter[str]()
+        """What effects did to the shard's cells so far, and what their boards counted, by ``effect.what``."""
+        total = Counter(self._retired)
         for name, stages in self._effects.items():
             for stage in stages:
                 total.update({f"{name}.{what}": number for what, number in stage.counted.items()})
+        total.update(self._controller.counted(self._state))
         return total
 
     @property

@@ -2,40 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.errors import FirmwareError
+from cell_firmware.firmware import Cells, Floats, State
+from cell_firmware.parts import WheelPart
 from cell_firmware.specs import SpeedLoopSpec
 
-Floats = NDArray[np.float64]
-
 
 @final
-@dataclass(frozen=True, slots=True)
-class SpeedLoopState:
-    """What the loop remembers of n cells.
-
-    Attributes:
-        integral_v: ``(n, 2)``, the integral term, V.
-        encoder_m: ``(n, 2)``, the last reading, m.
-        seen: ``(n, 1)``: has there been a reading?
-    """
-
-    integral_v: Floats
-    encoder_m: Floats
-    seen: NDArray[np.bool_]
-
-    def take(self, indices: NDArray[np.int64]) -> SpeedLoopState:
-        """The state of these cells alone, in this order."""
-        return SpeedLoopState(self.integral_v[indices], self.encoder_m[indices], self.seen[indices])
-
-
-@final
-class SpeedLoop:
+class SpeedLoop(WheelPart):
     """PI with saturation and anti-windup, for both wheels of n cells.
 
     Measured speed is the encoder's travel since the last tick over the period (0 at the first reading)::
@@ -61,30 +40,29 @@ class SpeedLoop:
         self.period_s = float(period_s)
         self.supply_v = float(supply_v)
 
-    def init(self, n: int) -> SpeedLoopState:
-        """The state of n cells before tick 0."""
-        return SpeedLoopState(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 1), dtype=np.bool_))
+    def init(self, cells: Cells) -> State:
+        """Integral terms ``(n, 2)`` V, the last readings ``(n, 2)`` m, and whether there was one, ``(n, 1)``."""
+        n = len(cells)
+        return {
+            "integral_v": np.zeros((n, 2)),
+            "encoder_m": np.zeros((n, 2)),
+            "seen": np.zeros((n, 1), dtype=np.bool_),
+        }
 
-    def step(
-        self, state: SpeedLoopState, reference_m_s: Floats, encoder_m: Floats
-    ) -> tuple[SpeedLoopState, Floats]:
-        """One control period.
-
-        Args:
-            state: Of the n cells.
-            reference_m_s: ``(n, 2)``, wanted surface speed, m/s.
-            encoder_m: ``(n, 2)``, surface travel since the start, m.
-
-        Returns:
-            The next state, and ``(n, 2)`` motor voltages.
-        """
+    def step(self, state: State, reference_m_s: Floats, encoder_m: Floats) -> tuple[State, Floats]:
+        """One control period."""
         spec = self.spec
-        measured = np.where(state.seen, (encoder_m - state.encoder_m) / self.period_s, 0.0)
+        measured = np.where(state["seen"], (encoder_m - state["encoder_m"]) / self.period_s, 0.0)
         error = reference_m_s - measured
         ahead = spec.feed_forward_v_per_m_s * reference_m_s + spec.kp_v_per_m_s * error
-        grown = state.integral_v + spec.ki_v_per_m * error * self.period_s
+        grown = state["integral_v"] + spec.ki_v_per_m * error * self.period_s
         wanted = ahead + grown
         winding = ((wanted > self.supply_v) & (error > 0.0)) | ((wanted < -self.supply_v) & (error < 0.0))
-        integral = np.where(winding, state.integral_v, grown)
+        integral = np.where(winding, state["integral_v"], grown)
         volts = np.minimum(np.maximum(wanted, -self.supply_v), self.supply_v)
-        return SpeedLoopState(integral, encoder_m.copy(), np.ones_like(state.seen)), volts
+        after = {"integral_v": integral, "encoder_m": encoder_m.copy(), "seen": np.ones_like(state["seen"])}
+        return after, volts
+
+    def registers(self, state: State) -> dict[str, NDArray[Any]]:
+        """The integral terms, V."""
+        return {"integral_v": state["integral_v"]}

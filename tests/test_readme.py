@@ -10,7 +10,7 @@ import pytest
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.controller import Controller
+from cell_firmware.board import Board
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
@@ -45,7 +45,7 @@ def test_the_readme_s_firmware_passes_a_parcel_on_to_the_next_cell(tmp_path: Pat
     spec = CellsSpec(firmware=str(tmp_path / "conveyor.py"))
     lattice = Lattice((0, column) for column in range(3))
     cells = Cells.of(lattice, np.stack((0.1 * lattice.columns, 0.1 * lattice.rows), axis=1), spec.period_s)
-    shard = Shard(Controller(load(spec)), cells, Partition.even(lattice, 1), 0)
+    shard = Shard(Board(load(spec)), cells, Partition.even(lattice, 1), 0)
     parcel = np.array([[True], [False], [False]])
     assert shard.step(0, parcel).drive[:, 0].tolist() == [0.2, 0.0, 0.0]
     assert shard.step(1, parcel).drive[:, 0].tolist() == [0.2, 0.2, 0.0]

@@ -71,9 +71,12 @@ class Stage(ABC):
         self.counted[name] += int(np.count_nonzero(happened[alive]))
 
 
-class CellEffectSpec(EffectSpec, ABC):
-    """An effect of the cells: assembled once, when a shard is built; what it does not need is not there."""
+class CellEffectSpec(EffectSpec):
+    """An effect of the cells: assembled once, when a shard is built; what it does not need is not there.
 
-    @abstractmethod
-    def stages(self, site: Site) -> Iterator[Stage]:
+    It acts on what cells see, as stages, or it is a part of their board: see ``cell_firmware.assembly``.
+    """
+
+    def stages(self, site: Site) -> Iterator[Stage]:  # noqa: ARG002
         """What the shard's inputs have to pass, in this order; nothing where the settings change nothing."""
+        yield from ()

@@ -11,7 +11,7 @@ from bus.errors import BusError, TransportError
 from deploy.errors import InputError
 from deploy.processes.cells_side import CellsSide, WorkerProcesses, WorkerThread
 from deploy.processes.plan import Plan
-from deploy.processes.worker import Order, firmware_of
+from deploy.processes.worker import Order, controller_of
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts, Host
@@ -115,7 +115,7 @@ class System:
             run=plan.run,
             sensors=len(scene.array.sensors_m),
             encoders=encoders,
-            message=firmware_of(scene).message,
+            message=controller_of(scene).message,
             stall=scene.stall,
         )
         self._cells.start(order)

@@ -15,7 +15,7 @@ from deploy.faults.schedule import Deaths, deaths
 
 if TYPE_CHECKING:
     from bus.lockstep import FormName
-    from cell_firmware.firmware import Firmware
+    from cell_firmware.controller import Controller
     from cell_firmware.shard import Shard
     from deploy.scene import Scene
     from plant.array import CellArray
@@ -93,30 +93,28 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     member.close()
 
 
-def firmware_of(scene: Scene) -> Firmware:
-    """The firmware that a scene asks for."""
+def controller_of(scene: Scene) -> Controller:
+    """The controller that a scene gives every cell."""
+    from cell_firmware.assembly import Motors, assemble
     from cell_firmware.loader import load
 
-    return load(scene.cells)
+    motors = scene.effects.motors
+    return assemble(
+        load(scene.cells), scene.cells, scene.effects, None if motors is None else Motors(motors.supply_v)
+    )
 
 
 def _shard(order: Order, shard: int) -> Shard:
-    from cell_firmware.controller import Controller
     from cell_firmware.effects.stage import Site
     from cell_firmware.firmware import Cells
     from cell_firmware.shard import Shard
-    from cell_firmware.speed_loop import SpeedLoop
 
     scene, array = order.scene, order.array
-    period_s = scene.cells.period_s
-    loop = None
-    if scene.speed_loop is not None and scene.effects.motors is not None:
-        loop = SpeedLoop(scene.speed_loop, period_s, scene.effects.motors.supply_v)
-    firmware, sensors = firmware_of(scene), len(scene.array.sensors_m)
-    site = Site(order.partition.cells(shard), sensors, firmware.message, scene.seed)
+    controller, sensors = controller_of(scene), len(scene.array.sensors_m)
+    site = Site(order.partition.cells(shard), sensors, controller.message, scene.seed)
     return Shard(
-        Controller(firmware, loop),
-        Cells.of(array.lattice, array.positions_m, period_s, sensors),
+        controller,
+        Cells.of(array.lattice, array.positions_m, scene.cells.period_s, sensors),
         order.partition,
         shard,
         scene.effects.stages(site),

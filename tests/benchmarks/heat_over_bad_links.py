@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.controller import Controller
+from cell_firmware.board import Board
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
@@ -54,7 +54,7 @@ def speeds(effects: CellEffects, seed: int, parameters: dict[str, Any]) -> NDArr
     cells = Cells.of(lattice, np.zeros((len(lattice), 2)), spec.period_s)
     firmware, partition = load(spec), Partition.even(lattice, 1)
     site = Site(partition.cells(0), 1, firmware.message, seed)
-    shard = Shard(Controller(firmware), cells, partition, 0, effects.stages(site))
+    shard = Shard(Board(firmware), cells, partition, 0, effects.stages(site))
     nothing = np.zeros((len(lattice), 1), dtype=np.bool_)
     found = [shard.step(tick, nothing).drive[:, 0] for tick in range(TICKS)]
     return np.array(found).reshape(TICKS, ROWS, COLUMNS)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.controller import Controller
+from cell_firmware.board import Board
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.errors import FirmwareFailed
@@ -54,7 +54,7 @@ class Lockstep:
         asked = CellEffects() if effects is None else effects
         self.shards = [
             Shard(
-                Controller(firmware, loop),
+                Board(firmware, loop),
                 cells_of(self.lattice),
                 partition,
                 s,

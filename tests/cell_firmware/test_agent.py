@@ -17,8 +17,8 @@ from bus.partition import Partition
 from bus.transports.memory import MemoryBus, MemoryEndpoint
 from bus.wire import SenseFrame
 from cell_firmware import agent
+from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
-from cell_firmware.controller import Controller
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.program import NoParameters
 from cell_firmware.protocols.heat_diffusion import HeatDiffusion, HeatDiffusionParameters
@@ -101,7 +101,7 @@ class System:
 
     def _cells(self, s: int) -> None:
         member = self.member(s)
-        shard = Shard(Controller(self.firmware), self.everything(self.partition.lattice), self.partition, s)
+        shard = Shard(Board(self.firmware), self.everything(self.partition.lattice), self.partition, s)
         member.ready(10.0)
         try:
             self.ended[s] = asyncio.run(agent.run(shard, member, self.endpoints[s]))
@@ -267,7 +267,7 @@ def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
     Host(endpoint, partition, "packed", run=RUN, sensors=1, encoders=False, message=HEAT.message)
     member = Member(ours, partition, 0, "packed", run=RUN, sensors=1, encoders=False, message=HEAT.message)
     member.ready(10.0)
-    shard = Shard(Controller(HEAT), everything(partition.lattice), partition, 0)
+    shard = Shard(Board(HEAT), everything(partition.lattice), partition, 0)
     threads = threading.active_count()
 
     async def main() -> None:

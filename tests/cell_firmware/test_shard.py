@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
+from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
-from cell_firmware.controller import Controller
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
@@ -175,7 +175,7 @@ def test_a_shard_whose_cells_are_all_gone_still_answers_with_zeros(
 
 
 def shard_of(firmware: Firmware, cells: Cells, lattice: Lattice) -> Shard:
-    return Shard(Controller(firmware), cells, Partition.each(lattice), 0)
+    return Shard(Board(firmware), cells, Partition.each(lattice), 0)
 
 
 def test_messages_leave_in_the_partitions_order_and_read_zero_where_nothing_was_sent(
@@ -184,7 +184,7 @@ def test_messages_leave_in_the_partitions_order_and_read_zero_where_nothing_was_
     lattice = grid(3, 3)
     partition = Partition(lattice, [[4], [0, 1, 2, 3, 5, 6, 7, 8]])
     outgoing = partition.outgoing(1)
-    shard = Shard(Controller(Echo(NoParameters())), everything(lattice), partition, 1)
+    shard = Shard(Board(Echo(NoParameters())), everything(lattice), partition, 1)
     shard.retire([(0, 1)])
     links = shard.step(0, np.zeros((8, 1), dtype=np.bool_)).links
     assert links is not None
@@ -220,6 +220,6 @@ def test_without_effects_nothing_stands_between_the_senses_and_the_firmware(
     assert CellEffects().stages(Site(np.arange(2), 1, Echo.message, 0)) == {}
     for effects in (None, EFFECTS["ordered"].stages(Site(np.arange(2), 1, None, 0))):
         firmware, presence = Looking(NoParameters()), np.ones((2, 1), dtype=np.bool_)
-        shard = Shard(Controller(firmware), everything(lattice), Partition.even(lattice, 1), 0, effects)
+        shard = Shard(Board(firmware), everything(lattice), Partition.even(lattice, 1), 0, effects)
         shard.step(0, presence)
         assert (firmware.seen.presence is presence) == (effects is None)

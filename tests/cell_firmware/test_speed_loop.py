@@ -4,7 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from bus.lattice import Lattice
 from cell_firmware.errors import FirmwareError
+from cell_firmware.firmware import Cells
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop import SpeedLoop
 
@@ -28,11 +30,15 @@ class Motor:
         self.speed = target + (self.speed - target) * decay
 
 
+def cells(n: int) -> Cells:
+    return Cells.of(Lattice((0, i) for i in range(n)), np.zeros((n, 2)), PERIOD_S)
+
+
 def closed(
     loop: SpeedLoop, reference: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speeds and voltages ``(ticks,)`` of one wheel that follows ``reference``."""
-    motor, state = Motor(), loop.init(1)
+    motor, state = Motor(), loop.init(cells(1))
     speeds, volts = [], []
     for wanted in reference:
         speeds.append(motor.speed[0, 0])
@@ -104,11 +110,11 @@ def test_a_reference_out_of_reach_does_not_wind_the_integral_up():
 
 def test_a_blocked_wheel_freezes_the_integral_at_the_supply():
     loop = SpeedLoop(SpeedLoopSpec(), PERIOD_S, SUPPLY_V)
-    state = loop.init(1)
+    state = loop.init(cells(1))
     for _ in range(10_000):
         state, volts = loop.step(state, np.array([[0.5, -0.5]]), np.zeros((1, 2)))
     np.testing.assert_array_equal(volts, [[SUPPLY_V, -SUPPLY_V]])
-    assert np.abs(state.integral_v).max() <= SUPPLY_V
+    assert np.abs(state["integral_v"]).max() <= SUPPLY_V
     state, volts = loop.step(state, np.array([[-0.5, 0.5]]), np.zeros((1, 2)))
     assert volts[0, 0] < SUPPLY_V / 2
     assert volts[0, 1] > -SUPPLY_V / 2
@@ -116,25 +122,27 @@ def test_a_blocked_wheel_freezes_the_integral_at_the_supply():
 
 def test_while_saturated_the_integral_still_moves_against_the_saturation():
     loop = SpeedLoop(SpeedLoopSpec(), PERIOD_S, 1.0)
-    state = loop.init(1)
+    state = loop.init(cells(1))
     for _ in range(1000):
         state, _ = loop.step(state, np.full((1, 2), 0.08), np.zeros((1, 2)))
-    before = state.integral_v[0, 0]
+    before = state["integral_v"][0, 0]
     state, _ = loop.step(state, np.full((1, 2), -5.0), np.zeros((1, 2)))
-    assert state.integral_v[0, 0] == before  # saturated at the other end now: frozen there too
+    assert state["integral_v"][0, 0] == before  # saturated at the other end now: frozen there too
     state, _ = loop.step(state, np.full((1, 2), -0.01), np.zeros((1, 2)))
-    assert state.integral_v[0, 0] < before
+    assert state["integral_v"][0, 0] < before
 
 
 def test_the_first_reading_counts_as_standing_still_whatever_the_encoder_says():
     loop = SpeedLoop(SpeedLoopSpec(), PERIOD_S, SUPPLY_V)
-    _, volts = loop.step(loop.init(1), np.zeros((1, 2)), np.array([[123.0, -4.0]]))
+    _, volts = loop.step(loop.init(cells(1)), np.zeros((1, 2)), np.array([[123.0, -4.0]]))
     np.testing.assert_array_equal(volts, [[0.0, 0.0]])
 
 
 def test_wheels_do_not_influence_each_other():
     loop = SpeedLoop(SpeedLoopSpec(), PERIOD_S, SUPPLY_V)
-    _, volts = loop.step(loop.init(3), np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]]), np.zeros((3, 2)))
+    _, volts = loop.step(
+        loop.init(cells(3)), np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]]), np.zeros((3, 2))
+    )
     assert (volts != 0).tolist() == [[True, False], [False, False], [False, True]]
     assert volts[0, 0] == -volts[2, 1]
 
@@ -151,7 +159,7 @@ def test_a_cell_alone_gets_the_same_bits_as_among_many(
     loop = SpeedLoop(SpeedLoopSpec(feed_forward_v_per_m_s=3.0), PERIOD_S, SUPPLY_V)
 
     def volts(chosen: slice) -> bytes:
-        state, _ = loop.step(loop.init(len(reference[chosen])), reference[chosen], first[chosen])
+        state, _ = loop.step(loop.init(cells(len(reference[chosen]))), reference[chosen], first[chosen])
         state, out = loop.step(state, reference[chosen], second[chosen])
         return out.tobytes()
 

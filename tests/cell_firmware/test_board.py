@@ -7,8 +7,8 @@ import pytest
 
 from bus.lattice import Lattice
 from bus.partition import Partition
+from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
-from cell_firmware.controller import Controller
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
@@ -174,7 +174,7 @@ def test_a_state_without_a_row_per_cell_is_refused(
             return state
 
     with pytest.raises(FirmwareFailed) as caught:
-        Controller(Odd(lambda *_: None)).init(everything(grid(2, 2)))
+        Board(Odd(lambda *_: None)).init(everything(grid(2, 2)))
     assert caught.value.problem == problem
     assert caught.value.cell == (0, 0)
 
@@ -191,7 +191,7 @@ def test_an_init_that_raises_for_one_cell_names_it(
     with pytest.raises(
         FirmwareFailed, match="firmware of cell 1,0 failed in tick 0: init: KeyError: 'not here'"
     ) as caught:
-        Controller(Picky(lambda *_: None)).init(everything(grid(2, 2)))
+        Board(Picky(lambda *_: None)).init(everything(grid(2, 2)))
     assert caught.value.trace.count("Traceback") == 1  # that of this cell alone
 
 

@@ -1,0 +1,274 @@
+"""A cell's board: its program, and the parts between the program and the pins."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
+from cell_firmware.errors import FirmwareError, FirmwareFailed
+from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.parts import LinkPart, Part, WheelPart
+
+_PROGRAM = "firmware"
+_WHEELS = "speed_loop"
+_LINKS = "serial"
+
+
+class _BadOutput(Exception):
+    """Firmware returned something of the wrong kind; no row in particular is to blame."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """What a program did in a step, looked through.
+
+    Attributes:
+        state: The program's.
+        speed_m_s: ``(n, 2)``, finite.
+        outbox: What it says; None for nothing at all.
+        failures: By index, of those that failed.
+    """
+
+    state: State
+    speed_m_s: Floats
+    outbox: Outbox | None
+    failures: dict[int, FirmwareFailed]
+
+
+@final
+class Board(Controller):
+    """Composes firmware and the parts of a board into one pure step.
+
+    Without parts it is the behavioural level: links hand over whole messages, drives are speeds.
+
+    Firmware that raises never raises through here: its cells are named in the outputs' ``failures``. For
+    array firmware, which can't say which cell was the cause, the tick is stepped again cell by cell from the
+    state before it; the cells that fail alone are the culprits, and the others get what they would have got.
+
+    Args:
+        firmware: The cells' program.
+        wheels: Given exactly where the wheels have motors.
+        links: What messages have to pass; None where links hand them over whole.
+    """
+
+    def __init__(
+        self, firmware: Firmware, wheels: WheelPart | None = None, links: LinkPart | None = None
+    ) -> None:
+        self.firmware = firmware
+        self.wheels = wheels
+        self.links = links
+        parts: dict[str, Part | None] = {_WHEELS: wheels, _LINKS: links}
+        self._parts = {name: part for name, part in parts.items() if part is not None}
+
+    @property
+    def message(self) -> np.dtype[Any] | None:
+        """What a link carries in a tick: a message of the firmware's, or what the serial lines make of it."""
+        return self.firmware.message if self.links is None else self.links.line
+
+    def init(self, cells: Cells) -> ControllerState:
+        """The state before tick 0.
+
+        Raises:
+            FirmwareFailed: The firmware's ``init`` raised, or made no arrays with a row per cell.
+        """
+        n = len(cells)
+        try:
+            program = frozen(_checked_state(self.firmware.init(cells), None, n))
+        except Exception as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
+            problem, trace = _described(error)
+        else:
+            parts = {name: frozen(part.init(cells)) for name, part in self._parts.items()}
+            return ControllerState(cells, {_PROGRAM: program, **parts})
+        if n > 1:  # find the first cell that fails alone
+            for i in range(n):
+                self.init(cells.take(np.array([i])))
+        raise FirmwareFailed(cells.name(0), 0, f"init: {problem}", trace)
+
+    def step(
+        self, now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """One control period."""
+        parts = dict(state.parts)
+        if self.links is not None and inputs.inbox is not None:
+            parts[_LINKS], inbox = self.links.receive(now, parts[_LINKS], inputs.inbox)
+            inputs = replace(inputs, inbox=inbox)
+        done = self._program(now.tick, state.cells, parts[_PROGRAM], inputs)
+        parts[_PROGRAM] = frozen(done.state)
+        drive, outbox = done.speed_m_s, done.outbox
+        if self.wheels is not None:
+            if inputs.encoder_m is None:
+                raise FirmwareError("this is a bug: a speed loop without encoders")
+            parts[_WHEELS], drive = self.wheels.step(parts[_WHEELS], drive, inputs.encoder_m)
+        if done.failures:
+            rows = list(done.failures)
+            drive = drive.copy()
+            drive[rows] = 0.0
+            if outbox is not None:
+                sent = outbox.sent.copy()
+                sent[rows] = False
+                outbox = Outbox(sent, outbox.message)
+        if self.links is not None:
+            parts[_LINKS], outbox = self.links.send(now, parts[_LINKS], outbox)
+        return ControllerState(state.cells, parts), ControllerOutputs(drive, outbox, done.failures)
+
+    def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
+        """Those of every part."""
+        return {
+            f"{name}.{register}": value
+            for name, part in self._parts.items()
+            for register, value in part.registers(state.parts[name]).items()
+        }
+
+    def counted(self, state: ControllerState) -> dict[str, int]:
+        """What every part has counted."""
+        return {
+            f"{name}.{what}": number
+            for name, part in self._parts.items()
+            for what, number in part.counted(state.parts[name]).items()
+        }
+
+    def _program(self, tick: int, cells: Cells, before: State, inputs: Inputs) -> _Done:
+        """Steps the firmware, all cells at once; if that fails, each alone."""
+        n = len(cells)
+        try:
+            state, outputs = _checked(self.firmware.step(before, inputs), before, self.firmware.message, n)
+        except Exception as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
+            problem, trace = _described(error)
+            if n == 1:
+                failed = FirmwareFailed(cells.name(0), tick, problem, trace)
+                return _Done(before, np.zeros((1, 2)), None, {0: failed})
+            return self._one_by_one(tick, cells, before, inputs, f"{problem} (all {n} cells at once)", trace)
+        speed, failures = _speeds(tick, cells, outputs)
+        if outputs.outbox is not None:
+            for i, problem in _not_finite(outputs.outbox):
+                failures.setdefault(i, FirmwareFailed(cells.name(i), tick, problem))
+        return _Done(state, speed, outputs.outbox, failures)
+
+    def _one_by_one(
+        self, tick: int, cells: Cells, before: State, inputs: Inputs, problem: str, trace: str
+    ) -> _Done:
+        """Steps every cell alone, to tell those that fail from those that don't."""
+        n = len(cells)
+        states: list[State] = []
+        speed = np.zeros((n, 2))
+        message = self.firmware.message
+        outbox = None if message is None else Outbox.empty(n, message)
+        failures: dict[int, FirmwareFailed] = {}
+        for i in range(n):
+            row = np.array([i])
+            alone = {name: array[row] for name, array in before.items()}
+            done = self._program(tick, cells.take(row), alone, inputs.take(row))
+            states.append(done.state)
+            speed[i] = done.speed_m_s[0]
+            if outbox is not None and done.outbox is not None:
+                outbox.sent[i] = done.outbox.sent[0]
+                outbox.message[i] = done.outbox.message[0]
+            if done.failures:
+                failures[i] = done.failures[0]
+        if not failures:  # it fails on many and on no one alone: none of them can be trusted
+            failures = {i: FirmwareFailed(cells.name(i), tick, problem, trace) for i in range(n)}
+            return _Done(before, np.zeros((n, 2)), None, failures)
+        joined = {name: np.concatenate([state[name] for state in states]) for name in before}
+        return _Done(joined, speed, outbox, failures)
+
+
+def _speeds(tick: int, cells: Cells, outputs: Outputs) -> tuple[Floats, dict[int, FirmwareFailed]]:
+    """The speeds that firmware wants, zero where that is no number; and who failed, for that or by its own account."""
+    failures = {
+        i: FirmwareFailed(cells.name(i), tick, _last_line(trace), trace)
+        for i, trace in (outputs.failed or {}).items()
+    }
+    speed = np.asarray(outputs.speed_m_s, dtype=np.float64)
+    finite = np.isfinite(speed)
+    if not finite.all():
+        for i in np.flatnonzero(~finite.all(axis=1)).tolist():
+            problem = f"drive is not finite: speed {outputs.speed_m_s[i].tolist()} m/s"
+            failures.setdefault(i, FirmwareFailed(cells.name(i), tick, problem))
+        speed = np.where(finite, speed, 0.0)
+    return speed, failures
+
+
+def _checked(result: Any, before: State, message: np.dtype[Any] | None, n: int) -> tuple[State, Outputs]:
+    """The result of a firmware's step, if it is of the right kind."""
+    if not (isinstance(result, tuple) and len(result) == 2):  # pyright: ignore[reportUnknownArgumentType]
+        raise _BadOutput(f"step must return (state, Outputs), not {type(result).__name__}")  # pyright: ignore[reportUnknownArgumentType]
+    state, outputs = result  # pyright: ignore[reportUnknownVariableType]
+    if not isinstance(outputs, Outputs):
+        raise _BadOutput(f"step must return (state, Outputs), not {type(outputs).__name__} as the second")  # pyright: ignore[reportUnknownArgumentType]
+    speed: Any = outputs.speed_m_s
+    if not isinstance(speed, np.ndarray) or speed.shape != (n, 2) or speed.dtype.kind not in "fiu":  # pyright: ignore[reportUnknownMemberType]
+        raise _BadOutput(f"speed_m_s must be real numbers of shape ({n}, 2), not {_kind(speed)}")
+    if outputs.outbox is not None:
+        _check_outbox(outputs.outbox, message, n)
+    return _checked_state(state, before, n), outputs
+
+
+def _check_outbox(outbox: Any, message: np.dtype[Any] | None, n: int) -> None:
+    if message is None:
+        raise _BadOutput("the firmware sends messages but declares no message type")
+    if not isinstance(outbox, Outbox):
+        raise _BadOutput(f"outbox must be an Outbox, not {type(outbox).__name__}")
+    for name, array, dtype in (
+        ("sent", outbox.sent, np.dtype(np.bool_)),
+        ("message", outbox.message, message),
+    ):
+        found: Any = array
+        if not isinstance(found, np.ndarray) or found.shape != (n, 4) or found.dtype != dtype:  # pyright: ignore[reportUnknownMemberType]
+            raise _BadOutput(f"outbox.{name} must be {dtype} of shape ({n}, 4), not {_kind(found)}")
+
+
+def _checked_state(state: Any, before: State | None, n: int) -> State:
+    if not isinstance(state, Mapping):
+        raise _BadOutput(f"state must be a mapping of names to arrays, not {type(state).__name__}")
+    if before is not None and state.keys() != before.keys():  # pyright: ignore[reportUnknownMemberType]
+        raise _BadOutput(f"state must hold {sorted(before)} as before, not {sorted(state)}")  # pyright: ignore[reportUnknownArgumentType]
+    arrays: Mapping[str, Any] = state  # pyright: ignore[reportUnknownVariableType]
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray) or array.ndim < 1 or len(array) != n:  # pyright: ignore[reportUnknownArgumentType]
+            raise _BadOutput(
+                f"state[{name!r}] must be an array with {n} rows, one a cell, not {_kind(array)}"
+            )
+    return arrays
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        array: NDArray[Any] = value  # pyright: ignore[reportUnknownVariableType]
+        return f"{array.dtype} of shape {array.shape}"
+    return type(value).__name__
+
+
+def _not_finite(outbox: Outbox) -> list[tuple[int, str]]:
+    """Cells that send a message with a float in it that is none, and the field's name."""
+    found: list[tuple[int, str]] = []
+    for name in outbox.message.dtype.names or ():
+        values = outbox.message[name]
+        if values.dtype.kind != "f":
+            continue
+        finite: Bools = np.isfinite(values)
+        if finite.all():
+            continue
+        bad: Bools = outbox.sent & ~finite.reshape(*finite.shape[:2], -1).all(axis=2)
+        found += [
+            (i, f"message field {name} is not finite") for i in np.flatnonzero(bad.any(axis=1)).tolist()
+        ]
+    return found
+
+
+def _described(error: Exception) -> tuple[str, str]:
+    """The problem in a line, and the traceback where firmware raised."""
+    if isinstance(error, _BadOutput):
+        return str(error), ""
+    trace = "".join(traceback.format_exception(error))
+    return _last_line(trace), trace
+
+
+def _last_line(trace: str) -> str:
+    return trace.strip().splitlines()[-1]
