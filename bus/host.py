@@ -20,6 +20,7 @@ from bus.forms.form import HostForm, Wiring
 from bus.keys import plant_key, shard_key
 from bus.lives import Lives
 from bus.partition import Partition
+from bus.registers import RegisterFrame, decode_registers
 from bus.roll import Roll
 from bus.specs import StallSpec
 from bus.transport import Endpoint
@@ -44,6 +45,7 @@ class Host:
         sensors: Presence sensors a cell.
         encoders: Whether sense frames carry encoder travel.
         message: The firmware's message type, None where cells send each other nothing.
+        registers_every: Take in the registers that cells show every so many ticks; None: not.
         stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
         clock: Monotonic wall seconds.
 
@@ -61,6 +63,7 @@ class Host:
         sensors: int,
         encoders: bool,
         message: np.dtype[Any] | None,
+        registers_every: int | None = None,
         stall: StallSpec | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -85,6 +88,12 @@ class Host:
             self._inbox.routes[key] = (self._drives.take, unit)
         for shard in range(partition.count):
             self._inbox.routes[shard_key(run, shard, "report")] = (self._report, shard)
+        self._shown: list[RegisterFrame] = []
+        self._registers_every = registers_every
+        if registers_every is not None:
+            for shard in range(partition.count):
+                self._inbox.routes[shard_key(run, shard, "registers")] = (self._take_registers, shard)
+            endpoint.subscribe(shard_key(run, None, "registers"), "quiet")
         self._control = endpoint.publisher(plant_key(run, "control"))
         self._state = endpoint.publisher(plant_key(run, "state"))
         self._state_asked: float | None = None
@@ -185,6 +194,11 @@ class Host:
         """``(n,)``: the cells that take part in ``tick``."""
         return self._lives.live(tick)
 
+    def take_registers(self) -> list[RegisterFrame]:
+        """What cells have shown of themselves since the last call; a tick's is there when its drives are."""
+        shown, self._shown = self._shown, []
+        return shown
+
     # --- to all ---------------------------------------------------------------------------------
 
     def control(self, record: Control) -> None:
@@ -234,6 +248,18 @@ class Host:
             if cell not in self._lattice or self._shard_of[self._lattice.index(cell)] != shard:
                 raise WireError("report", "cells", f"must be cells of shard {shard}")
         self._failed.append(report)
+
+    def _take_registers(self, shard: int, payload: bytes) -> None:
+        cells = int(np.count_nonzero(self._shard_of == shard))
+        frame = decode_registers(payload, cells)
+        if any(
+            cell not in self._lattice or self._shard_of[self._lattice.index(cell)] != shard
+            for cell in map(tuple, frame.cells.tolist())
+        ):
+            raise WireError("registers", "cells", f"must be cells of shard {shard}")
+        self.counts.delivered += 1
+        if self._registers_every is not None and frame.tick % self._registers_every == 0:
+            self._shown.append(frame)  # others are for those who watch
 
     # --- who is still there ---------------------------------------------------------------------
 

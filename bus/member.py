@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus import wire
 from bus.collector import Collector
@@ -19,6 +20,7 @@ from bus.keys import plant_key, shard_key
 from bus.lives import Lives
 from bus.outgoing import Outgoing
 from bus.partition import Partition
+from bus.registers import RegisterFrame, encode_registers, shown
 from bus.specs import StallSpec
 from bus.transport import Alive, Endpoint
 from bus.wire import Control, DriveFrame, LinkFrame, Report, SenseFrame
@@ -26,6 +28,11 @@ from bus.wire import Control, DriveFrame, LinkFrame, Report, SenseFrame
 _POLL_S: Final = 0.01
 _LINK_POLL_S: Final = 0.001
 """How often to look for messages where they come after the senses, as no cell of ours sends them."""
+_SHOW_S: Final = 0.2
+"""How often to look whether somebody wants to see the cells' registers, and how often they are shown then."""
+
+
+Readings = tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]
 
 
 class Gathered(NamedTuple):
@@ -61,6 +68,7 @@ class Member:
         stall: Deadlines.
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
             None: as long as the token stands. A paused or compiling plant is silent too.
+        registers_every: Show the cells' registers to the plant every so many ticks; None: not.
         tally: What else to report as the shard leaves: numbers that the cells counted, by name.
         clock: Monotonic wall seconds.
 
@@ -81,6 +89,7 @@ class Member:
         message: np.dtype[Any] | None,
         stall: StallSpec | None = None,
         silence_s: float | None = None,
+        registers_every: int | None = None,
         tally: Callable[[], Mapping[str, int]] = dict[str, int],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -121,6 +130,9 @@ class Member:
             endpoint.subscribe(key, "quiet")
         endpoint.subscribe(control, "urgent")
         self._report = endpoint.publisher(shard_key(run, shard, "report"))
+        self._registers = endpoint.publisher(shard_key(run, shard, "registers"))
+        self._registers_every = registers_every
+        self._show_next = 0.0
         endpoint.watch_alive(self._plant_key)
 
     # --- the start ------------------------------------------------------------------------------
@@ -140,6 +152,8 @@ class Member:
         deadline = self._clock() + limit
         self._show(self._form.alive_keys)
         waiting = {**self._outgoing.publishers, "report": self._report}
+        if self._registers_every is not None:
+            waiting["registers"] = self._registers
         while True:
             waiting = {key: publisher for key, publisher in waiting.items() if not publisher.matched()}
             if not waiting and self._plant_seen:
@@ -233,6 +247,28 @@ class Member:
         if not self._lives.all and not self.live(drive.tick + 1).any():
             self._tell_counts()
         self._endpoint.put_all(puts)
+
+    def show(self, tick: int, read: Callable[[], Readings]) -> None:
+        """Puts the registers of the cells, if the plant or somebody else wants to see them.
+
+        Call it before ``publish`` of that tick: then the plant has them when it has its drives.
+
+        Args:
+            tick: That they have computed.
+            read: Gives who they are, ``(n, 2)`` row and column, and their registers by name, arrays with a row for
+                each; asked only where somebody wants to see.
+        """
+        every = self._registers_every
+        if every is None or tick % every:
+            now = self._clock()
+            if now < self._show_next:
+                return
+            self._show_next = now + _SHOW_S
+            if not self._registers.matched():
+                return
+        cells, registers = read()
+        self._registers.put(encode_registers(RegisterFrame(tick, cells, shown(registers))))
+        self.counts.sent += 1
 
     # --- who takes part -------------------------------------------------------------------------
 

@@ -173,6 +173,7 @@ class _Agent:
     def _publish(self, tick: int, outputs: ShardOutputs) -> None:
         links = outputs.links
         frame = None if links is None else LinkFrame(tick, links.sent, links.message)
+        self._member.show(tick, self._shard.registers)
         self._member.publish(DriveFrame(tick, outputs.drive), frame)
 
 

@@ -119,11 +119,14 @@ class Board(Controller):
         return ControllerState(state.cells, parts), ControllerOutputs(drive, outbox, done.failures)
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
-        """Those of every part."""
+        """The program's variables, and what every part shows."""
         return {
-            f"{name}.{register}": value
-            for name, part in self._parts.items()
-            for register, value in part.registers(state.parts[name]).items()
+            **{f"{_PROGRAM}.{name}": array for name, array in state.parts[_PROGRAM].items()},
+            **{
+                f"{name}.{register}": value
+                for name, part in self._parts.items()
+                for register, value in part.registers(state.parts[name]).items()
+            },
         }
 
     def counted(self, state: ControllerState) -> dict[str, int]:

@@ -129,7 +129,7 @@ class Controller(ABC):
         """
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:  # noqa: ARG002
-        """What can be read of a cell while it runs, ``part.register`` to an array with a row a cell."""
+        """What can be read of cells while they run, ``part.register`` to an array with a row a cell."""
         return {}
 
     def counted(self, state: ControllerState) -> dict[str, int]:  # noqa: ARG002

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,6 +210,15 @@ class Shard:
         self._state = self._state.take(rows)
         before.subtract(self._controller.counted(self._state))
         self._retired.update(before)
+
+    def registers(self) -> tuple[Indices, dict[str, NDArray[Any]]]:
+        """What can be read of the cells that still run.
+
+        Returns:
+            ``(a, 2)`` row and column of each; by name, arrays with a row for each.
+        """
+        cells = self._state.cells
+        return np.stack((cells.row, cells.column), axis=1), self._controller.registers(self._state)
 
     def counted(self) -> Counter[str]:
         """What effects did to the shard's cells so far, and what their boards counted, by ``effect.what``."""

@@ -18,6 +18,7 @@ COMMANDS = {
     "effects": "Every effect: what it adds, costs and changes; a ladder of fidelity.",
     "orientations": "The angles at which a parcel comes to rest, exactly; maps over sizes.",
     "plot": "Pictures of a recording.",
+    "registers": "What the cells of a running system show of themselves.",
     "scenes": "The bundled scenes, or one of them in full.",
     "schema": "The JSON Schema of a scene file, for editors.",
 }
@@ -25,7 +26,11 @@ COMMANDS = {
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
-_ALONE = {"--realtime": ("1", _NUMBER), "--docs": ("docs", re.compile(r"[^-].*"))}
+_ALONE = {
+    "--realtime": ("1", _NUMBER),
+    "--registers": ("1", re.compile(r"[+-]?\d+")),
+    "--docs": ("docs", re.compile(r"[^-].*")),
+}
 """Options that may stand without a value: what they mean then, and what a value looks like."""
 
 _HELP = """A Modular Distributed Manipulator System in software.

@@ -159,10 +159,13 @@ class _Run:
 
         def observe(record: TickRecord) -> None:
             ledger.tick(record)
+            if registers is not None:
+                ledger.registers(host.take_registers())
             if self.interruption.requested:
                 raise Interrupted
 
-        host = system.start(plant.array, encoders=plant.sense().encoder_m is not None)
+        registers = self.options.registers
+        host = system.start(plant.array, encoders=plant.sense().encoder_m is not None, registers=registers)
         return PlantProcess(
             plant,
             host,

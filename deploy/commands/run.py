@@ -61,6 +61,16 @@ RealtimeOption = Annotated[
         help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as it goes.",
     ),
 ]
+RegistersOption = Annotated[
+    int | None,
+    typer.Option(
+        "--registers",
+        rich_help_panel=HOW,
+        metavar="[TICKS]",
+        help="Record what cells show of themselves, every tick or every so many: their program's variables, and the "
+        "registers and counters of their board.",
+    ),
+]
 PlanOption = Annotated[
     bool, typer.Option("--plan", rich_help_panel=HOW, help="Print what would be started, and exit.")
 ]
@@ -75,6 +85,7 @@ def run(
     wire: WireOption = None,
     listen: ListenOption = None,
     realtime: RealtimeOption = None,
+    registers: RegistersOption = None,
     show_plan: PlanOption = False,
 ) -> None:
     """Run a scene: every cell an agent with its own controller, the plant, and messages between them.
@@ -97,6 +108,7 @@ def run(
         realtime=realtime,
         output=asked.output,
         picture=asked.picture,
+        registers=registers,
     )
     if show_plan:
         print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)

@@ -42,6 +42,7 @@ class RunOptions:
         realtime: Simulated seconds a wall second; None: as fast as it goes.
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
+        registers: Record the cells' registers every so many ticks; None: not.
     """
 
     processes: Processes | None = None
@@ -51,6 +52,7 @@ class RunOptions:
     realtime: float | None = None
     output: Path | None = None
     picture: bool = True
+    registers: int | None = None
 
 
 @final
@@ -138,6 +140,8 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         raise InputError("--listen: the memory transport has no endpoint; leave one of the two out")
     if options.listen is not None and not _ENDPOINT.fullmatch(options.listen):
         raise InputError(f"--listen {options.listen}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
+    if options.registers is not None and options.registers < 1:
+        raise InputError(f"--registers {options.registers}: must be a number of ticks from 1")
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
         raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
     try:

@@ -82,12 +82,13 @@ class System:
         self._locator = self._endpoint.locator
         self._cells = self._processes or WorkerThread(open_client(self._locator))
 
-    def start(self, array: CellArray, *, encoders: bool) -> Host:
+    def start(self, array: CellArray, *, encoders: bool, registers: int | None = None) -> Host:
         """Start the cells and wait until all of them are ready.
 
         Args:
             array: The cells that exist.
             encoders: Whether the plant's wheels have encoders.
+            registers: Have the cells show their registers every so many ticks; None: not.
 
         Raises:
             DeployError: A worker failed on the way; says which and why.
@@ -106,6 +107,7 @@ class System:
             run=plan.run,
             connect=self._locator,
             encoders=encoders,
+            registers=registers,
             alone=plan.workers > 0,
         )
         host = self._host = Host(
@@ -116,6 +118,7 @@ class System:
             sensors=len(scene.array.sensors_m),
             encoders=encoders,
             message=controller_of(scene).message,
+            registers_every=registers,
             stall=scene.stall,
         )
         self._cells.start(order)

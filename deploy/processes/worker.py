@@ -34,6 +34,7 @@ class Order:
         run: Names the run on the bus.
         connect: Where the plant listens.
         encoders: Whether the wheels have encoders.
+        registers: Show the cells' registers to the plant every so many ticks; None: not.
         alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
     """
 
@@ -44,6 +45,7 @@ class Order:
     run: str
     connect: str
     encoders: bool
+    registers: int | None
     alone: bool
 
     def __call__(self, shard: int) -> None:
@@ -80,6 +82,7 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
         encoders=order.encoders,
         message=cells.message,
         stall=order.scene.stall,
+        registers_every=order.registers,
         tally=cells.counted,
     )
     schedule = deaths(order.scene)

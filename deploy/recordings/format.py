@@ -17,6 +17,7 @@ PARCELS = "/parcels"
 EVENTS = "/events"
 FAULTS = "/faults"
 CONTROL = "/control"
+REGISTERS = "/registers"
 END = "/end"
 
 HEADER_RECORD = "mdms.header"

@@ -10,7 +10,7 @@ from typing import Any, cast, final
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
 from mcap.writer import CompressionType, Writer
 
-from deploy.recordings.format import FORMAT, HEADER_RECORD, PROFILE, SCHEMAS, TICK, Header
+from deploy.recordings.format import FORMAT, HEADER_RECORD, PROFILE, REGISTERS, SCHEMAS, TICK, Header
 
 
 @final
@@ -24,7 +24,7 @@ class McapFile:
 
     Attributes:
         channels: Number of each topic's channel.
-        pack: Form of a message on ``/tick``.
+        pack: Form of a message on ``/tick`` and ``/registers``.
 
     Raises:
         OSError: From any method, as the operating system has it.
@@ -43,6 +43,7 @@ class McapFile:
             raise
         self.channels: Mapping[str, int] = {
             TICK: self._writer.register_channel(TICK, "msgpack", 0),
+            REGISTERS: self._writer.register_channel(REGISTERS, "msgpack", 0),
             **{topic: self._json_channel(topic, schema) for topic, schema in SCHEMAS.items()},
         }
         packer = cast(Any, msgpack.Packer())  # pyright: ignore[reportUnknownMemberType]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import DeployError, InputError
-from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, FILE_NAME, PARCELS, TICK, Header
+from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, FILE_NAME, PARCELS, REGISTERS, TICK, Header
 from deploy.recordings.json_text import json_bytes, parcels_text
 from deploy.recordings.mcap_file import McapFile
 
@@ -110,6 +110,19 @@ class Recorder:
         self._time_ns = time_ns
         self._put(TICK, time_ns, self._file.pack(message))
         self._put(PARCELS, time_ns, parcels_text(tick, time_ns, parcels))
+
+    def registers(self, tick: int, time_ns: int, registers: Mapping[str, NDArray[Any]]) -> None:
+        """Record what the cells showed of themselves after they had computed a tick.
+
+        Args:
+            tick: Which.
+            time_ns: Simulated time at which it began.
+            registers: By name, ``(n, ...)`` arrays of all cells; of those that are gone, zeros.
+        """
+        told = {
+            name: [array.dtype.str, list(array.shape), array.tobytes()] for name, array in registers.items()
+        }
+        self._put(REGISTERS, time_ns, self._file.pack({"tick": tick, "registers": told}))
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Record an event of the plant: at least ``time_s`` and ``kind``."""

@@ -22,6 +22,7 @@ from deploy.recordings.format import (
     FORMAT,
     HEADER_RECORD,
     PROFILE,
+    REGISTERS,
     TICK,
     Header,
 )
@@ -64,6 +65,8 @@ class Recording:
         held_presence: ``(n, sensors)`` bool per change: what the cells sensed at the instant.
         held_drives: ``(n, 2)`` per change: the drives acting from the instant on; the end repeats the last.
         held_wheel_speeds: ``(n, 2)`` per change: the wheels' surface speeds at the instant, m/s.
+        register_tick: ``(R,)`` int64, ticks after which the cells' registers were recorded; none unless asked for.
+        registers: By name, ``(R, n, ...)``: what the cells showed of themselves then; zero of those that were gone.
         events: Events of the plant.
         faults: Faults.
         control: Live commands.
@@ -79,6 +82,8 @@ class Recording:
     held_presence: Held
     held_drives: Held
     held_wheel_speeds: Held
+    register_tick: NDArray[np.int64]
+    registers: dict[str, NDArray[Any]]
     events: Sequence[dict[str, Any]]
     faults: Sequence[dict[str, Any]]
     control: Sequence[dict[str, Any]]
@@ -169,11 +174,14 @@ def _load(path: Path) -> Recording:
     unpack = cast(Callable[[bytes], dict[str, Any]], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
     header: Header | None = None
     rows = _Rows()
+    shown: list[dict[str, Any]] = []
     logs: dict[str, list[dict[str, Any]]] = {EVENTS: [], FAULTS: [], CONTROL: [], END: []}
     for record in scan(path, PROFILE):
         if isinstance(record, Message):
             if record.topic == TICK:
                 rows.add(record.time_ns, unpack(record.data))
+            elif record.topic == REGISTERS:
+                shown.append(unpack(record.data))
             elif record.topic in logs:
                 logs[record.topic].append(json.loads(record.data))
         elif record.name == HEADER_RECORD:
@@ -189,8 +197,21 @@ def _load(path: Path) -> Recording:
         control=logs[CONTROL],
         status=end.get("status"),
         digest=end.get("digest"),
+        register_tick=np.array([message["tick"] for message in shown], dtype=np.int64),
+        registers=_registers(shown),
         **rows.arrays(header),
     )
+
+
+def _registers(shown: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """What was recorded of registers, by name; zero where a register was not there at the time."""
+    found: dict[str, NDArray[Any]] = {}
+    for row, message in enumerate(shown):
+        for name, (code, shape, data) in message["registers"].items():
+            if name not in found:
+                found[name] = np.zeros((len(shown), *shape), dtype=np.dtype(code))
+            found[name][row] = np.frombuffer(data, np.dtype(code)).reshape(shape)
+    return found
 
 
 def _rails(scene: dict[str, Any]) -> Sequence[Sequence[tuple[float, float]]]:

@@ -113,6 +113,7 @@ class System:
     encoders: bool = False
     stall: StallSpec = field(default_factory=StallSpec)
     clock: FakeClock | None = None
+    registers_every: int | None = None
 
     def __post_init__(self) -> None:
         self.endpoint = self._clocked(self.network.endpoint())
@@ -133,6 +134,7 @@ class System:
             "encoders": self.encoders,
             "message": self.message,
             "stall": self.stall,
+            "registers_every": self.registers_every,
         }
         if self.clock is not None:
             agreed["clock"] = self.clock

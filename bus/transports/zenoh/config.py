@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Final, cast
 
 import zenoh
@@ -68,4 +69,4 @@ def _set(config: zenoh.Config, key: str, json: str) -> None:
 def first_line(error: BaseException) -> str:
     """What went wrong, without Zenoh's trace."""
     lines = str(error).splitlines()
-    return lines[0] if lines else type(error).__name__
+    return re.sub(r" at \S+\.rs:\d+\.?", "", lines[0]) if lines else type(error).__name__

@@ -1,0 +1,112 @@
+"""What cells show of themselves to whoever looks: registers and counters of a shard, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.codec import VERSION, binary, layout, packer, reader
+from bus.errors import WireError
+
+NAMES_LIMIT: Final = 256
+"""Most registers of a cell, and longest name of one, characters."""
+COLUMNS_LIMIT: Final = 64
+"""Most numbers that a register of one cell holds."""
+_LAYOUT: Final = layout("cells", "registers")
+_TYPES: Final = frozenset(("|b1", "|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8", "<f4", "<f8"))
+_PLACES: Final = np.dtype("<i4")
+_PAIR: Final = 2 * _PLACES.itemsize
+
+
+class RegisterFrame(NamedTuple):
+    """The registers of some cells after a tick.
+
+    Attributes:
+        tick: The tick that they have computed.
+        cells: ``(n, 2)`` integers, row and column of each.
+        registers: By name, arrays with a row a cell.
+    """
+
+    tick: int
+    cells: NDArray[Any]
+    registers: Mapping[str, NDArray[Any]]
+
+
+def shown(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Those of some arrays with a row a cell that can be shown: little-endian numbers and booleans, not too wide."""
+    fit: dict[str, NDArray[Any]] = {}
+    for name, array in list(arrays.items())[:NAMES_LIMIT]:
+        numbers = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        wide = int(np.prod(array.shape[1:], dtype=np.int64))
+        if numbers.dtype.str in _TYPES and wide <= COLUMNS_LIMIT and len(name) <= NAMES_LIMIT:
+            fit[name] = numbers
+    return fit
+
+
+def encode_registers(frame: RegisterFrame) -> bytes:
+    """The payload of a frame whose registers are as ``shown`` has them."""
+    return packer()(
+        {
+            "v": VERSION,
+            "tick": frame.tick,
+            "cells": frame.cells.astype(_PLACES, copy=False).tobytes(),
+            "registers": {
+                name: [array.dtype.str, list(array.shape[1:]), array.tobytes()]
+                for name, array in frame.registers.items()
+            },
+        }
+    )
+
+
+def decode_registers(payload: bytes, cells: int) -> RegisterFrame:
+    """A frame of at most ``cells`` cells.
+
+    Raises:
+        WireError: Anything else.
+    """
+    limit = cells * (_PAIR + 8 * NAMES_LIMIT) + NAMES_LIMIT * (4 * NAMES_LIMIT + 64)
+    tick, fields = reader("registers", limit, _LAYOUT)(payload)
+    places = fields["cells"]
+    if type(places) is not bytes or len(places) % _PAIR or len(places) > cells * _PAIR:
+        raise WireError("registers", "cells", f"must be bytes, {_PAIR} for each of at most {cells} cells")
+    found = fields["registers"]
+    if type(found) is not dict or len(cast("dict[Any, Any]", found)) > NAMES_LIMIT:
+        raise WireError("registers", "type", f"registers must be a map of at most {NAMES_LIMIT}")
+    n = len(places) // _PAIR
+    registers = {_name(name): _array(value, n) for name, value in cast("dict[object, object]", found).items()}
+    return RegisterFrame(tick, np.frombuffer(places, _PLACES).reshape(n, 2), registers)
+
+
+def _name(name: object) -> str:
+    if type(name) is not str or len(name) > NAMES_LIMIT:
+        raise WireError("registers", "type", f"a name must be text of at most {NAMES_LIMIT} characters")
+    return name
+
+
+def _array(value: object, rows: int) -> NDArray[Any]:
+    """An array from its type, the shape of a row, and its bytes."""
+    if type(value) is not list or len(cast("list[object]", value)) != 3:
+        raise WireError("registers", "type", "a register must be its type, its shape and its bytes")
+    code, shape, data = cast("list[Any]", value)
+    if type(code) is not str or code not in _TYPES:
+        raise WireError("registers", "type", "a register must hold numbers or booleans")
+    if type(shape) is not list or not all(
+        type(size) is int and 0 < size <= COLUMNS_LIMIT for size in cast("list[Any]", shape)
+    ):
+        raise WireError("registers", "shape", f"must be a list of numbers in 1..{COLUMNS_LIMIT}")
+    sizes = cast("list[int]", shape)
+    wide = 1
+    for size in sizes:
+        wide *= size
+        if wide > COLUMNS_LIMIT:
+            raise WireError(
+                "registers", "shape", f"a cell's register must hold at most {COLUMNS_LIMIT} numbers"
+            )
+    dtype = np.dtype(code)
+    raw = binary("registers", data, rows * wide * dtype.itemsize)
+    if dtype.kind == "b" and set(raw) - {0, 1}:
+        raise WireError("registers", "type", "a boolean must be 0 or 1")
+    return np.frombuffer(raw, dtype).reshape(rows, *sizes)

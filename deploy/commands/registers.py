@@ -1,0 +1,104 @@
+"""``mdms registers``: what the cells of a running system show of themselves."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deploy.commands.options import JsonOption
+from deploy.errors import InputError
+from deploy.words import counted, short
+
+if TYPE_CHECKING:
+    from deploy.watching import Cell, Seen
+
+_CELL = re.compile(r"(\d{1,9}),(\d{1,9})")
+_SIDE_BY_SIDE = 6
+"""Cells that have a column each."""
+
+CellsArgument = Annotated[
+    list[str] | None, typer.Argument(metavar="[ROW,COLUMN]...", help="Which cells. Default: all, in short.")
+]
+ConnectOption = Annotated[
+    str,
+    typer.Option(
+        "--connect", metavar="ENDPOINT", help="Where the run's plant listens: what its --listen says."
+    ),
+]
+TimeoutOption = Annotated[
+    float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for an answer.")
+]
+
+
+def registers(
+    cells: CellsArgument = None,
+    *,
+    connect: ConnectOption,
+    timeout: TimeoutOption = 5.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Look into the cells of a running system: their program's variables, their board's registers and counters.
+
+    Nothing in the run changes by it. To keep them for later, have the run record them: mdms run --registers.
+
+    In one terminal, and in another:
+
+      [cyan]mdms run prototype --duration 60 --realtime --listen tcp/127.0.0.1:7447[/cyan]
+      [cyan]mdms registers 0,0 1,2 --connect tcp/127.0.0.1:7447[/cyan]
+    """
+    wanted = [_cell(text) for text in cells or ()]
+    if not 0 < timeout < float("inf"):
+        raise InputError(f"--timeout {timeout:g}: must be greater than 0")
+    from deploy.watching import look
+
+    seen = look(connect, wanted, timeout)
+    if wanted:
+        seen.cells = {cell: seen.cells[cell] for cell in wanted}
+    if as_json:
+        shown = {f"{row},{column}": values for (row, column), values in sorted(seen.cells.items())}
+        print(json.dumps({"run": seen.run, "tick": seen.tick, "cells": shown}))
+    else:
+        _print(seen)
+
+
+def _cell(text: str) -> Cell:
+    match = _CELL.fullmatch(text)
+    if match is None:
+        raise InputError(f"{text}: must be a cell's row and column, such as 1,2")
+    return int(match[1]), int(match[2])
+
+
+def _print(seen: Seen) -> None:
+    """A column a cell; of many cells the least, mean and greatest."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from deploy.watching import ranges
+
+    console = Console(highlight=False)
+    console.print(f"[bold]{seen.run}[/bold]  tick {seen.tick:,}, {counted(len(seen.cells), 'cell')}")
+    table = Table(box=None, pad_edge=False, padding=(0, 2))
+    table.add_column("register")
+    if len(seen.cells) <= _SIDE_BY_SIDE:
+        columns = sorted(seen.cells)
+        for row, column in columns:
+            table.add_column(f"{row},{column}", justify="right")
+        for name in seen.cells[columns[0]]:
+            table.add_row(name, *(_text(seen.cells[cell].get(name)) for cell in columns))
+    else:
+        for word in ("least", "mean", "greatest"):
+            table.add_column(word, justify="right")
+        for name, values in ranges(seen.cells).items():
+            table.add_row(name, *(short(value) for value in values))
+    console.print(table)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return " ".join(_text(part) for part in value)  # pyright: ignore[reportUnknownVariableType]
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "" if value is None else short(value)

@@ -1,0 +1,111 @@
+"""Looks at the cells of a system that runs elsewhere: their registers, as they are now."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, final
+
+from bus.errors import TransportError, WireError
+from bus.keys import shard_key
+from bus.registers import decode_registers
+from bus.transport import Received
+from deploy.errors import DeployError, InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from bus.transport import Endpoint
+
+Cell = tuple[int, int]
+
+_MOST_CELLS: Final = 1_000_000
+"""Of a shard: what its frames are bounded by."""
+_TOGETHER_S: Final = 1.0
+"""Wall time after the first frame within which those of the other shards come: they look five times a second."""
+
+
+@final
+@dataclass(slots=True)
+class Seen:
+    """What cells showed of themselves.
+
+    Attributes:
+        run: Name of the run.
+        tick: The last tick that a cell had computed.
+        cells: Of each cell its registers by name, one number or several.
+    """
+
+    run: str = ""
+    tick: int = -1
+    cells: dict[Cell, dict[str, Any]] = field(default_factory=dict[Cell, dict[str, Any]])
+
+
+def look(connect: str, wanted: Iterable[Cell], timeout_s: float) -> Seen:
+    """What cells show of themselves now.
+
+    Args:
+        connect: Where the plant of the run listens, such as ``tcp/127.0.0.1:7447``.
+        wanted: Which cells; none: all that answer.
+        timeout_s: Wall seconds to wait for them.
+
+    Raises:
+        InputError: Nobody listens there, or the cells wanted are not those of that run.
+        DeployError: Nobody showed anything in time.
+    """
+    from bus.transports.zenoh import open_client
+
+    begun = time.monotonic()
+    try:
+        endpoint = open_client(connect, timeout_s=timeout_s)
+    except TransportError as error:
+        raise InputError(f"--connect {connect}: {error}") from None
+    try:
+        return _gather(endpoint, set(wanted), begun + timeout_s)
+    finally:
+        endpoint.close()
+
+
+def _gather(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> Seen:
+    endpoint.subscribe(shard_key("*", None, "registers"))
+    seen = Seen()
+    while (left := deadline - time.monotonic()) > 0 and not (wanted and wanted <= seen.cells.keys()):
+        event = endpoint.receive(left)
+        if not isinstance(event, Received):
+            continue
+        if not seen.cells and not wanted:
+            deadline = min(deadline, time.monotonic() + _TOGETHER_S)
+        _take(seen, event)
+    if not seen.cells:
+        raise DeployError("no cell showed anything in time: has the run ended, or does it stand still?")
+    missing = sorted(wanted - seen.cells.keys())
+    if missing:
+        names = ", ".join(f"{row},{column}" for row, column in missing)
+        raise InputError(f"cell {names}: not in run {seen.run}, or dead")
+    return seen
+
+
+def _take(seen: Seen, event: Received) -> None:
+    """Note what a frame says; a frame that is none is somebody else's."""
+    try:
+        frame = decode_registers(event.payload, _MOST_CELLS)
+    except WireError:
+        return
+    seen.run = seen.run or event.key.split("/")[1]
+    seen.tick = max(seen.tick, frame.tick)
+    registers = {name: array.tolist() for name, array in frame.registers.items()}
+    for i, (row, column) in enumerate(frame.cells.tolist()):
+        seen.cells[row, column] = {name: rows[i] for name, rows in registers.items()}
+
+
+def ranges(cells: Mapping[Cell, Mapping[str, Any]]) -> dict[str, tuple[float, float, float]]:
+    """Of every register the least, the mean and the greatest over all cells and the numbers in them."""
+    import numpy as np
+
+    found: dict[str, tuple[float, float, float]] = {}
+    for name in next(iter(cells.values())):
+        values: NDArray[Any] = np.array([registers[name] for registers in cells.values()], dtype=np.float64)
+        if values.size:
+            found[name] = (float(values.min()), float(values.mean()), float(values.max()))
+    return found

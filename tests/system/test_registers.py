@@ -1,0 +1,84 @@
+"""Cells can be looked into: while the system runs, and later."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bus.transports.zenoh.opening import _free_port  # pyright: ignore[reportPrivateUsage]
+from deploy.recordings.replay import load
+from tests.system.running import Mdms
+
+
+def test_registers_are_recorded_after_the_ticks_asked_for_whoever_computes_them(
+    mdms: Callable[..., Mdms], tmp_path: Path
+) -> None:
+    recorded: list[list[bytes]] = []
+    for processes in ("0", "2"):
+        running = mdms(
+            "run", "prototype", "--duration", "0.1", "--no-picture", "--processes", processes, "--registers", "10",
+            output=tmp_path / processes,
+        )  # fmt: skip
+        assert running.end()[0] == 0
+        run = load(running.output)
+        assert run.register_tick.tolist() == [0, 10, 20]
+        recorded.append([array.tobytes() for array in run.registers.values()])
+    assert recorded[0] == recorded[1]
+
+
+def test_the_recorded_integral_is_the_one_that_made_the_drives(mdms: Callable[..., Mdms]) -> None:
+    running = mdms("run", "prototype", "--duration", "0.1", "--no-picture", "--processes", "2", "--registers")
+    assert running.end()[0] == 0
+    run = load(running.output)
+    assert run.register_tick.tolist() == list(range(25))
+    integral, speed = run.registers["speed_loop.integral_v"], run.registers["firmware.speed_m_s"]
+    assert integral.shape == speed.shape == (25, 18, 2)
+    error = np.diff(integral, axis=0) / (
+        200.0 * 0.004096
+    )  # what the integral grew by, over ki and the period
+    np.testing.assert_allclose(run.drives[1:25], 12.0 * error + integral[1:], atol=1e-12)
+
+
+def test_a_running_system_shows_its_cells_and_does_not_change(mdms: Callable[..., Mdms]) -> None:
+    listen = f"tcp/127.0.0.1:{_free_port()}"
+    running = mdms(
+        "run", "prototype", "--duration", "8", "--realtime", "2", "--no-picture", "--processes", "2", "--json",
+        "--listen", listen,
+    )  # fmt: skip
+    running.wait_until_recorded()
+    status, stdout, stderr = mdms("registers", "2,5", "0,0", "--json", "--connect", listen).end()
+    assert (status, stderr) == (0, "")
+    seen = json.loads(stdout)
+    assert list(seen["cells"]) == ["0,0", "2,5"]
+    assert len(seen["cells"]["2,5"]["speed_loop.integral_v"]) == 2
+    status, stdout, _ = mdms("registers", "--connect", listen).end()
+    assert status == 0
+    assert "18 cells" in stdout
+    assert "speed_loop.integral_v" in stdout
+    status, _, stderr = mdms("registers", "9,9", "--timeout", "1", "--connect", listen).end()
+    assert (status, stderr.startswith("cell 9,9: not in run prototype-")) == (2, True)
+
+    watched = json.loads(running.end()[1])["digest"]
+    alone = mdms("run", "prototype", "--duration", "8", "--no-picture", "--processes", "0", "--json").end()[1]
+    assert watched == json.loads(alone)["digest"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("9x", "--connect", "tcp/127.0.0.1:1"), "9x: must be a cell's row and column, such as 1,2"),
+        (("--connect", "tcp/127.0.0.1:1", "--timeout", "0.3"), "nobody answers"),
+        (("--connect", "tcp/127.0.0.1:1", "--timeout", "-1"), "--timeout -1: must be greater than 0"),
+    ],
+)
+def test_what_cannot_be_looked_at_is_said_in_a_line(
+    arguments: tuple[str, ...], words: str, mdms: Callable[..., Mdms]
+) -> None:
+    status, stdout, stderr = mdms("registers", *arguments).end()
+    assert (status, stdout) == (2, "")
+    assert words in stderr
+    assert stderr.count("\n") == 1
