@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -40,7 +41,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the kernels where this version's are not on disk yet: processes that tests start find them there."""
     from plant.kernels.cache import is_warm
 
-    if is_warm() or session.config.option.collectonly:
+    if is_warm() or session.config.option.collectonly or "PYTEST_XDIST_WORKER" in os.environ:
         return
     session.config.get_terminal_writer().line("compiling the solvers (once) ...")
     compilers = [
