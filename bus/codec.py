@@ -121,6 +121,33 @@ def floats(kind: str, value: object, rows: int) -> Values:
     return found
 
 
+def shares(kind: str, value: object, rows: int, columns: int) -> Values:
+    """``(rows, columns)`` little-endian float64 in [0, 1], which may be written.
+
+    Raises:
+        WireError: Another length, or a value outside.
+    """
+    found: Values = np.ndarray((rows, columns), _F8, bytearray(binary(kind, value, rows * columns * 8)))
+    if not ((found >= 0.0) & (found <= 1.0)).all():  # which no NaN is
+        raise WireError(kind, "range", "every value must be in [0, 1]")
+    return found
+
+
+def share_list(kind: str, value: object, count: int) -> list[float]:
+    """``count`` numbers in [0, 1] from a list of them.
+
+    Raises:
+        WireError: Something else.
+    """
+    if type(value) is list:
+        items = cast("list[Any]", value)
+        if len(items) == count and _NUMBERS.issuperset(map(type, items)):
+            if all(0.0 <= item <= 1.0 for item in items):
+                return [float(item) for item in items]
+            raise WireError(kind, "range", "every value must be in [0, 1]")
+    raise WireError(kind, "type", f"must be a list of {count} numbers")
+
+
 def all_finite(values: Values) -> bool:
     """Whether no value is infinite or NaN."""
     # Looking for a zero byte costs a third of NumPy's reduction, which matters every tick.

@@ -36,6 +36,10 @@ class EffectSpec(Spec):
         """
         return "it has no typical settings"
 
+    def needed(self) -> tuple[str, ...]:
+        """Names of the effects that these settings build on: ``needs``, and more where they ask for more."""
+        return self.needs
+
     def misplaced(
         self,
         lattice: Lattice,  # noqa: ARG002
@@ -58,7 +62,7 @@ class Effects(Spec):
     def at_odds(self) -> Iterator[tuple[tuple[str, str], object, str]]:
         """Effects that lack another, or don't go with one: path in the scene, value, and the rule that is broken."""
         for name, effect in self.asked():
-            for needed in effect.needs:
+            for needed in effect.needed():
                 if getattr(self, needed, None) is None:
                     yield ("effects", needed), None, f"must be asked for too: effects.{name} needs it"
             for other in effect.excludes:

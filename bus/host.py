@@ -44,6 +44,7 @@ class Host:
         run: Name of the run.
         sensors: Presence sensors a cell.
         encoders: Whether sense frames carry encoder travel.
+        levels: Whether they carry sensors' levels.
         message: The firmware's message type, None where cells send each other nothing.
         registers_every: Take in the registers that cells show every so many ticks; None: not.
         stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
@@ -63,6 +64,7 @@ class Host:
         sensors: int,
         encoders: bool,
         message: np.dtype[Any] | None,
+        levels: bool = False,
         registers_every: int | None = None,
         stall: StallSpec | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -72,9 +74,10 @@ class Host:
         self._shard_of = partition.shard_of
         self._sensors = sensors
         self._encoders = encoders
+        self._levels = levels
         self._stall = StallSpec() if stall is None else stall
         self._clock = clock
-        self._form: HostForm = FORMS[form].host(Wiring(run, partition, sensors, encoders, message))
+        self._form: HostForm = FORMS[form].host(Wiring(run, partition, sensors, encoders, message, levels))
         self.counts = Counts()
         self._tick = 0
         self._lives = Lives(len(partition.lattice))
@@ -137,18 +140,17 @@ class Host:
     # --- a tick ---------------------------------------------------------------------------------
 
     def publish(self, frame: SenseFrame) -> None:
-        """Sends every live cell its senses: ``presence`` ``(n, sensors)``, ``encoder_m`` ``(n, 2)`` or None.
+        """Sends every live cell its senses.
 
         Raises:
             BusError: The frame is not what was agreed.
         """
         shape = (len(self._lattice), self._sensors)
-        if frame.presence.shape != shape or (frame.encoder_m is not None) != self._encoders:
-            raise BusError(
-                f"sense frame of tick {frame.tick}: must have presence {shape} "
-                f"{'and' if self._encoders else 'without'} encoder travel, has {frame.presence.shape} "
-                f"{'without' if frame.encoder_m is None else 'and'} encoder travel"
-            )
+        agreed = _described(shape, self._encoders, shape if self._levels else None)
+        level = None if frame.level is None else frame.level.shape
+        found = _described(frame.presence.shape, frame.encoder_m is not None, level)
+        if found != agreed:
+            raise BusError(f"sense frame of tick {frame.tick}: must have {agreed}, has {found}")
         puts = list(zip(self._sense, self._form.sense_payloads(frame), strict=True))
         if not self._lives.all:
             puts = [put for put, until in zip(puts, self._drives.until, strict=True) if until > frame.tick]
@@ -285,3 +287,9 @@ class Host:
             names = tuple(self._lattice.cells[i] for i in lost)
             self.control(Control("lost", self._tick, names, detail or reason))
             self._losses += [Loss(i, self._tick, reason, detail) for i in lost]
+
+
+def _described(presence: tuple[int, ...], encoders: bool, level: tuple[int, ...] | None) -> str:
+    """What a sense frame has, in words."""
+    travel = "and" if encoders else "without"
+    return f"presence {presence} {travel} encoder travel and {'no levels' if level is None else f'levels {level}'}"

@@ -64,6 +64,7 @@ class Member:
         run: Name of the run.
         sensors: Presence sensors a cell.
         encoders: Whether sense frames carry encoder travel.
+        levels: Whether they carry sensors' levels.
         message: The firmware's message type, None where cells send each other nothing.
         stall: Deadlines.
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
@@ -87,13 +88,14 @@ class Member:
         sensors: int,
         encoders: bool,
         message: np.dtype[Any] | None,
+        levels: bool = False,
         stall: StallSpec | None = None,
         silence_s: float | None = None,
         registers_every: int | None = None,
         tally: Callable[[], Mapping[str, int]] = dict[str, int],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        wiring = Wiring(run, partition, sensors, encoders, message)
+        wiring = Wiring(run, partition, sensors, encoders, message, levels)
         self._endpoint = endpoint
         self._lattice = partition.lattice
         self._shard = shard
@@ -218,13 +220,13 @@ class Member:
                 )
 
     def _hand_over(self, tick: int) -> Gathered:
-        presence, encoder_m = self._form.join_senses(self._senses.close(tick).values)
+        senses = self._form.join_senses(self._senses.close(tick).values)
         if not self._lives.all:
             gone = ~self.live(tick)
-            presence[gone] = False
-            if encoder_m is not None:
-                encoder_m[gone] = 0.0
-        sense = SenseFrame(tick, presence, encoder_m)
+            for sensed in senses:
+                if sensed is not None:
+                    sensed[gone] = 0
+        sense = SenseFrame(tick, *senses)
         if self._message is None:
             return Gathered(sense, None)
         values = self._form.blank_links if tick == 0 else self._links.close(tick - 1).values

@@ -20,11 +20,15 @@ _MESSAGE_FIELDS: Final = 64
 
 
 class SenseFrame(NamedTuple):
-    """What the cells sense as a tick begins: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None."""
+    """What the cells sense as a tick begins: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None.
+
+    ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue.
+    """
 
     tick: int
     presence: Mask
     encoder_m: Values | None
+    level: Values | None = None
 
 
 class DriveFrame(NamedTuple):

@@ -142,7 +142,7 @@ class _Agent:
                 )
             sense, links = gathered
             heard = None if links is None else Links(links.sent, links.message)
-            outputs = self._shard.step(tick, sense.presence, sense.encoder_m, heard)
+            outputs = self._shard.step(tick, sense.presence, sense.encoder_m, heard, sense.level)
             self._ticks += 1
             if outputs.failures:
                 self._failures += outputs.failures

@@ -58,11 +58,13 @@ class CellInputs:
         presence: One bit a sensor.
         encoder_m: Surface travel of the two wheels since the start, m; None without encoders.
         inbox: By side, the message that the neighbour sent in the tick before, or None.
+        level: How much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
     """
 
     presence: tuple[bool, ...]
     encoder_m: tuple[float, float] | None
     inbox: Mapping[str, Message | None]
+    level: tuple[float, ...] | None = None
 
 
 @final
@@ -154,6 +156,7 @@ def _inputs(inputs: Inputs, i: int) -> CellInputs:
         tuple(inputs.presence[i].tolist()),
         None if encoder is None else (encoder[0], encoder[1]),
         dict.fromkeys(SIDES) if inputs.inbox is None else _inbox(inputs.inbox, i),
+        None if inputs.level is None else tuple(inputs.level[i].tolist()),
     )
 
 

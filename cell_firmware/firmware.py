@@ -96,17 +96,20 @@ class Inputs:
         presence: ``(n, sensors)``: is there a parcel over the sensor?
         encoder_m: ``(n, 2)``, surface travel of the two wheels since the start, m; None without encoders.
         inbox: Messages of the tick before; None for firmware that has none.
+        level: ``(n, sensors)``, how much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
     """
 
     presence: Bools
     encoder_m: Floats | None = None
     inbox: Inbox | None = None
+    level: Floats | None = None
 
     def take(self, indices: NDArray[np.int64]) -> Inputs:
         """The inputs of these cells alone, in this order."""
         encoder_m = None if self.encoder_m is None else self.encoder_m[indices]
         inbox = self.inbox and Inbox(self.inbox.received[indices], self.inbox.message[indices])
-        return Inputs(self.presence[indices], encoder_m, inbox)
+        level = None if self.level is None else self.level[indices]
+        return Inputs(self.presence[indices], encoder_m, inbox, level)
 
 
 @final

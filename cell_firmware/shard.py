@@ -120,7 +120,12 @@ class Shard:
         return self._n
 
     def step(
-        self, tick: int, presence: Bools, encoder_m: Floats | None = None, links: Links | None = None
+        self,
+        tick: int,
+        presence: Bools,
+        encoder_m: Floats | None = None,
+        links: Links | None = None,
+        level: Floats | None = None,
     ) -> ShardOutputs:
         """One control period of all cells.
 
@@ -130,6 +135,7 @@ class Shard:
             encoder_m: ``(n, 2)``, surface travel of the wheels, m; None without encoders.
             links: What came in over the border from tick ``tick - 1``; None in tick 0, without messages, or
                 where there is no border.
+            level: ``(n, sensors)``, how much of each sensor's spot is covered; None unless sensors are analogue.
 
         Returns:
             Drives, outgoing messages, and the cells that failed in this tick.
@@ -137,7 +143,7 @@ class Shard:
         if tick != self._tick + 1:
             raise FirmwareError(f"this is a bug: a shard was given tick {tick} after tick {self._tick}")
         self._tick = tick
-        inputs = Inputs(presence, encoder_m, self._inbox(links))
+        inputs = Inputs(presence, encoder_m, self._inbox(links), level)
         for stage in self._stages:
             inputs = stage.apply(tick, inputs, _EVERY if self._active is None else self._active)
         drive = np.zeros((self._n, 2))

@@ -165,7 +165,7 @@ class _Run:
                 raise Interrupted
 
         registers = self.options.registers
-        host = system.start(plant.array, encoders=plant.sense().encoder_m is not None, registers=registers)
+        host = system.start(plant.array, plant.sense(), registers)
         return PlantProcess(
             plant,
             host,

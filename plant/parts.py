@@ -1,4 +1,4 @@
-"""What a plant has only where effects of its scene ask for it: wheels with motors, parcels that come, go, or touch.
+"""What a plant has only where effects of its scene ask for it: motors, levels, parcels that come, go, or touch.
 
 Their modules are imported here, where they are used: a scene without them loads none of their code.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, cast
 
+from plant.array import CellArray
 from plant.overlap import OverlapWatch
 from plant.reports import ParcelStatus
 from plant.solvers.solver import Rewindable, Solver
@@ -15,6 +16,7 @@ from plant.wheels import IdealWheels, Wheels
 
 if TYPE_CHECKING:
     from plant.contact.mover import ContactMover
+    from plant.spots import Spots
     from plant.traffic import Traffic
 
 
@@ -45,6 +47,16 @@ def make_traffic(
     from plant.traffic import Traffic
 
     return Traffic(feeders, spec.seed, solver.state, status, overlaps)
+
+
+def make_spots(spec: PlantSpec, array: CellArray) -> Spots | None:
+    """What tells how much of its spot each sensor has covered, None where sensors have no levels."""
+    analogue = spec.effects.analogue_sensors
+    if analogue is None:
+        return None
+    from plant.spots import Spots
+
+    return Spots(analogue, array, spec.with_fed().parcels)
 
 
 def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.errors import PlantError, PlantUnstable
 from plant.overlap import OverlapWatch
-from plant.parts import make_mover, make_traffic, make_wheels
+from plant.parts import make_mover, make_spots, make_traffic, make_wheels
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
@@ -49,6 +49,7 @@ class Plant:
         self._wheels: Wheels = make_wheels(spec, n)
         rate = 0.0 if motors is None else 1.0 / motors.time_constant_s
         self._solver: Solver = make_solver(spec.with_fed(), self.array, rate)
+        self._spots = make_spots(spec, self.array)
         self._grip: Floats = np.ones(n)
         self._now_ns = 0
         self._none: Floats = np.zeros(0)
@@ -107,7 +108,8 @@ class Plant:
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
         self._solver.presence(self._there, presence)
         travel = self._wheels.travel
-        return Sense(presence, None if travel is None else _read_only(travel))
+        level = None if self._spots is None else self._spots.level(self._solver.state, self._there)
+        return Sense(presence, None if travel is None else _read_only(travel), level)
 
     def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
         """Note that cells are dead from now on.

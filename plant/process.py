@@ -200,7 +200,7 @@ class PlantProcess:
                 self._pace(start_ns)
             finally:
                 self.waiting = False
-        self._host.publish(SenseFrame(tick, sense.presence, sense.encoder_m))
+        self._host.publish(SenseFrame(tick, sense.presence, sense.encoder_m, sense.level))
         if died:
             self._host.retire(died, tick)
         self._report()

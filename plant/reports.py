@@ -21,10 +21,12 @@ class Sense:
     Attributes:
         presence: ``(n, sensors)`` bool.
         encoder_m: ``(n, 2)`` surface passed since the start, m, read-only; None where there are no encoders.
+        level: ``(n, sensors)`` share of each sensor's spot that is covered, 0 to 1; None without ``analogue_sensors``.
     """
 
     presence: NDArray[np.bool_]
     encoder_m: Floats | None
+    level: Floats | None = None
 
 
 class Event(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 
 from bus import codec, wire
 from bus.fixed import Decode, Fixed, Place, flags
-from bus.forms.form import HostForm, MemberForm, Wiring
+from bus.forms.form import HostForm, MemberForm, Senses, Wiring
 from bus.keys import cell_key, cell_link_key
 
 _VALUE: Final = 80
@@ -26,9 +26,12 @@ _LETTERS: Final = {
 }  # fmt: skip
 """The struct module's letter for each kind of field and its size."""
 _NO_MESSAGE: Final = codec.layout()
+_Sensed = tuple[bytes, bytes, bytes]
+"""Of a cell: presence a byte each, travel and levels packed, empty where there are none."""
 _DRIVE: Final[dict[str, Place]] = {"drive": ("d", "d")}
 
 _read_sense = codec.reader("sense", _VALUE, codec.layout("presence", "encoder_m"))
+_read_levels = codec.reader("sense", 2 * _VALUE, codec.layout("presence", "encoder_m", "level"))
 _read_drive = codec.reader("drive", _VALUE, codec.layout("drive"))
 
 
@@ -52,10 +55,14 @@ class CellsHost(HostForm):
         self.blank_drives = [bytes(_PAIR.size)] * len(cells)
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
-        """A payload a cell: ``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``."""
+        """A payload a cell: ``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``, and ``"level": [x, ...]``."""
         tick, write, sensors = frame.tick, self._sense.write, self._sensors
         there = frame.presence.tobytes()
         presence = [there[i : i + sensors] for i in range(0, len(there), sensors)]
+        if frame.level is not None:
+            parts = [frame.level] if frame.encoder_m is None else [frame.encoder_m, frame.level]
+            numbers = np.concatenate(parts, axis=1).tolist()
+            return write(tick, [(bits, *row) for bits, row in zip(presence, numbers, strict=True)])
         if frame.encoder_m is not None:
             travel = frame.encoder_m.tolist()
             return write(tick, [(bits, x, y) for bits, (x, y) in zip(presence, travel, strict=True)])
@@ -70,7 +77,11 @@ class CellsHost(HostForm):
 
 
 def _sense_places(wiring: Wiring) -> dict[str, Place]:
-    return {"presence": wiring.sensors, "encoder_m": ("d", "d") if wiring.encoders else None}
+    places: dict[str, Place] = {
+        "presence": wiring.sensors,
+        "encoder_m": ("d", "d") if wiring.encoders else None,
+    }
+    return places | {"level": ("d",) * wiring.sensors} if wiring.levels else places
 
 
 def _drive_decoder() -> Decode:
@@ -100,13 +111,16 @@ class CellsMember(MemberForm):
         self._rows = len(names)
         self._sensors = wiring.sensors
         self._encoders = wiring.encoders
+        self._levels = wiring.levels
         self.alive_keys = tuple(cell_key(run, cell, "alive") for cell in names)
         self.ready_keys = tuple(cell_key(run, cell, "ready") for cell in names)
         self.drive_keys = tuple(cell_key(run, cell, "drive") for cell in names)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in mine)
         self.sense_units = {cell_key(run, cell, "sense"): i for i, cell in enumerate(names)}
         self.decode_sense = _sense_decoder(wiring)
-        self.blank_senses = [(bytes(wiring.sensors), bytes(_PAIR.size))] * len(names)
+        self.blank_senses = [(bytes(wiring.sensors), bytes(_PAIR.size), bytes(8 * wiring.sensors))] * len(
+            names
+        )
         message = np.dtype([]) if wiring.message is None else wiring.message
         incoming, outgoing = partition.incoming(shard), partition.outgoing(shard)
         heard = range(0 if wiring.message is None else len(incoming))
@@ -128,13 +142,16 @@ class CellsMember(MemberForm):
         self.out_sources = tuple(outgoing.source[i : i + 1] for i in said)
         self.out_targets = tuple(outgoing.target[i : i + 1] for i in said)
 
-    def join_senses(self, values: list[Any]) -> tuple[codec.Mask, codec.Values | None]:
-        """From the presence bytes and the packed travel of each cell."""
-        bits, travel = zip(*values, strict=True)
-        presence = np.ndarray((self._rows, self._sensors), np.bool_, bytearray().join(bits))
-        if not self._encoders:
-            return presence, None
-        return presence, np.ndarray((self._rows, 2), np.float64, bytearray().join(travel))
+    def join_senses(self, values: list[Any]) -> Senses:
+        """From the presence bytes, the packed travel and the packed levels of each cell."""
+        bits, travel, levels = zip(*values, strict=True)
+        each = (self._rows, self._sensors)
+        presence, encoder_m, level = np.ndarray(each, np.bool_, bytearray().join(bits)), None, None
+        if self._encoders:
+            encoder_m = np.ndarray((self._rows, 2), np.float64, bytearray().join(travel))
+        if self._levels:
+            level = np.ndarray(each, np.float64, bytearray().join(levels))
+        return Senses(presence, encoder_m, level)
 
     def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
         """From the packed message of each link, empty where there was none."""
@@ -161,28 +178,40 @@ class CellsMember(MemberForm):
 
 
 def _sense_decoder(wiring: Wiring) -> Decode:
-    """From a sense payload to its tick, the presence as bytes and the travel as a packed pair."""
-    sensors, encoders = wiring.sensors, wiring.encoders
+    """From a sense payload to its tick, the presence as bytes, and travel and levels packed."""
+    sensors, encoders, levels = wiring.sensors, wiring.encoders, wiring.levels
+    read, pack = _read_levels if levels else _read_sense, struct.Struct(f"<{sensors}d").pack
 
-    def decode(unit: int, payload: bytes) -> tuple[int, tuple[bytes, bytes]]:  # noqa: ARG001 - all cells alike
-        tick, fields = _read_sense(payload)
-        presence = bytes(codec.booleans("sense", fields["presence"], sensors))
+    def decode(unit: int, payload: bytes) -> tuple[int, _Sensed]:  # noqa: ARG001 - all cells alike
+        tick, fields = read(payload)
+        presence, travel, level = bytes(codec.booleans("sense", fields["presence"], sensors)), b"", b""
         if encoders:
-            return tick, (presence, _PAIR.pack(*codec.pair("sense", fields["encoder_m"])))
-        codec.nothing("sense", "encoder_m", fields["encoder_m"])
-        return tick, (presence, b"")
+            travel = _PAIR.pack(*codec.pair("sense", fields["encoder_m"]))
+        else:
+            codec.nothing("sense", "encoder_m", fields["encoder_m"])
+        if levels:
+            level = pack(*codec.share_list("sense", fields["level"], sensors))
+        return tick, (presence, travel, level)
 
-    return Fixed(_sense_places(wiring)).decoder(_sensed if encoders else _present, decode)
+    def with_levels(marks: bytes, *numbers: float) -> _Sensed | None:
+        presence, level = flags(marks), numbers[-sensors:]
+        travel = _finite_pair(*numbers[:2]) if encoders else b""
+        if presence is None or travel is None or not all(0.0 <= one <= 1.0 for one in level):
+            return None
+        return presence, travel, pack(*level)
+
+    short = with_levels if levels else _sensed if encoders else _present
+    return Fixed(_sense_places(wiring)).decoder(short, decode)
 
 
-def _sensed(marks: bytes, x: float, y: float) -> tuple[bytes, bytes] | None:
+def _sensed(marks: bytes, x: float, y: float) -> _Sensed | None:
     presence, travel = flags(marks), _finite_pair(x, y)
-    return None if presence is None or travel is None else (presence, travel)
+    return None if presence is None or travel is None else (presence, travel, b"")
 
 
-def _present(marks: bytes) -> tuple[bytes, bytes] | None:
+def _present(marks: bytes) -> _Sensed | None:
     presence = flags(marks)
-    return None if presence is None else (presence, b"")
+    return None if presence is None else (presence, b"", b"")
 
 
 def _link_decoder(message: np.dtype[Any]) -> Decode:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -29,6 +29,7 @@ class Wiring:
         sensors: Presence sensors a cell.
         encoders: Whether there are encoders to read.
         message: The protocol's message type, None where cells send each other nothing.
+        levels: Whether sensors have levels.
 
     Raises:
         RunNameError: The name can't stand in a key.
@@ -40,11 +41,26 @@ class Wiring:
     sensors: int
     encoders: bool
     message: np.dtype[Any] | None
+    levels: bool = False
 
     def __post_init__(self) -> None:
         check_run(self.run)
         if self.message is not None:
             object.__setattr__(self, "message", check_message(self.message))
+
+
+class Senses(NamedTuple):
+    """What n cells sense; may be written.
+
+    Attributes:
+        presence: ``(n, sensors)``.
+        encoder_m: ``(n, 2)`` travel, None without encoders.
+        level: ``(n, sensors)`` in [0, 1], None without levels.
+    """
+
+    presence: Mask
+    encoder_m: Values | None
+    level: Values | None
 
 
 class HostForm(ABC):
@@ -113,8 +129,8 @@ class MemberForm(ABC):
     out_targets: tuple[Index, ...]
 
     @abstractmethod
-    def join_senses(self, values: list[Any]) -> tuple[Mask, Values | None]:
-        """Presence ``(n, sensors)`` and encoder travel ``(n, 2)`` of the shard's cells; may be written."""
+    def join_senses(self, values: list[Any]) -> Senses:
+        """What the shard's cells sense."""
 
     @abstractmethod
     def join_links(self, values: list[Any]) -> tuple[Mask, Message]:

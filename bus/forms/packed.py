@@ -8,10 +8,12 @@ import numpy as np
 
 from bus import codec, wire
 from bus.errors import WireError
-from bus.forms.form import HostForm, MemberForm, Wiring, stretch
+from bus.forms.form import HostForm, MemberForm, Senses, Wiring, stretch
 from bus.keys import shard_key, shard_link_key
+from bus.partition import Index
 
 _SENSE: Final = codec.layout("presence", "encoder_m")
+_SENSE_LEVELS: Final = _SENSE | {"level"}
 _DRIVE: Final = codec.layout("drive")
 _LINK: Final = codec.layout("sent", "message")
 
@@ -40,18 +42,7 @@ class PackedHost(HostForm):
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a shard."""
-        encoder_m = frame.encoder_m
-        return [
-            self._pack(
-                {
-                    "v": codec.VERSION,
-                    "tick": frame.tick,
-                    "presence": codec.bits_bytes(frame.presence[rows]),
-                    "encoder_m": None if encoder_m is None else encoder_m[rows].tobytes(),
-                }
-            )
-            for rows in self._rows
-        ]
+        return [self._pack(_sense_fields(frame, rows)) for rows in self._rows]
 
     def _decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
         """Tick and ``(cells, 2)`` drives of a shard."""
@@ -66,6 +57,20 @@ class PackedHost(HostForm):
         for rows, value in zip(self._rows, values, strict=True):
             drives[rows] = value
         return drives
+
+
+def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, object]:
+    """What one shard is told; there is no field for levels in a run whose sensors have none."""
+    encoder_m, level = frame.encoder_m, frame.level
+    fields: dict[str, object] = {
+        "v": codec.VERSION,
+        "tick": frame.tick,
+        "presence": codec.bits_bytes(frame.presence[rows]),
+        "encoder_m": None if encoder_m is None else encoder_m[rows].tobytes(),
+    }
+    if level is not None:
+        fields["level"] = level[rows].tobytes()
+    return fields
 
 
 @final
@@ -89,7 +94,12 @@ class PackedMember(MemberForm):
         self.blank_senses = [None]
         self._last_bits = bytes((self._rows * wiring.sensors + 7) // 8)
         self._last_presence = np.zeros((self._rows, wiring.sensors), dtype=np.bool_)
-        self._read_sense = codec.reader("sense", self._rows * (wiring.sensors + 16), _SENSE)
+        self._levels = wiring.levels
+        self._read_sense = codec.reader(
+            "sense",
+            self._rows * (9 * wiring.sensors + 16 if wiring.levels else wiring.sensors + 16),
+            _SENSE_LEVELS if wiring.levels else _SENSE,
+        )
         self._message = np.dtype([]) if wiring.message is None else wiring.message
         self._zero = np.zeros((), dtype=self._message)
         incoming = () if wiring.message is None else partition.incoming_borders(shard)
@@ -112,19 +122,22 @@ class PackedMember(MemberForm):
         self.out_targets = tuple(partition.cells(b.shard) for b in outgoing)
 
     def _decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
-        """Tick, and ``(n, sensors)`` presence with ``(n, 2)`` encoder travel or None."""
+        """Tick, and what the cells sense."""
         tick, fields = self._read_sense(payload)
         # Sensors change rarely: bytes that are the same as in the tick before need no reading.
         if fields["presence"] != self._last_bits:
             bits = codec.bits("sense", fields["presence"], self._rows * self._sensors)
             self._last_bits, self._last_presence = fields["presence"], bits.reshape(self._rows, self._sensors)
-        presence = self._last_presence.copy()
+        presence, encoder_m, level = self._last_presence.copy(), None, None
         if self._encoders:
-            return tick, (presence, codec.floats("sense", fields["encoder_m"], self._rows))
-        codec.nothing("sense", "encoder_m", fields["encoder_m"])
-        return tick, (presence, None)
+            encoder_m = codec.floats("sense", fields["encoder_m"], self._rows)
+        else:
+            codec.nothing("sense", "encoder_m", fields["encoder_m"])
+        if self._levels:
+            level = codec.shares("sense", fields["level"], self._rows, self._sensors)
+        return tick, Senses(presence, encoder_m, level)
 
-    def join_senses(self, values: list[Any]) -> tuple[codec.Mask, codec.Values | None]:
+    def join_senses(self, values: list[Any]) -> Senses:
         """Those of the one unit."""
         return values[0]
 

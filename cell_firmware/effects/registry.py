@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bus.effect import Effects
+from cell_firmware.effects.adc import AdcSpec
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.sensor import SensorSpec
@@ -12,9 +13,11 @@ from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
 class CellEffects(Effects):
     """Effects on what cells sense, compute and tell each other that a scene asks for.
 
-    What concerns messages acts in the order of these lines: what is lost is not delayed.
+    They act in the order of these lines: a sensor makes its bit of what the converter read, what is lost is not
+    delayed.
     """
 
+    adc: AdcSpec | None = None
     sensor: SensorSpec | None = None
     link_loss: LinkLossSpec | None = None
     link_delay: LinkDelaySpec | None = None

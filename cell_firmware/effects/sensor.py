@@ -1,4 +1,4 @@
-"""Effect ``sensor``: presence sensors that err at random, and whose readings come late."""
+"""Effect ``sensor``: presence sensors that err at random, bounce, and whose readings come late."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bus.chance import Draws
 from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
@@ -16,24 +16,35 @@ from cell_firmware.firmware import Inputs
 
 Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 LONGEST_TICKS: Final = 1_000
-"""Longest latency."""
+"""Longest latency, and most readings to wait for."""
+THRESHOLD: Final = 0.5
+"""Level at which an analogue sensor says that something is there, where a scene names no other."""
 
 
 @final
 class SensorSpec(CellEffectSpec):
     """Presence sensors err at random, each reading by itself, and readings come late.
 
-    The errors are those of a reading, which then takes its time: what a cell sees in tick k was read in tick
-    k − latency. Before anything has come in, sensors say that nothing is there.
+    In this order: where sensors are analogue the bit is made from the level (after ``adc``) by a threshold with
+    hysteresis; it errs; a change is believed after so many readings in a row; and what is believed takes its time: what
+    a cell sees in tick k was so in tick k − latency. Before anything has come in, sensors say that nothing is there.
     """
 
-    states: ClassVar[tuple[str, ...]] = ("readings under way",)
+    states: ClassVar[tuple[str, ...]] = (
+        "bits held by hysteresis, changes not yet believed, readings under way",
+    )
     messages: ClassVar[tuple[str, ...]] = ("what cells are told of sensors errs and lags",)
     rung: ClassVar[int | None] = 60
+    threshold: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
+    """Level at which an analogue sensor says that something is there; None: one half."""
+    hysteresis: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
+    """Between the levels at which it begins and ends to say so, half of it on either side of the threshold."""
     false_positive: Probability = 0.0
     """Probability, a reading and tick, that a sensor with nothing over it says there is."""
     false_negative: Probability = 0.0
     """The same of one with a parcel over it, that it says there is not."""
+    debounce_ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)] = 1
+    """How many times in a row a change has to be read to be believed."""
     latency_ticks: Annotated[int, Field(ge=0, le=LONGEST_TICKS)] = 0
     """How many ticks later than without the effect the cell sees a reading."""
 
@@ -42,12 +53,53 @@ class SensorSpec(CellEffectSpec):
         """One reading in a thousand is wrong, and each a tick late."""
         return cls(false_positive=1e-3, false_negative=1e-3, latency_ticks=1)
 
+    @model_validator(mode="after")
+    def _within_reach(self) -> SensorSpec:
+        off, on = self.switching_levels
+        if off <= 0.0 or on > 1.0:
+            raise ValueError(
+                f"threshold -/+ hysteresis/2 must be in (0, 1], not {off:g} and {on:g}: the sensor would never switch"
+            )
+        return self
+
+    @property
+    def switching_levels(self) -> tuple[float, float]:
+        """The level below which it says that nothing is there, and that from which on it says that something is."""
+        threshold = THRESHOLD if self.threshold is None else self.threshold
+        return threshold - 0.5 * self.hysteresis, threshold + 0.5 * self.hysteresis
+
+    def needed(self) -> tuple[str, ...]:
+        """Levels, where the scene says what to make of them."""
+        return ("analogue_sensors",) if self.threshold is not None or self.hysteresis else ()
+
     def stages(self, site: Site) -> Iterator[Stage]:
-        """Errors, then latency."""
+        """Threshold, errors, debouncing, latency."""
+        if site.levels:
+            yield _Threshold(self, site)
         if self.false_positive or self.false_negative:
             yield _Errors(self, site)
+        if self.debounce_ticks > 1:
+            yield _Debounce(self.debounce_ticks, site)
         if self.latency_ticks:
             yield _Latency(self.latency_ticks, site)
+
+
+@final
+class _Threshold(Stage):
+    """A comparator with hysteresis."""
+
+    def __init__(self, spec: SensorSpec, site: Site) -> None:
+        super().__init__()
+        self._off, self._on = spec.switching_levels
+        self._there = np.zeros((len(site.cells), site.sensors), dtype=np.bool_)
+
+    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """Makes bits from levels."""
+        del tick, alive
+        level = inputs.level
+        assert level is not None, "this is a bug: no levels, but a threshold"
+        self._there = (level >= self._on) | (self._there & (level >= self._off))
+        return replace(inputs, presence=self._there.copy())
 
 
 @final
@@ -66,6 +118,30 @@ class _Errors(Stage):
         self.count("false_positives", wrong & ~presence, alive)
         self.count("false_negatives", wrong & presence, alive)
         return replace(inputs, presence=presence ^ wrong)
+
+
+@final
+class _Debounce(Stage):
+    """Counts how long each bit has been read as other than it is believed to be."""
+
+    def __init__(self, ticks: int, site: Site) -> None:
+        super().__init__()
+        self._ticks = ticks
+        shape = (len(site.cells), site.sensors)
+        self._believed = np.zeros(shape, dtype=np.bool_)
+        self._read = np.zeros(shape, dtype=np.int64)
+        self.counted["bounces"] = 0
+
+    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """Holds each bit until its change has been read often enough."""
+        del tick
+        other = inputs.presence ^ self._believed
+        self.count("bounces", ~other & (self._read > 0), alive)
+        read = np.where(other, self._read + 1, 0)
+        changed = read >= self._ticks
+        self._believed = self._believed ^ changed
+        self._read = np.where(changed, 0, read)
+        return replace(inputs, presence=self._believed.copy())
 
 
 @final

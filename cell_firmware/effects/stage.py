@@ -26,24 +26,27 @@ class Site:
         sensors: Presence sensors of a cell.
         message: Type of a message between neighbours; None if they don't talk.
         seed: The scene's.
+        levels: Whether sensors have levels.
     """
 
     cells: NDArray[np.int64]
     sensors: int
     message: np.dtype[Any] | None
     seed: int
+    levels: bool = False
 
     def sensor_places(self) -> NDArray[np.int64]:
         """``(n sensors,)``: a number for every sensor that is its own in the whole array."""
-        return _places(self.cells, self.sensors)
+        return places(self.cells, self.sensors)
 
     def link_places(self) -> NDArray[np.int64]:
         """``(4 n,)``: the same for every side on which a cell may hear a neighbour."""
-        return _places(self.cells, len(SIDES))
+        return places(self.cells, len(SIDES))
 
 
-def _places(cells: NDArray[np.int64], each: int) -> NDArray[np.int64]:
-    return (each * cells[:, None] + np.arange(each)).ravel()
+def places(whose: NDArray[np.int64], each: int) -> NDArray[np.int64]:
+    """Numbers, ``each`` of them for every one of ``whose`` numbers, ``(each m,)``, no two alike."""
+    return (each * whose[:, None] + np.arange(each)).ravel()
 
 
 class Stage(ABC):

@@ -128,7 +128,7 @@ def _process(scene: Scene, system: System, plant: Plant, events: list[Event]) ->
 
     return PlantProcess(
         plant,
-        system.start(plant.array, encoders=plant.sense().encoder_m is not None),
+        system.start(plant.array, plant.sense()),
         period_ns=scene.cells.period_ns,
         duration_ns=scene.duration_ns,
         schedule=deaths(scene),

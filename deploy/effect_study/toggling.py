@@ -57,7 +57,11 @@ def _taken_out(scene: Scene, name: str, own: dict[str, Table]) -> Toggled:
 
 def _put_in(scene: Scene, name: str, own: dict[str, Table]) -> Toggled:
     settings = typical(name, scene)
-    beside = {needed: typical(needed, scene) for needed in sorted(_needs(name)) if needed not in own}
+    beside = {
+        needed: typical(needed, scene)
+        for needed in sorted(_needs(name, settings, scene))
+        if needed not in own
+    }
     on = variant(scene, {**own, **beside, name: settings})
     off = variant(scene, {**own, **beside}, solver=_solver(on))
     return Toggled(on=on, off=off, settings=settings, beside=tuple(beside))
@@ -67,18 +71,26 @@ def _solver(scene: Scene) -> Table:
     return scene.solver.model_dump(mode="json")
 
 
-def _needs(name: str) -> set[str]:
-    """All effects that one builds on."""
+def _needs(name: str, settings: Table, scene: Scene) -> set[str]:
+    """All effects that one with these settings builds on, these with typical settings."""
     found: set[str] = set()
-    waiting = list(effect_types()[name].needs)
+    waiting = list(_needed(name, settings))
     while waiting:
         needed = waiting.pop()
         if needed not in found:
             found.add(needed)
-            waiting += effect_types()[needed].needs
+            waiting += _needed(needed, typical(needed, scene))
     return found
 
 
+def _needed(name: str, settings: Table) -> tuple[str, ...]:
+    return effect_types()[name].model_validate(settings).needed()
+
+
 def dependents(name: str, own: Mapping[str, Table]) -> set[str]:
-    """The effect, and those of the scene's that build on it."""
-    return {name} | {other for other in own if name in _needs(other)}
+    """The effect, and those of the scene's that build on it as they are set."""
+    found, size = {name}, 0
+    while len(found) > size:
+        size = len(found)
+        found |= {other for other, table in own.items() if not found.isdisjoint(_needed(other, table))}
+    return found

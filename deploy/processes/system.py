@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bus.transport import Endpoint
     from deploy.scene import Scene
     from plant.array import CellArray
+    from plant.reports import Sense
 
 _STOP_S = 2.0
 """Wall time that the cells get to leave when they are told to stop."""
@@ -82,12 +83,12 @@ class System:
         self._locator = self._endpoint.locator
         self._cells = self._processes or WorkerThread(open_client(self._locator))
 
-    def start(self, array: CellArray, *, encoders: bool, registers: int | None = None) -> Host:
+    def start(self, array: CellArray, sense: Sense, registers: int | None = None) -> Host:
         """Start the cells and wait until all of them are ready.
 
         Args:
             array: The cells that exist.
-            encoders: Whether the plant's wheels have encoders.
+            sense: What they sense first: whether there are encoders and levels.
             registers: Have the cells show their registers every so many ticks; None: not.
 
         Raises:
@@ -99,6 +100,7 @@ class System:
         assert self._endpoint is not None
         assert self._cells is not None
         scene, plan = self._scene, self._plan
+        encoders, levels = sense.encoder_m is not None, sense.level is not None
         order = Order(
             scene=scene,
             array=array,
@@ -108,6 +110,7 @@ class System:
             connect=self._locator,
             encoders=encoders,
             registers=registers,
+            levels=levels,
             alone=plan.workers > 0,
         )
         host = self._host = Host(
@@ -117,6 +120,7 @@ class System:
             run=plan.run,
             sensors=len(scene.array.sensors_m),
             encoders=encoders,
+            levels=levels,
             message=controller_of(scene).message,
             registers_every=registers,
             stall=scene.stall,

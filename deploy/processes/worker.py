@@ -34,6 +34,7 @@ class Order:
         run: Names the run on the bus.
         connect: Where the plant listens.
         encoders: Whether the wheels have encoders.
+        levels: Whether sensors have levels.
         registers: Show the cells' registers to the plant every so many ticks; None: not.
         alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
     """
@@ -45,6 +46,7 @@ class Order:
     run: str
     connect: str
     encoders: bool
+    levels: bool
     registers: int | None
     alone: bool
 
@@ -80,6 +82,7 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
         run=order.run,
         sensors=len(order.scene.array.sensors_m),
         encoders=order.encoders,
+        levels=order.levels,
         message=cells.message,
         stall=order.scene.stall,
         registers_every=order.registers,
@@ -114,7 +117,7 @@ def _shard(order: Order, shard: int) -> Shard:
 
     scene, array = order.scene, order.array
     controller, sensors = controller_of(scene), len(scene.array.sensors_m)
-    site = Site(order.partition.cells(shard), sensors, controller.message, scene.seed)
+    site = Site(order.partition.cells(shard), sensors, controller.message, scene.seed, levels=order.levels)
     return Shard(
         controller,
         Cells.of(array.lattice, array.positions_m, scene.cells.period_s, sensors),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bus.effect import Effects
+from plant.effects.analogue_sensors import AnalogueSensorsSpec
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.feeders import FeedersSpec
 from plant.effects.motors import MotorsSpec
@@ -24,6 +25,7 @@ class PlantEffects(Effects):
     wheel_load: WheelLoadSpec | None = None
     feeders: FeedersSpec | None = None
     parcel_contact: ParcelContactSpec | None = None
+    analogue_sensors: AnalogueSensorsSpec | None = None
 
     def rails_m(self) -> Sequence[Sequence[tuple[float, float]]]:
         """Corners of each guide rail that stands on the array, m."""

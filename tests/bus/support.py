@@ -111,6 +111,7 @@ class System:
     form: FormName
     message: np.dtype[Any] | None = None
     encoders: bool = False
+    levels: bool = False
     stall: StallSpec = field(default_factory=StallSpec)
     clock: FakeClock | None = None
     registers_every: int | None = None
@@ -132,6 +133,7 @@ class System:
             "run": "test",
             "sensors": SENSORS,
             "encoders": self.encoders,
+            "levels": self.levels,
             "message": self.message,
             "stall": self.stall,
             "registers_every": self.registers_every,
@@ -155,7 +157,8 @@ class System:
         n = len(self.partition.lattice)
         bits = (np.arange(n * SENSORS).reshape(n, SENSORS) * 7 + tick) % 3 == 0
         travel = (tick + np.arange(n * 2).reshape(n, 2) / 3.0) if self.encoders else None
-        return SenseFrame(tick, bits, travel)
+        level = (np.arange(n * SENSORS).reshape(n, SENSORS) + tick) / (n * SENSORS + 99.0)
+        return SenseFrame(tick, bits, travel, level if self.levels else None)
 
     def drive(self, shard: int, tick: int) -> DriveFrame:
         cells = self.partition.cells(shard)

@@ -36,9 +36,11 @@ FORM_NAMES: list[FormName] = ["packed", "cells"]
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
-def sides(form: FormName, *, encoders: bool = True, sensors: int = 3) -> tuple[HostForm, list[MemberForm]]:
+def sides(
+    form: FormName, *, encoders: bool = True, sensors: int = 3, levels: bool = False
+) -> tuple[HostForm, list[MemberForm]]:
     partition = Partition.even(grid(2, 3), 2)
-    wiring = Wiring("test", partition, sensors, encoders, MESSAGE)
+    wiring = Wiring("test", partition, sensors, encoders, MESSAGE, levels)
     return FORMS[form].host(wiring), [FORMS[form].member(wiring, shard) for shard in range(2)]
 
 
@@ -46,7 +48,7 @@ def over_the_wire(
     form: FormName, sense: SenseFrame, drives: list[DriveFrame], links: list[LinkFrame]
 ) -> tuple[list[Any], Any, list[Any]]:
     """What each member senses, what the host gathers, and what each member hears, after encoding and decoding."""
-    host, members = sides(form, encoders=sense.encoder_m is not None)
+    host, members = sides(form, encoders=sense.encoder_m is not None, levels=sense.level is not None)
     sent = dict(zip(host.sense_keys, host.sense_payloads(sense), strict=True))
     sensed: list[Any] = []
     for member in members:
@@ -72,24 +74,29 @@ def over_the_wire(
 @given(
     bits=hnp.arrays(np.bool_, (6, 3)),
     travel=hnp.arrays(np.float64, (6, 2), elements=FINITE),
+    level=st.none() | hnp.arrays(np.float64, (6, 3), elements=st.floats(0.0, 1.0)),
     drive=hnp.arrays(np.float64, (6, 2), elements=FINITE),
     message=hnp.arrays(MESSAGE, (6,)),
     sent=hnp.arrays(np.bool_, (6,)),
     tick=st.integers(0, 2**62 - 1),
 )
 def test_both_forms_give_back_what_was_put_in_to_the_bit(
-    bits: Any, travel: Any, drive: Any, message: Any, sent: Any, tick: int
+    bits: Any, travel: Any, level: Any, drive: Any, message: Any, sent: Any, tick: int
 ) -> None:
     expected = np.where(sent, message, np.zeros((), MESSAGE))
     for form in FORM_NAMES:
         sensed, driven, heard = over_the_wire(
             form,
-            SenseFrame(tick, bits, travel),
+            SenseFrame(tick, bits, travel, level),
             [DriveFrame(tick, drive[:3]), DriveFrame(tick, drive[3:])],
             [LinkFrame(tick, sent[:3], message[:3]), LinkFrame(tick, sent[3:], message[3:])],
         )
-        assert [presence.tolist() for presence, _ in sensed] == [bits[:3].tolist(), bits[3:].tolist()]
-        assert b"".join(encoder_m.tobytes() for _, encoder_m in sensed) == travel.tobytes()
+        assert [one.presence.tolist() for one in sensed] == [bits[:3].tolist(), bits[3:].tolist()]
+        assert b"".join(one.encoder_m.tobytes() for one in sensed) == travel.tobytes()
+        if level is None:
+            assert [one.level for one in sensed] == [None, None]
+        else:
+            assert b"".join(one.level.tobytes() for one in sensed) == level.tobytes()
         assert driven.tobytes() == drive.tobytes()
         # What shard 0 says, shard 1 hears, and the other way round; NaN payloads are compared as bytes.
         for shard, (there, values) in enumerate(heard):
@@ -109,15 +116,37 @@ def test_without_encoders_travel_is_nil(form: FormName) -> None:
     drives = [DriveFrame(0, np.zeros((3, 2)))] * 2
     silence = [LinkFrame(0, np.zeros(3, np.bool_), np.zeros(3, MESSAGE))] * 2
     sensed, _, _ = over_the_wire(form, SenseFrame(0, bits, None), drives, silence)
-    assert [encoder_m for _, encoder_m in sensed] == [None, None]
-    assert np.concatenate([presence for presence, _ in sensed]).tolist() == bits.tolist()
+    assert [one.encoder_m for one in sensed] == [None, None]
+    assert np.concatenate([one.presence for one in sensed]).tolist() == bits.tolist()
+
+
+@pytest.mark.parametrize("form", FORM_NAMES)
+def test_a_run_without_levels_has_no_field_for_them(form: FormName) -> None:
+    host, _ = sides(form)
+    for payload in host.sense_payloads(SenseFrame(0, np.ones((6, 3), np.bool_), np.zeros((6, 2)))):
+        assert msgpack.unpackb(payload).keys() == {"v", "tick", "presence", "encoder_m"}
+
+
+@pytest.mark.parametrize("form", FORM_NAMES)
+def test_levels_go_without_encoders(form: FormName) -> None:
+    host, members = sides(form, encoders=False, levels=True)
+    level = np.linspace(0.0, 1.0, 18).reshape(6, 3)
+    sent = dict(
+        zip(host.sense_keys, host.sense_payloads(SenseFrame(3, level > 0.5, None, level)), strict=True)
+    )
+    for member, rows in zip(members, (slice(0, 3), slice(3, 6)), strict=True):
+        values = [member.decode_sense(unit, sent[key])[1] for key, unit in member.sense_units.items()]
+        sensed = member.join_senses(values)
+        assert sensed.encoder_m is None
+        assert sensed.level is not None
+        assert sensed.level.tobytes() == level[rows].tobytes()
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
 def test_joined_arrays_may_be_written(form: FormName) -> None:
     sensed, driven, heard = over_the_wire(
         form,
-        SenseFrame(0, np.zeros((6, 3), np.bool_), np.zeros((6, 2))),
+        SenseFrame(0, np.zeros((6, 3), np.bool_), np.zeros((6, 2)), np.zeros((6, 3))),
         [DriveFrame(0, np.zeros((3, 2)))] * 2,
         [LinkFrame(0, np.ones(3, np.bool_), np.zeros(3, MESSAGE))] * 2,
     )
@@ -133,6 +162,14 @@ def test_a_cell_s_payloads_are_maps_that_any_tool_reads() -> None:
         "tick": 7,
         "presence": [True, False, True],
         "encoder_m": None,
+    }
+    levelled, _ = sides("cells", encoders=False, levels=True)
+    assert msgpack.unpackb(levelled.sense_payloads(SenseFrame(7, bits, None, 0.25 * bits))[0]) == {
+        "v": 1,
+        "tick": 7,
+        "presence": [True, False, True],
+        "encoder_m": None,
+        "level": [0.25, 0.0, 0.25],
     }
     drive = DriveFrame(7, np.array([[0.5, -0.25]] * 3))
     assert msgpack.unpackb(member.drive_payloads(drive)[0]) == {"v": 1, "tick": 7, "drive": [0.5, -0.25]}
@@ -160,7 +197,10 @@ def test_a_tool_may_write_whole_numbers_where_floats_are_meant() -> None:
 def good_payloads(form: FormName) -> list[tuple[Any, bytes]]:
     """Each kind of decoder with a payload that it accepts."""
     host, (member, _) = sides(form)
-    sense = host.sense_payloads(SenseFrame(5, np.ones((6, 3), np.bool_), np.full((6, 2), 0.1)))[0]
+    travel, there = np.full((6, 2), 0.1), np.ones((6, 3), np.bool_)
+    sense = host.sense_payloads(SenseFrame(5, there, travel))[0]
+    seeing, (feeling, _) = sides(form, levels=True)
+    levels = seeing.sense_payloads(SenseFrame(5, there, travel, np.full((6, 3), 0.1)))[0]
     drive = member.drive_payloads(DriveFrame(5, np.full((3, 2), 0.1)))[0]
     link = member.link_payloads(LinkFrame(5, np.ones(3, np.bool_), np.ones(3, MESSAGE)))[0]
     silent = member.link_payloads(LinkFrame(5, np.zeros(3, np.bool_), np.ones(3, MESSAGE)))[0]
@@ -173,10 +213,11 @@ def good_payloads(form: FormName) -> list[tuple[Any, bytes]]:
         (lambda payload: member.decode_link(0, payload), silent),
         (lambda payload: decode_control(payload, 6), control),
         (lambda payload: decode_report(payload, 6), report),
+        (lambda payload: feeling.decode_sense(0, payload), levels),
     ]
 
 
-GOOD = [(form, i) for form in FORM_NAMES for i in range(6)]
+GOOD = [(form, i) for form in FORM_NAMES for i in range(7)]
 
 
 @pytest.mark.parametrize(("form", "which"), GOOD)
@@ -297,6 +338,35 @@ def test_packed_bits_beyond_the_last_and_odd_sizes_are_refused() -> None:
     odd = bytearray(link["message"])
     odd[MESSAGE.fields["there"][1]] = 7  # type: ignore[index]
     assert refusal(lambda p: member.decode_link(0, p), {**link, "message": bytes(odd)}) == "link: type"
+
+
+def test_a_level_that_is_no_share_is_refused_and_so_is_one_where_none_was_agreed() -> None:
+    there, travel, level = np.ones((6, 3), np.bool_), np.zeros((6, 2)), np.full((6, 3), 0.5)
+    for form in FORM_NAMES:
+        host, (member, _) = sides(form, levels=True)
+        _, (plain, _) = sides(form)
+        good = host.sense_payloads(SenseFrame(0, there, travel, level))[0]
+        bare = msgpack.packb(
+            {name: value for name, value in msgpack.unpackb(good).items() if name != "level"}
+        )
+        assert refusal(lambda p, m=member: m.decode_sense(0, p), bare) == "sense: fields"
+        unasked = "sense: length" if form == "packed" else "sense: fields"
+        assert refusal(lambda p, m=plain: m.decode_sense(0, p), good) == unasked
+        for bad in (-1e-9, np.nextafter(1.0, 2.0), np.inf, np.nan):
+            wrong = level.copy()
+            wrong[0, 2] = bad
+            payload = host.sense_payloads(SenseFrame(0, there, travel, wrong))[0]
+            assert refusal(lambda p, m=member: m.decode_sense(0, p), payload) == "sense: range"
+    # whole numbers, and lists that are none
+    fields = {"v": 1, "tick": 0, "presence": [True] * 3, "encoder_m": [0, 0]}
+    assert member.decode_sense(0, msgpack.packb({**fields, "level": [0, 1, 0.5]}))[0] == 0
+    assert refusal(lambda p: member.decode_sense(0, p), {**fields, "level": [0.5, 0.5]}) == "sense: type"
+    assert (
+        refusal(lambda p: member.decode_sense(0, p), {**fields, "level": [0.5, True, 0.5]}) == "sense: type"
+    )
+    host, (member, _) = sides("packed", levels=True)
+    sense = msgpack.unpackb(host.sense_payloads(SenseFrame(0, there, travel, level))[0])
+    assert refusal(lambda p: member.decode_sense(0, p), {**sense, "level": b"\x00" * 24}) == "sense: size"
 
 
 def test_records_survive_the_wire() -> None:

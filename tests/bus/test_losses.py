@@ -167,7 +167,9 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
     network: Network, form: FormName, count: int
 ) -> None:
     """Same senses, same messages, same drives whatever the cut, and no loss."""
-    system = System(network, Partition.even(grid(2, 3), count), form, message=MESSAGE, encoders=True).start()
+    system = System(
+        network, Partition.even(grid(2, 3), count), form, message=MESSAGE, encoders=True, levels=True
+    ).start()
     dead, at = [1, 5], 2
     for side in (system.host, *system.members):
         side.retire(dead, at)
@@ -187,6 +189,8 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
             cells, incoming = system.partition.cells(shard), system.partition.incoming(shard)
             absent = np.isin(cells, dead) & (tick >= at)
             assert result.sense.presence[absent].any() == False  # noqa: E712 - NumPy's
+            assert result.sense.level is not None
+            assert not result.sense.level[absent].any()
             assert result.links is not None
             spoke = (incoming.source + incoming.source_side + tick - 1) % 3 != 0
             alive_then = ~np.isin(incoming.source, dead) | (tick - 1 < at)

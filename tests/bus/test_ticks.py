@@ -30,7 +30,7 @@ from tests.bus.support import (
 def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
     network: Network, form: FormName, count: int
 ) -> None:
-    system = System(network, Partition.even(grid(2, 3), count), form, encoders=True).start()
+    system = System(network, Partition.even(grid(2, 3), count), form, encoders=True, levels=True).start()
     for tick in range(3):
         sense = system.sense(tick)
         system.host.publish(sense)
@@ -43,6 +43,9 @@ def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
             assert mine.encoder_m is not None
             assert sense.encoder_m is not None
             assert mine.encoder_m.tolist() == sense.encoder_m[cells].tolist()
+            assert mine.level is not None
+            assert sense.level is not None
+            assert mine.level.tolist() == sense.level[cells].tolist()
             member.publish(system.drive(shard, tick), None)
         drive, losses = system.host.gather(tick)
         assert drive.tick == tick
@@ -142,6 +145,9 @@ def test_publishing_another_shape_than_agreed_is_refused_with_its_place(memory: 
         member.publish(system.drive(1, 0), LinkFrame(0, np.zeros(2, np.bool_), np.zeros(2, MESSAGE)))
     with pytest.raises(BusError, match="sense frame of tick 0: must have presence"):
         system.host.publish(System.sense(system, 0).__class__(0, np.zeros((3, SENSORS), np.bool_), None))
+    level = np.zeros((2, SENSORS))
+    with pytest.raises(BusError, match=r"must have .* and no levels, has .* and levels \(2, 2\)"):
+        system.host.publish(system.sense(0)._replace(level=level))
 
 
 def test_a_bad_run_name_is_refused(memory: Network) -> None:

@@ -17,8 +17,8 @@ CELLS, SENSORS, TICKS = 900, 3, 40
 ALL = slice(None)
 
 
-def stages_of(spec: SensorSpec, seed: int = 5) -> list[Stage]:
-    return list(spec.stages(Site(np.arange(CELLS), SENSORS, None, seed)))
+def stages_of(spec: SensorSpec, seed: int = 5, *, levels: bool = False) -> list[Stage]:
+    return list(spec.stages(Site(np.arange(CELLS), SENSORS, None, seed, levels=levels)))
 
 
 def seen(stages: list[Stage], presence: Bools, alive: NDArray[np.int64] | slice = ALL) -> Bools:
@@ -30,6 +30,25 @@ def seen(stages: list[Stage], presence: Bools, alive: NDArray[np.int64] | slice 
             inputs = stage.apply(tick, inputs, alive)
         read.append(inputs.presence)
     return np.array(read)
+
+
+def switched(spec: SensorSpec, level: NDArray[np.float64]) -> Bools:
+    """Bits ``(ticks, n, sensors)`` that sensors make of levels."""
+    stages, read = stages_of(spec, levels=True), []
+    for now in level:
+        inputs = Inputs(np.zeros((CELLS, SENSORS), dtype=np.bool_), None, None, now)
+        for stage in stages:
+            inputs = stage.apply(len(read), inputs, ALL)
+        read.append(inputs.presence)
+    return np.array(read)
+
+
+@pytest.fixture(scope="module")
+def level() -> NDArray[np.float64]:
+    """Levels that wander about one half, some of them at it exactly."""
+    steps = np.random.default_rng(3).normal(0.0, 0.1, (TICKS, CELLS, SENSORS))
+    walk = np.clip(0.5 + np.cumsum(steps, axis=0), 0.0, 1.0)
+    return np.round(walk * 20.0) / 20.0
 
 
 @pytest.fixture(scope="module")
@@ -94,12 +113,122 @@ def test_another_seed_makes_other_errors(there: Bools) -> None:
     assert (seen(stages_of(spec, 1), there) != seen(stages_of(spec, 2), there)).any()
 
 
+def test_a_level_of_one_half_or_more_is_something_there_unless_the_scene_says_another(
+    level: NDArray[np.float64],
+) -> None:
+    assert np.array_equal(switched(SensorSpec(), level), level >= 0.5)
+    assert np.array_equal(switched(SensorSpec(threshold=0.25), level), level >= 0.25)
+    assert np.array_equal(switched(SensorSpec(threshold=1.0), level), level >= 1.0)
+
+
+def test_hysteresis_holds_the_bit_between_its_two_levels(level: NDArray[np.float64]) -> None:
+    found = switched(SensorSpec(threshold=0.5, hysteresis=0.25), level)
+    held = 0
+    for cell in range(0, CELLS, 9):
+        bit = False
+        for tick in range(TICKS):
+            now = float(level[tick, cell, 1])
+            if now >= 0.625:
+                bit = True
+            elif now < 0.375:
+                bit = False
+            else:
+                held += bit != (now >= 0.5)
+            assert bool(found[tick, cell, 1]) is bit
+    assert held > 20
+    # at the two levels themselves: on from the upper on, off only below the lower
+    steps = np.array([0.5, 0.625, 0.375, 0.625, np.nextafter(0.375, 0.0), np.nextafter(0.625, 0.0)])
+    edge = switched(SensorSpec(hysteresis=0.25), np.broadcast_to(steps[:, None, None], (6, CELLS, SENSORS)))
+    assert edge[:, 0, 0].tolist() == [False, True, True, True, False, False]
+
+
+def test_presence_as_the_plant_has_it_counts_for_nothing_where_there_are_levels() -> None:
+    stages = stages_of(SensorSpec(), levels=True)
+    inputs = Inputs(np.ones((CELLS, SENSORS), dtype=np.bool_), None, None, np.zeros((CELLS, SENSORS)))
+    for stage in stages:
+        inputs = stage.apply(0, inputs, ALL)
+    assert not inputs.presence.any()
+
+
+def test_without_levels_a_threshold_s_default_is_no_stage(there: Bools) -> None:
+    errors = SensorSpec(false_positive=0.1, latency_ticks=2)
+    assert len(stages_of(errors)) == 2
+    assert len(stages_of(errors, levels=True)) == 3
+
+
+@pytest.mark.parametrize("ticks", [2, 5])
+def test_a_change_is_believed_once_it_has_been_read_so_many_times_in_a_row(ticks: int) -> None:
+    # long stretches, so that some changes last and some don't
+    change = np.random.default_rng(8).random((TICKS, CELLS, SENSORS)) < 0.3
+    read = np.logical_xor.accumulate(change, axis=0)
+    (debounce,) = stages_of(SensorSpec(debounce_ticks=ticks))
+    found = seen([debounce], read)
+    bounced = 0
+    for cell in range(CELLS):
+        for sensor in range(SENSORS):
+            believed, recent = False, [False] * ticks
+            for tick in range(TICKS):
+                now = bool(read[tick, cell, sensor])
+                bounced += now == believed and recent[-1] != believed
+                recent = [*recent[1:], now]
+                if all(one != believed for one in recent):
+                    believed = not believed
+                assert bool(found[tick, cell, sensor]) is believed
+    assert debounce.counted == {"bounces": bounced}
+    assert bounced > 100
+
+
+def test_a_bit_that_stays_comes_so_many_readings_late() -> None:
+    read = np.zeros((TICKS, CELLS, SENSORS), dtype=np.bool_)
+    read[10:20] = True
+    found = seen(stages_of(SensorSpec(debounce_ticks=4, latency_ticks=2)), read)
+    assert np.flatnonzero(found[:, 0, 0]).tolist() == list(range(15, 25))
+
+
+def test_errors_come_before_debouncing_and_latency_after(there: Bools) -> None:
+    settings = {"false_positive": 0.2, "false_negative": 0.2, "debounce_ticks": 3, "latency_ticks": 4}
+    stages = stages_of(SensorSpec(**settings))
+    wrong = seen(stages_of(SensorSpec(false_positive=0.2, false_negative=0.2)), there)
+    steady = seen(stages_of(SensorSpec(debounce_ticks=3)), wrong)
+    late = seen(stages_of(SensorSpec(latency_ticks=4)), steady)
+    assert (seen(stages, there) == late).all()
+    assert (steady != wrong).any()
+
+
+def test_firmware_that_writes_to_what_it_sees_changes_no_sensor() -> None:
+    for spec in (SensorSpec(), SensorSpec(debounce_ticks=2)):
+        for stage in stages_of(spec, levels=True):
+            inputs = Inputs(np.ones((CELLS, SENSORS), dtype=np.bool_), None, None, np.ones((CELLS, SENSORS)))
+            for tick in range(3):
+                told = stage.apply(tick, inputs, ALL).presence
+                assert told.all() or tick < 1
+                told[:] = False
+
+
+def test_a_threshold_needs_levels_and_nothing_else_of_a_sensor_does() -> None:
+    assert SensorSpec(false_positive=0.1, debounce_ticks=2, latency_ticks=1).needed() == ()
+    assert SensorSpec(threshold=0.5).needed() == ("analogue_sensors",)
+    assert SensorSpec(hysteresis=0.1).needed() == ("analogue_sensors",)
+
+
 def test_what_the_settings_do_not_need_is_not_there() -> None:
     assert stages_of(SensorSpec()) == []
 
 
 @pytest.mark.parametrize(
-    "settings", [{"false_positive": 1.1}, {"false_negative": -0.1}, {"latency_ticks": -1}, {"threshold": 1}]
+    "settings",
+    [
+        {"false_positive": 1.1},
+        {"false_negative": -0.1},
+        {"latency_ticks": -1},
+        {"debounce_ticks": 0},
+        {"threshold": 0.0},
+        {"threshold": 1.1},
+        {"hysteresis": -0.1},
+        {"hysteresis": 1.0},  # it would go off at a level below 0
+        {"threshold": 0.9, "hysteresis": 0.3},  # and on at one beyond 1
+        {"level": 0.5},
+    ],
 )
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, float]) -> None:
     with pytest.raises(ValidationError, match=next(iter(settings))):
