@@ -49,6 +49,16 @@ class CellArray:
         """Greatest coordinate of a cell, along either axis and either way, m."""
         return float(np.max(np.abs(self.positions_m)))
 
+    def within(self, centre_m: NDArray[np.float64], reach_m: float) -> NDArray[np.int64]:
+        """The cells less than ``reach_m`` from a point ``(2,)`` along x and along y, and a few more; ascending."""
+        most = np.array(self.grid.shape[::-1])
+        low = np.floor((centre_m - reach_m - self.origin_m) / self.pitch_m) - 1.0
+        high = np.ceil((centre_m + reach_m - self.origin_m) / self.pitch_m) + 2.0
+        left, below = np.clip(low, 0, most).astype(np.int64)
+        right, above = np.clip(high, 0, most).astype(np.int64)
+        near = self.grid[below:above, left:right]
+        return np.sort(near[near >= 0])
+
     def cells_beyond(self, a: int, b: int, towards_m: NDArray[np.float64]) -> bool:
         """Whether any cell lies across the edge from cell ``a`` to ``b``, on the side of ``towards_m`` ``(2,)``.
 

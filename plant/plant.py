@@ -9,16 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.array import CellArray
-from plant.errors import PlantError, PlantUnstable
+from plant.chronicle import Chronicle
+from plant.errors import PlantError
+from plant.legs import cells_near, ends_s
 from plant.overlap import OverlapWatch
 from plant.parts import make_mover, make_spots, make_traffic, make_wheels
+from plant.reading import Reading
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
-from plant.solvers.solver import Advance, Leg, Solver
+from plant.solvers.solver import Leg, Solver
 from plant.specs import PlantSpec
 from plant.start import check_places, check_standing
-from plant.wheels import Floats, Wheels
+from plant.timing import Timing
+from plant.wheels import Floats, WheelRun, Wheels, WheelsUnderWay
 
 if TYPE_CHECKING:
     from plant.traffic import Traffic
@@ -36,7 +40,6 @@ class Plant:
     Attributes:
         array: the cells.
         status: how each parcel fares: the scene's own in its order, then those that feeders bring.
-        support_changes: changes of support sets so far.
 
     Raises:
         PlantError: a parcel doesn't stand on the array where it starts or is fed, or starts in an exit; or two overlap.
@@ -57,7 +60,7 @@ class Plant:
         self._nothing: Floats = np.zeros((0, len(bodies), 6))
         radius: Floats = np.array([body.radius_m for body in bodies])
         self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in bodies]
-        self.support_changes = 0
+        self._chronicle = Chronicle(self.array, self._solver, self.status)
         self._overlaps = OverlapWatch([body.footprint_m for body in bodies], radius)
         self._rest = RestWatch(radius)
         check_standing(spec, self._solver, n)
@@ -67,6 +70,8 @@ class Plant:
         )
         """Parcels that neither wait to be fed nor have left through an exit."""
         check_places(spec, self.state, self._overlaps, self._traffic)
+        self._told: Sense | None = None
+        """What each cell has read last."""
         self._live = self._there
         """Those of them that move: neither tipped nor off the array."""
         self._contact = make_mover(spec, self._solver)
@@ -95,6 +100,11 @@ class Plant:
         return self._solver.effort
 
     @property
+    def support_changes(self) -> int:
+        """Changes of support sets so far."""
+        return self._chronicle.support_changes
+
+    @property
     def wheel_speed(self) -> Floats:
         """``(n, 2)`` surface speeds, m/s; read-only."""
         return _read_only(self._wheels.speed)
@@ -121,27 +131,38 @@ class Plant:
             self._grip = self._grip.copy()
             self._grip[list(cells)] = 0.0
 
-    def advance(self, drives: Floats, until_ns: int) -> tuple[Sense, list[Event]]:
+    def advance(
+        self, drives: Floats, until_ns: int, timing: Timing | None = None
+    ) -> tuple[Sense, list[Event]]:
         """Move on to ``until_ns`` with constant drives.
 
         Args:
             drives: ``(n, 2)`` surface speeds in m/s, or volts where the scene has motors; finite.
             until_ns: not before now.
+            timing: when each cell's drive takes effect and when it reads; None: all act now, and read at the end.
 
         Returns:
-            What the cells sense then, and what happened on the way.
+            What the cells sense then, or read last by then where each has its instant, and what happened on the way.
 
         Raises:
-            PlantError: drives for another number of cells, or a time in the past.
+            PlantError: drives for another number of cells, a time in the past, or instants that are not in between.
             PlantUnstable: the motion of a parcel can't be followed.
         """
-        events = self._step(drives, until_ns)
-        return self.sense(), events
+        reading = None
+        if timing is not None:
+            timing.check(len(self.array), self._now_ns, until_ns)
+            reading = Reading(self._told or self.sense(), timing, self._now_ns, until_ns)
+        acts_s = None if timing is None else timing.acts_s(self._now_ns)
+        events = self._step(drives, until_ns, acts_s, reading)
+        self._told = self.sense() if reading is None else reading.sense(self.sense())
+        return self._told, events
 
-    def _step(self, drives: Floats, until_ns: int) -> list[Event]:
+    def _step(
+        self, drives: Floats, until_ns: int, acts_s: Floats | None = None, reading: Reading | None = None
+    ) -> list[Event]:
         """Move on, and take notice of what is the case then: see `advance`."""
         start_ns, before = self._now_ns, self.state
-        events = self._move(drives, until_ns, self._none, None)
+        events = self._move(drives, until_ns, self._none, None, acts_s, reading)
         after = self.state
         if self._rest.may_change(after, self._live):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
@@ -194,7 +215,15 @@ class Plant:
         events.sort(key=lambda event: event.time_s)
         return events
 
-    def _move(self, drives: Floats, until_ns: int, times_s: Floats, samples: Floats | None) -> list[Event]:
+    def _move(
+        self,
+        drives: Floats,
+        until_ns: int,
+        times_s: Floats,
+        samples: Floats | None,
+        acts_s: Floats | None = None,
+        reading: Reading | None = None,
+    ) -> list[Event]:
         """Advance wheels and every parcel; fill ``samples[1:]`` with the states at ``times_s`` after now."""
         if np.shape(drives) != (len(self.array), 2):
             # the kernels don't look: they would read past the end
@@ -206,80 +235,54 @@ class Plant:
         span = (until_ns - self._now_ns) * 1e-9
         start = self._now_ns * 1e-9
         # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
-        motion = self._wheels.command(np.array(drives, dtype=np.float64, order="C"))
-        live = self._live
+        run = self._wheels.command(np.array(drives, dtype=np.float64, order="C"), span, acts_s)
         out = self._nothing if samples is None else samples[1:]
-        events: list[Event] = []
-        leg = Leg(motion, self._grip, span, times_s, out)
-        if self._contact is None:
-            news = self._solver.advance(live, leg)
+        if run.changes is None and (reading is None or not reading.any_inside):
+            events = self._go(Leg(run.motion, self._grip, span, times_s, out), start)
         else:
-            fixed = self._there[[self.status[int(i)].state == "tipped" for i in self._there]]
-            news = self._contact.advance(live, fixed, leg, start)
-            events += self._contact.events()
-        for done in news:
-            events.extend(self._news(done, start, times_s, out))
-        if samples is not None:
-            over = np.setdiff1d(self._there, live)
-            samples[1:, over] = self._solver.state[over]
-        self._wheels.elapse(motion, span)
+            events = self._by_legs(run, Leg(run.motion, self._grip, span, times_s, out), start, reading)
+        self._wheels.elapse(run, span)
         self._now_ns = until_ns
         return events
 
-    def _news(self, done: Advance, start: float, times_s: Floats, out: Floats) -> list[Event]:
-        """Note what happened to a parcel in a move that began at ``start``."""
-        i = done.parcel
-        self.support_changes += done.changes
-        names, places = self.array.lattice.cells, self.array.positions_m
-        events = [
-            Event(
-                start + after_s, kind, i, (names[cell],), (places.item(2 * cell), places.item(2 * cell + 1))
-            )
-            if cell >= 0
-            else Event(start + after_s, kind, i, (), self._place(i))
-            for after_s, kind, cell in done.events
-        ]
-        if done.ending == "tipped":
-            self._solver.state[i, 3:] = 0.0
-            out[times_s > done.moved_s, i, 3:] = 0.0
-            events.append(self._tip(i, start + done.moved_s, done.edge))
-            self._live = self._live[self._live != i]
-        elif done.ending != "moving":
-            self._unstable(i, start + done.moved_s, done)
+    def _by_legs(self, run: WheelRun, whole: Leg, start: float, reading: Reading | None) -> list[Event]:
+        """Move every parcel leg by leg: to the next instant at which a wheel near one changes, or a cell reads."""
+        bodies = [self._solver.bodies[int(i)] for i in self._there]
+        near = cells_near(self.array, bodies, run.fastest_m_s, whole.span_s)
+        reads_s = np.full(len(near), np.inf) if reading is None else reading.instants_s
+        if reading is not None:
+            reading.turned(self._wheels.passed(run, np.where(np.isfinite(reads_s), reads_s, 0.0)))
+        wheels, begin = WheelsUnderWay(run), 0.0
+        events: list[Event] = []
+        for end in ends_s(run, reads_s, near, whole.span_s):
+            first, last = np.searchsorted(whole.times_s, [begin, end], side="right").tolist()
+            times_s, out = whole.times_s[first:last] - begin, whole.out[first:last]
+            leg = Leg(wheels.begin(), self._grip, end - begin, times_s, out)
+            events += self._go(leg, start + begin)
+            wheels.end(leg.motion, end)
+            if reading is not None:
+                reading.at(end, self.sense(), wheels.slowed_m)
+            begin = end
         return events
 
-    def _place(self, i: int) -> tuple[float, float]:
-        """Where a parcel's centre of mass is."""
-        x, y = self._solver.state[i, :2].tolist()
-        return x, y
-
-    def _tip(self, i: int, time_s: float, edge: tuple[int, int]) -> Event:
-        """Name the edge a parcel tips about; off the array where nothing lies beyond it."""
-        state, place = self._solver.state[i], self._place(i)
-        a, b = edge
-        if a < 0:
-            outcome, cells, detail = "off_array", (), "its last support left the footprint"
+    def _go(self, leg: Leg, start: float) -> list[Event]:
+        """Move every parcel by a leg that begins at ``start``."""
+        live = self._live
+        if self._contact is None:
+            news, events = self._solver.advance(live, leg), []
         else:
-            cells = tuple(dict.fromkeys((self.array.lattice.cells[a], self.array.lattice.cells[b])))
-            named = " and ".join(f"{row},{column}" for row, column in cells)
-            outcome = "tipped" if self.array.cells_beyond(a, b, state[:2]) else "off_array"
-            detail = f"about the edge from cell {named}" if len(cells) == 2 else f"about cell {named}"
-        self.status[i] = ParcelStatus(outcome, time_s, detail)
-        return Event(time_s, outcome, i, cells, place, detail)
-
-    def _unstable(self, i: int, time_s: float, done: Advance) -> None:
-        x, y = self._place(i)
-        where = f"parcel {i} at t = {time_s:.6g} s, x = {x:.6g} m, y = {y:.6g} m"
-        named = "the supports"
-        if done.culprit >= 0:
-            named = "cell {},{}".format(*self.array.lattice.cells[done.culprit])
-        why = {
-            "endless_changes": f"support changes without end, the last about {named}",
-            "endless_steps": "no step is short enough for the tolerance, time after time",
-            "no_loads": "no set of loads balances the parcel; this is a bug",
-            "not_solved": "a step's problem was not solved to rounding; this is a bug",
-        }
-        raise PlantUnstable(f"{where}: {why.get(done.ending, 'the motion is no longer finite')}")
+            fixed = self._there[[self.status[int(i)].state == "tipped" for i in self._there]]
+            news = self._contact.advance(live, fixed, leg, start)
+            events = self._contact.events()
+        for done in news:
+            events.extend(self._chronicle.events(done, start))
+            if done.ending == "tipped":
+                leg.out[leg.times_s > done.moved_s, done.parcel, 3:] = 0.0
+                self._live = self._live[self._live != done.parcel]
+        if len(leg.times_s):
+            over = np.setdiff1d(self._there, live)
+            leg.out[:, over] = self._solver.state[over]
+        return events
 
     def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:
         """Update ``status`` from the states ``(T, parcels, 6)`` at the instants ``(T,)``."""

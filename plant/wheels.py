@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Protocol, final
+from functools import cached_property
+from typing import NamedTuple, Protocol, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,15 +32,175 @@ class WheelMotion:
     slowing: Floats | None = None
 
 
+class Changes(NamedTuple):
+    """Wheels that go over to another motion on the way, in the order of time and then of wheels.
+
+    A wheel is named by twice its cell's index, plus one for the one that drives along y.
+
+    Attributes:
+        after_s: ``(k,)`` when, from the start of the interval.
+        until_s: ``(k,)`` when the same wheel changes next; infinite: no more.
+        wheel: ``(k,)`` which.
+        steady: ``(k,)`` m/s: it goes on at ``steady + decay exp(-rate t)``, t from ``after_s``.
+        decay: ``(k,)`` m/s.
+    """
+
+    after_s: Floats
+    until_s: Floats
+    wheel: NDArray[np.int64]
+    steady: Floats
+    decay: Floats
+
+    @classmethod
+    def of(cls, after_s: Floats, wheel: NDArray[np.int64], steady: Floats, decay: Floats) -> Self | None:
+        """These, in any order but that those of one wheel at one instant stay in theirs; None of none."""
+        if not len(after_s):
+            return None
+        by_wheel = np.lexsort((after_s, wheel))
+        until_s: Floats = np.full(len(wheel), np.inf)
+        again = wheel[by_wheel[1:]] == wheel[by_wheel[:-1]]
+        until_s[by_wheel[:-1][again]] = after_s[by_wheel[1:][again]]
+        order = np.lexsort((wheel, after_s))
+        return cls(after_s[order], until_s[order], wheel[order], steady[order], decay[order])
+
+    def since(self, begin_s: float, now_s: float) -> slice:
+        """Those after ``begin_s``, and not after ``now_s``."""
+        first, last = np.searchsorted(self.after_s, [begin_s, now_s], side="right").tolist()
+        return slice(first, last)
+
+
+@final
+@dataclass(frozen=True)
+class WheelRun:
+    """What all wheels do over an interval, in closed form.
+
+    Attributes:
+        motion: from its start on.
+        changes: of single wheels on the way; None where there are none.
+    """
+
+    motion: WheelMotion
+    changes: Changes | None = None
+
+    @cached_property
+    def fastest_m_s(self) -> float:
+        """Speed that no cell's two wheels exceed together."""
+        parts = [(self.motion.steady, self.motion.decay)]
+        if self.changes is not None:
+            parts.append((self.changes.steady, self.changes.decay))
+        # between a motion's first speed and its steady one it is between the two
+        most = max(
+            float(np.abs(speed).max(initial=0.0))
+            for steady, decay in parts
+            for speed in (steady, steady + decay)
+        )
+        return math.sqrt(2.0) * most
+
+    @cached_property
+    def _first_s(self) -> Floats:
+        """``(n, 2)`` when each wheel changes first; infinite: not at all."""
+        first: Floats = np.full(self.motion.steady.size, np.inf)
+        if self.changes is not None:
+            np.minimum.at(first, self.changes.wheel, self.changes.after_s)
+        return first.reshape(self.motion.steady.shape)
+
+    def speed(self, after_s: float) -> Floats:
+        """``(n, 2)`` m/s after so many seconds."""
+        motion = self.motion
+        speed = motion.steady + motion.decay * math.exp(-motion.rate * after_s)
+        if self.changes is not None:
+            change = self.changes
+            now = (change.after_s <= after_s) & (after_s < change.until_s)
+            left = np.exp(-motion.rate * (after_s - change.after_s[now]))
+            speed.reshape(-1)[change.wheel[now]] = change.steady[now] + change.decay[now] * left
+        return speed
+
+    def way(self, after_s: Floats | float) -> Floats:
+        """``(n, 2)`` m of surface passed after so many seconds, ``(n,)`` or one for all; of wheels that decay."""
+        motion = self.motion
+        asked: Floats = np.broadcast_to(np.asarray(after_s)[..., None], motion.steady.shape)
+        way = _way(motion.steady, motion.decay, motion.rate, np.minimum(asked, self._first_s))
+        if self.changes is not None:
+            change = self.changes
+            span = np.minimum(asked.reshape(-1)[change.wheel], change.until_s) - change.after_s
+            passed = _way(change.steady, change.decay, motion.rate, np.maximum(span, 0.0))
+            np.add.at(way.reshape(-1), change.wheel, passed)
+        return way
+
+
+def _way(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
+    return steady * span_s - decay * (np.expm1(-rate * span_s) / rate)
+
+
+@final
+class WheelsUnderWay:
+    """The wheels of a run from one instant to the next: every leg of the way has a motion of its own.
+
+    Args:
+        run: of all wheels; what loads take from them on the legs is added to its ``slowing``.
+    """
+
+    def __init__(self, run: WheelRun) -> None:
+        self._run = run
+        self._steady, self._decay = run.motion.steady.copy(), run.motion.decay.copy()
+        self._now_s = 0.0
+        self._begun_s = -math.inf
+        self._slowed: Floats | None = run.motion.slowing
+
+    def begin(self) -> WheelMotion:
+        """The motion from now on; valid until a leg begins later."""
+        rate, change, slowed = self._run.motion.rate, self._run.changes, self._slowed
+        if change is not None:
+            new = change.since(self._begun_s, self._now_s)
+            last = change.until_s[new] > self._now_s
+            wheel = change.wheel[new][last]
+            self._steady.reshape(-1)[wheel] = change.steady[new][last]
+            left = np.exp(-rate * (self._now_s - change.after_s[new][last]))
+            self._decay.reshape(-1)[wheel] = change.decay[new][last] * left
+            if slowed is not None:
+                self._decay.reshape(-1)[wheel] += slowed[:, :2].reshape(-1)[wheel]
+        self._begun_s = self._now_s
+        slowing = None if slowed is None else np.zeros_like(slowed)
+        return WheelMotion(self._steady, self._decay, rate, slowing)
+
+    def end(self, motion: WheelMotion, now_s: float) -> None:
+        """Take the wheels along the leg's motion to ``now_s``."""
+        rate, span_s = motion.rate, now_s - self._now_s
+        if rate:
+            self._decay *= math.exp(-rate * span_s)
+        if self._slowed is not None and motion.slowing is not None:
+            self._slowed[:, 2:] -= self._slowed[:, :2] * (math.expm1(-rate * span_s) / rate)
+            self._slowed[:, :2] *= math.exp(-rate * span_s)
+            self._slowed += motion.slowing
+            self._decay += motion.slowing[:, :2]
+        self._now_s = now_s
+
+    @property
+    def slowed_m(self) -> Floats | None:
+        """``(n, 2)`` what loads have taken from the wheels' way until now; None where they don't."""
+        return None if self._slowed is None else self._slowed[:, 2:]
+
+
 class Wheels(Protocol):
     """What turns drives into wheel motion. Physics: lives in the plant, never in firmware."""
 
-    def command(self, drives: Floats) -> WheelMotion:
-        """Motion from now on under the drives ``(n, 2)``, which are the wheels' own from here on."""
+    def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
+        """What they do from now on for ``span_s`` seconds.
+
+        Args:
+            drives: ``(n, 2)``; the wheels' own from here on.
+            span_s: how long they stand.
+            acts_s: ``(n,)`` in ``[0, span_s)``: when each cell's take effect, its last ones going on until then; None:
+                all now.
+        """
         ...
 
-    def elapse(self, motion: WheelMotion, span_s: float) -> None:
+    def elapse(self, run: WheelRun, span_s: float) -> None:
         """Let the wheels turn for ``span_s`` seconds."""
+        ...
+
+    def passed(self, run: WheelRun, after_s: Floats) -> Floats | None:
+        """``travel`` as it will be ``after_s`` seconds ``(n,)`` from now, each cell's at its own; None likewise."""
         ...
 
     @property
@@ -60,13 +222,21 @@ class IdealWheels:
         self._still: Floats = np.zeros((cells, 2))
         self._speed: Floats = np.zeros((cells, 2))
 
-    def command(self, drives: Floats) -> WheelMotion:
-        """Motion at the commanded speed."""
-        self._speed = drives
-        return WheelMotion(drives, self._still, 0.0)
+    def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:  # noqa: ARG002
+        """Motion at the commanded speed; see `Wheels`."""
+        before, self._speed = self._speed, drives
+        if acts_s is None:
+            return WheelRun(WheelMotion(drives, self._still, 0.0))
+        late = (acts_s > 0.0)[:, None] & (drives != before)
+        wheel = np.flatnonzero(late)
+        changes = Changes.of(acts_s[wheel // 2], wheel, drives[late], np.zeros(len(wheel)))
+        return WheelRun(WheelMotion(np.where(late, before, drives), self._still, 0.0), changes)
 
-    def elapse(self, motion: WheelMotion, span_s: float) -> None:
-        """Nothing changes while the command stands."""
+    def elapse(self, run: WheelRun, span_s: float) -> None:
+        """Nothing is left to do: they are at the commanded speed."""
+
+    def passed(self, run: WheelRun, after_s: Floats) -> None:
+        """Ideal wheels have no encoders."""
 
     @property
     def speed(self) -> Floats:

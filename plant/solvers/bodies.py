@@ -80,7 +80,7 @@ def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:
 
 def find_members(parcel: Parcel, array: CellArray) -> None:
     """Find the cells under the parcel where it is, the boundary included; each carries load until found otherwise."""
-    near = _cells_within(array, parcel.y[:2], float(parcel.par[layout.RADIUS]))
+    near = array.within(parcel.y[:2], float(parcel.par[layout.RADIUS]))
     c, s = math.cos(parcel.y[layout.THETA]), math.sin(parcel.y[layout.THETA])
     offset = array.positions_m[near] - parcel.y[:2]
     body = np.stack([c * offset[:, 0] + s * offset[:, 1], -s * offset[:, 0] + c * offset[:, 1]], axis=1)
@@ -89,17 +89,6 @@ def find_members(parcel: Parcel, array: CellArray) -> None:
     parcel.mem[: len(under)] = 0
     parcel.mem[: len(under), layout.CELL] = under
     parcel.ctl[layout.N_MEMBERS] = len(under)
-
-
-def _cells_within(array: CellArray, centre_m: Floats, reach_m: float) -> NDArray[np.int64]:
-    """The cells less than ``reach_m`` from a point along x and along y, and a few more; ascending."""
-    most = np.array(array.grid.shape[::-1])
-    low = np.floor((centre_m - reach_m - array.origin_m) / array.pitch_m) - 1.0
-    high = np.ceil((centre_m + reach_m - array.origin_m) / array.pitch_m) + 2.0
-    left, below = np.clip(low, 0, most).astype(np.int64)
-    right, above = np.clip(high, 0, most).astype(np.int64)
-    near = array.grid[below:above, left:right]
-    return np.sort(near[near >= 0])
 
 
 def body_of(parcel: Parcel) -> Body:

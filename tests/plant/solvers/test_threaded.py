@@ -148,7 +148,7 @@ def test_a_solver_tells_of_none_but_those_to_whom_something_happened(solver: str
 
     def move(speeds: Floats, which: NDArray[np.int64], span_s: float) -> list[int]:
         before = inner.state.copy()
-        motion = plant._wheels.command(speeds)
+        motion = plant._wheels.command(speeds, span_s).motion
         news = inner.advance(which, Leg.through(motion, np.ones(n), span_s, len(everyone)))
         unmoved = np.setdiff1d(everyone, which)
         assert np.array_equal(inner.state[unmoved], before[unmoved])

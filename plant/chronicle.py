@@ -1,0 +1,87 @@
+"""What solvers tell of parcels, as the plant tells it: events with names and places, and how parcels fare."""
+
+from __future__ import annotations
+
+from typing import final
+
+from plant.array import CellArray
+from plant.errors import PlantUnstable
+from plant.reports import Event, ParcelStatus
+from plant.solvers.solver import Advance, Solver
+
+WHY = {
+    "endless_steps": "no step is short enough for the tolerance, time after time",
+    "no_loads": "no set of loads balances the parcel; this is a bug",
+    "not_solved": "a step's problem was not solved to rounding; this is a bug",
+}
+"""Endings in words."""
+
+
+@final
+class Chronicle:
+    """Puts what becomes of parcels into words.
+
+    Args:
+        array: the cells.
+        solver: where parcels are; one that tips is stopped there.
+        status: of each parcel; changed as they tip.
+
+    Attributes:
+        support_changes: changes of support sets so far.
+    """
+
+    def __init__(self, array: CellArray, solver: Solver, status: list[ParcelStatus]) -> None:
+        self._array, self._solver, self._status = array, solver, status
+        self.support_changes = 0
+
+    def events(self, done: Advance, start_s: float) -> list[Event]:
+        """What happened to a parcel in a move that began at ``start_s``.
+
+        Raises:
+            PlantUnstable: its motion can't be followed.
+        """
+        i = done.parcel
+        self.support_changes += done.changes
+        names, places = self._array.lattice.cells, self._array.positions_m
+        events = [
+            Event(
+                start_s + after_s, kind, i, (names[cell],), (places.item(2 * cell), places.item(2 * cell + 1))
+            )
+            if cell >= 0
+            else Event(start_s + after_s, kind, i, (), self._place(i))
+            for after_s, kind, cell in done.events
+        ]
+        if done.ending == "tipped":
+            self._solver.state[i, 3:] = 0.0
+            events.append(self._tip(i, start_s + done.moved_s, done.edge))
+        elif done.ending != "moving":
+            self._unstable(i, start_s + done.moved_s, done)
+        return events
+
+    def _place(self, i: int) -> tuple[float, float]:
+        """Where a parcel's centre of mass is."""
+        x, y = self._solver.state[i, :2].tolist()
+        return x, y
+
+    def _tip(self, i: int, time_s: float, edge: tuple[int, int]) -> Event:
+        """Name the edge a parcel tips about; off the array where nothing lies beyond it."""
+        state, place = self._solver.state[i], self._place(i)
+        a, b = edge
+        if a < 0:
+            outcome, cells, detail = "off_array", (), "its last support left the footprint"
+        else:
+            cells = tuple(dict.fromkeys((self._array.lattice.cells[a], self._array.lattice.cells[b])))
+            named = " and ".join(f"{row},{column}" for row, column in cells)
+            outcome = "tipped" if self._array.cells_beyond(a, b, state[:2]) else "off_array"
+            detail = f"about the edge from cell {named}" if len(cells) == 2 else f"about cell {named}"
+        self._status[i] = ParcelStatus(outcome, time_s, detail)
+        return Event(time_s, outcome, i, cells, place, detail)
+
+    def _unstable(self, i: int, time_s: float, done: Advance) -> None:
+        x, y = self._place(i)
+        where = f"parcel {i} at t = {time_s:.6g} s, x = {x:.6g} m, y = {y:.6g} m"
+        named = "the supports"
+        if done.culprit >= 0:
+            named = "cell {},{}".format(*self._array.lattice.cells[done.culprit])
+        why = WHY | {"endless_changes": f"support changes without end, the last about {named}"}
+        raise PlantUnstable(f"{where}: {why.get(done.ending, 'the motion is no longer finite')}")

@@ -1,0 +1,64 @@
+"""What cells read in one call of the plant, each at an instant of its own."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from plant.reports import Sense
+from plant.timing import Timing
+from plant.wheels import Floats
+
+
+@final
+class Reading:
+    """Collects what cells read; one that doesn't read keeps what it read last.
+
+    Args:
+        last: what each cell read last; kept as it is.
+        timing: when each reads.
+        now_ns: when the call begins.
+        until_ns: when it ends.
+
+    Attributes:
+        instants_s: ``(n,)`` s after the call's start; infinite for cells that don't read before its end.
+    """
+
+    def __init__(self, last: Sense, timing: Timing, now_ns: int, until_ns: int) -> None:
+        self.instants_s: Floats = timing.reads_s(now_ns, until_ns)
+        self._at_end = timing.reads_ns == until_ns
+        inside = np.isfinite(self.instants_s)
+        self.any_inside = bool(inside.any())
+        self._presence = last.presence.copy()
+        # who reads sees a parcel only where one is near: those cells are told below
+        self._presence[inside] = False
+        self._encoder_m = None if last.encoder_m is None else last.encoder_m.copy()
+        self._inside = inside
+
+    def turned(self, encoder_m: Floats | None) -> None:
+        """Take what encoders show ``(n, 2)``, each cell's at its instant."""
+        if self._encoder_m is not None and encoder_m is not None:
+            self._encoder_m[self._inside] = encoder_m[self._inside]
+
+    def at(self, now_s: float, sense: Sense, slowed_m: Floats | None) -> None:
+        """Let those read whose instant it is.
+
+        Args:
+            now_s: s after the call's start.
+            sense: what all would read now; its encoders are not looked at.
+            slowed_m: ``(n, 2)`` what loads have taken from the wheels' way since the start; None: nothing.
+        """
+        now = self.instants_s == now_s
+        self._presence[now] = sense.presence[now]
+        if self._encoder_m is not None and slowed_m is not None:
+            self._encoder_m[now] += slowed_m[now]
+
+    def sense(self, end: Sense) -> Sense:
+        """What each cell has read, ``end`` being what all would read at the end."""
+        at_end = self._at_end
+        self._presence[at_end] = end.presence[at_end]
+        if self._encoder_m is not None and end.encoder_m is not None:
+            self._encoder_m[at_end] = end.encoder_m[at_end]
+            self._encoder_m.setflags(write=False)
+        return Sense(self._presence, self._encoder_m)
