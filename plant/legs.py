@@ -51,6 +51,6 @@ def ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span_s: floa
         span_s: of the call.
     """
     change = run.changes
-    changed = np.zeros(0) if change is None else change.after_s[near[change.wheel // 2]]
+    changed = np.zeros(0) if change is None else change.after_s[:, near].ravel()
     found = np.unique(np.concatenate([changed, reads_s[near]]))
     return [*found[(found > 0.0) & (found < span_s)].tolist(), span_s]

@@ -50,7 +50,7 @@ class Plant:
         n = len(self.array)
         motors = spec.effects.motors
         self._wheels: Wheels = make_wheels(spec, n)
-        rate = 0.0 if motors is None else 1.0 / motors.time_constant_s
+        rate = 0.0 if motors is None else 1.0 / motors.first_order.time_constant_s
         self._solver: Solver = make_solver(spec.with_fed(), self.array, rate)
         self._spots = make_spots(spec, self.array)
         self._grip: Floats = np.ones(n)

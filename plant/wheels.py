@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol, Self, final
+from typing import NamedTuple, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,40 +34,17 @@ class WheelMotion:
 
 
 class Changes(NamedTuple):
-    """Wheels that go over to another motion on the way, in the order of time and then of wheels.
-
-    A wheel is named by twice its cell's index, plus one for the one that drives along y.
+    """Wheels that go over to other motions on the way; c times at most, each at instants of its own.
 
     Attributes:
-        after_s: ``(k,)`` when, from the start of the interval.
-        until_s: ``(k,)`` when the same wheel changes next; infinite: no more.
-        wheel: ``(k,)`` which.
-        steady: ``(k,)`` m/s: it goes on at ``steady + decay exp(-rate t)``, t from ``after_s``.
-        decay: ``(k,)`` m/s.
+        after_s: ``(c, n, 2)`` when, from the start of the interval, ascending for every wheel; infinite: not so often.
+        steady: ``(c, n, 2)`` m/s: it goes on at ``steady + decay exp(-rate t)``, t from ``after_s``.
+        decay: ``(c, n, 2)`` m/s.
     """
 
     after_s: Floats
-    until_s: Floats
-    wheel: NDArray[np.int64]
     steady: Floats
     decay: Floats
-
-    @classmethod
-    def of(cls, after_s: Floats, wheel: NDArray[np.int64], steady: Floats, decay: Floats) -> Self | None:
-        """These, in any order but that those of one wheel at one instant stay in theirs; None of none."""
-        if not len(after_s):
-            return None
-        by_wheel = np.lexsort((after_s, wheel))
-        until_s: Floats = np.full(len(wheel), np.inf)
-        again = wheel[by_wheel[1:]] == wheel[by_wheel[:-1]]
-        until_s[by_wheel[:-1][again]] = after_s[by_wheel[1:][again]]
-        order = np.lexsort((wheel, after_s))
-        return cls(after_s[order], until_s[order], wheel[order], steady[order], decay[order])
-
-    def since(self, begin_s: float, now_s: float) -> slice:
-        """Those after ``begin_s``, and not after ``now_s``."""
-        first, last = np.searchsorted(self.after_s, [begin_s, now_s], side="right").tolist()
-        return slice(first, last)
 
 
 @final
@@ -88,7 +66,7 @@ class WheelRun:
         parts = [(self.motion.steady, self.motion.decay)]
         if self.changes is not None:
             parts.append((self.changes.steady, self.changes.decay))
-        # between a motion's first speed and its steady one it is between the two
+        # a wheel's speed stays between that with which a motion begins and its steady one
         most = max(
             float(np.abs(speed).max(initial=0.0))
             for steady, decay in parts
@@ -96,36 +74,31 @@ class WheelRun:
         )
         return math.sqrt(2.0) * most
 
-    @cached_property
-    def _first_s(self) -> Floats:
-        """``(n, 2)`` when each wheel changes first; infinite: not at all."""
-        first: Floats = np.full(self.motion.steady.size, np.inf)
-        if self.changes is not None:
-            np.minimum.at(first, self.changes.wheel, self.changes.after_s)
-        return first.reshape(self.motion.steady.shape)
-
-    def speed(self, after_s: float) -> Floats:
-        """``(n, 2)`` m/s after so many seconds."""
+    def speed(self, after_s: Floats | float) -> Floats:
+        """``(n, 2)`` m/s after so many seconds, ``(n, 2)`` or one for all."""
         motion = self.motion
-        speed = motion.steady + motion.decay * math.exp(-motion.rate * after_s)
-        if self.changes is not None:
-            change = self.changes
-            now = (change.after_s <= after_s) & (after_s < change.until_s)
-            left = np.exp(-motion.rate * (after_s - change.after_s[now]))
-            speed.reshape(-1)[change.wheel[now]] = change.steady[now] + change.decay[now] * left
+        speed: Floats = motion.steady + motion.decay * np.exp(-motion.rate * np.asarray(after_s))
+        for begun, steady, decay in self._each_change():
+            on = begun <= after_s
+            left = np.exp(-motion.rate * (after_s - np.minimum(begun, after_s)))
+            speed = np.where(on, steady + decay * left, speed)
         return speed
 
     def way(self, after_s: Floats | float) -> Floats:
         """``(n, 2)`` m of surface passed after so many seconds, ``(n,)`` or one for all; of wheels that decay."""
-        motion = self.motion
-        asked: Floats = np.broadcast_to(np.asarray(after_s)[..., None], motion.steady.shape)
-        way = _way(motion.steady, motion.decay, motion.rate, np.minimum(asked, self._first_s))
-        if self.changes is not None:
-            change = self.changes
-            span = np.minimum(asked.reshape(-1)[change.wheel], change.until_s) - change.after_s
-            passed = _way(change.steady, change.decay, motion.rate, np.maximum(span, 0.0))
-            np.add.at(way.reshape(-1), change.wheel, passed)
+        motion, change = self.motion, self.changes
+        asked: Floats = np.asarray(after_s)[..., None]
+        if change is None:
+            return _way(motion.steady, motion.decay, motion.rate, asked)
+        until: Floats = np.minimum.accumulate(change.after_s[::-1])[::-1]
+        way = _way(motion.steady, motion.decay, motion.rate, np.minimum(asked, until[0]))
+        for k, (begun, steady, decay) in enumerate(self._each_change(), start=1):
+            end = np.minimum(asked, until[k]) if k < len(until) else asked
+            way += _way(steady, decay, motion.rate, np.maximum(end - begun, 0.0))
         return way
+
+    def _each_change(self) -> Iterable[tuple[Floats, Floats, Floats]]:
+        return () if self.changes is None else zip(*self.changes, strict=True)
 
 
 def _way(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
@@ -151,14 +124,12 @@ class WheelsUnderWay:
         """The motion from now on; valid until a leg begins later."""
         rate, change, slowed = self._run.motion.rate, self._run.changes, self._slowed
         if change is not None:
-            new = change.since(self._begun_s, self._now_s)
-            last = change.until_s[new] > self._now_s
-            wheel = change.wheel[new][last]
-            self._steady.reshape(-1)[wheel] = change.steady[new][last]
-            left = np.exp(-rate * (self._now_s - change.after_s[new][last]))
-            self._decay.reshape(-1)[wheel] = change.decay[new][last] * left
-            if slowed is not None:
-                self._decay.reshape(-1)[wheel] += slowed[:, :2].reshape(-1)[wheel]
+            for begun, steady, decay in zip(*change, strict=True):
+                new = (begun > self._begun_s) & (begun <= self._now_s)
+                self._steady[new] = steady[new]
+                self._decay[new] = decay[new] * np.exp(-rate * (self._now_s - begun[new]))
+                if slowed is not None:
+                    self._decay[new] += slowed[:, :2][new]
         self._begun_s = self._now_s
         slowing = None if slowed is None else np.zeros_like(slowed)
         return WheelMotion(self._steady, self._decay, rate, slowing)
@@ -228,8 +199,10 @@ class IdealWheels:
         if acts_s is None:
             return WheelRun(WheelMotion(drives, self._still, 0.0))
         late = (acts_s > 0.0)[:, None] & (drives != before)
-        wheel = np.flatnonzero(late)
-        changes = Changes.of(acts_s[wheel // 2], wheel, drives[late], np.zeros(len(wheel)))
+        if not late.any():
+            return WheelRun(WheelMotion(drives, self._still, 0.0))
+        after = np.where(late, acts_s[:, None], np.inf)
+        changes = Changes(after[None], drives[None], self._still[None])
         return WheelRun(WheelMotion(np.where(late, before, drives), self._still, 0.0), changes)
 
     def elapse(self, run: WheelRun, span_s: float) -> None:

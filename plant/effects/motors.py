@@ -1,39 +1,88 @@
-"""Effect ``motors``: each wheel follows its voltage with a first-order lag.
+"""Effect ``motors``: each wheel follows its voltage with a first-order lag, and sticks where that is too little.
 
-``dV/dt = (gain u - V) / tau``: a speed-controlled DC motor without load (the paper's motor model with the coil's
-inductance neglected; the parcel's reaction is the effect ``wheel_load``). Integrated in closed form, so a period of any
-length is exact.
+``dV/dt = (gain (u - coulomb sign V) - V) / tau``: a DC motor without load, its coil's inductance neglected (the
+parcel's reaction is the effect ``wheel_load``). A wheel that stands stays where ``|u| <= static``, else it starts the
+way of u. Integrated in closed form, when a wheel stops or turns round included, so a period of any length is exact.
 """
 
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Self, final
+from typing import ClassVar, NamedTuple, Self, final
 
 import numpy as np
+from pydantic import model_validator
 
 from bus.effect import EffectSpec
-from bus.spec import Positive
+from bus.spec import NotNegative, Positive
+from plant.effects.dc_motor import DcMotorSpec
 from plant.wheels import Changes, Floats, WheelMotion, WheelRun
+
+STILL_M_S = 1e-15
+"""A wheel slower than this stands: where it stopped, rounding leaves less."""
+
+
+class FirstOrder(NamedTuple):
+    """What a wheel without load does with volts.
+
+    Attributes:
+        time_constant_s: tau.
+        speed_per_volt_m_s: gain.
+        coulomb_v: friction while it turns.
+        static_v: friction that it must overcome to start.
+    """
+
+    time_constant_s: float
+    speed_per_volt_m_s: float
+    coulomb_v: float
+    static_v: float
 
 
 @final
 class MotorsSpec(EffectSpec):
-    """First-order motors: ``dV/dt = (gain u - V) / time constant``, one per wheel."""
+    """Motors that lag, one per wheel: told by their lag, or by what they are made of."""
 
     states: ClassVar[tuple[str, ...]] = ("speed and travel of every wheel", "integral of every speed loop")
     messages: ClassVar[tuple[str, ...]] = ("cells are told encoder counts", "drives are volts")
     rung: ClassVar[int | None] = 30
-    time_constant_s: Positive = 0.06
-    speed_per_volt_m_s: Positive = 0.1
-    """No-load surface speed per volt."""
+    time_constant_s: Positive | None = None
+    """0.06 where nothing is said, nor ``dc`` given."""
+    speed_per_volt_m_s: Positive | None = None
+    """No-load surface speed per volt; 0.1 likewise."""
+    coulomb_v: NotNegative | None = None
+    """Volts that dry friction takes from a turning wheel; none likewise."""
+    static_v: NotNegative | None = None
+    """Volts that start a wheel; as ``coulomb_v`` likewise."""
     supply_v: Positive = 12.0
     """Commands saturate at plus and minus this voltage."""
+    dc: DcMotorSpec | None = None
+
+    @model_validator(mode="after")
+    def _agrees(self) -> Self:
+        if self.dc is not None:
+            for name in FirstOrder._fields:
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name} follows from dc: give one or the other")
+        elif (self.static_v if self.static_v is not None else math.inf) < (self.coulomb_v or 0.0):
+            raise ValueError(f"static_v = {self.static_v:g}: must be at least coulomb_v, {self.coulomb_v:g}")
+        return self
+
+    @property
+    def first_order(self) -> FirstOrder:
+        """What the wheels do without load, whichever way it is told."""
+        told = self if self.dc is None else self.dc
+        coulomb_v = told.coulomb_v or 0.0
+        return FirstOrder(
+            0.06 if told.time_constant_s is None else told.time_constant_s,
+            0.1 if told.speed_per_volt_m_s is None else told.speed_per_volt_m_s,
+            coulomb_v,
+            coulomb_v if told.static_v is None else told.static_v,
+        )
 
     @classmethod
     def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """The defaults."""
-        return cls()
+        return cls(time_constant_s=0.06, speed_per_volt_m_s=0.1)
 
 
 @final
@@ -41,34 +90,75 @@ class Motors:
     """First-order motors of all wheels; drives are volts, saturated at the supply.
 
     Args:
-        spec: Time constant, gain and supply.
+        spec: Time constant, gain, friction and supply.
         cells: Number of cells.
         loaded: Whether they feel what they pull (effect ``wheel_load``).
     """
 
     def __init__(self, spec: MotorsSpec, cells: int, *, loaded: bool = False) -> None:
-        self._spec = spec
+        self._supply_v = spec.supply_v
+        self._motor = spec.first_order
+        self._rate = 1.0 / self._motor.time_constant_s
         self._loaded = loaded
-        self._rate = 1.0 / spec.time_constant_s
-        self._towards: Floats = np.zeros((cells, 2))
+        self._volts: Floats = np.zeros((cells, 2))
         self._speed: Floats = np.zeros((cells, 2))
         self._travel: Floats = np.zeros((cells, 2))
 
-    def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:  # noqa: ARG002
-        """Motion towards the no-load speed of the voltages; see ``plant.wheels.Wheels``."""
-        limit = self._spec.supply_v
-        steady = self._spec.speed_per_volt_m_s * np.minimum(np.maximum(drives, -limit), limit)
-        slowing = np.zeros((len(steady), 4)) if self._loaded else None
-        before, self._towards = self._towards, steady
-        if acts_s is None:
-            return WheelRun(WheelMotion(steady, self._speed - steady, self._rate, slowing))
-        late = (acts_s > 0.0)[:, None] & (steady != before)
-        first = np.where(late, before, steady)
-        motion = WheelMotion(first, self._speed - first, self._rate, slowing)
-        wheel = np.flatnonzero(late)
-        after = acts_s[wheel // 2]
-        then = motion.steady[late] + motion.decay[late] * np.exp(-self._rate * after)
-        return WheelRun(motion, Changes.of(after, wheel, steady[late], then - steady[late]))
+    def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
+        """Motion under the voltages, and how it changes where they act later or wheels stop on the way."""
+        volts: Floats = np.minimum(np.maximum(drives, -self._supply_v), self._supply_v)
+        before, self._volts = self._volts, volts
+        slowing = np.zeros((len(volts), 4)) if self._loaded else None
+        if acts_s is not None:
+            late = (acts_s > 0.0)[:, None] & (volts != before)
+            if late.any():
+                acts: Floats = np.where(late, acts_s[:, None], np.inf)
+                return self._over(np.where(late, before, volts), volts, acts, span_s, slowing)
+        steady, decay = self._set_off(self._speed, volts)
+        stops = self._stops(self._speed, steady, volts, 0.0, span_s)
+        return WheelRun(WheelMotion(steady, decay, self._rate, slowing), _changes(stops))
+
+    def _over(
+        self, first: Floats, volts: Floats, acts_s: Floats, span_s: float, slowing: Floats | None
+    ) -> WheelRun:
+        """Wheels that go over from the voltages ``first`` to others at ``acts_s`` ``(n, 2)``, infinite where not."""
+        steady, decay = self._set_off(self._speed, first)
+        motion = WheelMotion(steady, decay, self._rate, slowing)
+        rows = self._stops(self._speed, steady, first, 0.0, np.minimum(acts_s, span_s))
+        speed = WheelRun(motion, _changes(rows)).speed(np.where(np.isfinite(acts_s), acts_s, 0.0))
+        steady, decay = self._set_off(speed, volts)
+        rows.append(Changes(acts_s, steady, decay))
+        rows += self._stops(speed, steady, volts, acts_s, span_s)
+        return WheelRun(motion, _changes(rows))
+
+    def _set_off(self, speed: Floats, volts: Floats) -> tuple[Floats, Floats]:
+        """The motion (steady, decay) of wheels at a speed under voltages, until they stop."""
+        gain, coulomb, static = self._motor[1:]
+        if not static:
+            steady = gain * volts
+            return steady, speed - steady
+        moves = np.abs(speed) > STILL_M_S
+        way = np.sign(np.where(moves, speed, volts))
+        goes = moves | (np.abs(volts) > static)
+        steady = np.where(goes, gain * (volts - coulomb * way), 0.0)
+        return steady, np.where(goes, speed - steady, 0.0)
+
+    def _stops(
+        self, speed: Floats, steady: Floats, volts: Floats, begun_s: Floats | float, end_s: Floats | float
+    ) -> list[Changes]:
+        """How wheels go on that stop under voltages before ``end_s``: they stand, or turn round.
+
+        From V towards s on the other side of zero it takes ``tau ln(1 + |V / s|)``.
+        """
+        if not self._motor.static_v:
+            return []
+        stops = (np.abs(speed) > STILL_M_S) & (speed * np.sign(steady) < 0.0)
+        ratio = np.abs(speed) / np.where(stops, np.abs(steady), 1.0)
+        after = begun_s + self._motor.time_constant_s * np.log1p(ratio)
+        stops &= after < end_s
+        if not stops.any():
+            return []
+        return [Changes(np.where(stops, after, np.inf), *self._set_off(np.zeros_like(speed), volts))]
 
     def elapse(self, run: WheelRun, span_s: float) -> None:
         """Take speed and travel ``span_s`` seconds along ``run``."""
@@ -98,3 +188,8 @@ class Motors:
     def travel(self) -> Floats:
         """``(n, 2)`` m of surface passed since the start."""
         return self._travel
+
+
+def _changes(rows: list[Changes]) -> Changes | None:
+    """One change after another as one; None of none."""
+    return Changes(*(np.stack(parts) for parts in zip(*rows, strict=True))) if rows else None

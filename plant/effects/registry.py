@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from bus.effect import Effects
 from plant.effects.analogue_sensors import AnalogueSensorsSpec
@@ -26,6 +26,25 @@ class PlantEffects(Effects):
     feeders: FeedersSpec | None = None
     parcel_contact: ParcelContactSpec | None = None
     analogue_sensors: AnalogueSensorsSpec | None = None
+
+    def at_odds(self) -> Iterator[tuple[tuple[str, str], object, str]]:
+        """See ``Effects``; and wheels that lack an inertia, or that their load could keep from turning."""
+        yield from super().at_odds()
+        if self.wheel_load is None or self.motors is None:
+            return
+        if self.wheel_inertia_kg is None:
+            yield ("effects", "wheel_load"), "", "must give inertia_kg, unless effects.motors.dc says it"
+        if self.motors.first_order.static_v:
+            rule = "has dry friction (coulomb, static), which doesn't go with effects.wheel_load"
+            yield ("effects", "motors"), "", rule
+
+    @property
+    def wheel_inertia_kg(self) -> float | None:
+        """Of each wheel as the surface feels it; None where wheels don't feel what they pull."""
+        load, motors = self.wheel_load, self.motors
+        if load is None or load.inertia_kg is not None:
+            return None if load is None else load.inertia_kg
+        return None if motors is None or motors.dc is None else motors.dc.inertia_kg
 
     def rails_m(self) -> Sequence[Sequence[tuple[float, float]]]:
         """Corners of each guide rail that stands on the array, m."""

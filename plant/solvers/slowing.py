@@ -62,10 +62,10 @@ def make_slowing(cells: int, capacity: int) -> Slowing:
 
 def load_wheels(scene: PlantSpec, law: Floats, mass_kg: float) -> None:
     """Put the wheels' inertia into one parcel's law, if the scene has the effect: with it no force is set-valued."""
-    load = scene.effects.wheel_load
-    if load is None:
+    inertia_kg = scene.effects.wheel_inertia_kg
+    if inertia_kg is None:
         return
-    law[implicit_layout.WHEEL] = load.inertia_kg / mass_kg
+    law[implicit_layout.WHEEL] = inertia_kg / mass_kg
     if law[implicit_layout.SET_VALUED]:
         law[implicit_layout.SET_VALUED], law[implicit_layout.STIFFNESS] = 0.0, math.inf
 

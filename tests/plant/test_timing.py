@@ -19,6 +19,7 @@ from tests.plant.scenes import MU, TICK_NS, Floats, G, bench, elliptic, parcel, 
 
 TAU = 0.02
 MOTORS = MotorsSpec(time_constant_s=TAU, speed_per_volt_m_s=0.1, supply_v=100.0)
+RUBBING = MotorsSpec(time_constant_s=TAU, speed_per_volt_m_s=0.1, supply_v=100.0, coulomb_v=0.4, static_v=0.7)
 SOLVERS = ["exact", "implicit", "quasi_static", "fixed_step", "scipy"]
 
 
@@ -103,7 +104,7 @@ def test_two_wheels_that_act_at_different_instants_move_a_parcel_as_scipy_says(
     assert plant.state[0, [0, 3]] == pytest.approx(y, abs=1e-11)
 
 
-@pytest.mark.parametrize("motors", [None, MOTORS], ids=["ideal", "motors"])
+@pytest.mark.parametrize("motors", [None, MOTORS, RUBBING], ids=["ideal", "motors", "rubbing"])
 def test_random_instants_are_the_same_as_dividing_the_call_by_hand_at_every_one(
     motors: MotorsSpec | None,
 ) -> None:

@@ -149,7 +149,12 @@ def _pulse(solver: Solver, pulse_ns: int, motors: MotorsSpec | None) -> None:
     plant.advance(still, 10 * SECOND)
     plant.advance(drives, 10 * SECOND + pulse_ns)
     plant.advance(still, 40 * SECOND)
-    way = pulse_ns * 1e-9 * np.array([5.0, -2.5]) * (1.0 if motors is None else motors.speed_per_volt_m_s)
+    way = (
+        pulse_ns
+        * 1e-9
+        * np.array([5.0, -2.5])
+        * (1.0 if motors is None else motors.first_order.speed_per_volt_m_s)
+    )
     off = solver.within(1e-14)
     assert off < 1e-2 * np.abs(way).min()
     assert plant.state[0, :2] == pytest.approx(way, rel=1e-9, abs=off)
