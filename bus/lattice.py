@@ -38,7 +38,10 @@ class Lattice:
         self._index = {cell: i for i, cell in enumerate(ordered)}
         self.rows: NDArray[np.int64] = np.array([r for r, _ in ordered], dtype=np.int64)
         self.columns: NDArray[np.int64] = np.array([c for _, c in ordered], dtype=np.int64)
-        self.neighbours: NDArray[np.int64] = _neighbours(self.rows, self.columns)
+        steps = np.array(_STEP)
+        self.neighbours: NDArray[np.int64] = self.find(
+            self.rows[:, None] + steps[:, 0], self.columns[:, None] + steps[:, 1]
+        )
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -47,18 +50,16 @@ class Lattice:
         """Index of the cell at ``(row, column)``; KeyError where there is none."""
         return self._index[cell]
 
+    def find(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Indices of the cells at these rows and columns, of any shape; -1 where there is none."""
+        if len(self) == 0:
+            return np.full(np.shape(rows), -1)
+        # one number a place, ascending like the cells; what lies outside the array has a number of no cell's
+        first, width = int(self.columns.min()), int(np.ptp(self.columns)) + 2
+        column = np.where((columns < first) | (columns >= first + width), first + width - 1, columns)
+        places, wanted = self.rows * width + self.columns, rows * width + column
+        found = np.minimum(np.searchsorted(places, wanted), len(self) - 1)
+        return np.where(places[found] == wanted, found, -1)
+
     def __contains__(self, cell: object) -> bool:
         return cell in self._index
-
-
-def _neighbours(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """``(n, 4)`` neighbours of cells in row-major order, by a search for each among all."""
-    if len(rows) == 0:
-        return np.empty((0, 4), dtype=np.int64)
-    # one number a place, ascending like the cells; wide enough that no step leads into another row's
-    width = int(columns.max() - columns.min()) + 3
-    places = rows * width + columns
-    steps = np.array([row * width + column for row, column in _STEP])
-    wanted = places[:, None] + steps
-    found = np.minimum(np.searchsorted(places, wanted), len(places) - 1)
-    return np.where(places[found] == wanted, found, -1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,3 +20,13 @@ def test_every_cell_has_the_neighbours_that_exist(cells: set[tuple[int, int]]) -
         for side, found in zip(SIDES, neighbours, strict=True):
             wanted = (row + named[side][0], column + named[side][1])
             assert (lattice.cells[found] if found >= 0 else None) == (wanted if wanted in cells else None)
+
+
+@given(CELLS, st.lists(st.tuples(st.integers(-3, 9), st.integers(-9, 15)), min_size=1, max_size=20))
+def test_cells_are_found_by_row_and_column_and_nothing_where_there_is_none(
+    cells: set[tuple[int, int]], asked: list[tuple[int, int]]
+) -> None:
+    lattice, (rows, columns) = Lattice(cells), np.array(asked).T
+    found = lattice.find(rows[:, None], columns[:, None])
+    assert found.shape == (len(asked), 1)
+    assert found[:, 0].tolist() == [lattice.index(cell) if cell in cells else -1 for cell in asked]
