@@ -91,14 +91,18 @@ class Board(Controller):
                 self.init(cells.take(np.array([i])))
         raise FirmwareFailed(cells.name(0), 0, f"init: {problem}", trace)
 
-    def step(
+    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+        """Whole messages, of what came over the lines."""
+        if self.links is None or inputs.inbox is None:
+            return state, inputs
+        heard, inbox = self.links.receive(now, state.parts[_LINKS], inputs.inbox)
+        return ControllerState(state.cells, {**state.parts, _LINKS: heard}), replace(inputs, inbox=inbox)
+
+    def act(
         self, now: Instant, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period."""
         parts = dict(state.parts)
-        if self.links is not None and inputs.inbox is not None:
-            parts[_LINKS], inbox = self.links.receive(now, parts[_LINKS], inputs.inbox)
-            inputs = replace(inputs, inbox=inbox)
         done = self._program(now.tick, state.cells, parts[_PROGRAM], inputs)
         parts[_PROGRAM] = frozen(done.state)
         drive, outbox = done.speed_m_s, done.outbox
@@ -132,7 +136,7 @@ class Board(Controller):
     def counted(self, state: ControllerState) -> dict[str, int]:
         """What every part has counted."""
         return {
-            f"{name}.{what}": number
+            f"{part.effect or name}.{what}": number
             for name, part in self._parts.items()
             for what, number in part.counted(state.parts[name]).items()
         }

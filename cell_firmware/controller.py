@@ -19,7 +19,8 @@ class Instant(NamedTuple):
 
     Attributes:
         tick: Which exchange with the plant it belongs to.
-        at_ns: ``(n,)`` int64, simulated time at which each cell reads its pins; ``()`` where it is one for all.
+        at_ns: ``(n,)`` int64, simulated time at which each cell reads its pins, ``clocks.NEVER`` for one that is not
+            stepped in this exchange; ``()`` where it is one for all.
     """
 
     tick: int
@@ -113,8 +114,33 @@ class Controller(ABC):
             FirmwareFailed: A cell's program does not begin; names the cell.
         """
 
-    @abstractmethod
     def step(
+        self, now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """One exchange in which every cell takes part: what came over the lines, and then a control period."""
+        state, inputs = self.listen(now, state, inputs)
+        return self.act(now, state, inputs)
+
+    def listen(
+        self,
+        now: Instant,  # noqa: ARG002
+        state: ControllerState,
+        inputs: Inputs,
+    ) -> tuple[ControllerState, Inputs]:
+        """What came over the lines: once an exchange, for cells that are not stepped in it too.
+
+        Args:
+            now: When.
+            state: Of the n cells.
+            inputs: What their pins and links say.
+
+        Returns:
+            The next state, and what those that are stepped see of it.
+        """
+        return state, inputs
+
+    @abstractmethod
+    def act(
         self, now: Instant, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period.
@@ -122,7 +148,7 @@ class Controller(ABC):
         Args:
             now: When.
             state: Of the n cells.
-            inputs: What their pins and links say.
+            inputs: What they see, as ``listen`` has it.
 
         Returns:
             The next state and what the cells do. The state of a cell that failed means nothing.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from cell_firmware.firmware import Cells, Floats, Inbox, Outbox, State
 
 class Part(ABC):
     """A part of the board, of n cells at once."""
+
+    effect: ClassVar[str] = ""
+    """The effect under whose name it counts; its own name on the board where that is empty."""
 
     @abstractmethod
     def init(self, cells: Cells) -> State:
@@ -65,10 +68,10 @@ class LinkPart(Part):
 
     @abstractmethod
     def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
-        """What the program hears of what has come in.
+        """What the program hears of what has come in: once an exchange, whether or not a cell is stepped in it.
 
         Args:
-            now: When.
+            now: When; a cell that is not stepped hears nothing yet.
             state: Of n cells.
             lines: What came in, ``(n, 4)`` of ``line``.
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bus.effect import EffectSpec
 from bus.lattice import SIDES
 from cell_firmware.firmware import Bools, Inputs
+from cell_firmware.specs import CellsSpec
 
 
 @final
@@ -82,4 +83,11 @@ class CellEffectSpec(EffectSpec):
 
     def stages(self, site: Site) -> Iterator[Stage]:  # noqa: ARG002
         """What the shard's inputs have to pass, in this order; nothing where the settings change nothing."""
+        yield from ()
+
+    def unfit(
+        self,
+        cells: CellsSpec,  # noqa: ARG002
+    ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+        """What does not fit the cells: path from the effect's table, value, and the rule that it breaks."""
         yield from ()

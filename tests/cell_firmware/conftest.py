@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
+from cell_firmware.clocked import Clocked
+from cell_firmware.clocks import ArrayClocks
+from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware
+from cell_firmware.mailbox import Mailbox
 from cell_firmware.shard import Links, Shard, ShardOutputs
 from cell_firmware.speed_loop import SpeedLoop
 
@@ -48,17 +52,22 @@ class Lockstep:
         loop: SpeedLoop | None = None,
         effects: CellEffects | None = None,
         seed: int = 0,
+        clocks: ArrayClocks | None = None,
     ) -> None:
         self.partition = partition
         self.lattice = partition.lattice
         asked = CellEffects() if effects is None else effects
+        controller: Controller = Board(firmware, loop)
+        if clocks is not None:
+            links = None if firmware.message is None else Mailbox(firmware.message, clocks.all.window_ns)
+            controller = Clocked(Board(firmware, loop, links), clocks)
         self.shards = [
             Shard(
-                Board(firmware, loop),
+                controller,
                 cells_of(self.lattice),
                 partition,
                 s,
-                asked.stages(Site(partition.cells(s), 1, firmware.message, seed)),
+                asked.stages(Site(partition.cells(s), 1, controller.message, seed)),
             )
             for s in range(partition.count)
         ]
@@ -140,8 +149,9 @@ def run() -> Callable[..., Run]:
         encoder_m: NDArray[np.float64] | None = None,
         effects: CellEffects | None = None,
         seed: int = 0,
+        clocks: ArrayClocks | None = None,
     ) -> Run:
-        steps = Lockstep(firmware, partition, loop, effects, seed)
+        steps = Lockstep(firmware, partition, loop, effects, seed, clocks)
         drives: list[NDArray[np.float64]] = []
         for k in range(ticks):
             steps.retire((dead or {}).get(k, ()))

@@ -11,6 +11,7 @@ from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.effects.clock import ClockSpec
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
@@ -86,15 +87,28 @@ def cut(lattice: Lattice, labels: list[int]) -> Partition:
 
 @pytest.mark.parametrize("kind", FIRMWARE)
 @pytest.mark.parametrize(
-    ("motors", "effects"),
-    [(False, "none"), (True, "none"), (False, "ordered"), (False, "slow"), (False, "overtaking")],
+    ("motors", "effects", "clock"),
+    [
+        (False, "none", None),
+        (True, "none", None),
+        (False, "ordered", None),
+        (False, "slow", None),
+        (False, "overtaking", None),
+        (True, "none", ClockSpec(error_ppm=60_000)),
+        (False, "overtaking", ClockSpec(error_ppm=20_000, exchanges_per_period=2)),
+    ],
 )
 @settings(max_examples=25)
 @given(data=st.data())
 def test_any_partition_of_any_array_gives_the_same_bytes_as_one_shard(
-    run: Callable[..., Any], kind: str, motors: bool, effects: str, data: st.DataObject
+    run: Callable[..., Any],
+    kind: str,
+    motors: bool,
+    effects: str,
+    clock: ClockSpec | None,
+    data: st.DataObject,
 ):
-    """Irregular arrays, scattered shards, silent sides, cells dying on the way, chance."""
+    """Irregular arrays, scattered shards, silent sides, cells dying on the way, chance, clocks that differ."""
     lattice = Lattice(data.draw(places))
     n, ticks = len(lattice), 8
     labels = data.draw(st.lists(st.integers(0, 3), min_size=n, max_size=n))
@@ -110,6 +124,7 @@ def test_any_partition_of_any_array_gives_the_same_bytes_as_one_shard(
         "loop": loop,
         "effects": EFFECTS[effects],
         "seed": data.draw(st.integers(0, 2**63 - 1)),
+        "clocks": clock and clock.clocks(lattice, 4_096_000, data.draw(st.integers(0, 99))),
     }
     whole = run(FIRMWARE[kind], Partition.even(lattice, 1), ticks, **inputs)
     parts = run(FIRMWARE[kind], cut(lattice, labels), ticks, **inputs)

@@ -1,0 +1,102 @@
+"""Cells with clocks of their own: each is stepped at its own instants, and what it does holds in between."""
+
+from __future__ import annotations
+
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.clocks import ArrayClocks, Clocks
+from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
+from cell_firmware.firmware import Cells, Inputs, Outbox
+
+_CLOCK: Final = "clock"
+
+
+@final
+class Clocked(Controller):
+    """Lets cells step when their own clocks say so.
+
+    Exchange k brings what each cell with an instant r in window k - 1 read at r: those cells are stepped, each with its
+    own r, and the others are not. What a cell computed at r acts from r + W on, W being the window, until what it
+    computes next does. See ``cell_firmware.clocks``.
+
+    Args:
+        controller: Of the cells.
+        clocks: Of the whole array.
+    """
+
+    def __init__(self, controller: Controller, clocks: ArrayClocks) -> None:
+        self.controller = controller
+        self._clocks = clocks
+
+    @property
+    def message(self) -> np.dtype[Any] | None:
+        """What a link carries in an exchange."""
+        return self.controller.message
+
+    def init(self, cells: Cells) -> ControllerState:
+        """The state before a cell's first instant: its wheels stand still."""
+        inner = self.controller.init(cells)
+        clocks = self._clocks.of(cells.row, cells.column)
+        clock = {
+            "ppb": clocks.ppb,
+            "phase_ns": clocks.phase_ns,
+            "count": np.zeros(len(cells), dtype=np.int64),
+            "drive": np.zeros((len(cells), 2)),
+        }
+        return ControllerState(cells, {**inner.parts, _CLOCK: frozen(clock)})
+
+    def act(
+        self, now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """One exchange: a control period of the cells that have an instant in the window before it."""
+        clock = state.parts[_CLOCK]
+        whole = self._clocks.all
+        due = Clocks(whole.period_ns, whole.window_ns, clock["ppb"], clock["phase_ns"]).due(
+            now.tick - 1, clock["count"]
+        )
+        now, stepped = Instant(now.tick, due), due >= 0
+        inner, inputs = self.controller.listen(now, _without(state), inputs)
+        inner, outputs = self._stepped(now, np.flatnonzero(stepped), inner, inputs)
+        drive = np.where(stepped[:, None], outputs.drive, clock["drive"])
+        after = frozen({**clock, "count": clock["count"] + stepped, "drive": drive})
+        return (
+            ControllerState(state.cells, {**inner.parts, _CLOCK: after}),
+            ControllerOutputs(drive, outputs.outbox, outputs.failures),
+        )
+
+    def _stepped(
+        self, now: Instant, rows: NDArray[np.int64], state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """A control period of these cells; the others do nothing."""
+        n = len(state.cells)
+        if len(rows) == n:
+            return self.controller.act(now, state, inputs)
+        drive = np.zeros((n, 2))
+        if not len(rows):
+            return state, ControllerOutputs(drive, None)
+        some, outputs = self.controller.act(now.take(rows), state.take(rows), inputs.take(rows))
+        drive[rows] = outputs.drive
+        outbox = None
+        if outputs.outbox is not None:
+            outbox = Outbox.empty(n, outputs.outbox.message.dtype)
+            outbox.sent[rows], outbox.message[rows] = outputs.outbox.sent, outputs.outbox.message
+        failures = {int(rows[i]): failure for i, failure in outputs.failures.items()}
+        return state.put(rows, some), ControllerOutputs(drive, outbox, failures)
+
+    def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
+        """The clocks' errors and how often they ticked; and what the cells' controller has."""
+        clock = state.parts[_CLOCK]
+        own = {f"{_CLOCK}.{name}": clock[name] for name in ("ppb", "count")}
+        return {**own, **self.controller.registers(_without(state))}
+
+    def counted(self, state: ControllerState) -> dict[str, int]:
+        """What the cells' controller has counted."""
+        return self.controller.counted(_without(state))
+
+
+def _without(state: ControllerState) -> ControllerState:
+    """What the cells' controller knows of."""
+    return ControllerState(state.cells, {name: part for name, part in state.parts.items() if name != _CLOCK})
