@@ -127,7 +127,7 @@ class Board(Controller):
         return {
             **{f"{_PROGRAM}.{name}": array for name, array in state.parts[_PROGRAM].items()},
             **{
-                f"{name}.{register}": value
+                f"{part.effect or name}.{register}": value
                 for name, part in self._parts.items()
                 for register, value in part.registers(state.parts[name]).items()
             },

@@ -16,7 +16,7 @@ class Part(ABC):
     """A part of the board, of n cells at once."""
 
     effect: ClassVar[str] = ""
-    """The effect under whose name it counts; its own name on the board where that is empty."""
+    """The effect under whose name it is shown; its own name on the board where that is empty."""
 
     @abstractmethod
     def init(self, cells: Cells) -> State:
