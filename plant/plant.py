@@ -151,7 +151,8 @@ class Plant:
         reading = None
         if timing is not None:
             timing.check(len(self.array), self._now_ns, until_ns)
-            reading = Reading(self._told or self.sense(), timing, self._now_ns, until_ns)
+            start = self.sense()
+            reading = Reading(self._told or start, start, timing, self._now_ns, until_ns)
         acts_s = None if timing is None else timing.acts_s(self._now_ns)
         events = self._step(drives, until_ns, acts_s, reading)
         self._told = self.sense() if reading is None else reading.sense(self.sense())

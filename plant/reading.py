@@ -17,15 +17,16 @@ class Reading:
 
     Args:
         last: what each cell read last; kept as it is.
+        start: what all would read as the call begins.
         timing: when each reads.
         now_ns: when the call begins.
         until_ns: when it ends.
 
     Attributes:
-        instants_s: ``(n,)`` s after the call's start; infinite for cells that don't read before its end.
+        instants_s: ``(n,)`` s after the call's start; infinite for cells that don't read within it.
     """
 
-    def __init__(self, last: Sense, timing: Timing, now_ns: int, until_ns: int) -> None:
+    def __init__(self, last: Sense, start: Sense, timing: Timing, now_ns: int, until_ns: int) -> None:
         self.instants_s: Floats = timing.reads_s(now_ns, until_ns)
         self._at_end = timing.reads_ns == until_ns
         inside = np.isfinite(self.instants_s)
@@ -34,6 +35,10 @@ class Reading:
         # who reads sees a parcel only where one is near: those cells are told below
         self._presence[inside] = False
         self._encoder_m = None if last.encoder_m is None else last.encoder_m.copy()
+        at_start = timing.reads_ns == now_ns
+        self._presence[at_start] = start.presence[at_start]
+        if self._encoder_m is not None and start.encoder_m is not None:
+            self._encoder_m[at_start] = start.encoder_m[at_start]
         self._inside = inside
 
     def turned(self, encoder_m: Floats | None) -> None:

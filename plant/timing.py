@@ -18,7 +18,7 @@ class Timing(NamedTuple):
     Attributes:
         acts_ns: ``(n,)`` in ``[now, until)``: when a cell's drive of this call takes effect; before, its last one goes
             on. -1: it acts from the start.
-        reads_ns: ``(n,)`` in ``(now, until]``: when a cell reads sensors and encoders. -1: it doesn't in this call.
+        reads_ns: ``(n,)`` in ``[now, until]``: when a cell reads sensors and encoders. -1: it doesn't in this call.
     """
 
     acts_ns: NDArray[np.int64]
@@ -35,7 +35,7 @@ class Timing(NamedTuple):
         Raises:
             PlantError: one isn't, or there are instants of another number of cells.
         """
-        spans = (("acts_ns", now_ns, until_ns - 1), ("reads_ns", now_ns + 1, until_ns))
+        spans = (("acts_ns", now_ns, until_ns - 1), ("reads_ns", now_ns, until_ns))
         for (name, first, last), given in zip(spans, self, strict=True):
             if np.shape(given) != (cells,):
                 raise PlantError(f"{name} has shape {np.shape(given)}: the array has {cells} cells")
@@ -49,6 +49,6 @@ class Timing(NamedTuple):
         return np.maximum(self.acts_ns - now_ns, 0) * 1e-9
 
     def reads_s(self, now_ns: int, until_ns: int) -> Floats:
-        """``(n,)`` s after ``now_ns`` when cells read; infinite for those that don't, or only when the call is over."""
-        inside = (self.reads_ns >= 0) & (self.reads_ns < until_ns)
+        """``(n,)`` s after ``now_ns`` when cells read; infinite for those that don't within the call."""
+        inside = (self.reads_ns > now_ns) & (self.reads_ns < until_ns)
         return np.where(inside, (self.reads_ns - now_ns) * 1e-9, np.inf)

@@ -28,7 +28,7 @@ def everyone(n: int, acts_ns: int, reads_ns: int) -> Timing:
 
 
 def drawn(draw: np.random.Generator, n: int, now_ns: int, until_ns: int) -> Timing:
-    return Timing(draw.integers(now_ns, until_ns, n), draw.integers(now_ns + 1, until_ns + 1, n))
+    return Timing(draw.integers(now_ns, until_ns, n), draw.integers(now_ns, until_ns + 1, n))
 
 
 def apart(first: ParcelSpec) -> list[ParcelSpec]:
@@ -118,6 +118,7 @@ def test_random_instants_are_the_same_as_dividing_the_call_by_hand_at_every_one(
         now, until = tick * 10 * TICK_NS, (tick + 1) * 10 * TICK_NS
         timing, drives = drawn(draw, n, now, until), elliptic(timed) + draw.normal(size=(n, 2))
         timing.reads_ns[::7] = -1
+        timing.reads_ns[1::7] = now
         sense, _ = timed.advance(drives, until, timing)
         for instant in np.unique(np.concatenate([timing.acts_ns, timing.reads_ns, [until]])).tolist():
             if instant < 0:
@@ -221,8 +222,8 @@ def test_timing_goes_with_effects_that_act_on_all_parcels_at_once(loaded: bool) 
     [
         (TICK_NS, -1, "must be -1 or in 0..4095999"),
         (-2, -1, "must be -1 or in 0..4095999"),
-        (0, 0, "must be -1 or in 1..4096000"),
-        (0, TICK_NS + 1, "must be -1 or in 1..4096000"),
+        (0, -2, "must be -1 or in 0..4096000"),
+        (0, TICK_NS + 1, "must be -1 or in 0..4096000"),
     ],
 )
 def test_instants_outside_the_call_are_refused(acts: int, reads: int, rule: str) -> None:
