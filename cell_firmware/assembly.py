@@ -8,12 +8,19 @@ from typing import TYPE_CHECKING, final
 from cell_firmware.board import Board
 from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
+from cell_firmware.errors import SettingError
 from cell_firmware.firmware import Firmware
 from cell_firmware.parts import LinkPart, WheelPart
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec
 
 if TYPE_CHECKING:
     from cell_firmware.clocks import ArrayClocks
+    from cell_firmware.effects.encoder import EncoderSpec
+    from cell_firmware.effects.fixed_point import FixedPointSpec
+    from cell_firmware.effects.pwm import PwmSpec
+    from cell_firmware.speed_loop.fixed_point import FixedPointLoop
+    from cell_firmware.speed_loop.pwm import Pwm
+    from cell_firmware.speed_loop.tachometer import Encoder
 
 
 @final
@@ -23,9 +30,13 @@ class Motors:
 
     Attributes:
         supply_v: What the output stage can give, V.
+        free_speed_m_s: Surface speed of a wheel at the supply's voltage without load, m/s.
+        wheel_radius_m: None where the motors are described without one.
     """
 
     supply_v: float
+    free_speed_m_s: float
+    wheel_radius_m: float | None = None
 
 
 def assemble(
@@ -43,8 +54,11 @@ def assemble(
         effects: Of the cells.
         motors: None where the wheels run at the speed that they are told.
         clocks: None where all cells step at once, by the plant's clock.
+
+    Raises:
+        SettingError: Settings of the board that don't go together.
     """
-    board = Board(firmware, _wheels(spec, effects, motors), _links(firmware, spec, effects, clocks))
+    board = Board(firmware, wheels_of(spec, effects, motors), _links(firmware, spec, effects, clocks))
     if clocks is None:
         return board
     from cell_firmware.clocked import Clocked
@@ -52,14 +66,74 @@ def assemble(
     return Clocked(board, clocks)
 
 
-def _wheels(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> WheelPart | None:
-    """What closes on the motors."""
-    del effects
+def wheels_of(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> WheelPart | None:
+    """What closes on the motors; None where the wheels run at the speed that they are told.
+
+    Raises:
+        SettingError: Settings that don't go together.
+    """
     if motors is None:
         return None
+    gains = spec.speed_loop or SpeedLoopSpec()
+    encoder = None if effects.encoder is None else _encoder(effects.encoder, spec.period_s, motors)
+    pwm = None if effects.pwm is None else _pwm(effects.pwm, motors)
+    if effects.fixed_point is not None:
+        return _fixed_point(effects.fixed_point, gains, spec.period_s, motors, encoder, pwm)
     from cell_firmware.speed_loop import SpeedLoop
 
-    return SpeedLoop(spec.speed_loop or SpeedLoopSpec(), spec.period_s, motors.supply_v)
+    return SpeedLoop(gains, spec.period_s, motors.supply_v, encoder, pwm)
+
+
+def _encoder(effect: EncoderSpec, period_s: float, motors: Motors) -> Encoder:
+    from cell_firmware.speed_loop.tachometer import LARGEST_DIFFERENCE, Encoder
+
+    radius, theirs = effect.wheel_radius_m, motors.wheel_radius_m
+    if radius is not None and theirs is not None and radius != theirs:
+        rule = f"must be that of effects.motors, {theirs:g}, or be left out"
+        raise SettingError(("effects", "encoder", "wheel_radius_m"), radius, rule)
+    encoder = Encoder(period_s, effect.m_per_count(theirs))
+    counts = motors.free_speed_m_s / encoder.unit_m_s
+    if counts > LARGEST_DIFFERENCE:
+        rule = (
+            f"at most {LARGEST_DIFFERENCE} counts a period can be told apart, and a wheel without load makes "
+            f"{counts:.1f} at supply_v"
+        )
+        path = ("effects", "encoder", "counts_per_revolution")
+        raise SettingError(path, effect.counts_per_revolution, rule)
+    return encoder
+
+
+def _pwm(effect: PwmSpec, motors: Motors) -> Pwm:
+    from cell_firmware.speed_loop.pwm import Pwm
+
+    return Pwm(effect.counts, motors.supply_v)
+
+
+def _fixed_point(
+    effect: FixedPointSpec,
+    gains: SpeedLoopSpec,
+    period_s: float,
+    motors: Motors,
+    encoder: Encoder | None,
+    pwm: Pwm | None,
+) -> FixedPointLoop:
+    from cell_firmware.speed_loop.fixed_point import FixedPointLoop
+    from cell_firmware.speed_loop.scaling import IDEAL_LEVELS, Scaling
+    from cell_firmware.speed_loop.tachometer import Words
+
+    if encoder is not None and effect.speed_unit_m_s is not None:
+        rule = "the unit of speeds is a count a period where there is effects.encoder: leave it out"
+        raise SettingError(("effects", "fixed_point", "speed_unit_m_s"), effect.speed_unit_m_s, rule)
+    tachometer = Words(period_s, effect.unit_m_s) if encoder is None else encoder
+    told = tachometer.largest * tachometer.unit_m_s
+    if motors.free_speed_m_s > told:
+        rule = (
+            f"a 16-bit word tells speeds up to {told:.4g} m/s, and a wheel without load has "
+            f"{motors.free_speed_m_s:.4g} at supply_v"
+        )
+        raise SettingError(("effects", "fixed_point", "speed_unit_m_s"), effect.unit_m_s, rule)
+    levels = IDEAL_LEVELS if pwm is None else pwm.levels
+    return FixedPointLoop(Scaling(gains, period_s, motors.supply_v, levels, tachometer), tachometer, pwm)
 
 
 def _links(

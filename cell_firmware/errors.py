@@ -1,4 +1,4 @@
-"""What can go wrong in firmware: one root, and the two cases that callers tell apart."""
+"""What can go wrong in firmware: one root, and the cases that callers tell apart."""
 
 from __future__ import annotations
 
@@ -37,6 +37,25 @@ class ParametersError(FirmwareError):
 
     def __str__(self) -> str:
         return "\n".join(f"parameters of {self.firmware}: {problem}" for problem in self.problems)
+
+
+class SettingError(FirmwareError):
+    """A setting of the cells' board that does not go with the others.
+
+    Attributes:
+        path: From the top of the scene.
+        value: What is there.
+        rule: That it breaks.
+    """
+
+    def __init__(self, path: tuple[str | int, ...], value: Any, rule: str) -> None:
+        super().__init__(path, value, rule)
+        self.path = path
+        self.value = value
+        self.rule = rule
+
+    def __str__(self) -> str:
+        return f"{dotted(self.path)} = {self.value}: {self.rule}"
 
 
 class FirmwareFailed(FirmwareError):

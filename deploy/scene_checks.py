@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cell_firmware.errors import FirmwareError, ParametersError
+from cell_firmware.errors import FirmwareError, ParametersError, SettingError
 from cell_firmware.specs import CellsSpec
 from deploy.effects.registry import EffectsSpec
 from deploy.faults import Fault
@@ -48,8 +48,24 @@ def cross_problems(
             problems.append(
                 Problem(("cells", "speed_loop"), "closes on motors: the scene needs effects.motors")
             )
+        if effects is not None:
+            problems += _board_problems(cells, effects)
         problems += _firmware_problems(array, cells)
     return problems
+
+
+def _board_problems(cells: CellsSpec, effects: EffectsSpec) -> list[Problem]:
+    """What of the cells' boards does not fit the motors or their gains."""
+    if effects.motors is None or not any((effects.encoder, effects.pwm, effects.fixed_point)):
+        return []
+    from cell_firmware.assembly import wheels_of
+    from deploy.motors import told
+
+    try:
+        wheels_of(cells, effects, told(effects.motors))
+    except SettingError as error:
+        return [Problem(error.path, error.rule, error.value)]
+    return []
 
 
 def _fault_problems(array: ArraySpec, faults: Mapping[int, Fault]) -> list[Problem]:

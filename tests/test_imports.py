@@ -69,7 +69,7 @@ def test_every_contract_holds() -> None:
         ("plant/rest.py", "from concurrent.futures import ThreadPoolExecutor", {PHYSICS}),
         ("plant/geometry.py", "from random import random", {PHYSICS}),
         ("cell_firmware/fields/vortex.py", "import asyncio", {FIRMWARE}),
-        ("cell_firmware/speed_loop.py", "from threading import Thread", {FIRMWARE}),
+        ("cell_firmware/speed_loop/floating.py", "from threading import Thread", {FIRMWARE}),
         ("cell_firmware/protocols/velocity_field.py", "from math import exp", {ARITHMETIC}),
         ("bus/lattice.py", "import time", {PHYSICS, FIRMWARE}),
         ("bus/lattice.py", "import bus.keys", {ACYCLIC}),

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from bus.effect import Effects
 from cell_firmware.effects.adc import AdcSpec
+from cell_firmware.effects.encoder import EncoderSpec
+from cell_firmware.effects.fixed_point import FixedPointSpec
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
+from cell_firmware.effects.pwm import PwmSpec
 from cell_firmware.effects.sensor import SensorSpec
 from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
 
@@ -21,6 +24,9 @@ class CellEffects(Effects):
     sensor: SensorSpec | None = None
     link_loss: LinkLossSpec | None = None
     link_delay: LinkDelaySpec | None = None
+    encoder: EncoderSpec | None = None
+    pwm: PwmSpec | None = None
+    fixed_point: FixedPointSpec | None = None
 
     def stages(self, site: Site) -> dict[str, tuple[Stage, ...]]:
         """What the inputs of a shard's cells have to pass, in order, by the name of the effect."""

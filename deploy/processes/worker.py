@@ -101,13 +101,11 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
 
 def controller_of(scene: Scene) -> Controller:
     """The controller that a scene gives every cell."""
-    from cell_firmware.assembly import Motors, assemble
+    from cell_firmware.assembly import assemble
     from cell_firmware.loader import load
+    from deploy.motors import told
 
-    motors = scene.effects.motors
-    return assemble(
-        load(scene.cells), scene.cells, scene.effects, None if motors is None else Motors(motors.supply_v)
-    )
+    return assemble(load(scene.cells), scene.cells, scene.effects, told(scene.effects.motors))
 
 
 def _shard(order: Order, shard: int) -> Shard:

@@ -1,4 +1,4 @@
-"""The PI loop that makes a motor's wheel follow a speed, in floating point."""
+"""The PI loop in floating point."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Floats, State
 from cell_firmware.parts import WheelPart
 from cell_firmware.specs import SpeedLoopSpec
+from cell_firmware.speed_loop.pwm import Pwm
+from cell_firmware.speed_loop.tachometer import Tachometer, Travel
 
 
 @final
 class SpeedLoop(WheelPart):
     """PI with saturation and anti-windup, for both wheels of n cells.
 
-    Measured speed is the encoder's travel since the last tick over the period (0 at the first reading)::
+    Each period::
 
         e = reference - measured
         I = I + ki e T
@@ -30,39 +32,52 @@ class SpeedLoop(WheelPart):
         spec: Gains.
         period_s: The control period, s.
         supply_v: What the output stage can give, V, > 0.
+        tachometer: What measures the speed; None for the exact travel since the last period.
+        pwm: What gives the voltage; None for an output stage that gives any.
     """
 
-    def __init__(self, spec: SpeedLoopSpec, period_s: float, supply_v: float) -> None:
+    def __init__(
+        self,
+        spec: SpeedLoopSpec,
+        period_s: float,
+        supply_v: float,
+        tachometer: Tachometer | None = None,
+        pwm: Pwm | None = None,
+    ) -> None:
         for name, value in (("period_s", period_s), ("supply_v", supply_v)):
             if not (np.isfinite(value) and value > 0.0):
                 raise FirmwareError(f"speed loop: {name} must be positive and finite, not {value}")
         self.spec = spec
         self.period_s = float(period_s)
         self.supply_v = float(supply_v)
+        self._tachometer = Travel(self.period_s) if tachometer is None else tachometer
+        self._pwm = pwm
 
     def init(self, cells: Cells) -> State:
-        """Integral terms ``(n, 2)`` V, the last readings ``(n, 2)`` m, and whether there was one, ``(n, 1)``."""
+        """Integral terms ``(n, 2)`` V, what the tachometer remembers, and with PWM the duty ``(n, 2)``."""
         n = len(cells)
-        return {
-            "integral_v": np.zeros((n, 2)),
-            "encoder_m": np.zeros((n, 2)),
-            "seen": np.zeros((n, 1), dtype=np.bool_),
-        }
+        state: dict[str, NDArray[Any]] = {"integral_v": np.zeros((n, 2)), **self._tachometer.init(n)}
+        if self._pwm is not None:
+            state["duty"] = np.zeros((n, 2), dtype=np.int32)
+        return state
 
     def step(self, state: State, reference_m_s: Floats, encoder_m: Floats) -> tuple[State, Floats]:
         """One control period."""
         spec = self.spec
-        measured = np.where(state["seen"], (encoder_m - state["encoder_m"]) / self.period_s, 0.0)
-        error = reference_m_s - measured
+        seen, reading = self._tachometer.read(state, encoder_m)
+        error = reference_m_s - reading * self._tachometer.unit_m_s
         ahead = spec.feed_forward_v_per_m_s * reference_m_s + spec.kp_v_per_m_s * error
         grown = state["integral_v"] + spec.ki_v_per_m * error * self.period_s
         wanted = ahead + grown
         winding = ((wanted > self.supply_v) & (error > 0.0)) | ((wanted < -self.supply_v) & (error < 0.0))
-        integral = np.where(winding, state["integral_v"], grown)
+        after: dict[str, NDArray[Any]] = {"integral_v": np.where(winding, state["integral_v"], grown), **seen}
         volts = np.minimum(np.maximum(wanted, -self.supply_v), self.supply_v)
-        after = {"integral_v": integral, "encoder_m": encoder_m.copy(), "seen": np.ones_like(state["seen"])}
+        if self._pwm is not None:
+            after["duty"] = duty = self._pwm.duty(volts)
+            volts = self._pwm.volts(duty)
         return after, volts
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
-        """The integral terms, V."""
-        return {"integral_v": state["integral_v"]}
+        """The integral terms, V; counts and duties where there are any."""
+        duty = {} if self._pwm is None else {"duty": state["duty"]}
+        return {"integral_v": state["integral_v"], **self._tachometer.registers(state), **duty}

@@ -4,16 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bus.lattice import Lattice
 from cell_firmware.errors import FirmwareError
-from cell_firmware.firmware import Cells
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop import SpeedLoop
-
-PERIOD_S = 0.004096
-GAIN = 0.1  # m/s per volt
-TAU_S = 0.06
-SUPPLY_V = 12.0
+from tests.cell_firmware.speed_loop.wheels import GAIN, PERIOD_S, SUPPLY_V, TAU_S, cells
 
 
 class Motor:
@@ -30,10 +24,6 @@ class Motor:
         self.speed = target + (self.speed - target) * decay
 
 
-def cells(n: int) -> Cells:
-    return Cells.of(Lattice((0, i) for i in range(n)), np.zeros((n, 2)), PERIOD_S)
-
-
 def closed(
     loop: SpeedLoop, reference: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -48,13 +38,18 @@ def closed(
     return np.array(speeds), np.array(volts)
 
 
-def test_the_step_response_is_that_of_the_discrete_closed_loop():
+@pytest.mark.parametrize(
+    ("kp", "ki", "ahead"),
+    [(12.0, 200.0, 0.0), (12.0, 200.0, 2.0), (6.0, 100.0, 10.0), (20.0, 30.0, 0.0), (0.0, 60.0, 0.0)],
+)
+def test_the_step_responses_of_both_wheels_are_those_of_the_sampled_closed_loop(
+    kp: float, ki: float, ahead: float
+) -> None:
     """An independent model: motor, travel, last travel and integral as one linear system in SciPy."""
     from scipy.linalg import expm
     from scipy.signal import StateSpace, dlsim
 
-    spec = SpeedLoopSpec(feed_forward_v_per_m_s=2.0)
-    kp, ki, kf, t = spec.kp_v_per_m_s, spec.ki_v_per_m, spec.feed_forward_v_per_m_s, PERIOD_S
+    t = PERIOD_S
     # motor: x = (speed, travel), dx/dt = A x + B u, held input
     block = np.zeros((3, 3))
     block[0, 0], block[0, 2], block[1, 0] = -1 / TAU_S, GAIN / TAU_S, 1.0
@@ -64,7 +59,7 @@ def test_the_step_response_is_that_of_the_discrete_closed_loop():
     e = np.array([0, -1 / t, 1 / t, 0])
     i_next = np.array([0, 0, 0, 1.0]) + ki * t * e
     u = kp * e + i_next
-    u_r = kf + kp + ki * t
+    u_r = ahead + kp + ki * t
     a = np.zeros((4, 4))
     a[:2, :2] = ad
     a[:2] += np.outer(bd, u)
@@ -73,11 +68,20 @@ def test_the_step_response_is_that_of_the_discrete_closed_loop():
     b = np.concatenate([bd * u_r, [0.0], [ki * t]])[:, None]
     system = StateSpace(a, b, np.vstack([np.eye(4)[0], u]), np.array([[0.0], [u_r]]), dt=t)
 
-    reference = np.full(200, 0.3)
-    _, response, _ = dlsim(system, reference[:, None])
-    speeds, volts = closed(SpeedLoop(spec, t, SUPPLY_V), reference)
-    np.testing.assert_allclose(speeds, response[:, 0], atol=1e-12)
-    np.testing.assert_allclose(volts, response[:, 1], atol=1e-10)
+    spec = SpeedLoopSpec(kp_v_per_m_s=kp, ki_v_per_m=ki, feed_forward_v_per_m_s=ahead)
+    loop, motor = SpeedLoop(spec, t, SUPPLY_V), Motor()
+    state = loop.init(cells(1))
+    reference = np.array([[0.3, -0.11]])
+    speeds, volts = [], []
+    for _ in range(200):
+        speeds.append(motor.speed[0])
+        state, acting = loop.step(state, reference, motor.travel)
+        volts.append(acting[0])
+        motor.advance(acting)
+    for wheel, step in enumerate(reference[0]):
+        _, response, _ = dlsim(system, np.full((200, 1), step))
+        np.testing.assert_allclose(np.array(speeds)[:, wheel], response[:, 0], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(np.array(volts)[:, wheel], response[:, 1], rtol=0, atol=1e-9)
 
 
 def test_the_default_gains_settle_the_default_motor_in_a_fifth_of_a_second_and_stay():

@@ -1,0 +1,44 @@
+"""Effect ``encoder``: wheels whose travel is known in whole counts, of 8 bits."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Final, Self, final
+
+from pydantic import Field
+
+from bus.spec import Positive
+from cell_firmware.effects.stage import CellEffectSpec
+
+RADIUS_M: Final = 0.03
+"""Of a wheel, where nothing says it."""
+_TURN: Final = 2.0 * 3.141592653589793
+
+
+@final
+class EncoderSpec(CellEffectSpec):
+    """Speed loops read whole encoder counts modulo 256, not the exact travel.
+
+    The first wheel's encoder is on the pulse accumulator, of which there is one; the second wheel's is counted by an
+    interrupt on input capture, in software with the same 8 bits. Both count forwards and backwards.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("motors",)
+    states: ClassVar[tuple[str, ...]] = ("counts of every encoder",)
+    rung: ClassVar[int | None] = 52
+    counts_per_revolution: Annotated[int, Field(ge=1, le=65_536)] = 256
+    """Of a wheel."""
+    wheel_radius_m: Positive | None = None
+    """By default the motors', 0.03 where they have none; where both say one, they must agree."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """The defaults."""
+        return cls()
+
+    def m_per_count(self, motors_m: float | None) -> float:
+        """Surface travel of a count.
+
+        Args:
+            motors_m: Radius of the motors' wheels; None where they have none.
+        """
+        return _TURN * (self.wheel_radius_m or motors_m or RADIUS_M) / self.counts_per_revolution

@@ -1,0 +1,31 @@
+"""Effect ``fixed_point``: speed loops compute in integers."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final, Self, final
+
+from bus.spec import Positive
+from cell_firmware.effects.stage import CellEffectSpec
+
+SPEED_UNIT_M_S: Final = 1e-3
+
+
+@final
+class FixedPointSpec(CellEffectSpec):
+    """Speed loops compute in integers, speeds in Q4, voltages in Q12, with the same gains as in floating point."""
+
+    needs: ClassVar[tuple[str, ...]] = ("motors",)
+    rung: ClassVar[int | None] = 56
+    speed_unit_m_s: Positive | None = None
+    """Unit of speeds where there is no ``encoder``, whose counts a period are it else: 0.001 unless given; speeds are
+    16-bit words in sixteenths of it, and saturate at 2,048 of it."""
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """The defaults."""
+        return cls()
+
+    @property
+    def unit_m_s(self) -> float:
+        """Where there is no encoder."""
+        return self.speed_unit_m_s or SPEED_UNIT_M_S
