@@ -24,7 +24,7 @@ class EncoderSpec(CellEffectSpec):
 
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     states: ClassVar[tuple[str, ...]] = ("counts of every encoder",)
-    rung: ClassVar[int | None] = 52
+    rung: ClassVar[int | None] = 42
     counts_per_revolution: Annotated[int, Field(ge=1, le=65_536)] = 256
     """Of a wheel."""
     wheel_radius_m: Positive | None = None

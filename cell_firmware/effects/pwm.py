@@ -20,7 +20,7 @@ class PwmSpec(CellEffectSpec):
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     states: ClassVar[tuple[str, ...]] = ("duty of every wheel",)
     messages: ClassVar[tuple[str, ...]] = ("drives are whole duties",)
-    rung: ClassVar[int | None] = 54
+    rung: ClassVar[int | None] = 44
     levels: Annotated[int, Field(ge=1, le=65_535)] | None = None
     """Timer counts of a pulse period: 2 MHz over the frequency. 2,000 (1 kHz) where neither is given."""
     frequency_hz: Annotated[float, Field(ge=31, le=TIMER_HZ, allow_inf_nan=False)] | None = None

@@ -137,6 +137,29 @@ def test_the_scene_these_tests_break_is_good() -> None:
             "cells.speed_loop: closes on motors: the scene needs effects.motors",
         ),
         (
+            "seed = 1",
+            "seed = 1\n[effects.encoder]",
+            "effects.motors = None: must be asked for too: effects.encoder needs it",
+        ),
+        (
+            "seed = 1",
+            "seed = 1\n[effects]\nmotors = {}\nencoder = { counts_per_revolution = 9000 }",
+            (
+                "effects.encoder.counts_per_revolution = 9000: at most 127 counts a period can be told apart, and a "
+                "wheel without load makes 234.7 at supply_v"
+            ),
+        ),
+        (
+            "seed = 1",
+            "seed = 1\n[effects]\nmotors = {}\nfixed_point = {}\n[cells.speed_loop]\nki_v_per_m = 1e-9",
+            "cells.speed_loop.ki_v_per_m = 1e-09: fixed point: so small that it rounds to nothing",
+        ),
+        (
+            "seed = 1",
+            "seed = 1\n[effects]\nmotors = {}\npwm = { levels = 255, frequency_hz = 7800.0 }",
+            "effects.pwm: give levels or frequency_hz, not both",
+        ),
+        (
             "coefficient_s_per_m = 0.2",
             'law = "coulomb"\ncoefficient = 0.2',
             (

@@ -88,6 +88,7 @@ def _shortened(name: str, duration_s: float) -> Scene:
         ("heat", 0.09, WAYS),
         ("coulomb", 0.06, WAYS),  # another solver
         ("prototype", 0.15, WAYS + EACH),
+        ("board", 0.1, [WAYS[0], WAYS[4], WAYS[7], EACH[0]]),  # integers, counts and duties
     ],
 )
 def test_the_digest_depends_neither_on_processes_nor_on_transport_nor_on_wire_form(

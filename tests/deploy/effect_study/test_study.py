@@ -29,6 +29,9 @@ SHOWN = {
     "sensor": ("noisy", 0.5),
     "link_delay": ("noisy", 0.5),
     "link_loss": ("noisy", 0.5),
+    "encoder": ("board", 0.5),
+    "pwm": ("board", 0.5),
+    "fixed_point": ("board", 0.5),
     "feeders": ("stream", 3.0),
     "parcel_contact": ("rails", 2.5),
 }
