@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Final, final
+from typing import Any, Final, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Floats, State
 
 Integers = NDArray[np.int32]
+_Number = TypeVar("_Number", np.float64, np.int32)
 
 FRACTION_BITS: Final = 4
 """Of speeds in an integer loop: Q4, sixteenths of a count."""
@@ -144,7 +145,7 @@ class Encoder(IntegerTachometer):
         count = np.floor(encoder_m / self._m_per_count).astype(np.int64).astype(np.uint8)
         turned = (count - state["count"]).view(np.int8).astype(np.int32)
         after = {"count": count, "seen": np.ones_like(state["seen"])}
-        return after, np.where(state["seen"], turned, np.int32(0))
+        return after, _once_seen(state, turned)
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
         """The counters."""
@@ -161,5 +162,12 @@ def _travel_state(n: int) -> State:
 
 
 def _travelled(state: State, encoder_m: Floats, period_s: float) -> tuple[State, Floats]:
-    speed = np.where(state["seen"], (encoder_m - state["encoder_m"]) / period_s, 0.0)
-    return {"encoder_m": encoder_m.copy(), "seen": np.ones_like(state["seen"])}, speed
+    speed = (encoder_m - state["encoder_m"]) / period_s
+    after = {"encoder_m": encoder_m.copy(), "seen": np.ones_like(state["seen"])}
+    return after, _once_seen(state, speed)
+
+
+def _once_seen(state: State, reading: NDArray[_Number]) -> NDArray[_Number]:
+    """The reading; 0 of cells that have not read before."""
+    seen = state["seen"]
+    return reading if seen.all() else np.where(seen, reading, reading.dtype.type(0))
