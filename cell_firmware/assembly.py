@@ -140,8 +140,16 @@ def _links(
     firmware: Firmware, spec: CellsSpec, effects: CellEffects, clocks: ArrayClocks | None
 ) -> LinkPart | None:
     """What messages have to pass."""
-    del spec, effects
-    if firmware.message is None or clocks is None:
+    if firmware.message is None:
+        return None
+    if effects.serial is not None:
+        from cell_firmware.serial.lines import SerialLines
+
+        settings = effects.serial.settings(spec.period_ns)
+        if clocks is None:
+            return SerialLines(settings, firmware.message)
+        return SerialLines(settings, firmware.message, clocks.all.window_ns, clocks.ppb)
+    if clocks is None:
         return None
     from cell_firmware.mailbox import Mailbox
 

@@ -175,7 +175,8 @@ class Shard:
         received = np.zeros(self._n * 4, dtype=np.bool_)
         message = np.zeros(self._n * 4, dtype=self._message)
         received[self._inner_to] = self._sent[self._inner_from]
-        message[self._inner_to] = self._outgoing[self._inner_from]
+        raw = np.dtype((np.void, self._message.itemsize))  # NumPy moves structures field by field
+        message.view(raw)[self._inner_to] = self._outgoing.view(raw)[self._inner_from]
         if links is not None:
             if links.sent.shape != self._in_to.shape or links.message.shape != self._in_to.shape:
                 raise FirmwareError(

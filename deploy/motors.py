@@ -14,4 +14,5 @@ def told(motors: MotorsSpec | None) -> Motors | None:
     """What a board must know of a scene's motors; None where there are none."""
     if motors is None:
         return None
-    return Motors(motors.supply_v, motors.supply_v * motors.speed_per_volt_m_s)
+    free_speed_m_s = motors.supply_v * motors.first_order.speed_per_volt_m_s
+    return Motors(motors.supply_v, free_speed_m_s, None if motors.dc is None else motors.dc.wheel_radius_m)

@@ -50,6 +50,9 @@ def cross_problems(
             )
         if effects is not None:
             problems += _board_problems(cells, effects)
+            problems += [
+                Problem(("effects", *path), rule, value) for path, value, rule in effects.unfit(cells)
+            ]
         problems += _firmware_problems(array, cells)
     return problems
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from bus.effect import Effects
 from cell_firmware.effects.adc import AdcSpec
 from cell_firmware.effects.encoder import EncoderSpec
@@ -10,7 +12,9 @@ from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.pwm import PwmSpec
 from cell_firmware.effects.sensor import SensorSpec
+from cell_firmware.effects.serial import SerialSpec
 from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
+from cell_firmware.specs import CellsSpec
 
 
 class CellEffects(Effects):
@@ -27,6 +31,14 @@ class CellEffects(Effects):
     encoder: EncoderSpec | None = None
     pwm: PwmSpec | None = None
     fixed_point: FixedPointSpec | None = None
+    serial: SerialSpec | None = None
+
+    def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+        """What effects say that does not fit the cells: path from ``effects``, value, and the broken rule."""
+        for name, effect in self.asked():
+            if isinstance(effect, CellEffectSpec):
+                for path, value, rule in effect.unfit(cells):
+                    yield (name, *path), value, rule
 
     def stages(self, site: Site) -> dict[str, tuple[Stage, ...]]:
         """What the inputs of a shard's cells have to pass, in order, by the name of the effect."""

@@ -32,6 +32,7 @@ SHOWN = {
     "encoder": ("board", 0.5),
     "pwm": ("board", 0.5),
     "fixed_point": ("board", 0.5),
+    "serial": ("serial", 0.8),
     "feeders": ("stream", 3.0),
     "parcel_contact": ("rails", 2.5),
 }
@@ -77,6 +78,7 @@ def test_where_an_effect_counts_its_influence_is_far_above_the_solver_s_error(ef
         ("sensor", "heat"),  # firmware that doesn't look
         ("link_delay", "prototype"),  # firmware that doesn't talk
         ("link_loss", "prototype"),
+        ("serial", "prototype"),
     ],
 )
 def test_an_effect_with_nothing_to_do_moves_nothing_at_all(effect: str, scene: str) -> None:
