@@ -7,9 +7,10 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.clocks import ArrayClocks, Clocks
+from cell_firmware.clocks import NEVER, ArrayClocks, Clocks
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
-from cell_firmware.firmware import Cells, Inputs, Outbox
+from cell_firmware.errors import FirmwareFailed
+from cell_firmware.firmware import Cells, Inputs, Outbox, solid
 
 _CLOCK: Final = "clock"
 
@@ -53,36 +54,40 @@ class Clocked(Controller):
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One exchange: a control period of the cells that have an instant in the window before it."""
         clock = state.parts[_CLOCK]
-        whole = self._clocks.all
-        due = Clocks(whole.period_ns, whole.window_ns, clock["ppb"], clock["phase_ns"]).due(
-            now.tick - 1, clock["count"]
-        )
-        now, stepped = Instant(now.tick, due), due >= 0
-        inner, inputs = self.controller.listen(now, _without(state), inputs)
-        inner, outputs = self._stepped(now, np.flatnonzero(stepped), inner, inputs)
+        whole, window = self._clocks.all, now.tick - 1
+        clocks = Clocks(whole.period_ns, whole.window_ns, clock["ppb"], clock["phase_ns"])
+        then = Instant(window, clocks.due(window, clock["count"]))
+        stepped = then.at_ns != NEVER
+        inner, inputs = self.controller.listen(then, _without(state), inputs)
+        inner, outputs = self._stepped(then, np.flatnonzero(stepped), inner, inputs)
         drive = np.where(stepped[:, None], outputs.drive, clock["drive"])
         after = frozen({**clock, "count": clock["count"] + stepped, "drive": drive})
+        failures = {
+            i: FirmwareFailed(failure.cell, now.tick, failure.problem, failure.trace)
+            for i, failure in outputs.failures.items()
+        }
         return (
             ControllerState(state.cells, {**inner.parts, _CLOCK: after}),
-            ControllerOutputs(drive, outputs.outbox, outputs.failures),
+            ControllerOutputs(drive, outputs.outbox, failures),
         )
 
     def _stepped(
-        self, now: Instant, rows: NDArray[np.int64], state: ControllerState, inputs: Inputs
+        self, then: Instant, rows: NDArray[np.int64], state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """A control period of these cells; the others do nothing."""
         n = len(state.cells)
         if len(rows) == n:
-            return self.controller.act(now, state, inputs)
+            return self.controller.act(then, state, inputs)
         drive = np.zeros((n, 2))
         if not len(rows):
             return state, ControllerOutputs(drive, None)
-        some, outputs = self.controller.act(now.take(rows), state.take(rows), inputs.take(rows))
+        some, outputs = self.controller.act(then.take(rows), state.take(rows), inputs.take(rows))
         drive[rows] = outputs.drive
         outbox = None
         if outputs.outbox is not None:
             outbox = Outbox.empty(n, outputs.outbox.message.dtype)
-            outbox.sent[rows], outbox.message[rows] = outputs.outbox.sent, outputs.outbox.message
+            outbox.sent[rows] = outputs.outbox.sent
+            solid(outbox.message)[rows] = solid(outputs.outbox.message)
         failures = {int(rows[i]): failure for i, failure in outputs.failures.items()}
         return state.put(rows, some), ControllerOutputs(drive, outbox, failures)
 

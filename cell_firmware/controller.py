@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.firmware import Cells, Floats, Inputs, Outbox, State
+from cell_firmware.firmware import Cells, Floats, Inputs, Outbox, State, picked, solid
 
 
 class Instant(NamedTuple):
     """When n cells are stepped.
 
     Attributes:
-        tick: Which exchange with the plant it belongs to.
+        tick: Which exchange with the plant it belongs to; where cells have clocks of their own, which window.
         at_ns: ``(n,)`` int64, simulated time at which each cell reads its pins, ``clocks.NEVER`` for one that is not
             stepped in this exchange; ``()`` where it is one for all.
     """
@@ -49,7 +49,7 @@ class ControllerState:
         return ControllerState(
             self.cells.take(rows),
             {
-                part: {name: array[rows] for name, array in state.items()}
+                part: {name: picked(array, rows) for name, array in state.items()}
                 for part, state in self.parts.items()
             },
         )
@@ -61,7 +61,7 @@ class ControllerState:
             changed: dict[str, NDArray[Any]] = {}
             for name, array in state.items():
                 changed[name] = array.copy()
-                changed[name][rows] = other.parts[part][name]
+                solid(changed[name])[rows] = solid(other.parts[part][name])
             parts[part] = frozen(changed)
         return ControllerState(self.cells, parts)
 

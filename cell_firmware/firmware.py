@@ -20,6 +20,16 @@ State = Mapping[str, NDArray[Any]]
 """Arrays by name, each with one row per cell."""
 
 
+def solid(array: NDArray[Any]) -> NDArray[Any]:
+    """The same memory as items without fields: NumPy moves those at once, and structures field by field."""
+    return array if array.dtype.names is None else array.view(np.dtype((np.void, array.dtype.itemsize)))
+
+
+def picked(array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
+    """``array[rows]``, and as fast for structures as for numbers."""
+    return solid(array)[rows].view(array.dtype)
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class Cells:
@@ -107,7 +117,7 @@ class Inputs:
     def take(self, indices: NDArray[np.int64]) -> Inputs:
         """The inputs of these cells alone, in this order."""
         encoder_m = None if self.encoder_m is None else self.encoder_m[indices]
-        inbox = self.inbox and Inbox(self.inbox.received[indices], self.inbox.message[indices])
+        inbox = self.inbox and Inbox(self.inbox.received[indices], picked(self.inbox.message, indices))
         level = None if self.level is None else self.level[indices]
         return Inputs(self.presence[indices], encoder_m, inbox, level)
 

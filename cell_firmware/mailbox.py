@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bus.lattice import SIDES
 from cell_firmware.controller import Instant
-from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State
+from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State, solid
 from cell_firmware.parts import LinkPart
 
 
@@ -89,5 +89,6 @@ class Mailbox(LinkPart):
 def _either(first: Bools, message: Messages, second: Bools, other: Messages) -> Messages:
     """Where ``first`` is true a ``message``, else where ``second`` is the ``other``; zeros elsewhere."""
     found = np.where(first, message, other)
-    found[~(first | second)] = np.zeros((), dtype=found.dtype)
+    whole = solid(found)
+    whole[~(first | second)] = np.zeros((), dtype=whole.dtype)
     return found

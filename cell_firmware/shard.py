@@ -14,7 +14,7 @@ from bus.partition import Partition
 from cell_firmware.controller import Controller, Instant
 from cell_firmware.effects.stage import Stage
 from cell_firmware.errors import FirmwareError, FirmwareFailed
-from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox
+from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, solid
 from cell_firmware.specs import nanoseconds
 
 Indices = NDArray[np.int64]
@@ -175,8 +175,7 @@ class Shard:
         received = np.zeros(self._n * 4, dtype=np.bool_)
         message = np.zeros(self._n * 4, dtype=self._message)
         received[self._inner_to] = self._sent[self._inner_from]
-        raw = np.dtype((np.void, self._message.itemsize))  # NumPy moves structures field by field
-        message.view(raw)[self._inner_to] = self._outgoing.view(raw)[self._inner_from]
+        solid(message)[self._inner_to] = solid(self._outgoing)[self._inner_from]
         if links is not None:
             if links.sent.shape != self._in_to.shape or links.message.shape != self._in_to.shape:
                 raise FirmwareError(
@@ -185,7 +184,8 @@ class Shard:
             received[self._in_to] = links.sent
             message[self._in_to] = links.message
         # a slot in which nothing was received reads zero, whatever its sender left there
-        message[~received] = np.zeros((), dtype=self._message)
+        slots = solid(message)
+        slots[~received] = np.zeros((), dtype=slots.dtype)
         return Inbox(received.reshape(self._n, 4), message.reshape(self._n, 4))
 
     def _post(self, outbox: Outbox | None) -> None:

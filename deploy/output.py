@@ -96,7 +96,7 @@ def header(run: str, scene: Scene, array: CellArray, footprints_m: Sequence[NDAr
         scene_name=scene.name,
         scene=scene.model_dump(mode="json"),
         versions=versions(),
-        period_ns=scene.cells.period_ns,
+        period_ns=scene.tick_ns,
         pitch_m=scene.array.pitch_m,
         cells=[list(cell) for cell in array.lattice.cells],
         positions_m=array.positions_m.tolist(),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 from bus.errors import BusError
+from deploy.cell_times import cell_times
 from deploy.digest import Digest
 from deploy.errors import DeployError, InputError
 from deploy.faults.schedule import crash_aborts, deaths
@@ -109,7 +110,7 @@ class _Run:
             ):
                 ledger = Ledger(
                     plant.array.lattice.cells,
-                    self.scene.cells.period_ns,
+                    self.scene.tick_ns,
                     digest=self.digest,
                     recorder=recorder,
                     progress=progress,
@@ -169,10 +170,11 @@ class _Run:
         return PlantProcess(
             plant,
             host,
-            period_ns=self.scene.cells.period_ns,
+            tick_ns=self.scene.tick_ns,
             duration_ns=self.scene.duration_ns,
             schedule=deaths(self.scene),
             stall=self.scene.stall,
+            timing=cell_times(self.scene),
             observer=observe,
             pace=None if self.options.realtime is None else pacer(self.options.realtime),
         )

@@ -23,6 +23,7 @@ from plant.specs import ArraySpec, ParcelSpec, PlantSpec
 
 if TYPE_CHECKING:
     from bus.lattice import Lattice
+    from cell_firmware.clocks import ArrayClocks
 
 _ASIDE = {"title": True, "stall": {"deadline_s", "start_s"}}
 """What a run cannot show in what it does: words, and limits on the wall clock."""
@@ -38,7 +39,7 @@ class Scene(Spec):
     title: str = ""
     """One line for people; changes nothing."""
     duration_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
-    """Simulated time, s. The run ends there exactly; its last tick may be shorter than a period."""
+    """Simulated time, s. The run ends there exactly; its last tick may be shorter than the others."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Of everything that is left to chance."""
     gravity_m_s2: Positive = 9.81
@@ -94,9 +95,20 @@ class Scene(Spec):
         return nanoseconds(self.duration_s)
 
     @property
+    def tick_ns(self) -> int:
+        """What one exchange between plant and cells serves: a control period, or a window of cells with own clocks."""
+        clock = self.effects.clock
+        return self.cells.period_ns if clock is None else clock.window_ns(self.cells.period_ns)
+
+    @property
     def ticks(self) -> int:
-        """Ticks of the run; the last one may be shorter than a period."""
-        return -(-self.duration_ns // self.cells.period_ns)
+        """Ticks of the run; the last one may be shorter than the others."""
+        return -(-self.duration_ns // self.tick_ns)
+
+    def clocks(self) -> ArrayClocks | None:
+        """The clocks of all cells; None where they step at once."""
+        clock = self.effects.clock
+        return None if clock is None else clock.clocks(self.lattice(), self.cells.period_ns, self.seed)
 
     @property
     def speed_loop(self) -> SpeedLoopSpec | None:
@@ -114,7 +126,7 @@ class Scene(Spec):
     def tick_at(self, at_s: float) -> int:
         """The first tick that does not begin before a scheduled time ``at_s`` (s, >= 0)."""
         at_ns = Fraction(repr(at_s)) * 1_000_000_000
-        return math.ceil(at_ns / self.cells.period_ns)
+        return math.ceil(at_ns / self.tick_ns)
 
     def lattice(self) -> Lattice:
         """The cells that exist."""

@@ -106,7 +106,7 @@ def in_parts(
     Raises:
         PlantUnstable: The motion of a parcel can't be followed.
     """
-    period_ns, end_ns, now_ns, drives = scene.cells.period_ns, scene.duration_ns, 0, speeds.copy()
+    period_ns, end_ns, now_ns, drives = scene.tick_ns, scene.duration_ns, 0, speeds.copy()
     for tick, cells in (*deaths(scene).items(), (scene.ticks, ())):
         until_ns = min(tick * period_ns, end_ns)
         while now_ns < until_ns:

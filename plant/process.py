@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bus.counts import Loss
 from bus.wire import DriveFrame, SenseFrame
+from plant.timing import Timing
 
 if TYPE_CHECKING:
     from bus.specs import StallSpec
@@ -87,20 +88,24 @@ class Ended:
 class PlantProcess:
     """Runs the plant and the bus in lockstep, in one blocking thread.
 
-    In tick k the cells are told what they sense at ``t_k = k period`` and answer with the drives that act on
+    In tick k the cells are told what they sense at ``t_k = k tick_ns`` and answer with the drives that act on
     the whole of ``[t_k, t_(k+1))``; the last interval ends with the run and may be shorter. A cell that dies,
-    scheduled or not, is not waited for again; its wheels do what the stall policy says, from that tick on.
+    scheduled or not, is not waited for again; its wheels do what the stall policy says, from that tick on. With
+    clocks of their own, cells are told at t_k what each last read, and each drive acts from an instant within
+    ``[t_k, t_(k+1))`` on.
 
     Args:
         plant: At time 0.
         host: Past its barrier.
-        period_ns: Of the cells' control.
+        tick_ns: Of a tick: the cells' control period, or the window that an exchange serves.
         duration_ns: Of the run.
         schedule: Indices of the cells that die at the start of a tick, by tick.
         stall: What happens when a cell goes unscheduled; the scheduled dead follow the same policy.
         observer: Told of every tick when it is over, before anything of the next is awaited; what it raises
             ends the run between two ticks.
         pace: Called with a tick's start, ns, before the tick begins; may wait.
+        timing: Where cells have instants of their own: asked in order of ticks when, in a tick, the drives that it
+            brought act and when cells read what they are told in the next. An instant may lie beyond the run's end.
 
     Attributes:
         tick: The tick that is under way, or the next.
@@ -115,16 +120,18 @@ class PlantProcess:
         plant: Plant,
         host: LockstepHost,
         *,
-        period_ns: int,
+        tick_ns: int,
         duration_ns: int,
         schedule: Mapping[int, tuple[int, ...]],
         stall: StallSpec,
         observer: Callable[[TickRecord], None],
         pace: Callable[[int], None] | None = None,
+        timing: Callable[[int], Timing] | None = None,
     ) -> None:
         self._plant = plant
         self._host = host
-        self._period_ns = period_ns
+        self._tick_ns = tick_ns
+        self._timing = timing
         self._duration_ns = duration_ns
         self._schedule = schedule
         self._abort = stall.policy == "abort"
@@ -175,15 +182,37 @@ class PlantProcess:
             self._bury([loss.cell for loss in losses])
         if self._any_lost:
             drives = np.where(self.lost[:, None], self._held, drives)
-        self._drives = drives
-        until_ns = min(start_ns + self._period_ns, self._duration_ns)
+        until_ns = min(start_ns + self._tick_ns, self._duration_ns)
         before, wheel_speed = self._state, plant.wheel_speed
-        self._sense, events = plant.advance(drives, until_ns)
+        self._sense, events = self._advance(tick, drives, until_ns)
         self.tick, self.time_ns, self._state = tick + 1, until_ns, plant.state
         self._over = TickRecord(
-            tick, start_ns, until_ns, sense, wheel_speed, before, drives, self._state, events, died, losses
+            tick,
+            start_ns,
+            until_ns,
+            sense,
+            wheel_speed,
+            before,
+            self._drives,
+            self._state,
+            events,
+            died,
+            losses,
         )
         return losses
+
+    def _advance(self, tick: int, drives: Floats, until_ns: int) -> tuple[Sense, list[Event]]:
+        """Let the plant move on through a tick."""
+        if self._timing is None:
+            self._drives = drives
+            return self._plant.advance(drives, until_ns)
+        acts_ns, reads_ns = self._timing(tick)
+        acts_ns = np.where(self.lost, -1, acts_ns)
+        # The last tick may be over before a drive would have acted: its wheels go on as they were.
+        late = acts_ns >= until_ns
+        self._drives = np.where(late[:, None], self._drives, drives)
+        timing = Timing(np.where(late, -1, acts_ns), np.where(reads_ns < until_ns, reads_ns, -1))
+        return self._plant.advance(self._drives, until_ns, timing)
 
     def _exchange(
         self, tick: int, start_ns: int, sense: Sense, died: tuple[int, ...]

@@ -60,14 +60,10 @@ class CellClockSpec(Spec):
 class ClockSpec(CellEffectSpec):
     """Cells step at instants of their own: their crystals are off, and their interrupts began at different times."""
 
-    states: ClassVar[tuple[str, ...]] = (
-        "count of every cell's periods",
-        "its last drive",
-        "a message waiting on each of its sides",
-    )
+    states: ClassVar[tuple[str, ...]] = ("every cell's count of periods and last drive", "messages that wait")
     messages: ClassVar[tuple[str, ...]] = (
         "an exchange serves a window",
-        "messages between neighbours carry when in the window they were sent",
+        "messages between neighbours carry their place in it",
     )
     rung: ClassVar[int | None] = 55
     error_ppm: Annotated[float, Field(ge=0, le=WORST_PPM, allow_inf_nan=False)] = 50.0

@@ -43,7 +43,8 @@ def price_of_sampling(
     Ideal wheels run at the field's speed, and nothing that a cell senses changes it: sampling costs time, and errors,
     measured from the reference, are rounding. With motors the speed loop closes once a period: errors are measured from
     the run at the shortest. A scene without motors is also run with them at their defaults, if it may have them and
-    the study isn't quick.
+    the study isn't quick. Cells step at once, whatever clocks the scene gives them: else periods would not end
+    together, and there would be no instants to compare.
 
     Args:
         scene: as the cells have it, motors included.
@@ -55,6 +56,9 @@ def price_of_sampling(
     Raises:
         Interrupted: a signal came during a run.
     """
+    if scene.effects.clock is not None:
+        together = scene.effects.model_copy(update={"clock": None})
+        scene = scene.model_copy(update={"effects": together})
     with_motors = scene.effects.motors is not None
     wheels = "motors" if with_motors else "ideal wheels"
     found = [_series(scene, wheels, reference, quick=quick, limit_s=limit_s, look=look)]

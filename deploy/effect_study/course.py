@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, final
 
 from bus.errors import BusError
 from cell_firmware.effects.registry import CellEffects
+from deploy.cell_times import cell_times
 from deploy.errors import DeployError
 from deploy.faults.schedule import deaths
 from deploy.output import run_name
@@ -87,7 +88,7 @@ def _plant_alone(scene: Scene) -> Course:
     speeds = field_speeds(scene, CellArray(scene.array).positions_m)
     plant = load_plant(scene, _say)
     events: list[Event] = []
-    period_ns, end_ns = scene.cells.period_ns, scene.duration_ns
+    period_ns, end_ns = scene.tick_ns, scene.duration_ns
     status, reason = "ok", ""
     started = time.perf_counter()
     try:
@@ -129,10 +130,11 @@ def _process(scene: Scene, system: System, plant: Plant, events: list[Event]) ->
     return PlantProcess(
         plant,
         system.start(plant.array, plant.sense()),
-        period_ns=scene.cells.period_ns,
+        tick_ns=scene.tick_ns,
         duration_ns=scene.duration_ns,
         schedule=deaths(scene),
         stall=scene.stall,
+        timing=cell_times(scene),
         observer=observe,
     )
 

@@ -105,7 +105,8 @@ def controller_of(scene: Scene) -> Controller:
     from cell_firmware.loader import load
     from deploy.motors import told
 
-    return assemble(load(scene.cells), scene.cells, scene.effects, told(scene.effects.motors))
+    motors = told(scene.effects.motors)
+    return assemble(load(scene.cells), scene.cells, scene.effects, motors, scene.clocks())
 
 
 def _shard(order: Order, shard: int) -> Shard:

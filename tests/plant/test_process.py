@@ -15,6 +15,7 @@ from bus.specs import StallSpec
 from bus.wire import DriveFrame, SenseFrame
 from plant.plant import Sense
 from plant.process import PlantProcess, TickRecord
+from plant.timing import Timing
 
 CELLS = 3
 PERIOD_NS = 10
@@ -38,8 +39,12 @@ class BookPlant:
     def sense(self) -> Sense:
         return Sense(np.array([[self.advances % 2 == 1], [False], [False]]), None)
 
-    def advance(self, drives: NDArray[np.float64], until_ns: int) -> tuple[Sense, list[Any]]:
+    def advance(
+        self, drives: NDArray[np.float64], until_ns: int, timing: Timing | None = None
+    ) -> tuple[Sense, list[Any]]:
         self.log.append(("advance", until_ns, drives.tolist()))
+        if timing is not None:
+            self.log.append(("timing", timing.acts_ns.tolist(), timing.reads_ns.tolist()))
         self.advances += 1
         return self.sense(), []
 
@@ -76,17 +81,19 @@ def make() -> Make:
         losses: Mapping[int, list[Loss]] | None = None,
         observer: Callable[[TickRecord], None] | None = None,
         pace: Callable[[int], None] | None = None,
+        timing: Callable[[int], Timing] | None = None,
     ) -> tuple[PlantProcess, BookPlant, list[TickRecord]]:
         plant, records = BookPlant(), list[TickRecord]()
         process = PlantProcess(
             plant,  # pyright: ignore[reportArgumentType]
             BookHost(plant.log, losses or {}),
-            period_ns=PERIOD_NS,
+            tick_ns=PERIOD_NS,
             duration_ns=duration_ns,
             schedule=schedule or {},
             stall=StallSpec(policy=policy),
             observer=observer or records.append,
             pace=pace,
+            timing=timing,
         )
         return process, plant, records
 
@@ -217,3 +224,39 @@ def test_pacing_waits_before_each_tick_with_all_before_it_reported(make: Make) -
         ("pace", 0, True), ("report", 0), ("pace", 10, True), ("report", 1), ("pace", 20, True), ("report", 2)
     ]  # fmt: skip
     assert not process.waiting
+
+
+def _slanting(tick: int) -> Timing:
+    """Cell i acts 3 i after a tick begins and reads 3 i + 2 after, but for cell 1, which rests every other tick."""
+    acts = 10 * tick + np.array([0, 3, 6])
+    reads = acts + 2
+    acts[1] = -1 if tick % 2 else acts[1]
+    reads[1] = reads[1] if tick % 2 else -1
+    return Timing(acts, reads)
+
+
+def _timings(plant: BookPlant) -> list[Any]:
+    return [entry[1:] for entry in plant.log if entry[0] == "timing"]
+
+
+def test_cells_with_instants_of_their_own_act_and_read_at_them(make: Make) -> None:
+    process, plant, records = make(duration_ns=20, timing=_slanting)
+    process.run()
+    assert _timings(plant) == [([0, 3, 6], [2, -1, 8]), ([10, -1, 16], [12, 15, 18])]
+    assert _drives(plant) == [[1.0] * 3, [2.0] * 3]
+    assert records[1].drives[:, 0].tolist() == [2.0] * 3
+
+
+def test_what_would_act_or_be_read_after_the_run_is_neither(make: Make) -> None:
+    process, plant, records = make(duration_ns=16, timing=_slanting)
+    process.run()
+    assert _timings(plant)[1] == ([10, -1, -1], [12, 15, -1])
+    assert _drives(plant)[1] == [2.0, 2.0, 1.0]
+    assert records[1].drives[:, 0].tolist() == [2.0, 2.0, 1.0]
+
+
+def test_the_dead_act_as_their_tick_begins_whatever_their_clocks_say(make: Make) -> None:
+    process, plant, _ = make(duration_ns=20, timing=_slanting, schedule={1: (2,)})
+    process.run()
+    assert _timings(plant)[1] == ([10, -1, -1], [12, 15, 18])
+    assert _drives(plant)[1] == [2.0, 2.0, 0.0]

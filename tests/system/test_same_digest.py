@@ -172,6 +172,27 @@ def test_chance_and_delay_act_alike_however_the_scene_is_cut_and_crashes_do_not_
     assert min(counted[0].values()) > 0
 
 
+def test_cells_with_clocks_of_their_own_do_alike_however_the_scene_is_cut(
+    small: Callable[[str], Path], tmp_path: Path
+) -> None:
+    scene = _talkers(
+        small,
+        tmp_path,
+        CRASHES.format(policy="hold"),
+        clock={"error_ppm": 60_000.0, "exchanges_per_period": 2},
+        link_delay={"between_ticks": [0, 3]},
+        motors={},
+    )
+    summaries = {way: _run(scene, way, tmp_path) for way in [WAYS[0], WAYS[4], WAYS[7], *EACH]}
+    assert len({summary.digest for summary in summaries.values()}) == 1, summaries
+    assert {summary.ticks for summary in summaries.values()} == {scene.ticks}
+    counted = [summary.effects for summary in summaries.values()]
+    assert all(one == counted[0] for one in counted)
+    assert counted[0]["clock.overwritten"] > 0
+    other = _run(scene.model_copy(update={"seed": scene.seed + 1}), WAYS[0], tmp_path)
+    assert other.digest != summaries[WAYS[0]].digest
+
+
 def test_effects_of_the_cells_that_change_nothing_leave_every_recorded_byte_as_it_was(
     small: Callable[[str], Path], tmp_path: Path
 ) -> None:

@@ -26,6 +26,7 @@ SHOWN = {
     "motors": ("prototype", 0.5),
     "wheel_load": ("loaded", 0.4),
     "roller_impacts": ("bumpy", 0.5),
+    "clock": ("drifting", 0.5),
     "sensor": ("noisy", 0.5),
     "link_delay": ("noisy", 0.5),
     "link_loss": ("noisy", 0.5),
