@@ -49,6 +49,11 @@ class CellArray:
         """Greatest coordinate of a cell, along either axis and either way, m."""
         return float(np.max(np.abs(self.positions_m)))
 
+    @cached_property
+    def sensor_reach_m(self) -> float:
+        """How far a presence sensor is from its cell's centre at most."""
+        return float(np.max(np.hypot(self.sensors_m[:, 0], self.sensors_m[:, 1])))
+
     def within(self, centre_m: NDArray[np.float64], reach_m: float) -> NDArray[np.int64]:
         """The cells less than ``reach_m`` from a point ``(2,)`` along x and along y, and a few more; ascending."""
         most = np.array(self.grid.shape[::-1])

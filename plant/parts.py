@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 from plant.array import CellArray
 from plant.overlap import OverlapWatch
 from plant.reports import ParcelStatus
-from plant.solvers.solver import Rewindable, Solver
+from plant.solvers.solver import LegSolver, Rewindable, Solver
 from plant.specs import PlantSpec
 from plant.wheels import IdealWheels, Wheels
 
@@ -68,3 +68,11 @@ def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
 
     # the spec lets only solvers be chosen that can go back
     return ContactMover(spec, contact, cast("Rewindable", solver))
+
+
+def with_legs(spec: PlantSpec, solver: Solver) -> LegSolver | None:
+    """The solver, if it divides calls for each parcel by itself; None where it can't, or effects act on all at once."""
+    effects = spec.effects
+    if spec.solver.name != "exact" or effects.parcel_contact is not None or effects.wheel_load is not None:
+        return None
+    return cast("LegSolver", solver)

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.chronicle import Chronicle
 from plant.errors import PlantError
-from plant.legs import cells_near, ends_s
+from plant.legs import cells_near, ends_s, margins_m
 from plant.overlap import OverlapWatch
-from plant.parts import make_mover, make_spots, make_traffic, make_wheels
+from plant.parts import make_mover, make_spots, make_traffic, make_wheels, with_legs
 from plant.reading import Reading
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
-from plant.solvers.solver import Leg, Solver
+from plant.solvers.solver import Advance, Leg, LegSolver, Outing, Solver
 from plant.specs import PlantSpec
 from plant.start import check_places, check_standing
 from plant.timing import Timing
@@ -59,6 +59,8 @@ class Plant:
         bodies = self._solver.bodies
         self._nothing: Floats = np.zeros((0, len(bodies), 6))
         radius: Floats = np.array([body.radius_m for body in bodies])
+        self._radius_m = radius
+        self._never_s: Floats = np.full(n, np.inf)
         self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in bodies]
         self._chronicle = Chronicle(self.array, self._solver, self.status)
         self._overlaps = OverlapWatch([body.footprint_m for body in bodies], radius)
@@ -75,6 +77,7 @@ class Plant:
         self._live = self._there
         """Those of them that move: neither tipped nor off the array."""
         self._contact = make_mover(spec, self._solver)
+        self._legs = with_legs(spec, self._solver)
         if self._contact is not None:
             self._contact.check_start(self._there)
         self._untold = [] if self._traffic is None else self._look(self._traffic, 0)
@@ -238,24 +241,46 @@ class Plant:
         # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
         run = self._wheels.command(np.array(drives, dtype=np.float64, order="C"), span, acts_s)
         out = self._nothing if samples is None else samples[1:]
+        whole = Leg(run.motion, self._grip, span, times_s, out)
         if run.changes is None and (reading is None or not reading.any_inside):
-            events = self._go(Leg(run.motion, self._grip, span, times_s, out), start)
+            events = self._go(whole, start)
+        elif self._legs is not None and samples is None:
+            events = self._each_by_legs(self._legs, run, span, start, reading)
         else:
-            events = self._by_legs(run, Leg(run.motion, self._grip, span, times_s, out), start, reading)
+            events = self._by_legs(run, whole, start, reading)
         self._wheels.elapse(run, span)
         self._now_ns = until_ns
         return events
 
-    def _by_legs(self, run: WheelRun, whole: Leg, start: float, reading: Reading | None) -> list[Event]:
-        """Move every parcel leg by leg: to the next instant at which a wheel near one changes, or a cell reads."""
-        bodies = [self._solver.bodies[int(i)] for i in self._there]
-        near = cells_near(self.array, bodies, run.fastest_m_s, whole.span_s)
-        reads_s = np.full(len(near), np.inf) if reading is None else reading.instants_s
+    def _each_by_legs(
+        self, solver: LegSolver, run: WheelRun, span: float, start: float, reading: Reading | None
+    ) -> list[Event]:
+        """Move every parcel through legs of its own."""
+        seen = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
+        margin = margins_m(solver.state, self._radius_m, run.fastest_m_s, span) + self.array.sensor_reach_m
+        reads_s = self._never_s
         if reading is not None:
-            reading.turned(self._wheels.passed(run, np.where(np.isfinite(reads_s), reads_s, 0.0)))
+            reads_s = reading.instants_s
+            reading.turned(self._wheels.passed(run, reading.asked_s))
+            # tipped ones stay where they are
+            solver.presence(np.setdiff1d(self._there, self._live), seen)
+        news = solver.advance_legs(self._live, Outing(run, self._grip, span, reads_s, margin, seen))
+        if reading is not None:
+            reading.saw(seen)
+        return self._tell(news, start, self._nothing, self._none)
+
+    def _by_legs(self, run: WheelRun, whole: Leg, start: float, reading: Reading | None) -> list[Event]:
+        """Move all parcels leg by leg: to the next instant at which a wheel near any changes, or a cell reads."""
+        states, radius, span = self._solver.state[self._there], self._radius_m[self._there], whole.span_s
+        reach = radius + margins_m(states, radius, run.fastest_m_s, span)
+        near = cells_near(self.array, states, reach)
+        reads_s = self._never_s
+        if reading is not None:
+            reads_s = reading.instants_s
+            reading.turned(self._wheels.passed(run, reading.asked_s))
         wheels, begin = WheelsUnderWay(run), 0.0
         events: list[Event] = []
-        for end in ends_s(run, reads_s, near, whole.span_s):
+        for end in ends_s(run, reads_s, near, span):
             first, last = np.searchsorted(whole.times_s, [begin, end], side="right").tolist()
             times_s, out = whole.times_s[first:last] - begin, whole.out[first:last]
             leg = Leg(wheels.begin(), self._grip, end - begin, times_s, out)
@@ -275,14 +300,20 @@ class Plant:
             fixed = self._there[[self.status[int(i)].state == "tipped" for i in self._there]]
             news = self._contact.advance(live, fixed, leg, start)
             events = self._contact.events()
-        for done in news:
-            events.extend(self._chronicle.events(done, start))
-            if done.ending == "tipped":
-                leg.out[leg.times_s > done.moved_s, done.parcel, 3:] = 0.0
-                self._live = self._live[self._live != done.parcel]
+        events += self._tell(news, start, leg.out, leg.times_s)
         if len(leg.times_s):
             over = np.setdiff1d(self._there, live)
             leg.out[:, over] = self._solver.state[over]
+        return events
+
+    def _tell(self, news: list[Advance], start: float, out: Floats, times_s: Floats) -> list[Event]:
+        """What happened in a move that began at ``start``; those that tipped stand from then on, in ``out`` too."""
+        events: list[Event] = []
+        for done in news:
+            events.extend(self._chronicle.events(done, start))
+            if done.ending == "tipped":
+                out[times_s > done.moved_s, done.parcel, 3:] = 0.0
+                self._live = self._live[self._live != done.parcel]
         return events
 
     def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plant.reports import Sense
 from plant.timing import Timing
@@ -41,6 +42,11 @@ class Reading:
             self._encoder_m[at_start] = start.encoder_m[at_start]
         self._inside = inside
 
+    @property
+    def asked_s(self) -> Floats:
+        """``(n,)`` ``instants_s``, the start for those that don't read on the way."""
+        return np.where(self._inside, self.instants_s, 0.0)
+
     def turned(self, encoder_m: Floats | None) -> None:
         """Take what encoders show ``(n, 2)``, each cell's at its instant."""
         if self._encoder_m is not None and encoder_m is not None:
@@ -58,6 +64,10 @@ class Reading:
         self._presence[now] = sense.presence[now]
         if self._encoder_m is not None and slowed_m is not None:
             self._encoder_m[now] += slowed_m[now]
+
+    def saw(self, presence: NDArray[np.bool_]) -> None:
+        """Take what sensors ``(n, sensors)`` see, each cell's at its instant."""
+        self._presence[self._inside] = presence[self._inside]
 
     def sense(self, end: Sense) -> Sense:
         """What each cell has read, ``end`` being what all would read at the end."""

@@ -9,6 +9,7 @@ from plant.kernels.advance import advance
 from plant.kernels.jit import kernel
 from plant.kernels.parcels import LOG_CAPACITY
 from plant.kernels.pick import note_news, parcel_of
+from plant.kernels.way import book, change, in_turn, put_back, see, set_out, turn_on, until, within
 
 # ── allowance: float64 (m, ALLOWANCE_SIZE), changes of supports before a motion counts as unstable
 LEFT: Final = 0  # of what was allowed so far
@@ -17,11 +18,22 @@ ALLOWANCE_SIZE: Final = 2
 
 
 @kernel
-def advance_block(surface, parcels, work, allowance, block, span, times, out, events, report):
-    """Move the parcels of ``block`` by ``span`` seconds, as many as the log is sure to have room for.
+def turn(surface, parcel, work, allowance, i, span, times, out, log):
+    """Move parcel ``i`` by ``span`` seconds; see `advance_block`. Returns how far it came, s.
 
     Allowances are buckets that fill with simulated time and hold one second's worth, so that chatter spread over many
     short calls is bounded like chatter in a long one.
+    """
+    refill, spent = allowance[i, PER_SECOND], parcel.ctl[at.N_CHANGES]
+    budget = min(allowance[i, LEFT], refill) + refill * span
+    moved = advance(surface, parcel, work, span, int(budget), times, out, log)
+    allowance[i, LEFT] = budget - (parcel.ctl[at.N_CHANGES] - spent)
+    return moved
+
+
+@kernel
+def advance_block(surface, parcels, work, allowance, block, span, times, out, events, report):
+    """Move the parcels of ``block`` by ``span`` seconds, as many as the log is sure to have room for.
 
     Args:
         surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
@@ -43,12 +55,58 @@ def advance_block(surface, parcels, work, allowance, block, span, times, out, ev
         if used + LOG_CAPACITY > events.shape[0]:
             return n, noted
         i = block[n]
-        parcel, refill = parcel_of(parcels, i), allowance[i, PER_SECOND]
-        spent, changes = parcel.ctl[at.N_CHANGES], parcel.ctl[at.N_EVENTS]
-        budget = min(allowance[i, LEFT], refill) + refill * span
+        parcel = parcel_of(parcels, i)
+        changes = parcel.ctl[at.N_EVENTS]
         log = events[used : used + LOG_CAPACITY]
-        moved = advance(surface, parcel, work, span, int(budget), times, out[:, i], log)
-        allowance[i, LEFT] = budget - (parcel.ctl[at.N_CHANGES] - spent)
+        moved = turn(surface, parcel, work, allowance, i, span, times, out[:, i], log)
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
         used += logged
+    return block.shape[0], noted
+
+
+@kernel
+def advance_legs(surface, parcels, work, allowance, block, span, way, hand, events, report):
+    """Move the parcels of ``block`` by ``span`` seconds on wheels that change on the way, each through its own legs.
+
+    Args:
+        surface: as for `advance_block`; the wheels as they are at the start.
+        parcels: likewise.
+        work: likewise.
+        allowance: likewise.
+        block: likewise.
+        span: likewise.
+        way: ``plant.kernels.way.Way``: what happens on it.
+        hand: ``plant.kernels.way.Hand``: scratch.
+        events: as for `advance_block`.
+        report: likewise.
+
+    Returns:
+        As `advance_block`.
+    """
+    used, noted = at.ZERO, at.ZERO
+    for n in range(block.shape[0]):
+        if used + LOG_CAPACITY > events.shape[0]:
+            return n, noted
+        i = block[n]
+        parcel = parcel_of(parcels, i)
+        events_before = parcel.ctl[at.N_EVENTS]
+        log = events[used : used + LOG_CAPACITY]
+        near = within(surface, way, parcel, i)
+        changes, reads = set_out(surface, way, hand, near)
+        here = in_turn(surface, hand)
+        now, moved, logged, done, seen = 0.0, 0.0, at.ZERO, at.ZERO, at.ZERO
+        while now < span and parcel.ctl[at.STATUS] == at.MOVING:
+            done = change(way, hand, now, done, changes)
+            end, before = hand.when[done] if done < changes else span, seen
+            seen = until(hand, now, end, seen, reads)
+            times, out, rest = hand.times[before:seen], hand.poses[before:seen, 0], log[logged:]
+            moved = now + turn(here, parcel, work, allowance, i, end - now, times, out, rest)
+            logged = book(log, parcel.ctl, logged, now)
+            turn_on(surface, hand, near, parcel.par[at.RATE], end - now)
+            now = end
+        parcel.ctl[at.N_LOGGED] = logged
+        see(surface, way, hand, parcel, reads, seen)
+        put_back(surface, hand, near)
+        noted, listed = note_news(parcel.ctl, i, moved, events_before, report, noted)
+        used += listed
     return block.shape[0], noted

@@ -8,5 +8,6 @@ from plant.kernels import block, cache, footprint, rest
 
 with cache.kept_here():
     advance_block = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(block.advance_block.py_func)
+    advance_legs = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(block.advance_legs.py_func)
     cover = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(footprint.cover.py_func)
     any_slow = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(rest.any_slow.py_func)

@@ -167,7 +167,7 @@ class SensorCover:
 
         self._entry: Any = entry
         self._sensors_m = array.sensors_m
-        self._reach = float(np.max(np.hypot(array.sensors_m[:, 0], array.sensors_m[:, 1])))
+        self._reach = array.sensor_reach_m
         still: Floats = np.zeros((len(array), 2))
         self._surface = Surface(array.positions_m, array.grid, still, still, still[:, 0])
 

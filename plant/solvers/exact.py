@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import layout
+from plant.kernels.outing import Hand, Way
 from plant.solver_specs import ExactSpec
-from plant.solvers.threaded import Desk, Errand, ThreadedSolver
+from plant.solvers.legged import LeggedSolver
+from plant.solvers.threaded import Desk, Errand
 from plant.specs import ParcelSpec
 from plant.wheels import Floats
 
@@ -97,7 +99,7 @@ def make_work(cells: int, capacity: int) -> Work:
 
 
 @final
-class Exact(ThreadedSolver[Work]):
+class Exact(LeggedSolver[Work]):
     """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver``.
 
     Args:
@@ -147,6 +149,22 @@ class Exact(ThreadedSolver[Work]):
             span_s,
             times_s,
             out,
+            desk.log,
+            desk.report,
+        )
+
+    def _legs_block(
+        self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand, way: Way, hand: Hand
+    ) -> tuple[int, int]:
+        return self._entry.advance_legs(
+            errand.surface,
+            self.packed,
+            desk.work,
+            self._allowance,
+            block,
+            errand.span_s,
+            way,
+            hand,
             desk.log,
             desk.report,
         )

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.wheels import Floats, WheelMotion
+from plant.wheels import Floats, WheelMotion, WheelRun
 
 Ending = Literal[
     "moving", "tipped", "endless_changes", "endless_steps", "no_loads", "not_solved", "not_finite"
@@ -86,6 +86,26 @@ class Leg(NamedTuple):
     def through(cls, motion: WheelMotion, grip: Floats, span_s: float, parcels: int) -> Leg:
         """One on the way of which no states are asked for; ``parcels`` is m."""
         return cls(motion, grip, span_s, np.zeros(0), np.zeros((0, parcels, 6)))
+
+
+class Outing(NamedTuple):
+    """A call on which wheels change, and cells read.
+
+    Attributes:
+        run: of all wheels.
+        grip: ``(n,)`` as for a leg.
+        span_s: how long it is.
+        reads_s: ``(n,)`` s after its start when each cell reads its sensors; infinite: not before its end.
+        margin_m: ``(m,)`` how far from a parcel's footprint at the start what matters to it, or it to, may be.
+        presence: ``(n, sensors)`` bits: those covered by a parcel moved when their cell reads are set.
+    """
+
+    run: WheelRun
+    grip: Floats
+    span_s: float
+    reads_s: Floats
+    margin_m: Floats
+    presence: NDArray[np.bool_]
 
 
 class Kept(NamedTuple):
@@ -168,4 +188,17 @@ class Rewindable(Solver, Protocol):
 
     def put(self, index: int, state: Floats) -> None:
         """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
+        ...
+
+
+class LegSolver(Solver, Protocol):
+    """A solver that divides a call for each parcel by itself, where wheels near it change."""
+
+    def advance_legs(self, indices: NDArray[np.int64], outing: Outing) -> list[Advance]:
+        """Move parcels as ``advance`` does, none hanging on which others are moved with it.
+
+        Args:
+            indices: ``(b,)`` which parcels, none twice.
+            outing: how far, on which wheels, and who reads.
+        """
         ...

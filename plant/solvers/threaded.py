@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -92,7 +93,8 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
         errand = Errand(self._surface(leg.motion, leg.grip), leg.span_s, leg.times_s, leg.out)
 
         def move(thread: int, share: slice) -> list[Advance]:
-            return self._move(self.desk(thread), indices[share], errand)
+            desk = self.desk(thread)
+            return self._move(desk, indices[share], lambda block: self._advance_block(desk, block, errand))
 
         least = max(1, round(WORTH_WAKING / (1.0 + WORTH_WAKING * leg.span_s)))
         return [news for share in self.crew.share(len(indices), move, least) for news in share]
@@ -105,11 +107,22 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
 
         self.crew.share(len(indices), mark, SENSED_WORTH_WAKING)
 
-    def _move(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> list[Advance]:
-        """Move a block, in as many calls as its events need. Returns the parcels to which something happened."""
+    def _move(
+        self,
+        desk: Desk[Work],
+        block: NDArray[np.int64],
+        advance: Callable[[NDArray[np.int64]], tuple[int, int]],
+    ) -> list[Advance]:
+        """Move a block, in as many calls as its events need. Returns the parcels to which something happened.
+
+        Args:
+            desk: what the thread works with.
+            block: which parcels.
+            advance: moves the first of those given; see ``_advance_block``.
+        """
         news: list[Advance] = []
         while len(block):
-            moved, noted = self._advance_block(desk, block, errand)
+            moved, noted = advance(block)
             block = block[moved:]
             report: list[list[float]] = desk.report[:noted].tolist()
             log = desk.log[: int(sum(told[LOGGED] for told in report))].copy()
