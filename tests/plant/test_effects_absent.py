@@ -96,9 +96,11 @@ def test_every_kernel_module_of_an_effect_is_looked_at() -> None:
 
 
 OF_EFFECTS = (
+    "plant.spots",
     "plant.traffic",
     *(f"plant.contact.{path.stem}" for path in (ROOT / "plant" / "contact").glob("[!_]*.py")),
     *(f"plant.kernels.{name}" for name in ("contact_entry", "contact_layout", "impact", "impulses")),
+    *(f"plant.kernels.{name}" for name in ("spots", "spots_entry")),
     *(f"plant.kernels.{name}" for name in ("meetings", "polygons", "pressing", "touch", *EFFECTS)),
 )
 """The modules that only effects need."""

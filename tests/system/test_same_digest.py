@@ -158,7 +158,16 @@ def test_chance_and_delay_act_alike_however_the_scene_is_cut_and_crashes_do_not_
         small,
         tmp_path,
         CRASHES.format(policy="coast"),
-        sensor={"false_positive": 0.1, "false_negative": 0.2, "latency_ticks": 1},
+        analogue_sensors={"spot_radius_m": 0.04},
+        adc={"noise_codes": 20.0},
+        sensor={
+            "threshold": 0.4,
+            "hysteresis": 0.2,
+            "false_positive": 0.1,
+            "false_negative": 0.2,
+            "debounce_ticks": 2,
+            "latency_ticks": 1,
+        },
         link_loss={"probability": 0.1},
         link_delay={"between_ticks": [0, 3], "ordered": False},
     )
@@ -167,7 +176,8 @@ def test_chance_and_delay_act_alike_however_the_scene_is_cut_and_crashes_do_not_
     counted = [summary.effects for summary in summaries.values()]
     assert all(one == counted[0] for one in counted)
     assert counted[0].keys() == {
-        "link_delay.overtaken", "link_loss.lost", "sensor.false_negatives", "sensor.false_positives"
+        "link_delay.overtaken", "link_loss.lost",
+        "sensor.bounces", "sensor.false_negatives", "sensor.false_positives",
     }  # fmt: skip
     assert min(counted[0].values()) > 0
 

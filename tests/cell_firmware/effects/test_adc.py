@@ -53,6 +53,14 @@ def test_noise_has_the_rms_asked_for_and_the_distribution_of_four_uniforms() -> 
     assert kstest(found + np.random.default_rng(3).random(n) - 0.5, np.sort(wanted)).pvalue > 1e-4
 
 
+def test_noise_goes_below_no_code_and_beyond_none() -> None:
+    spec = AdcSpec(noise_codes=40.0)
+    for exact, code in ((0.0, 0.0), (1.0, 255.0)):
+        codes = read(spec, np.full((CELLS, SENSORS), exact)) * 256
+        assert 0.0 <= codes.min() < codes.max() <= 255.0
+        assert 0.4 < np.mean(codes == code) < 0.6
+
+
 def test_readings_of_ticks_cells_and_sensors_have_noise_of_their_own() -> None:
     spec = AdcSpec(noise_codes=8.0)
     level = np.full((CELLS, SENSORS), 0.5)

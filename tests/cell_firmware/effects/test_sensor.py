@@ -196,13 +196,13 @@ def test_errors_come_before_debouncing_and_latency_after(there: Bools) -> None:
 
 
 def test_firmware_that_writes_to_what_it_sees_changes_no_sensor() -> None:
-    for spec in (SensorSpec(), SensorSpec(debounce_ticks=2)):
-        for stage in stages_of(spec, levels=True):
-            inputs = Inputs(np.ones((CELLS, SENSORS), dtype=np.bool_), None, None, np.ones((CELLS, SENSORS)))
-            for tick in range(3):
-                told = stage.apply(tick, inputs, ALL).presence
-                assert told.all() or tick < 1
-                told[:] = False
+    threshold, debounce = stages_of(SensorSpec(hysteresis=0.5, debounce_ticks=2), levels=True)
+    ones = np.ones((CELLS, SENSORS))
+    for stage in (threshold, debounce):
+        for tick, level in enumerate((1.0, 1.0, 0.5, 0.5)):
+            told = stage.apply(tick, Inputs(ones > 0.0, None, None, level * ones), ALL).presence
+            assert told.all() or (stage is debounce and tick == 0)
+            told[:] = False
 
 
 def test_a_threshold_needs_levels_and_nothing_else_of_a_sensor_does() -> None:

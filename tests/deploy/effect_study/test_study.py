@@ -27,6 +27,8 @@ SHOWN = {
     "wheel_load": ("loaded", 0.4),
     "roller_impacts": ("bumpy", 0.5),
     "clock": ("drifting", 0.5),
+    "analogue_sensors": ("spots", 1.0),
+    "adc": ("spots", 1.0),
     "sensor": ("noisy", 0.5),
     "link_delay": ("noisy", 0.5),
     "link_loss": ("noisy", 0.5),
@@ -116,6 +118,15 @@ def test_an_effect_goes_with_those_that_build_on_it() -> None:
     assert pair.off.cells.speed_loop is None
 
 
+def test_what_asks_more_of_an_effect_by_its_settings_goes_with_it() -> None:
+    pair = toggled(loaded("spots"), "analogue_sensors")
+    assert pair.along == ("adc", "sensor")
+    # a sensor that asks nothing of levels stays
+    pair = toggled(loaded("noisy", "effects.analogue_sensors.spot_radius_m=0.01"), "analogue_sensors")
+    assert pair.along == ()
+    assert toggled(loaded("noisy"), "adc").beside == ("analogue_sensors",)
+
+
 def test_both_sides_differ_in_nothing_but_the_effect() -> None:
     pair = toggled(loaded("uneven"), "uneven_supports")
     assert variant(pair.off, tables(pair.on)).canonical() == pair.on.canonical()
@@ -148,6 +159,9 @@ def test_what_can_t_be_toggled_says_why(scene: str, sets: Sequence[str], effect:
     ("sets", "names"),
     [
         (("effects.wheel_load.inertia_kg=0.1",), ("effects.motors", "effects.wheel_load needs it")),
+        (("effects.adc={}",), ("effects.analogue_sensors", "effects.adc needs it")),
+        (("effects.sensor.threshold=0.5",), ("effects.analogue_sensors", "effects.sensor needs it")),
+        (("effects.sensor.hysteresis=0.1",), ("effects.analogue_sensors", "effects.sensor needs it")),
         (
             ("effects.motors={}", "effects.wheel_load.inertia_kg=0.1", "effects.parcel_contact={}"),
             ("effects.wheel_load", "doesn't go with effects.parcel_contact"),
