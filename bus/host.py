@@ -83,6 +83,7 @@ class Host:
         self._lives = Lives(len(partition.lattice))
         self._losses: list[Loss] = []
         self._failed: list[Report] = []
+        self._hung: list[Report] = []
         self._shard_counts: dict[int, Counts] = {}
         self._roll = Roll(self._form, partition.lattice)
         self._drives = Collector("drive", self._form.blank_drives, self._form.decode_drive, self.counts)
@@ -196,6 +197,11 @@ class Host:
         """``(n,)``: the cells that take part in ``tick``."""
         return self._lives.live(tick)
 
+    def take_hung(self) -> list[Report]:
+        """Programs that have hung since the last call, and why; their cells still take part."""
+        hung, self._hung = self._hung, []
+        return hung
+
     def take_registers(self) -> list[RegisterFrame]:
         """What cells have shown of themselves since the last call; a tick's is there when its drives are."""
         shown, self._shown = self._shown, []
@@ -249,7 +255,7 @@ class Host:
         for cell in report.cells:
             if cell not in self._lattice or self._shard_of[self._lattice.index(cell)] != shard:
                 raise WireError("report", "cells", f"must be cells of shard {shard}")
-        self._failed.append(report)
+        (self._failed if report.kind == "failed" else self._hung).append(report)
 
     def _take_registers(self, shard: int, payload: bytes) -> None:
         cells = int(np.count_nonzero(self._shard_of == shard))

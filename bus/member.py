@@ -306,6 +306,14 @@ class Member:
             self._endpoint.withdraw(key)
         self._declared.clear()
 
+    def hang(self, cell: int, tick: int, detail: str) -> None:
+        """Tells the plant that the program of ``cell`` (index in the lattice) hangs since ``tick``; the cell goes on.
+
+        Call it before ``publish`` of that tick.
+        """
+        self._report.put(wire.encode_report(Report("hung", tick, (self._lattice.cells[cell],), detail)))
+        self.counts.sent += 1
+
     def _tell_counts(self) -> None:
         counts = self.counts
         numbers = (counts.sent, counts.delivered, counts.lost, counts.late)

@@ -60,9 +60,9 @@ class Control:
 @final
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A shard's word to the plant: cells that ``failed``, or its final ``counts``."""
+    """A shard's word to the plant: cells that ``failed``, whose program is ``hung``, or its final ``counts``."""
 
-    kind: Literal["failed", "counts"]
+    kind: Literal["failed", "hung", "counts"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -153,8 +153,8 @@ def decode_report(payload: bytes, cells: int) -> Report:
     limit = _text_limit(cells) + TALLY_LIMIT * (4 * TALLY_LIMIT + 16)
     tick, fields = reader("report", limit, _REPORT)(payload)
     kind = fields["kind"]
-    if kind not in ("failed", "counts"):
-        raise WireError("report", "kind", "must be failed or counts")
+    if kind not in ("failed", "hung", "counts"):
+        raise WireError("report", "kind", "must be failed, hung or counts")
     counts = fields["counts"]
     if (
         type(counts) is not list

@@ -78,6 +78,7 @@ class _Agent:
         self._failed: tuple[int, ShardOutputs] | None = None
         self._ticks = 0
         self._failures: list[FirmwareFailed] = []
+        self._told: set[str] = set()
 
     async def run(self) -> Ended:
         self._thread.start()
@@ -171,6 +172,11 @@ class _Agent:
     # --- in either --------------------------------------------------------------------------------
 
     def _publish(self, tick: int, outputs: ShardOutputs) -> None:
+        for hung in outputs.hung:
+            if hung.problem not in self._told:  # once for all that hang for the same reason
+                self._told.add(hung.problem)
+                index = int(self._shard.indices[self._shard.names.index(hung.cell)])
+                self._member.hang(index, hung.tick, _text(hung))
         links = outputs.links
         frame = None if links is None else LinkFrame(tick, links.sent, links.message)
         self._member.show(tick, self._shard.registers)

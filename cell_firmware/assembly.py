@@ -58,12 +58,18 @@ def assemble(
     Raises:
         SettingError: Settings of the board that don't go together.
     """
-    board = Board(firmware, wheels_of(spec, effects, motors), _links(firmware, spec, effects, clocks))
+    controller: Controller = Board(
+        firmware, wheels_of(spec, effects, motors), _links(firmware, spec, effects, clocks)
+    )
+    if effects.cop is not None:
+        from cell_firmware.watchdog import Watchdog
+
+        controller = Watchdog(controller, effects.cop, spec.period_ns)
     if clocks is None:
-        return board
+        return controller
     from cell_firmware.clocked import Clocked
 
-    return Clocked(board, clocks)
+    return Clocked(controller, clocks)
 
 
 def wheels_of(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> WheelPart | None:

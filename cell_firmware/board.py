@@ -34,12 +34,14 @@ class _Done:
         speed_m_s: ``(n, 2)``, finite.
         outbox: What it says; None for nothing at all.
         failures: By index, of those that failed.
+        served: ``(n,)``: did it serve its watchdog? None: it did.
     """
 
     state: State
     speed_m_s: Floats
     outbox: Outbox | None
     failures: dict[int, FirmwareFailed]
+    served: Bools | None = None
 
 
 @final
@@ -91,6 +93,15 @@ class Board(Controller):
                 self.init(cells.take(np.array([i])))
         raise FirmwareFailed(cells.name(0), 0, f"init: {problem}", trace)
 
+    def after_reset(self, state: ControllerState) -> ControllerState:
+        """The program as after power-on, and what each part says that it keeps."""
+        begun = self.init(state.cells).parts
+        kept = {
+            name: frozen(part.after_reset(state.cells, state.parts[name]))
+            for name, part in self._parts.items()
+        }
+        return ControllerState(state.cells, {**begun, **kept})
+
     def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
         """Whole messages, of what came over the lines."""
         if self.links is None or inputs.inbox is None:
@@ -120,7 +131,9 @@ class Board(Controller):
                 outbox = Outbox(sent, outbox.message)
         if self.links is not None:
             parts[_LINKS], outbox = self.links.send(now, parts[_LINKS], outbox)
-        return ControllerState(state.cells, parts), ControllerOutputs(drive, outbox, done.failures)
+        return ControllerState(state.cells, parts), ControllerOutputs(
+            drive, outbox, done.failures, done.served
+        )
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
         """The program's variables, and what every part shows."""
@@ -156,7 +169,7 @@ class Board(Controller):
         if outputs.outbox is not None:
             for i, problem in _not_finite(outputs.outbox):
                 failures.setdefault(i, FirmwareFailed(cells.name(i), tick, problem))
-        return _Done(state, speed, outputs.outbox, failures)
+        return _Done(state, speed, outputs.outbox, failures, outputs.served)
 
     def _one_by_one(
         self, tick: int, cells: Cells, before: State, inputs: Inputs, problem: str, trace: str
@@ -168,6 +181,7 @@ class Board(Controller):
         message = self.firmware.message
         outbox = None if message is None else Outbox.empty(n, message)
         failures: dict[int, FirmwareFailed] = {}
+        served = np.ones(n, dtype=np.bool_)
         for i in range(n):
             row = np.array([i])
             alone = {name: array[row] for name, array in before.items()}
@@ -179,11 +193,13 @@ class Board(Controller):
                 outbox.message[i] = done.outbox.message[0]
             if done.failures:
                 failures[i] = done.failures[0]
+            if done.served is not None:
+                served[i] = done.served[0]
         if not failures:  # it fails on many and on no one alone: none of them can be trusted
             failures = {i: FirmwareFailed(cells.name(i), tick, problem, trace) for i in range(n)}
             return _Done(before, np.zeros((n, 2)), None, failures)
         joined = {name: np.concatenate([state[name] for state in states]) for name in before}
-        return _Done(joined, speed, outbox, failures)
+        return _Done(joined, speed, outbox, failures, served)
 
 
 def _speeds(tick: int, cells: Cells, outputs: Outputs) -> tuple[Floats, dict[int, FirmwareFailed]]:
@@ -214,6 +230,9 @@ def _checked(result: Any, before: State, message: np.dtype[Any] | None, n: int) 
         raise _BadOutput(f"speed_m_s must be real numbers of shape ({n}, 2), not {_kind(speed)}")
     if outputs.outbox is not None:
         _check_outbox(outputs.outbox, message, n)
+    served: Any = outputs.served
+    if served is not None and _kind(served) != f"bool of shape ({n},)":
+        raise _BadOutput(f"served must be None or bool of shape ({n},), not {_kind(served)}")
     return _checked_state(state, before, n), outputs
 
 

@@ -75,10 +75,12 @@ class CellOutputs:
     Attributes:
         speed_m_s: Surface speed along x and y, m/s.
         outbox: By side, the message to that neighbour; a side that is absent or None sends nothing.
+        served: Whether it served its watchdog; matters with the effect ``cop`` only.
     """
 
     speed_m_s: tuple[float, float]
     outbox: Mapping[str, Message | None] = field(default_factory=dict[str, Message | None])
+    served: bool = True
 
 
 class CellFirmware(Program, ABC):
@@ -129,14 +131,16 @@ class PerCell(Firmware):
         speed = np.zeros((n, 2))
         outbox = None if self.message is None else Outbox.empty(n, self.message)
         failed: dict[int, str] = {}
+        served = np.ones(n, dtype=np.bool_)
         for i in range(n):
             try:
                 states[i], outputs = _pair(self.firmware.step(states[i], _inputs(inputs, i)))
                 speed[i] = _speed(outputs)
                 _send(outputs.outbox, outbox, i)
+                served[i] = bool(outputs.served)
             except Exception:  # noqa: BLE001 - whatever a user's program raises is that cell's failure
                 failed[i] = traceback.format_exc()
-        return {"cell": states}, Outputs(speed, outbox, failed or None)
+        return {"cell": states}, Outputs(speed, outbox, failed or None, None if served.all() else served)
 
 
 def _cell(cells: Cells, i: int) -> Cell:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cell_firmware.clocks import NEVER, ArrayClocks, Clocks
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.firmware import Cells, Inputs, Outbox, solid
+from cell_firmware.firmware import Cells, Inputs
 
 _CLOCK: Final = "clock"
 
@@ -59,7 +59,7 @@ class Clocked(Controller):
         then = Instant(window, clocks.due(window, clock["count"]))
         stepped = then.at_ns != NEVER
         inner, inputs = self.controller.listen(then, _without(state), inputs)
-        inner, outputs = self._stepped(then, np.flatnonzero(stepped), inner, inputs)
+        inner, outputs = self.controller.act_on(np.flatnonzero(stepped), then, inner, inputs)
         drive = np.where(stepped[:, None], outputs.drive, clock["drive"])
         after = frozen({**clock, "count": clock["count"] + stepped, "drive": drive})
         failures = {
@@ -68,28 +68,8 @@ class Clocked(Controller):
         }
         return (
             ControllerState(state.cells, {**inner.parts, _CLOCK: after}),
-            ControllerOutputs(drive, outputs.outbox, failures),
+            ControllerOutputs(drive, outputs.outbox, failures, hung=outputs.hung),
         )
-
-    def _stepped(
-        self, then: Instant, rows: NDArray[np.int64], state: ControllerState, inputs: Inputs
-    ) -> tuple[ControllerState, ControllerOutputs]:
-        """A control period of these cells; the others do nothing."""
-        n = len(state.cells)
-        if len(rows) == n:
-            return self.controller.act(then, state, inputs)
-        drive = np.zeros((n, 2))
-        if not len(rows):
-            return state, ControllerOutputs(drive, None)
-        some, outputs = self.controller.act(then.take(rows), state.take(rows), inputs.take(rows))
-        drive[rows] = outputs.drive
-        outbox = None
-        if outputs.outbox is not None:
-            outbox = Outbox.empty(n, outputs.outbox.message.dtype)
-            outbox.sent[rows] = outputs.outbox.sent
-            solid(outbox.message)[rows] = solid(outputs.outbox.message)
-        failures = {int(rows[i]): failure for i, failure in outputs.failures.items()}
-        return state.put(rows, some), ControllerOutputs(drive, outbox, failures)
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
         """The clocks' errors and how often they ticked; and what the cells' controller has."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.firmware import Cells, Floats, Inputs, Outbox, State, picked, solid
+from cell_firmware.firmware import Bools, Cells, Floats, Inputs, Outbox, State, picked, solid
 
 
 class Instant(NamedTuple):
@@ -87,11 +87,15 @@ class ControllerOutputs:
         drive: ``(n, 2)`` float64: volts where there are motors, else surface speed in m/s. Zero where failed.
         outbox: What goes out on the links; None for cells that don't talk, or say nothing. Nothing where failed.
         failures: By index of the cell, what went wrong; empty if all is well.
+        served: ``(n,)``: did the program serve its watchdog? None: all did.
+        hung: By index of the cell, what went wrong in a program that hangs since: the cell is not lost.
     """
 
     drive: Floats
     outbox: Outbox | None
     failures: Mapping[int, FirmwareFailed] = field(default_factory=dict[int, FirmwareFailed])
+    served: Bools | None = None
+    hung: Mapping[int, FirmwareFailed] = field(default_factory=dict[int, FirmwareFailed])
 
 
 class Controller(ABC):
@@ -113,6 +117,14 @@ class Controller(ABC):
         Raises:
             FirmwareFailed: A cell's program does not begin; names the cell.
         """
+
+    def after_reset(self, state: ControllerState) -> ControllerState:
+        """The state after a reset without loss of power: by default as after power-on.
+
+        Args:
+            state: Before it, of the cells that are reset.
+        """
+        return self.init(state.cells)
 
     def step(
         self, now: Instant, state: ControllerState, inputs: Inputs
@@ -153,6 +165,42 @@ class Controller(ABC):
         Returns:
             The next state and what the cells do. The state of a cell that failed means nothing.
         """
+
+    def act_on(
+        self, rows: NDArray[np.int64], now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """A control period of these cells; the others do nothing, and remember what they did.
+
+        Args:
+            rows: Who, ascending.
+            now: When, for all n cells.
+            state: Of all of them.
+            inputs: Likewise, as ``listen`` has it.
+
+        Returns:
+            The next state and what the cells do, of all of them: drives are zero for those that did nothing.
+        """
+        n = len(state.cells)
+        if len(rows) == n:
+            return self.act(now, state, inputs)
+        drive = np.zeros((n, 2))
+        if not len(rows):
+            return state, ControllerOutputs(drive, None)
+        some, outputs = self.act(now.take(rows), state.take(rows), inputs.take(rows))
+        drive[rows] = outputs.drive
+        outbox, served = None, None
+        if outputs.outbox is not None:
+            outbox = Outbox.empty(n, outputs.outbox.message.dtype)
+            outbox.sent[rows] = outputs.outbox.sent
+            solid(outbox.message)[rows] = solid(outputs.outbox.message)
+        if outputs.served is not None:
+            served = np.zeros(n, dtype=np.bool_)
+            served[rows] = outputs.served
+        failures, hung = (
+            {int(rows[i]): failure for i, failure in found.items()}
+            for found in (outputs.failures, outputs.hung)
+        )
+        return state.put(rows, some), ControllerOutputs(drive, outbox, failures, served, hung)
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:  # noqa: ARG002
         """What can be read of cells while they run, ``part.register`` to an array with a row a cell."""

@@ -151,11 +151,13 @@ class Outputs:
         outbox: Messages to the neighbours; None for nothing at all.
         failed: Cells that could not be stepped: index to traceback. Their rows mean nothing. Array firmware
             has no use for it: it raises, and the cell is looked for.
+        served: ``(n,)``: did the program serve its watchdog? None: it did. Matters with the effect ``cop`` only.
     """
 
     speed_m_s: Floats
     outbox: Outbox | None = None
     failed: Mapping[int, str] | None = None
+    served: Bools | None = None
 
 
 class Firmware(Program, ABC):

@@ -45,11 +45,13 @@ class ShardOutputs:
         drive: ``(n, 2)`` float64, volts or m/s; zero for cells that are gone.
         links: What goes out over the border; None for firmware without messages.
         failures: Cells whose firmware failed in this tick. They are retired already.
+        hung: Cells whose firmware failed in this tick and hangs since; they take part as before.
     """
 
     drive: Floats
     links: Links | None
     failures: tuple[FirmwareFailed, ...]
+    hung: tuple[FirmwareFailed, ...] = ()
 
 
 @final
@@ -149,6 +151,7 @@ class Shard:
         drive = np.zeros((self._n, 2))
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         failures: tuple[FirmwareFailed, ...] = ()
+        hung: tuple[FirmwareFailed, ...] = ()
         if len(self._state.cells):
             active = self._active
             if active is not None:
@@ -163,10 +166,11 @@ class Shard:
             if outputs.failures:
                 failures = tuple(outputs.failures[i] for i in sorted(outputs.failures))
                 self.retire(failure.cell for failure in failures)
+            hung = tuple(outputs.hung[i] for i in sorted(outputs.hung))
         out = None
         if self._message is not None:
             out = _links(self._sent[self._out_from], self._outgoing[self._out_from])
-        return ShardOutputs(drive, out, failures)
+        return ShardOutputs(drive, out, failures, hung)
 
     def _inbox(self, links: Links | None) -> Inbox | None:
         """Messages of the last tick, from inside and over the border."""

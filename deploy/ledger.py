@@ -13,6 +13,7 @@ from deploy.digest import Digest
 if TYPE_CHECKING:
     from bus.counts import Loss
     from bus.registers import RegisterFrame
+    from bus.wire import Report
     from deploy.progress import Progress
     from deploy.recordings.recorder import Recorder
     from plant.process import TickRecord
@@ -65,6 +66,7 @@ class Ledger:
         self.time_ns = 0
         self.faults: list[Mapping[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
+        self._hung: set[str] = set()
         self.last: TickRecord | None = None
 
     def tick(self, record: TickRecord) -> None:
@@ -121,6 +123,19 @@ class Ledger:
         then = "the run ends" if self._policy == "abort" else f"wheels {self._policy}"
         for line in self._lines(losses):
             self._warn(f"{line}; {then}")
+
+    def hung(self, reports: Sequence[Report]) -> None:
+        """Say which programs hang, once for those that do for the same reason."""
+        for report in reports:
+            problem = report.detail.partition("\n")[0]
+            if problem in self._hung:
+                continue
+            self._hung.add(problem)
+            row, column = report.cells[0]
+            since = f"tick {report.tick} ({report.tick * self._period_ns * 1e-9:g} s)"
+            self._warn(
+                f"the program of cell {row},{column} hangs from {since} until it is reset: {report.detail}"
+            )
 
     def describe(self, losses: Sequence[Loss]) -> str:
         """Which cells were lost, when, and why, in one line."""

@@ -160,12 +160,14 @@ class _Run:
 
         def observe(record: TickRecord) -> None:
             ledger.tick(record)
+            if watched:
+                ledger.hung(host.take_hung())
             if registers is not None:
                 ledger.registers(host.take_registers())
             if self.interruption.requested:
                 raise Interrupted
 
-        registers = self.options.registers
+        registers, watched = self.options.registers, self.scene.effects.cop is not None
         host = system.start(plant.array, plant.sense(), registers)
         return PlantProcess(
             plant,

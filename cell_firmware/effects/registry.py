@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from bus.effect import Effects
 from cell_firmware.effects.adc import AdcSpec
 from cell_firmware.effects.clock import ClockSpec
+from cell_firmware.effects.cop import CopSpec
 from cell_firmware.effects.encoder import EncoderSpec
 from cell_firmware.effects.fixed_point import FixedPointSpec
 from cell_firmware.effects.link_delay import LinkDelaySpec
@@ -34,13 +35,7 @@ class CellEffects(Effects):
     pwm: PwmSpec | None = None
     fixed_point: FixedPointSpec | None = None
     serial: SerialSpec | None = None
-
-    def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """What effects say that does not fit the cells: path from ``effects``, value, and the broken rule."""
-        for name, effect in self.asked():
-            if isinstance(effect, CellEffectSpec):
-                for path, value, rule in effect.unfit(cells):
-                    yield (name, *path), value, rule
+    cop: CopSpec | None = None
 
     def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
         """What effects say that does not fit the cells: path from ``effects``, value, and the broken rule."""

@@ -20,6 +20,7 @@ PRELOAD = (
     "bus.transports.zenoh",
     "cell_firmware.agent",
     "cell_firmware.protocols.heat_diffusion",
+    "cell_firmware.protocols.stumbling_field",
     "cell_firmware.protocols.velocity_field",
     "cell_firmware.protocols.waking_field",
     "deploy.scene",

@@ -36,6 +36,7 @@ SHOWN = {
     "pwm": ("board", 0.5),
     "fixed_point": ("board", 0.5),
     "serial": ("serial", 0.8),
+    "cop": ("watchdog", 1.5),
     "feeders": ("stream", 3.0),
     "parcel_contact": ("rails", 2.5),
 }

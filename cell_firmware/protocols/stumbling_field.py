@@ -1,0 +1,57 @@
+"""A velocity field with a bug, to see what a watchdog is for: on some cells the program hangs after a while."""
+
+from __future__ import annotations
+
+from typing import Annotated, final
+
+import numpy as np
+from pydantic import Field
+
+from bus.lattice import Lattice
+from cell_firmware.errors import ParametersError, Problem
+from cell_firmware.fields import FieldSpec
+from cell_firmware.firmware import Cells, Firmware, Inputs, Outputs, State
+from cell_firmware.specs import CellName, Spec
+
+
+class StumblingFieldParameters(Spec):
+    """The field, and who hangs when."""
+
+    field: FieldSpec
+    cells: tuple[CellName, ...]
+    """Cells that have the bug."""
+    after_periods: Annotated[int, Field(ge=1, le=1_000_000_000)]
+    """Control periods that their program runs, from each start on, before it hangs."""
+
+
+@final
+class StumblingField(Firmware):
+    """Drives the field's velocity until a counter of periods, which some cells have, runs over: the program raises."""
+
+    Parameters = StumblingFieldParameters
+
+    def check(self, lattice: Lattice) -> None:
+        """Every cell that is named must exist."""
+        problems = tuple(
+            Problem(("cells", i), f"the array has no cell [{cell[0]}, {cell[1]}]", list(cell))
+            for i, cell in enumerate(self.parameters.cells)
+            if cell not in lattice
+        )
+        if problems:
+            raise ParametersError("stumbling_field", problems)
+
+    def init(self, cells: Cells) -> State:
+        """Each cell's speed, ``(n, 2)`` m/s, and the periods left, ``(n,)``; negative without the bug."""
+        x, y = cells.position_m[:, 0], cells.position_m[:, 1]
+        left = np.full(len(cells), -1, dtype=np.int64)
+        for row, column in self.parameters.cells:
+            left[(cells.row == row) & (cells.column == column)] = self.parameters.after_periods
+        return {"speed_m_s": self.parameters.field.velocity(x, y), "left": left}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """The same speed, for as many periods as it can."""
+        del inputs
+        left = state["left"]
+        if (left == 0).any():
+            raise OverflowError("the counter of periods has run over")
+        return {**state, "left": np.where(left > 0, left - 1, left)}, Outputs(state["speed_m_s"])

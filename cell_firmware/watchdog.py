@@ -1,0 +1,130 @@
+"""Cells with a watchdog: a program that hangs is reset, and begins anew (effect ``cop``)."""
+
+from __future__ import annotations
+
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
+from cell_firmware.effects.cop import DIVIDER_S, CopSpec
+from cell_firmware.firmware import Bools, Cells, Inputs, State
+from cell_firmware.specs import nanoseconds
+
+_COP: Final = "cop"
+DIVIDER_NS: Final = nanoseconds(DIVIDER_S)
+
+
+@final
+class Watchdog(Controller):
+    """Resets cells whose program does not serve its watchdog in time.
+
+    The control interrupt and the watchdog's counter divide the same crystal, from the same instant on: with both in the
+    cell's own time, m periods at its control instant m, nothing of it depends on how far the crystal is off. A service
+    clears the counter, which counts boundaries of the divider; the reset comes at the first boundary that is not before
+    the last service plus the timeout. It is acted on at the cell's next control instant.
+
+    A program that raises hangs: it no longer serves, the pins keep what they had, and nothing is sent. One that runs
+    but doesn't serve (``Outputs.served``) goes on until it is reset. What a reset keeps is the crystal, the divider,
+    and what parts of the board say of themselves (``Part.after_reset``); all other memory is as after power-on. The
+    wheels are at 0 until the program starts, at the first control instant after ``reboot_s``; till then its start-up
+    code serves.
+
+    Args:
+        controller: Of the cells.
+        spec: Timeout and reboot.
+        period_ns: The control period, in the cells' own time.
+    """
+
+    def __init__(self, controller: Controller, spec: CopSpec, period_ns: int) -> None:
+        self.controller = controller
+        self._timeout_ns = nanoseconds(spec.timeout_s)
+        self._reboot_ns = round(spec.reboot_s * 1e9)
+        self._period_ns = period_ns
+
+    @property
+    def message(self) -> np.dtype[Any] | None:
+        """What a link carries in a tick."""
+        return self.controller.message
+
+    def init(self, cells: Cells) -> ControllerState:
+        """The state before tick 0: power-on clears the counters."""
+        n = len(cells)
+        watch: State = {
+            "instants": np.zeros(n, dtype=np.int64),
+            "served_ns": np.zeros(n, dtype=np.int64),
+            "starts_ns": np.zeros(n, dtype=np.int64),
+            "hung": np.zeros(n, dtype=np.bool_),
+            "drive": np.zeros((n, 2)),
+            "hangs": np.zeros(n, dtype=np.int64),
+            "resets": np.zeros(n, dtype=np.int64),
+        }
+        return ControllerState(cells, {**self.controller.init(cells).parts, _COP: frozen(watch)})
+
+    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+        """What came over the lines, which listen whether a program hangs or not."""
+        inner, inputs = self.controller.listen(now, _without(state), inputs)
+        return ControllerState(state.cells, {**inner.parts, _COP: state.parts[_COP]}), inputs
+
+    def act(
+        self, now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """One control period: resets, and a step of the programs that run."""
+        inner, watch = self._reset(_without(state), state.parts[_COP])
+        at_ns = watch["instants"] * self._period_ns
+        runs = ~watch["hung"] & (at_ns >= watch["starts_ns"])
+        inner, outputs = self.controller.act_on(np.flatnonzero(runs), now, inner, inputs)
+
+        raised = np.zeros(len(runs), dtype=np.bool_)
+        raised[list(outputs.failures)] = True
+        well = runs & ~raised
+        served = well if outputs.served is None else well & outputs.served
+        drive = np.where(well[:, None], outputs.drive, watch["drive"])
+        after: State = {
+            **watch,
+            "instants": watch["instants"] + 1,
+            "served_ns": np.where(served, at_ns, watch["served_ns"]),
+            "hung": watch["hung"] | raised,
+            "hangs": watch["hangs"] + raised,
+            "drive": drive,
+        }
+        return (
+            ControllerState(state.cells, {**inner.parts, _COP: frozen(after)}),
+            ControllerOutputs(drive, outputs.outbox, hung=outputs.failures),
+        )
+
+    def _reset(self, inner: ControllerState, watch: State) -> tuple[ControllerState, State]:
+        """Resets those whose time is over."""
+        bites_ns = -(-(watch["served_ns"] + self._timeout_ns) // DIVIDER_NS) * DIVIDER_NS
+        over: Bools = watch["instants"] * self._period_ns >= bites_ns
+        if not over.any():
+            return inner, watch
+        rows = np.flatnonzero(over)
+        starts_ns = np.where(over, bites_ns + self._reboot_ns, watch["starts_ns"])
+        after: State = {
+            **watch,
+            "starts_ns": starts_ns,
+            "served_ns": np.where(over, starts_ns, watch["served_ns"]),
+            "hung": watch["hung"] & ~over,
+            "drive": np.where(over[:, None], 0.0, watch["drive"]),
+            "resets": watch["resets"] + over,
+        }
+        return inner.put(rows, self.controller.after_reset(inner.take(rows))), after
+
+    def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
+        """Whether a program hangs, and how often it did and was reset; and what the cells' controller has."""
+        watch = state.parts[_COP]
+        own = {f"{_COP}.{name}": watch[name] for name in ("hung", "hangs", "resets")}
+        return {**own, **self.controller.registers(_without(state))}
+
+    def counted(self, state: ControllerState) -> dict[str, int]:
+        """Programs that hung and cells that were reset; and what the cells' controller has counted."""
+        watch = state.parts[_COP]
+        own = {f"{_COP}.{name}": int(watch[name].sum()) for name in ("hangs", "resets")}
+        return {**own, **self.controller.counted(_without(state))}
+
+
+def _without(state: ControllerState) -> ControllerState:
+    """What the cells' controller knows of."""
+    return ControllerState(state.cells, {name: part for name, part in state.parts.items() if name != _COP})

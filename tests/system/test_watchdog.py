@@ -1,0 +1,80 @@
+"""Programs that hang in whole runs: reset, started anew, and told once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.overrides import Override
+from deploy.processes.plan import RunOptions
+from deploy.recordings.replay import load
+from deploy.run import run
+from deploy.scene import Scene
+from deploy.scene_errors import SceneError
+from deploy.scene_files import load_scene
+from tests.system.test_same_digest import EACH, WAYS, Way
+
+FIELD = {"kind": "uniform", "velocity_m_s": [0.1, 0.05]}
+STUMBLING: dict[str, Any] = {
+    "firmware": "stumbling_field",
+    "parameters": {"field": FIELD, "cells": [[1, 1], [0, 3]], "after_periods": 10},
+}
+COP = {"cop": {"timeout_s": 0.016384, "reboot_s": 0.01}}
+
+
+def _scene(path: Path, **effects: object) -> Scene:
+    return load_scene(str(path), [Override(("cells",), STUMBLING, ""), Override(("effects",), effects, "")])
+
+
+def _go(scene: Scene, way: Way, output: Path, *, quiet: bool = True) -> Any:
+    processes, transport, wire = way
+    options = RunOptions(processes, transport, wire, output=output, picture=False)
+    return run(scene, options, quiet=quiet).summary
+
+
+def test_resets_act_alike_however_the_scene_is_cut_and_no_cell_is_lost(
+    small: Callable[..., Path], tmp_path: Path
+) -> None:
+    scene = _scene(small(), **COP)
+    summaries = {way: _go(scene, way, tmp_path) for way in (WAYS[0], WAYS[4], WAYS[7], *EACH)}
+    assert len({one.digest for one in summaries.values()}) == 1, summaries
+    for one in summaries.values():
+        assert (one.status, list(one.cells_lost), list(one.faults)) == ("ok", [], [])
+        assert one.effects == {"cop.hangs": 6, "cop.resets": 6}
+    drives = load(tmp_path).drives
+    stumbles = [5, 3]  # of three rows of four
+    # hung in tick 10, last served in 9: reset at 65.536 ms, tick 16; up at 75.536 ms, tick 19; 49 ticks in all
+    speed = np.zeros((49, 1))
+    speed[[*range(16), *range(19, 32), *range(35, 48)]] = 1.0
+    for cell in stumbles:
+        assert np.array_equal(drives[:49, cell], speed * [0.1, 0.05])
+    others = [i for i in range(12) if i not in stumbles]
+    assert np.all(drives[:49, others] == [0.1, 0.05])
+
+
+def test_without_a_watchdog_the_same_cells_are_lost(small: Callable[..., Path], tmp_path: Path) -> None:
+    summary = _go(_scene(small()), WAYS[0], tmp_path)
+    assert sorted(summary.cells_lost) == [(0, 3), (1, 1)]
+
+
+@pytest.mark.parametrize("way", [WAYS[0], EACH[0]])
+def test_why_a_program_hangs_is_told_once(
+    way: Way, small: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    _go(_scene(small(), **COP), way, tmp_path, quiet=False)
+    said = capfd.readouterr().err
+    assert said.count("hangs from tick 10 (0.04096 s)") == 1
+    assert "until it is reset: OverflowError: the counter of periods has run over" in said
+    assert "stumbling_field.py" in said
+
+
+def test_a_period_as_long_as_the_timeout_is_refused(small: Callable[..., Path]) -> None:
+    with pytest.raises(SceneError, match=r"effects\.cop\.timeout_s = 0\.016384: must be longer than"):
+        load_scene(
+            str(small()),
+            [Override(("effects",), COP, ""), Override(("cells", "period_s"), 0.016384, "")],
+        )
