@@ -1,0 +1,120 @@
+"""What encoder, PWM and integers do to a wheel's speed: straying, rounding of the gains, recovery from saturation.
+
+``python tests/benchmarks/wheel_drive.py`` prints its method and the tables of ``docs/board.md``.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from cell_firmware.assembly import Motors
+from cell_firmware.parts import WheelPart
+from cell_firmware.specs import SpeedLoopSpec
+from cell_firmware.speed_loop.fixed_point import FixedPointLoop
+from tests.cell_firmware.speed_loop.wheels import (
+    GAIN,
+    PERIOD_S,
+    RADIUS_M,
+    SUPPLY_V,
+    TAU_S,
+    TURN_M,
+    Wheel,
+    drive,
+    follow,
+)
+
+STUDY = SpeedLoopSpec(kp_v_per_m_s=6.0, ki_v_per_m=100.0)
+TURNS_PER_S, BEGIN_S, END_S = 2.0, 4.0, 12.0
+COULOMB, STATIC = 0.04, 0.07
+TOP, AFTER = SUPPLY_V * GAIN, 0.5
+METHOD = f"""\
+Method. A first-order motor solved exactly: time constant {TAU_S} s, {GAIN} m/s per volt, supply {SUPPLY_V} V,
+wheel radius {RADIUS_M} m, period {PERIOD_S} s.
+Straying: Coulomb friction {COULOMB:.0%} and static friction {STATIC:.0%} of the supply, {TURNS_PER_S} rev/s asked for,
+kp {STUDY.kp_v_per_m_s} V per m/s, ki {STUDY.ki_v_per_m} V/m. The true speed at the ends of the periods from
+{BEGIN_S} to {END_S} s: rms about its mean, peak to peak, and the mean less what was asked for.
+Recovery: no friction. Saturated for a second, then {AFTER} m/s: the time until the wheel stays within 5 % of the way,
+over that of the same loop without limits.
+"""
+
+
+def board(counts: int, levels: int) -> dict[str, Any]:
+    return {"encoder": {"counts_per_revolution": counts}, "pwm": {"levels": levels}, "fixed_point": {}}
+
+
+STRAYING: dict[str, dict[str, Any]] = {
+    "none": {},
+    "pwm, 2,000 levels": {"pwm": {}},
+    "pwm, 255 levels": {"pwm": {"levels": 255}},
+    "fixed_point": {"fixed_point": {}},
+    "encoder, 256 counts": {"encoder": {}},
+    "encoder, 1,920 counts": {"encoder": {"counts_per_revolution": 1920}},
+    "all: 256 counts, 2,000 levels": board(256, 2000),
+    "all: 256 counts, 255 levels": board(256, 255),
+    "all: 1,920 counts, 2,000 levels": board(1920, 2000),
+    "all: 1,920 counts, 255 levels": board(1920, 255),
+}
+
+
+def straying(effects: dict[str, Any]) -> tuple[float, float, float]:
+    """Rms, peak to peak and offset, rev/s."""
+    begin, end = round(BEGIN_S / PERIOD_S), round(END_S / PERIOD_S)
+    wheel = Wheel(COULOMB * SUPPLY_V, STATIC * SUPPLY_V)
+    speeds = follow(drive(STUDY, **effects), [TURNS_PER_S * TURN_M] * end, wheel)[0][begin:] / TURN_M
+    return float(speeds.std()), float(np.ptp(speeds)), float(speeds.mean()) - TURNS_PER_S
+
+
+def recovery_s(part: WheelPart, before: float) -> float:
+    """How long until the wheel has come down to ``AFTER``."""
+    begin = round(1.5 / PERIOD_S)  # half a second to get there
+    speeds, _ = follow(part, [before] * begin + [AFTER] * 600, Wheel())
+    way = np.abs(speeds[begin:] - AFTER)
+    return float(np.flatnonzero(way > 0.05 * way[0])[-1] + 1) * PERIOD_S
+
+
+def tell_straying() -> None:
+    print(f"{'effects':34}{'rms, rev/s':>12}{'peaks':>10}{'offset':>10}")
+    for name, effects in STRAYING.items():
+        rms, peaks, offset = straying(effects)
+        print(f"{name:34}{rms:12.2g}{peaks:10.2g}{offset:+10.2g}")
+
+
+def tell_rounding() -> None:
+    columns = f"{'kp':>10}{'word':>8}{'shift':>7}{'ki':>10}{'word':>8}{'shift':>7}{'a step, V':>11}"
+    print(f"\n{'default gains in integers':34}{columns}")
+    for name, effects in STRAYING.items():
+        if "fixed_point" not in effects:
+            continue
+        part = drive(**effects)
+        assert isinstance(part, FixedPointLoop)
+        kp, ki, _ = part.scaling.realised()
+        gains = "".join(f"{gain.realised:10.4f}{gain.word:8}{gain.shift:7}" for gain in (kp, ki))
+        print(f"{name:34}{gains}{part.scaling.rounding_v:11.1e}")
+
+
+def tell_recovery() -> None:
+    befores = (1.25, 1.3, 1.5, 2.0, 5.0)
+    print(f"\n{'recovery from':34}" + "".join(f"{before:>7} m/s" for before in befores))
+    for kp, ki in ((12.0, 200.0), (6.0, 100.0), (12.0, 400.0)):
+        gains = SpeedLoopSpec(kp_v_per_m_s=kp, ki_v_per_m=ki)
+        linear = recovery_s(drive(gains, Motors(1e6, 1e5)), TOP)
+        for name, effects in (("float", {}), ("fixed", {"fixed_point": {}}), ("board", board(1920, 2000))):
+            ratios = [recovery_s(drive(gains, **effects), before) / linear for before in befores]
+            print(f"{f'kp {kp:g}, ki {ki:g}, {name}':34}" + "".join(f"{ratio:11.2f}" for ratio in ratios))
+
+
+def main() -> None:
+    print(METHOD)
+    tell_straying()
+    tell_rounding()
+    tell_recovery()
+
+
+if __name__ == "__main__":
+    main()
