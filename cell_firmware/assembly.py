@@ -30,7 +30,7 @@ class Motors:
 
     Attributes:
         supply_v: What the output stage can give, V.
-        free_speed_m_s: Surface speed of a wheel at the supply's voltage without load, m/s.
+        free_speed_m_s: Surface speed of a wheel at the supply's voltage without load or dry friction, m/s.
         wheel_radius_m: None where the motors are described without one.
     """
 
