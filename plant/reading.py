@@ -38,6 +38,10 @@ class Reading:
         self._encoder_m = None if last.encoder_m is None else last.encoder_m.copy()
         at_start = timing.reads_ns == now_ns
         self._presence[at_start] = start.presence[at_start]
+        self._level = None if last.level is None else last.level.copy()
+        if self._level is not None and start.level is not None:
+            self._level[inside] = 0.0
+            self._level[at_start] = start.level[at_start]
         if self._encoder_m is not None and start.encoder_m is not None:
             self._encoder_m[at_start] = start.encoder_m[at_start]
         self._inside = inside
@@ -62,6 +66,8 @@ class Reading:
         """
         now = self.instants_s == now_s
         self._presence[now] = sense.presence[now]
+        if self._level is not None and sense.level is not None:
+            self._level[now] = sense.level[now]
         if self._encoder_m is not None and slowed_m is not None:
             self._encoder_m[now] += slowed_m[now]
 
@@ -73,7 +79,9 @@ class Reading:
         """What each cell has read, ``end`` being what all would read at the end."""
         at_end = self._at_end
         self._presence[at_end] = end.presence[at_end]
+        if self._level is not None and end.level is not None:
+            self._level[at_end] = end.level[at_end]
         if self._encoder_m is not None and end.encoder_m is not None:
             self._encoder_m[at_end] = end.encoder_m[at_end]
             self._encoder_m.setflags(write=False)
-        return Sense(self._presence, self._encoder_m)
+        return Sense(self._presence, self._encoder_m, self._level)

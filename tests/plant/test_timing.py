@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from plant.effects.analogue_sensors import AnalogueSensorsSpec
 from plant.effects.motors import MotorsSpec
 from plant.errors import PlantError
 from plant.plant import Plant
@@ -136,6 +137,32 @@ def test_random_instants_are_the_same_as_dividing_the_call_by_hand_at_every_one(
             assert sense.encoder_m == pytest.approx(travel, abs=1e-13)
             assert timed.wheel_speed == pytest.approx(divided.wheel_speed, abs=1e-13)
     assert timed.support_changes == divided.support_changes > 0
+
+
+def test_levels_are_those_of_each_cell_s_own_instant() -> None:
+    """Spots as wide as the pitch allows, so that cells beside the parcel read it too."""
+    body = parcel(velocity_m_s=(1.0, -0.5), angular_velocity_rad_s=2.0)
+    whole = spec(body)
+    levels = AnalogueSensorsSpec(spot_radius_m=whole.array.pitch_m)
+    effects = whole.effects.model_copy(update={"analogue_sensors": levels})
+    timed, divided = (Plant(whole.model_copy(update={"effects": effects})) for _ in range(2))
+    read, draw = divided.sense().level, np.random.default_rng(6)
+    assert read is not None
+    for tick in range(2):
+        now, until = tick * 10 * TICK_NS, (tick + 1) * 10 * TICK_NS
+        timing, drives = drawn(draw, 400, now, until), elliptic(timed)
+        timing.acts_ns[:] = -1
+        timing.reads_ns[::7] = -1
+        timing.reads_ns[1::7] = now
+        sense, _ = timed.advance(drives, until, timing)
+        for instant in np.unique(np.append(timing.reads_ns, until)).tolist():
+            if instant >= 0:
+                seen, _ = divided.advance(drives, instant)
+                assert seen.level is not None
+                read = np.where((timing.reads_ns == instant)[:, None], seen.level, read)
+        assert sense.level is not None
+        assert np.abs(sense.level - read).max() < 1e-10
+    assert ((read > 0.0) & (read < 1.0)).sum() > 10
 
 
 def test_a_parcel_on_wheels_that_change_on_the_way_moves_as_in_the_plain_plant() -> None:

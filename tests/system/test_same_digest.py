@@ -208,6 +208,16 @@ def test_cells_with_clocks_of_their_own_do_alike_however_the_scene_is_cut(
     assert other.digest != summaries[WAYS[0]].digest
 
 
+def test_serial_lines_between_clocks_that_differ_do_alike_however_the_scene_is_cut(tmp_path: Path) -> None:
+    changes = ("duration_s=0.3", "effects.clock={ error_ppm = 60_000 }", "effects.serial.sharing=mux")
+    scene = load_scene("serial", [Override.parse(change) for change in changes])
+    summaries = [_run(scene, way, tmp_path) for way in (WAYS[0], WAYS[5], WAYS[6])]
+    assert len({summary.digest for summary in summaries}) == 1, summaries
+    counted = [summary.effects for summary in summaries]
+    assert counted[0] == counted[1] == counted[2]
+    assert min(counted[0][f"serial.{what}"] for what in ("received", "framing", "unheard")) > 0
+
+
 def test_effects_of_the_cells_that_change_nothing_leave_every_recorded_byte_as_it_was(
     small: Callable[[str], Path], tmp_path: Path
 ) -> None:
