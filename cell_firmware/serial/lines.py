@@ -32,6 +32,9 @@ class SerialLines(LinkPart):
         window_ns: How long a tick is; None: a control period.
         errors_of: Clocks' errors, for cells with clocks of their own; None: all are equal.
 
+    Attributes:
+        settings: Of the lines.
+
     Raises:
         FirmwareError: Settings with which no message of this type would ever arrive.
     """
@@ -48,6 +51,7 @@ class SerialLines(LinkPart):
             raise FirmwareError(f"serial lines: {problem}")
         burst = BurstType(settings.slots(frame.length))
         window = settings.period_ns if window_ns is None else window_ns
+        self.settings = settings
         self.line = burst.wire
         self._errors_of = errors_of
         self._sender = Sender(settings, frame, burst, window)

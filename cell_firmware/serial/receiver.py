@@ -22,7 +22,7 @@ _STEPS: Final = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
 """Row and column of the neighbour on each side, from one's own."""
 _TOGETHER: Final = 2
 _BY_OWN_CLOCKS: Final = 7
-"""Bursts under way on a line: where all cells keep step that which comes and the end of the last."""
+"""Bursts under way on a line: that which comes, and the end of the last."""
 
 
 @final
@@ -60,6 +60,8 @@ class Receiver:
         self._window_ns = window_ns
         self._errors_of = errors_of
         self._bursts = _TOGETHER if errors_of is None else _BY_OWN_CLOCKS
+        # Where a tick brings all that is under way but for one byte, all lines' queues move on, which is renaming.
+        self._keep_step = errors_of is None and settings.byte_ns <= settings.period_ns
         self._late_ns = 0 if errors_of is None else window_ns + settings.bit_ns
         self._times = LineTimes.of(settings, self._late_ns)
 
@@ -95,8 +97,7 @@ class Receiver:
         new["left_1"] = bursts["bytes_2"].astype(np.int64)
         for run in (0, 1):
             new[f"start_{run}_ns"] = begins + bursts[f"start_{run + 1}_ns"].astype(np.int64)
-        # Where all lines keep step, moving them up is renaming.
-        return _queued(state, new, self._bursts, None if self._errors_of is None else lines.received)
+        return _queued(state, new, self._bursts, None if self._keep_step else lines.received)
 
     def look(
         self, at_ns: Ints, state: State, connected: Bools | None = None, since_ns: Ints | None = None

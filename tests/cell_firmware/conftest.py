@@ -21,7 +21,10 @@ from cell_firmware.effects.stage import Site
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.mailbox import Mailbox
+from cell_firmware.parts import LinkPart
+from cell_firmware.serial.lines import SerialLines
 from cell_firmware.shard import Links, Shard, ShardOutputs
+from cell_firmware.specs import nanoseconds
 from cell_firmware.speed_loop import SpeedLoop
 
 PERIOD_S = 0.004096
@@ -31,6 +34,18 @@ PITCH_M = 0.1
 def cells_of(lattice: Lattice, sensors: int = 1) -> Cells:
     position = np.stack((lattice.columns * PITCH_M, lattice.rows * PITCH_M), axis=1)
     return Cells.of(lattice, position, PERIOD_S, sensors)
+
+
+def links_of(firmware: Firmware, effects: CellEffects, clocks: ArrayClocks | None) -> LinkPart | None:
+    """What messages have to pass."""
+    if firmware.message is None:
+        return None
+    if effects.serial is not None:
+        settings = effects.serial.settings(nanoseconds(PERIOD_S))
+        if clocks is None:
+            return SerialLines(settings, firmware.message)
+        return SerialLines(settings, firmware.message, clocks.all.window_ns, clocks.ppb)
+    return None if clocks is None else Mailbox(firmware.message, clocks.all.window_ns)
 
 
 @dataclass
@@ -57,10 +72,8 @@ class Lockstep:
         self.partition = partition
         self.lattice = partition.lattice
         asked = CellEffects() if effects is None else effects
-        controller: Controller = Board(firmware, loop)
-        if clocks is not None:
-            links = None if firmware.message is None else Mailbox(firmware.message, clocks.all.window_ns)
-            controller = Clocked(Board(firmware, loop, links), clocks)
+        board = Board(firmware, loop, links_of(firmware, asked, clocks))
+        controller: Controller = board if clocks is None else Clocked(board, clocks)
         self.shards = [
             Shard(
                 controller,
