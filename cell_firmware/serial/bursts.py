@@ -1,4 +1,4 @@
-"""What a line carries in a tick: two runs of bytes, each back to back, as a flat type that any wire form takes."""
+"""What a line carries in a window of the exchange: two runs of bytes, in a flat type that any wire form takes."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ class BurstType:
     """Two types of the same bytes: one for the wire, one to compute with.
 
     A sender ends one message and begins another within a period at most, and between its idle characters bytes follow
-    each other without a gap. So a tick's bytes are two runs at most, and a run needs one time: byte j starts j byte
+    each other without a gap. So a window's bytes are two runs at most, and a run needs one time: byte j starts j byte
     times, by the sender's clock, after the run does. On the wire the bytes go eight to a word.
 
     Args:
-        slots: Most bytes in a tick.
+        slots: Most bytes in a window.
 
     Attributes:
         width: Bytes in all words.
-        wire: Flat: of each run the number of bytes, and its start in ns since the beginning of the tick; words.
+        wire: Flat: of each run the number of bytes, and its start in ns since the window's beginning; words.
         parts: The same with ``byte``, an array of at least ``slots`` bytes, in place of the words.
     """
 

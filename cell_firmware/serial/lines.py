@@ -29,7 +29,7 @@ class SerialLines(LinkPart):
     Args:
         settings: Of the lines.
         message: The program's message type.
-        window_ns: How long a tick is; None: a control period.
+        window_ns: How long a window of the exchange is; None: a control period.
         errors_of: Clocks' errors, for cells with clocks of their own; None: all are equal.
 
     Attributes:
@@ -74,7 +74,7 @@ class SerialLines(LinkPart):
     def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
         """Messages that have come since the cells last looked; of two on a side the later one."""
         at_ns = now.at_ns[..., None]
-        state = self._receiver.hear(now.tick, state, lines)
+        state = self._receiver.hear(self._window(now), state, lines)
         if self._scan is None:
             return self._receiver.look(at_ns, state)
         return self._receiver.look(at_ns, state, *self._scan.hears(state))
@@ -85,7 +85,11 @@ class SerialLines(LinkPart):
         if self._scan is not None:
             state, left = self._scan.turn(at_ns, state)
         ppb = state["ppb"][:, None] if "ppb" in state else None
-        return self._sender.step(now.tick, at_ns, ppb, state, outbox, left)
+        return self._sender.step(self._window(now), at_ns, ppb, state, outbox, left)
+
+    def _window(self, now: Instant) -> int:
+        """In which window the cells' instants lie: with clocks of their own that which the exchange follows."""
+        return now.tick if self._errors_of is None else now.tick - 1
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
         """What was counted on each side: ``(n, 4)``."""

@@ -39,10 +39,10 @@ class Receiver:
     Args:
         settings: Of the lines.
         frame: Of the messages.
-        burst: Of what a line carries in a tick.
-        window_ns: How long a tick is.
-        errors_of: Clocks' errors; None where all are equal. With clocks of their own a cell hears of a tick when it is
-            over: all bytes come by ``window_ns`` and a bit later, so that none has come before it was heard of, and
+        burst: Of what a line carries in a window.
+        window_ns: How long a window of the exchange is.
+        errors_of: Clocks' errors; None where all are equal. With clocks of their own a cell hears of a window when it
+            is over: all bytes come by ``window_ns`` and a bit later, so that none has come before it was heard of, and
             what follows it on the line is known.
     """
 
@@ -60,7 +60,7 @@ class Receiver:
         self._window_ns = window_ns
         self._errors_of = errors_of
         self._bursts = _TOGETHER if errors_of is None else _BY_OWN_CLOCKS
-        # Where a tick brings all that is under way but for one byte, all lines' queues move on, which is renaming.
+        # Where a window brings all that is under way but for one byte, all lines' queues move on, which is renaming.
         self._keep_step = errors_of is None and settings.byte_ns <= settings.period_ns
         self._late_ns = 0 if errors_of is None else window_ns + settings.bit_ns
         self._times = LineTimes.of(settings, self._late_ns)
@@ -81,16 +81,16 @@ class Receiver:
         sender = self._errors_of(cells.row[:, None] + _STEPS[:, 0], cells.column[:, None] + _STEPS[:, 1])
         return {**state, **LineTimes.of(self._settings, self._late_ns, own, sender).state()}
 
-    def hear(self, tick: int, state: State, lines: Inbox) -> State:
-        """Takes in what lines carried in the tick before.
+    def hear(self, window: int, state: State, lines: Inbox) -> State:
+        """Takes in what lines carried in the window before.
 
         Args:
-            tick: The tick.
+            window: In which the cells' instants lie.
             state: Of n cells.
             lines: ``(n, 4)`` bursts; empty where nothing was sent.
         """
         bursts = self._burst.from_wire(lines.message)
-        begins, first = (tick - 1) * self._window_ns, bursts["bytes_1"].astype(np.int64)
+        begins, first = (window - 1) * self._window_ns, bursts["bytes_1"].astype(np.int64)
         data = np.zeros((*first.shape, self._burst.width + WORD), dtype=np.uint8)
         data[..., :-WORD] = bursts["byte"]
         new = {"data_0": data, "left_0": first, "place_0": np.zeros_like(first), "place_1": first}

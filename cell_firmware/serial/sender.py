@@ -23,8 +23,8 @@ class Sender:
     Args:
         settings: Of the lines.
         frame: Of the messages.
-        burst: Of what a line carries in a tick.
-        window_ns: How long a tick is.
+        burst: Of what a line carries in a window.
+        window_ns: How long a window of the exchange is.
     """
 
     def __init__(self, settings: LineSettings, frame: Frame, burst: BurstType, window_ns: int) -> None:
@@ -48,12 +48,18 @@ class Sender:
         }
 
     def step(
-        self, tick: int, at_ns: Ints, ppb: Ints | None, state: State, outbox: Outbox | None, left: Ints | None
+        self,
+        window: int,
+        at_ns: Ints,
+        ppb: Ints | None,
+        state: State,
+        outbox: Outbox | None,
+        left: Ints | None,
     ) -> tuple[State, Outbox]:
         """What goes out from this step of the cells' to their next.
 
         Args:
-            tick: The tick.
+            window: In which the cells' instants lie.
             at_ns: ``(n, 1)`` or ``(1,)``, when the cells step.
             ppb: ``(n, 1)``, their clocks' errors; None for none.
             state: Of n cells.
@@ -72,7 +78,7 @@ class Sender:
                 break
             start, count = going.run(data, there)
             bursts[f"bytes_{run}"] = count
-            bursts[f"start_{run}_ns"] = np.where(count > 0, start - tick * self._window_ns, 0)
+            bursts[f"start_{run}_ns"] = np.where(count > 0, start - window * self._window_ns, 0)
             there = there + count
         bursts["byte"] = data[:, :-WORD].reshape(*there.shape, -1)
         after["sent"] = after["sent"] + there

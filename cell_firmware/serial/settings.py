@@ -14,7 +14,7 @@ from cell_firmware.serial.rates import BITS_A_BYTE
 Ints = NDArray[np.int64]
 
 LONGEST_PERIOD_NS: Final = 1_000_000_000
-"""So that what lines carry has room for when in a tick it starts."""
+"""So that what lines carry has room for when in a window it starts."""
 _BILLION: Final = 1_000_000_000
 
 

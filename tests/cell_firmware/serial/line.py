@@ -51,6 +51,7 @@ class Heard:
     ) -> None:
         errors = None if clocks is None else errors_of(*clocks)
         self.part = SerialLines(settings, message, errors_of=errors)
+        self._exchange = clocks is not None  # a window is exchanged when it is over
         self.state = self.part.init(two_cells())
         self.messages: list[Any] = []
         self._type = BurstType(settings.slots(message.itemsize + 1))
@@ -66,7 +67,7 @@ class Heard:
             place += len(data)
         received = np.zeros((2, 4), dtype=np.bool_)
         received[1, WEST] = place > 0
-        now = Instant(tick, np.array([at_ns, at_ns]))
+        now = Instant(tick + self._exchange, np.array([at_ns, at_ns]))
         self.state, inbox = self.part.receive(now, self.state, Inbox(received, lines.view(self._type.wire)))
         self.messages.append(inbox.message[1, WEST].item() if inbox.received[1, WEST] else None)
 
@@ -152,7 +153,10 @@ class Pair:
     def _log(self, burst: Any) -> None:
         done = 0
         for run in (1, 2):
-            count, begins = int(burst[f"bytes_{run}"]), self.tick * self._period_ns + int(burst[f"start_{run}_ns"])
+            count, begins = (
+                int(burst[f"bytes_{run}"]),
+                self.tick * self._period_ns + int(burst[f"start_{run}_ns"]),
+            )
             byte_ns = self.part.settings.byte_ns
             self.starts += [(begins + i * byte_ns, int(burst["byte"][done + i])) for i in range(count)]
             done += count

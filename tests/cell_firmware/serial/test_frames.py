@@ -12,7 +12,7 @@ MIXED = np.dtype([("n", ">i2"), ("ok", "?"), ("x", "<f4"), ("big", "<u8")], alig
 
 
 def long_division(data: bytes) -> int:
-    """The remainder of the message, with eight ones on its first byte and eight zeros behind it, by x^8 + x^2 + x + 1."""
+    """The remainder by x^8 + x^2 + x + 1 of eight zeros behind the data, whose first eight bits are inverted."""
     rest = int.from_bytes(data, "big") << 8 ^ 0xFF << 8 * len(data)
     for place in reversed(range(8 * len(data))):
         if rest >> (place + 8) & 1:
@@ -34,7 +34,9 @@ def test_a_message_takes_its_fields_packed_little_endian_and_a_check_byte() -> N
 
 
 @given(
-    st.integers(-(2**15), 2**15 - 1), st.booleans(), st.floats(width=32, allow_nan=False, allow_infinity=False)
+    st.integers(-(2**15), 2**15 - 1),
+    st.booleans(),
+    st.floats(width=32, allow_nan=False, allow_infinity=False),
 )
 def test_what_was_packed_is_unpacked(n: int, ok: bool, x: float) -> None:
     frame, message = Frame(MIXED), np.array([(n, ok, x, 3)], dtype=MIXED)

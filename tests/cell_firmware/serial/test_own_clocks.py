@@ -1,4 +1,4 @@
-"""Lines between cells that step at instants of their own, a tick being a window of the exchange."""
+"""Lines between cells that step at instants of their own, each window being exchanged when it is over."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ class OwnClocks:
         heard: When cell 0,1 hears a message, and the message.
     """
 
-    def __init__(self, settings: LineSettings, ppb: tuple[int, int], phase_ns: tuple[int, int], windows: int) -> None:
+    def __init__(
+        self, settings: LineSettings, ppb: tuple[int, int], phase_ns: tuple[int, int], windows: int
+    ) -> None:
         self._ppb, self._phase = ppb, phase_ns
         self.window_ns = PERIOD_NS * (BILLION - 60_000_000) // BILLION // windows
         self.part = SerialLines(settings, MESSAGE, self.window_ns, errors_of(*ppb))
@@ -41,9 +43,9 @@ class OwnClocks:
 
     def run(self, ticks: int) -> None:
         lines = Inbox(np.zeros((2, 4), dtype=np.bool_), np.zeros((2, 4), dtype=self.part.line))
-        for tick in range(ticks):
+        for tick in range(ticks):  # the window; its exchange is the next
             at = [self._instant(cell, tick) for cell in (0, 1)]
-            self.state, inbox = self.part.receive(Instant(tick, np.array(at)), self.state, lines)
+            self.state, inbox = self.part.receive(Instant(tick + 1, np.array(at)), self.state, lines)
             if inbox.received[1, WEST]:
                 self.heard.append((at[1], int(inbox.message["a"][1, WEST])))
             lines = Inbox(np.zeros((2, 4), dtype=np.bool_), np.zeros((2, 4), dtype=self.part.line))
@@ -54,7 +56,10 @@ class OwnClocks:
             for row, cell in enumerate(rows):
                 self.steps[cell].append(at[cell])
                 if cell == 0:
-                    lines.received[1, WEST], lines.message[1, WEST] = out.sent[row, EAST], out.message[row, EAST]
+                    lines.received[1, WEST], lines.message[1, WEST] = (
+                        out.sent[row, EAST],
+                        out.message[row, EAST],
+                    )
                     self._log(tick, out.message.view(self._parts)[row, EAST])
 
     def _send(self, tick: int, at: Any, rows: Any) -> Outbox:
@@ -63,7 +68,7 @@ class OwnClocks:
         outbox.message["a"] = [[len(self.steps[row])] * 4 for row in rows]
         outbox.sent[:] = True
         taken = {name: array[rows] for name, array in self.state.items()}
-        after, out = self.part.send(Instant(tick, at[rows]), taken, outbox)
+        after, out = self.part.send(Instant(tick + 1, at[rows]), taken, outbox)
         state = {name: array.copy() for name, array in self.state.items()}
         for name, array in after.items():
             state[name][rows] = array
@@ -84,7 +89,7 @@ class OwnClocks:
             self.starts += [begins + i * byte_ns for i in range(int(burst[f"bytes_{run}"]))]
 
     def end_of(self, last_start_ns: int) -> int:
-        """When a message has ended for cell 0,1 whose last byte starts then: ten bits, nine of its own, and the delay."""
+        """When a message has ended for cell 0,1 whose last byte starts then: ten bits, nine of its own, the delay."""
         byte_ns, bit = self.part.settings.byte_ns, self.part.settings.bit_ns
         own = 9 * bit + 9 * bit * self._ppb[1] // BILLION
         return last_start_ns + byte_ns + byte_ns * self._ppb[0] // BILLION + own + self.window_ns + bit

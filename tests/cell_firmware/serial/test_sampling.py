@@ -84,7 +84,9 @@ def test_bytes_gaps_and_clocks_of_any_kind_are_read_as_the_line_s_levels_say(
 
 
 @settings(max_examples=150, deadline=None)
-@given(values=st.integers(0, 255), sender_ppm=st.integers(-60_000, 60_000), own_ppm=st.integers(-60_000, 60_000))
+@given(
+    values=st.integers(0, 255), sender_ppm=st.integers(-60_000, 60_000), own_ppm=st.integers(-60_000, 60_000)
+)
 def test_the_message_is_what_the_levels_say_and_damaged_where_its_check_byte_is_not(
     values: int, sender_ppm: int, own_ppm: int
 ) -> None:
