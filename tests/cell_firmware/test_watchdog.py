@@ -16,9 +16,12 @@ from pydantic import ValidationError
 from bus.partition import Partition
 from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.clocked import Clocked
+from cell_firmware.clocks import ArrayClocks, Clocks
 from cell_firmware.controller import Controller, Instant
 from cell_firmware.effects.cop import TIMEOUTS_S, CopSpec
 from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, Outbox, Outputs, State
+from cell_firmware.mailbox import Mailbox
 from cell_firmware.parts import WheelPart
 from cell_firmware.shard import Shard
 from cell_firmware.specs import SpeedLoopSpec
@@ -225,6 +228,31 @@ def test_a_speed_loop_begins_anew_without_a_jump(everything: Any, grid: Any) -> 
     _, first = plain.step(Instant(0, np.array(0)), fresh, inputs)
     assert after.drive[1].tobytes() == first.drive[1].tobytes()
     assert after.drive[0].tobytes() != first.drive[0].tobytes()
+
+
+def test_in_its_own_time_a_cell_is_reset_alike_however_far_its_crystal_is_off(
+    row: tuple[Partition, Cells],
+) -> None:
+    partition, cells = row
+    ppb = np.array([0, 50_000_000, -50_000_000, 0])
+    clocks = Clocks(PERIOD_NS, PERIOD_NS * 95 // 100, ppb, np.array([0, 3_000_000, 10, 0]))
+    lines = Mailbox(Counting.message, clocks.window_ns)
+    clocked = Clocked(
+        watchdog(Counting(), TIMEOUTS_S[0], 0.02, links=lines), ArrayClocks(partition.lattice, clocks)
+    )
+    shard = Shard(clocked, cells, partition, 0)
+    seen, before, hung = [], -1, []
+    for tick in range(120):
+        out = shard.step(tick, np.zeros((4, 1), dtype=np.bool_))
+        hung += out.hung
+        count = int(shard.registers()[1]["clock.count"][1])
+        if count > before and count:
+            seen.append(out.drive[1, 0])
+        before = count
+    plain = drives(watchdog(Counting(), TIMEOUTS_S[0], 0.02), partition, cells, len(seen))[:, 1, 0]
+    assert len(seen) > 100
+    assert seen == plain.tolist()
+    assert [one.cell for one in hung] == [(0, 1)] * len(hung) != []
 
 
 def test_hangs_are_told_when_they_begin_and_no_cell_is_lost(row: tuple[Partition, Cells]) -> None:
