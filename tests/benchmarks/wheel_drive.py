@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from cell_firmware.assembly import Motors
+from cell_firmware.effects.pwm import TIMER_HZ
 from cell_firmware.parts import WheelPart
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop
@@ -41,6 +43,7 @@ kp {STUDY.kp_v_per_m_s} V per m/s, ki {STUDY.ki_v_per_m} V/m. The true speed at 
 {BEGIN_S} to {END_S} s: rms about its mean, peak to peak, and the mean less what was asked for.
 Recovery: no friction. Saturated for a second, then {AFTER} m/s: the time until the wheel stays within 5 % of the way,
 over that of the same loop without limits.
+Ripple: of a motor's speed under pulses of half a period, in closed form.
 """
 
 
@@ -109,11 +112,24 @@ def tell_recovery() -> None:
             print(f"{f'kp {kp:g}, ki {ki:g}, {name}':34}" + "".join(f"{ratio:11.2f}" for ratio in ratios))
 
 
+def tell_ripple() -> None:
+    """Speed decays by d in each half of a pulse period: it goes from ``d / (1 + d)`` to ``1 / (1 + d)`` of all."""
+    for levels in (2000, 256):
+        decay = math.exp(-levels / TIMER_HZ / 2.0 / TAU_S)
+        share = (1.0 - decay) / (1.0 + decay)
+        print(
+            f"\nripple, {levels} levels: {share * TOP:.2g} m/s peak to peak, {share:.2%} of the free speed",
+            end="",
+        )
+    print()
+
+
 def main() -> None:
     print(METHOD)
     tell_straying()
     tell_rounding()
     tell_recovery()
+    tell_ripple()
 
 
 if __name__ == "__main__":
