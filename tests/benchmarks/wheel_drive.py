@@ -65,12 +65,12 @@ STRAYING: dict[str, dict[str, Any]] = {
 }
 
 
-def straying(effects: dict[str, Any]) -> tuple[float, float, float]:
+def straying(effects: dict[str, Any], wanted: float = TURNS_PER_S) -> tuple[float, float, float]:
     """Rms, peak to peak and offset, rev/s."""
     begin, end = round(BEGIN_S / PERIOD_S), round(END_S / PERIOD_S)
     wheel = Wheel(COULOMB * SUPPLY_V, STATIC * SUPPLY_V)
-    speeds = follow(drive(STUDY, **effects), [TURNS_PER_S * TURN_M] * end, wheel)[0][begin:] / TURN_M
-    return float(speeds.std()), float(np.ptp(speeds)), float(speeds.mean()) - TURNS_PER_S
+    speeds = follow(drive(STUDY, **effects), [wanted * TURN_M] * end, wheel)[0][begin:] / TURN_M
+    return float(speeds.std()), float(np.ptp(speeds)), float(speeds.mean()) - wanted
 
 
 def recovery_s(part: WheelPart, before: float) -> float:
@@ -86,6 +86,14 @@ def tell_straying() -> None:
     for name, effects in STRAYING.items():
         rms, peaks, offset = straying(effects)
         print(f"{name:34}{rms:12.2g}{peaks:10.2g}{offset:+10.2g}")
+
+
+def tell_levels() -> None:
+    wanted = (1.9, 1.95, 1.98, 1.99, 2.0, 2.01, 2.02, 2.05, 2.1)
+    print(f"\n{'rms, 255 levels over 2,000':34}" + "".join(f"{speed:>6}" for speed in wanted) + " rev/s")
+    for counts in (256, 1920):
+        ratios = [straying(board(counts, 255), at)[0] / straying(board(counts, 2000), at)[0] for at in wanted]
+        print(f"{f'{counts} counts':34}" + "".join(f"{ratio:6.2f}" for ratio in ratios))
 
 
 def tell_rounding() -> None:
@@ -127,6 +135,7 @@ def tell_ripple() -> None:
 def main() -> None:
     print(METHOD)
     tell_straying()
+    tell_levels()
     tell_rounding()
     tell_recovery()
     tell_ripple()

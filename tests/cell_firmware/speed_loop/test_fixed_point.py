@@ -60,6 +60,9 @@ def exactly(gain: Gain) -> Fraction:
 @given(LOOPS, SHARES, SPEEDS, SPEEDS)
 @example(loop(2000, 0, 12.0, 200.0, 0.0), 0, 0, -(2**15))
 @example(loop(2000, 0, 12.0, 200.0, 0.0), 2**20, 2**15 - 1, -(2**15))
+@example(
+    loop(2000, 0, 1.0, 200.0, 10.0), 2**20, -1000, -2000
+)  # the integral grows though the sum is within the supply
 @example(loop(255, 16, 5.0, 50.0, 1.0), -(2**20), -2032, 2032)
 def test_a_step_is_within_its_stated_rounding_of_exact_arithmetic(
     loop: FixedPointLoop, share: int, reference: int, measured: int
