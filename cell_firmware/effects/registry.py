@@ -37,6 +37,13 @@ class CellEffects(Effects):
     serial: SerialSpec | None = None
     cop: CopSpec | None = None
 
+    def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+        """What effects say that does not fit the cells: path from ``effects``, value, and the broken rule."""
+        for name, effect in self.asked():
+            if isinstance(effect, CellEffectSpec):
+                for path, value, rule in effect.unfit(cells):
+                    yield (name, *path), value, rule
+
     def stages(self, site: Site) -> dict[str, tuple[Stage, ...]]:
         """What the inputs of a shard's cells have to pass, in order, by the name of the effect."""
         return {
