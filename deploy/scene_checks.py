@@ -44,6 +44,10 @@ def cross_problems(
         if effects is not None:
             problems += [Problem(path, rule, value) for path, value, rule in misplaced(array, effects)]
     if cells is not None:
+        if cells.board is not None:
+            problems.append(
+                Problem(("cells", "board"), "is written out where a scene is read: a bug", cells.board)
+            )
         if effects is not None and effects.motors is None and cells.speed_loop is not None:
             problems.append(
                 Problem(("cells", "speed_loop"), "closes on motors: the scene needs effects.motors")

@@ -11,6 +11,7 @@ from typing import Any, cast
 
 from pydantic import TypeAdapter, ValidationError
 
+from cell_firmware.boards import with_board
 from cell_firmware.specs import CellsSpec
 from deploy.effects.registry import EffectsSpec
 from deploy.errors import InputError
@@ -93,6 +94,7 @@ def parse_scene(
         _resolve_firmware(data, folder)
     _change_solver(data, overrides)
     apply(data, overrides)
+    data = with_board(data)
     try:
         return strictly(Scene, data).named(name)
     except ValidationError as error:

@@ -18,29 +18,37 @@ class WakingFieldParameters(Spec):
     field: FieldSpec
     reach: Annotated[int, Field(ge=0, le=100)] = 1
     """How many cells away from one that senses a parcel wheels run, counted along rows and columns."""
+    patience: Annotated[int, Field(ge=1, le=1_000)] = 1
+    """For how many periods a neighbour's word counts: more than 1 where messages may come late."""
 
 
 @final
 class WakingField(Firmware):
     """Runs where a parcel is sensed, and passes the word on as many cells as it reaches.
 
-    A cell's level is ``reach + 1`` where it senses a parcel, else one less than the highest that a neighbour told in
-    the tick before, at least 0. It tells its own, and drives the field's velocity while that is above 0.
+    A cell's level is ``reach + 1`` where it senses a parcel, else one less than the highest that its neighbours have
+    told last and not too long ago, at least 0. It tells its own, and drives the field's velocity while that is above 0.
     """
 
     Parameters = WakingFieldParameters
     message = np.dtype([("level", "u1")])
 
     def init(self, cells: Cells) -> State:
-        """Each cell's speed while it is awake, ``(n, 2)`` m/s."""
+        """Each cell's speed while it is awake, ``(n, 2)`` m/s; what each side told last, and for how long it counts."""
         x, y = cells.position_m[:, 0], cells.position_m[:, 1]
-        return {"speed_m_s": self.parameters.field.velocity(x, y)}
+        sides = cells.has_neighbour.shape
+        return {
+            "speed_m_s": self.parameters.field.velocity(x, y),
+            "told": np.zeros(sides, dtype=np.uint8),
+            "counts": np.zeros(sides, dtype=np.int16),
+        }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """Wake or sleep, and tell the neighbours."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
-        told = np.where(inbox.received, inbox.message["level"], 0)
+        counts = np.where(inbox.received, self.parameters.patience, np.maximum(state["counts"], 1) - 1)
+        told = np.where(inbox.received, inbox.message["level"], np.where(counts > 0, state["told"], 0))
         highest = np.maximum(np.maximum(told[:, 0], told[:, 1]), np.maximum(told[:, 2], told[:, 3]))
         here = inputs.presence[:, 0]
         for sensor in range(1, inputs.presence.shape[1]):
@@ -51,4 +59,5 @@ class WakingField(Firmware):
         message["level"] = level[:, None]
         sent = np.ones((len(level), 4), dtype=np.bool_)
         speed = np.where(level[:, None] > 0, state["speed_m_s"], 0.0)
-        return state, Outputs(speed, Outbox(sent, message))
+        after = {**state, "told": told, "counts": counts.astype(np.int16)}
+        return after, Outputs(speed, Outbox(sent, message))

@@ -1,0 +1,76 @@
+"""Boards by name: the effects that make a scene's cells like one, each with settings that are realistic for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final, Literal, cast, final
+
+from pydantic import ValidationError, field_validator
+
+from bus.spec import Spec
+
+BoardName = Literal["hc11"]
+
+BOARDS: Final[Mapping[BoardName, Mapping[str, Mapping[str, Any]]]] = {
+    "hc11": {
+        # crystals of +-50 ppm, and boards that were not switched on in the same instant
+        "clock": {"error_ppm": 50.0},
+        # encoders of 64 counts on the motor's shaft, gears of 30 to 1, as sold together
+        "encoder": {"counts_per_revolution": 1920},
+        # output compare at 1 kHz: two channels cost a twentieth of the processor's time
+        "pwm": {"levels": 2000},
+        "fixed_point": {},
+        # "9600" baud, which is 9,615, and a UART for each neighbour; see docs/board.md for the chip's own SCI
+        "serial": {"baud": 9615},
+        "sensor": {"debounce_ticks": 2},
+        "cop": {"timeout_s": 0.065536},
+    },
+}
+"""An MC68HC11 at 8 MHz. What the papers do not say (all but its name) is ours."""
+
+
+@final
+class BoardSpec(Spec):
+    """A board, short of some of its effects."""
+
+    name: BoardName
+    """Which."""
+    without: tuple[str, ...] = ()
+    """Effects of it that the scene does without."""
+
+    @field_validator("without")
+    @classmethod
+    def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        known = sorted({effect for board in BOARDS.values() for effect in board})
+        for name in value:
+            if name not in known:
+                raise ValueError(f"a board has {', '.join(known)}; not {name}")
+        return value
+
+
+def with_board(scene: Any) -> Any:
+    """A scene's data with the effects of the board that it names written out, and the name gone.
+
+    An effect's table in the scene stands instead of the board's. Data that is not as it should be is left as it is:
+    validating it says why.
+    """
+    cells = _table(scene, "cells")
+    board = None if cells is None else cells.get("board")
+    effects = _table(scene, "effects", {})
+    if cells is None or board is None or effects is None:
+        return scene
+    try:
+        spec = BoardSpec.model_validate({"name": board} if isinstance(board, str) else board, strict=False)
+    except ValidationError:
+        return scene
+    given = {name: dict(table) for name, table in BOARDS[spec.name].items() if name not in spec.without}
+    return {
+        **scene,
+        "cells": {key: value for key, value in cells.items() if key != "board"},
+        "effects": {**given, **effects},
+    }
+
+
+def _table(data: Any, key: str, absent: Any = None) -> dict[str, Any] | None:
+    found: Any = cast("dict[str, Any]", data).get(key, absent) if isinstance(data, dict) else None
+    return cast("dict[str, Any]", found) if isinstance(found, dict) else None
