@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from plant.array import CellArray
 from plant.errors import PlantUnstable
 from plant.reports import Event, ParcelStatus
@@ -33,6 +36,10 @@ class Chronicle:
     def __init__(self, array: CellArray, solver: Solver, status: list[ParcelStatus]) -> None:
         self._array, self._solver, self._status = array, solver, status
         self.support_changes = 0
+
+    def tipped(self, there: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of some parcels that tipped on the array, and stand there."""
+        return there[[self._status[int(i)].state == "tipped" for i in there]]
 
     def events(self, done: Advance, start_s: float) -> list[Event]:
         """What happened to a parcel in a move that began at ``start_s``.

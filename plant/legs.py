@@ -36,8 +36,8 @@ def cells_near(array: CellArray, states: Floats, reach_m: Floats) -> NDArray[np.
         states: ``(m, 6)`` of the parcels.
         reach_m: ``(m,)`` from their centres.
     """
-    # wheels may have a width, at most a pitch
-    beside = 0.5 * array.pitch_m + array.sensor_reach_m
+    # wheels may have a width, and sensors a spot: a pitch across and a pitch round at most
+    beside = array.pitch_m + array.sensor_reach_m
     near: NDArray[np.bool_] = np.zeros(len(array), dtype=np.bool_)
     for state, reach in zip(states, reach_m.tolist(), strict=True):
         cells = array.within(state[:2], reach + beside)
@@ -51,7 +51,7 @@ def ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span_s: floa
 
     Args:
         run: of all wheels.
-        reads_s: ``(n,)`` when cells read; infinite: not before the end.
+        reads_s: ``(n,)`` when cells read; infinite: not on the way.
         near: ``(n,)`` the cells that matter.
         span_s: of the call.
     """

@@ -73,6 +73,7 @@ def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
 def with_legs(spec: PlantSpec, solver: Solver) -> LegSolver | None:
     """The solver, if it divides calls for each parcel by itself; None where it can't, or effects act on all at once."""
     effects = spec.effects
-    if spec.solver.name != "exact" or effects.parcel_contact is not None or effects.wheel_load is not None:
+    together = (effects.parcel_contact, effects.wheel_load, effects.analogue_sensors)
+    if spec.solver.name != "exact" or any(effect is not None for effect in together):
         return None
     return cast("LegSolver", solver)

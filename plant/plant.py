@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from plant.array import CellArray
 from plant.chronicle import Chronicle
 from plant.errors import PlantError
-from plant.legs import cells_near, ends_s, margins_m
+from plant.moves import Moves
 from plant.overlap import OverlapWatch
-from plant.parts import make_mover, make_spots, make_traffic, make_wheels, with_legs
+from plant.parts import make_spots, make_traffic, make_wheels
 from plant.reading import Reading
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
 from plant.solvers.registry import make_solver
-from plant.solvers.solver import Advance, Leg, LegSolver, Outing, Solver
+from plant.solvers.solver import Solver
 from plant.specs import PlantSpec
 from plant.start import check_places, check_standing
 from plant.timing import Timing
-from plant.wheels import Floats, WheelRun, Wheels, WheelsUnderWay
+from plant.wheels import Floats, Wheels
 
 if TYPE_CHECKING:
     from plant.traffic import Traffic
@@ -53,33 +53,24 @@ class Plant:
         rate = 0.0 if motors is None else 1.0 / motors.first_order.time_constant_s
         self._solver: Solver = make_solver(spec.with_fed(), self.array, rate)
         self._spots = make_spots(spec, self.array)
-        self._grip: Floats = np.ones(n)
         self._now_ns = 0
         self._none: Floats = np.zeros(0)
         bodies = self._solver.bodies
-        self._nothing: Floats = np.zeros((0, len(bodies), 6))
         radius: Floats = np.array([body.radius_m for body in bodies])
-        self._radius_m = radius
-        self._never_s: Floats = np.full(n, np.inf)
         self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in bodies]
         self._chronicle = Chronicle(self.array, self._solver, self.status)
         self._overlaps = OverlapWatch([body.footprint_m for body in bodies], radius)
         self._rest = RestWatch(radius)
         check_standing(spec, self._solver, n)
         self._traffic = make_traffic(spec, self._solver, self.status, self._overlaps)
-        self._there: NDArray[np.int64] = (
-            np.arange(len(bodies)) if self._traffic is None else self._traffic.there
-        )
-        """Parcels that neither wait to be fed nor have left through an exit."""
+        there = np.arange(len(bodies)) if self._traffic is None else self._traffic.there
         check_places(spec, self.state, self._overlaps, self._traffic)
+        self._moves = Moves(spec, self.array, self._solver, self._chronicle, there)
+        self._contact = self._moves.contact
+        if self._contact is not None:
+            self._contact.check_start(there)
         self._told: Sense | None = None
         """What each cell has read last."""
-        self._live = self._there
-        """Those of them that move: neither tipped nor off the array."""
-        self._contact = make_mover(spec, self._solver)
-        self._legs = with_legs(spec, self._solver)
-        if self._contact is not None:
-            self._contact.check_start(self._there)
         self._untold = [] if self._traffic is None else self._look(self._traffic, 0)
 
     @property
@@ -119,9 +110,9 @@ class Plant:
     def sense(self) -> Sense:
         """What the cells sense now."""
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
-        self._solver.presence(self._there, presence)
+        self._solver.presence(self._moves.there, presence)
         travel = self._wheels.travel
-        level = None if self._spots is None else self._spots.level(self._solver.state, self._there)
+        level = None if self._spots is None else self._spots.level(self._solver.state, self._moves.there)
         return Sense(presence, None if travel is None else _read_only(travel), level)
 
     def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
@@ -131,8 +122,8 @@ class Plant:
         on the drive it is given: zero, or the last.
         """
         if policy == "coast":
-            self._grip = self._grip.copy()
-            self._grip[list(cells)] = 0.0
+            self._moves.grip = self._moves.grip.copy()
+            self._moves.grip[list(cells)] = 0.0
 
     def advance(
         self, drives: Floats, until_ns: int, timing: Timing | None = None
@@ -154,8 +145,9 @@ class Plant:
         reading = None
         if timing is not None:
             timing.check(len(self.array), self._now_ns, until_ns)
-            start = self.sense()
-            reading = Reading(self._told or start, start, timing, self._now_ns, until_ns)
+            reading = Reading(self._told or self.sense(), timing, self._now_ns, until_ns)
+            if reading.any_at_start:
+                reading.start(self.sense())
         acts_s = None if timing is None else timing.acts_s(self._now_ns)
         events = self._step(drives, until_ns, acts_s, reading)
         self._told = self.sense() if reading is None else reading.sense(self.sense())
@@ -168,7 +160,7 @@ class Plant:
         start_ns, before = self._now_ns, self.state
         events = self._move(drives, until_ns, self._none, None, acts_s, reading)
         after = self.state
-        if self._rest.may_change(after, self._live):
+        if self._rest.may_change(after, self._moves.live):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
         if self._traffic is not None:
             events = [*self._untold, *events, *self._look(self._traffic, until_ns)]
@@ -181,8 +173,9 @@ class Plant:
         """Let parcels leave and feed others, as they should by now."""
         events = traffic.look(time_ns)
         if events:
-            self._there = traffic.there
-            self._live = self._there[[self.status[int(i)].rides for i in self._there]]
+            there = traffic.there
+            self._moves.there = there
+            self._moves.live = there[[self.status[int(i)].rides for i in there]]
         return events
 
     def trajectory(self, drives: Floats, until_ns: int, sample_ns: int) -> Trajectory:
@@ -240,85 +233,19 @@ class Plant:
         start = self._now_ns * 1e-9
         # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
         run = self._wheels.command(np.array(drives, dtype=np.float64, order="C"), span, acts_s)
-        out = self._nothing if samples is None else samples[1:]
-        whole = Leg(run.motion, self._grip, span, times_s, out)
-        if run.changes is None and (reading is None or not reading.any_inside):
-            events = self._go(whole, start)
-        elif self._legs is not None and samples is None:
-            events = self._each_by_legs(self._legs, run, span, start, reading)
+        if samples is None:
+            events = self._moves.through(run, span, start, reading, self.sense)
         else:
-            events = self._by_legs(run, whole, start, reading)
-        self._wheels.elapse(run, span)
+            events = self._moves.sampled(run, span, start, times_s, samples[1:])
+        passed = self._wheels.elapse(run, span, None if reading is None else reading.asked_s)
+        if reading is not None:
+            reading.turned(passed)
         self._now_ns = until_ns
-        return events
-
-    def _each_by_legs(
-        self, solver: LegSolver, run: WheelRun, span: float, start: float, reading: Reading | None
-    ) -> list[Event]:
-        """Move every parcel through legs of its own."""
-        seen = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
-        margin = margins_m(solver.state, self._radius_m, run.fastest_m_s, span) + self.array.sensor_reach_m
-        reads_s = self._never_s
-        if reading is not None:
-            reads_s = reading.instants_s
-            reading.turned(self._wheels.passed(run, reading.asked_s))
-            # tipped ones stay where they are
-            solver.presence(np.setdiff1d(self._there, self._live), seen)
-        news = solver.advance_legs(self._live, Outing(run, self._grip, span, reads_s, margin, seen))
-        if reading is not None:
-            reading.saw(seen)
-        return self._tell(news, start, self._nothing, self._none)
-
-    def _by_legs(self, run: WheelRun, whole: Leg, start: float, reading: Reading | None) -> list[Event]:
-        """Move all parcels leg by leg: to the next instant at which a wheel near any changes, or a cell reads."""
-        states, radius, span = self._solver.state[self._there], self._radius_m[self._there], whole.span_s
-        reach = radius + margins_m(states, radius, run.fastest_m_s, span)
-        near = cells_near(self.array, states, reach)
-        reads_s = self._never_s
-        if reading is not None:
-            reads_s = reading.instants_s
-            reading.turned(self._wheels.passed(run, reading.asked_s))
-        wheels, begin = WheelsUnderWay(run), 0.0
-        events: list[Event] = []
-        for end in ends_s(run, reads_s, near, span):
-            first, last = np.searchsorted(whole.times_s, [begin, end], side="right").tolist()
-            times_s, out = whole.times_s[first:last] - begin, whole.out[first:last]
-            leg = Leg(wheels.begin(), self._grip, end - begin, times_s, out)
-            events += self._go(leg, start + begin)
-            wheels.end(leg.motion, end)
-            if reading is not None:
-                reading.at(end, self.sense(), wheels.slowed_m)
-            begin = end
-        return events
-
-    def _go(self, leg: Leg, start: float) -> list[Event]:
-        """Move every parcel by a leg that begins at ``start``."""
-        live = self._live
-        if self._contact is None:
-            news, events = self._solver.advance(live, leg), []
-        else:
-            fixed = self._there[[self.status[int(i)].state == "tipped" for i in self._there]]
-            news = self._contact.advance(live, fixed, leg, start)
-            events = self._contact.events()
-        events += self._tell(news, start, leg.out, leg.times_s)
-        if len(leg.times_s):
-            over = np.setdiff1d(self._there, live)
-            leg.out[:, over] = self._solver.state[over]
-        return events
-
-    def _tell(self, news: list[Advance], start: float, out: Floats, times_s: Floats) -> list[Event]:
-        """What happened in a move that began at ``start``; those that tipped stand from then on, in ``out`` too."""
-        events: list[Event] = []
-        for done in news:
-            events.extend(self._chronicle.events(done, start))
-            if done.ending == "tipped":
-                out[times_s > done.moved_s, done.parcel, 3:] = 0.0
-                self._live = self._live[self._live != done.parcel]
         return events
 
     def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:
         """Update ``status`` from the states ``(T, parcels, 6)`` at the instants ``(T,)``."""
-        for i, status in self._rest.changes(states, times_ns, self._live):
+        for i, status in self._rest.changes(states, times_ns, self._moves.live):
             self.status[i] = status
 
     def _meetings(self, state: Floats, time_s: float) -> list[Event]:
@@ -332,7 +259,7 @@ class Plant:
                 place,
                 f"with parcel {second}" + (f", {depth:.3g} m deep" if depth else ""),
             )
-            for kind, first, second, depth, place in self._overlaps.changes(state, self._there)
+            for kind, first, second, depth, place in self._overlaps.changes(state, self._moves.there)
         ]
 
 

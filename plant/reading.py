@@ -18,43 +18,34 @@ class Reading:
 
     Args:
         last: what each cell read last; kept as it is.
-        start: what all would read as the call begins.
         timing: when each reads.
         now_ns: when the call begins.
         until_ns: when it ends.
 
     Attributes:
-        instants_s: ``(n,)`` s after the call's start; infinite for cells that don't read within it.
+        instants_s: ``(n,)`` s after the call's start; infinite for cells that don't read on the way.
+        any_at_start: whether some read as it begins.
+        any_inside: whether some read between its start and its end.
     """
 
-    def __init__(self, last: Sense, start: Sense, timing: Timing, now_ns: int, until_ns: int) -> None:
+    def __init__(self, last: Sense, timing: Timing, now_ns: int, until_ns: int) -> None:
         self.instants_s: Floats = timing.reads_s(now_ns, until_ns)
         self._at_end = timing.reads_ns == until_ns
-        inside = np.isfinite(self.instants_s)
+        self._at_start = timing.reads_ns == now_ns
+        inside = self.instants_s < np.inf
         self.any_inside = bool(inside.any())
-        self._presence = last.presence.copy()
-        # who reads sees a parcel only where one is near: those cells are told below
-        self._presence[inside] = False
-        self._encoder_m = None if last.encoder_m is None else last.encoder_m.copy()
-        at_start = timing.reads_ns == now_ns
-        self._presence[at_start] = start.presence[at_start]
-        self._level = None if last.level is None else last.level.copy()
-        if self._level is not None and start.level is not None:
-            self._level[inside] = 0.0
-            self._level[at_start] = start.level[at_start]
-        if self._encoder_m is not None and start.encoder_m is not None:
-            self._encoder_m[at_start] = start.encoder_m[at_start]
+        self.any_at_start = bool(self._at_start.any())
         self._inside = inside
+        # who reads sees a parcel only where one is near: those cells are told below
+        self._presence: NDArray[np.bool_] = last.presence & ~inside[:, None]
+        self._level = None if last.level is None else np.where(inside[:, None], 0.0, last.level)
+        self._encoder_m = None if last.encoder_m is None else last.encoder_m.copy()
+        self._slowed_m: Floats | None = None
 
     @property
-    def asked_s(self) -> Floats:
-        """``(n,)`` ``instants_s``, the start for those that don't read on the way."""
-        return np.where(self._inside, self.instants_s, 0.0)
-
-    def turned(self, encoder_m: Floats | None) -> None:
-        """Take what encoders show ``(n, 2)``, each cell's at its instant."""
-        if self._encoder_m is not None and encoder_m is not None:
-            self._encoder_m[self._inside] = encoder_m[self._inside]
+    def asked_s(self) -> Floats | None:
+        """``(n,)`` ``instants_s``, the start for those that don't read on the way; None where none does."""
+        return np.where(self._inside, self.instants_s, 0.0) if self.any_inside else None
 
     def at(self, now_s: float, sense: Sense, slowed_m: Floats | None) -> None:
         """Let those read whose instant it is.
@@ -65,23 +56,40 @@ class Reading:
             slowed_m: ``(n, 2)`` what loads have taken from the wheels' way since the start; None: nothing.
         """
         now = self.instants_s == now_s
-        self._presence[now] = sense.presence[now]
-        if self._level is not None and sense.level is not None:
-            self._level[now] = sense.level[now]
-        if self._encoder_m is not None and slowed_m is not None:
-            self._encoder_m[now] += slowed_m[now]
+        self._see(now, sense)
+        if slowed_m is not None:
+            if self._slowed_m is None:
+                self._slowed_m = np.zeros_like(slowed_m)
+            self._slowed_m[now] = slowed_m[now]
 
     def saw(self, presence: NDArray[np.bool_]) -> None:
         """Take what sensors ``(n, sensors)`` see, each cell's at its instant."""
         self._presence[self._inside] = presence[self._inside]
 
+    def turned(self, encoder_m: Floats | None) -> None:
+        """Take what encoders ``(n, 2)`` show without loads, each cell's at its instant, and what loads take from it."""
+        if self._encoder_m is not None and encoder_m is not None:
+            if self._slowed_m is not None:
+                encoder_m = encoder_m + self._slowed_m
+            self._encoder_m[self._inside] = encoder_m[self._inside]
+
+    def start(self, sense: Sense) -> None:
+        """Let those read that do as the call begins, ``sense`` being what all would read then."""
+        self._take(self._at_start, sense)
+
     def sense(self, end: Sense) -> Sense:
         """What each cell has read, ``end`` being what all would read at the end."""
-        at_end = self._at_end
-        self._presence[at_end] = end.presence[at_end]
-        if self._level is not None and end.level is not None:
-            self._level[at_end] = end.level[at_end]
-        if self._encoder_m is not None and end.encoder_m is not None:
-            self._encoder_m[at_end] = end.encoder_m[at_end]
+        self._take(self._at_end, end)
+        if self._encoder_m is not None:
             self._encoder_m.setflags(write=False)
         return Sense(self._presence, self._encoder_m, self._level)
+
+    def _take(self, cells: NDArray[np.bool_], sense: Sense) -> None:
+        self._see(cells, sense)
+        if self._encoder_m is not None and sense.encoder_m is not None:
+            self._encoder_m[cells] = sense.encoder_m[cells]
+
+    def _see(self, cells: NDArray[np.bool_], sense: Sense) -> None:
+        self._presence[cells] = sense.presence[cells]
+        if self._level is not None and sense.level is not None:
+            self._level[cells] = sense.level[cells]

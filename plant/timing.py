@@ -37,11 +37,11 @@ class Timing(NamedTuple):
         """
         spans = (("acts_ns", now_ns, until_ns - 1), ("reads_ns", now_ns, until_ns))
         for (name, first, last), given in zip(spans, self, strict=True):
-            if np.shape(given) != (cells,):
-                raise PlantError(f"{name} has shape {np.shape(given)}: the array has {cells} cells")
-            wrong = np.flatnonzero((given != -1) & ((given < first) | (given > last)))
-            if len(wrong):
-                cell = int(wrong[0])
+            if given.shape != (cells,):
+                raise PlantError(f"{name} has shape {given.shape}: the array has {cells} cells")
+            wrong = ((given < first) & (given != -1)) | (given > last)
+            if wrong.any():
+                cell = int(np.flatnonzero(wrong)[0])
                 raise PlantError(f"{name}[{cell}] = {given[cell]}: must be -1 or in {first}..{last}")
 
     def acts_s(self, now_ns: int) -> Floats:
@@ -49,6 +49,6 @@ class Timing(NamedTuple):
         return np.maximum(self.acts_ns - now_ns, 0) * 1e-9
 
     def reads_s(self, now_ns: int, until_ns: int) -> Floats:
-        """``(n,)`` s after ``now_ns`` when cells read; infinite for those that don't within the call."""
+        """``(n,)`` s after ``now_ns`` when cells read; infinite for those that don't between the call's ends."""
         inside = (self.reads_ns > now_ns) & (self.reads_ns < until_ns)
         return np.where(inside, (self.reads_ns - now_ns) * 1e-9, np.inf)

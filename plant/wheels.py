@@ -63,15 +63,11 @@ class WheelRun:
     @cached_property
     def fastest_m_s(self) -> float:
         """Speed that no cell's two wheels exceed together."""
-        parts = [(self.motion.steady, self.motion.decay)]
+        # a wheel's speed stays between that with which it begins and those that it goes towards
+        speeds = [self.motion.steady, self.motion.steady + self.motion.decay]
         if self.changes is not None:
-            parts.append((self.changes.steady, self.changes.decay))
-        # a wheel's speed stays between that with which a motion begins and its steady one
-        most = max(
-            float(np.abs(speed).max(initial=0.0))
-            for steady, decay in parts
-            for speed in (steady, steady + decay)
-        )
+            speeds.append(self.changes.steady)
+        most = max(max(float(speed.max(initial=0.0)), -float(speed.min(initial=0.0))) for speed in speeds)
         return math.sqrt(2.0) * most
 
     def speed(self, after_s: Floats | float) -> Floats:
@@ -85,7 +81,7 @@ class WheelRun:
         return speed
 
     def way(self, after_s: Floats | float) -> Floats:
-        """``(n, 2)`` m of surface passed after so many seconds, ``(n,)`` or one for all; of wheels that decay."""
+        """``(..., n, 2)`` m of surface passed after so many seconds, ``(..., n)`` or one for all; where wheels lag."""
         motion, change = self.motion, self.changes
         asked: Floats = np.asarray(after_s)[..., None]
         if change is None:
@@ -94,7 +90,7 @@ class WheelRun:
         way = _way(motion.steady, motion.decay, motion.rate, np.minimum(asked, until[0]))
         for k, (begun, steady, decay) in enumerate(self._each_change(), start=1):
             end = np.minimum(asked, until[k]) if k < len(until) else asked
-            way += _way(steady, decay, motion.rate, np.maximum(end - begun, 0.0))
+            way = way + _way(steady, decay, motion.rate, np.maximum(end - begun, 0.0))
         return way
 
     def _each_change(self) -> Iterable[tuple[Floats, Floats, Floats]]:
@@ -166,12 +162,17 @@ class Wheels(Protocol):
         """
         ...
 
-    def elapse(self, run: WheelRun, span_s: float) -> None:
-        """Let the wheels turn for ``span_s`` seconds."""
-        ...
+    def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> Floats | None:
+        """Let the wheels turn for ``span_s`` seconds.
 
-    def passed(self, run: WheelRun, after_s: Floats) -> Floats | None:
-        """``travel`` as it will be ``after_s`` seconds ``(n,)`` from now, each cell's at its own; None likewise."""
+        Args:
+            run: what they do, and what loads took from them by the end.
+            span_s: how long.
+            reads_s: ``(n,)`` in ``[0, span_s]``: when each cell's encoders are read on the way; None: at no time.
+
+        Returns:
+            ``travel`` ``(n, 2)`` as it is then, but for what loads take from it; None if not asked, or as ``travel``.
+        """
         ...
 
     @property
@@ -205,11 +206,8 @@ class IdealWheels:
         changes = Changes(after[None], drives[None], self._still[None])
         return WheelRun(WheelMotion(np.where(late, before, drives), self._still, 0.0), changes)
 
-    def elapse(self, run: WheelRun, span_s: float) -> None:
-        """Nothing is left to do: they are at the commanded speed."""
-
-    def passed(self, run: WheelRun, after_s: Floats) -> None:
-        """Ideal wheels have no encoders."""
+    def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> None:
+        """Nothing is left to do: they are at the commanded speed, and have no encoders."""
 
     @property
     def speed(self) -> Floats:

@@ -160,24 +160,24 @@ class Motors:
             return []
         return [Changes(np.where(stops, after, np.inf), *self._set_off(np.zeros_like(speed), volts))]
 
-    def elapse(self, run: WheelRun, span_s: float) -> None:
-        """Take speed and travel ``span_s`` seconds along ``run``."""
-        motion = run.motion
+    def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> Floats | None:
+        """Take speed and travel ``span_s`` seconds along ``run``; see ``plant.wheels.Wheels``."""
+        motion, begun, passed = run.motion, self._travel, None
         if run.changes is None:
             left = math.exp(-motion.rate * span_s)
             covered = -math.expm1(-motion.rate * span_s) / motion.rate
-            self._travel = self._travel + motion.steady * span_s + motion.decay * covered
+            self._travel = begun + motion.steady * span_s + motion.decay * covered
             self._speed = motion.steady + motion.decay * left
+            passed = None if reads_s is None else begun + run.way(reads_s)
+        elif reads_s is None:
+            self._travel, self._speed = begun + run.way(span_s), run.speed(span_s)
         else:
-            self._travel = self._travel + run.way(span_s)
+            passed, self._travel = begun + run.way(np.stack([reads_s, np.full_like(reads_s, span_s)]))
             self._speed = run.speed(span_s)
         if motion.slowing is not None:
             self._speed += motion.slowing[:, :2]
-            self._travel += motion.slowing[:, 2:]
-
-    def passed(self, run: WheelRun, after_s: Floats) -> Floats:
-        """``travel`` as it will be ``(n,)`` seconds from now, but for what loads take from it on the way."""
-        return self._travel + run.way(after_s)
+            self._travel = self._travel + motion.slowing[:, 2:]
+        return passed
 
     @property
     def speed(self) -> Floats:
@@ -192,4 +192,6 @@ class Motors:
 
 def _changes(rows: list[Changes]) -> Changes | None:
     """One change after another as one; None of none."""
+    if len(rows) == 1:
+        return Changes(*(part[None] for part in rows[0]))
     return Changes(*(np.stack(parts) for parts in zip(*rows, strict=True))) if rows else None

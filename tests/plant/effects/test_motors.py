@@ -163,7 +163,8 @@ def test_encoders_at_any_instant_are_the_travel_of_a_call_that_ends_there() -> N
     motors, acts = Motors(RUBBING, 37), draw.uniform(1e-3, 0.09, 37)
     motors.elapse(motors.command(np.full((37, 2), 6.0), 0.02), 0.02)
     run = motors.command(np.full((37, 2), -4.0), 0.1, acts)
-    found = motors.passed(run, spans)
+    found = motors.elapse(run, 0.1, spans)
+    assert found is not None
     for cell, (span, act) in enumerate(zip(spans, acts, strict=True)):
         alone = Motors(RUBBING, 1)
         alone.elapse(alone.command(np.full((1, 2), 6.0), 0.02), 0.02)
