@@ -272,3 +272,52 @@ def test_drives_that_stay_what_they_are_divide_nothing() -> None:
         )
     assert plain.state.tobytes() == timed.state.tobytes()
     assert plain.effort == timed.effort
+
+
+@pytest.mark.parametrize("solver", ["exact", "implicit"])
+def test_levels_are_read_at_each_cells_own_instant(solver: str) -> None:
+    """Against a plant that is stopped there: a spot's level moves with the parcel's edge."""
+    body = parcel(velocity_m_s=(1.0, 0.3))
+    scene = PlantSpec.model_validate(
+        dict(spec(body, sensors_m=((0.0, 0.0), (0.03, 0.0))))
+        | {"effects": {"analogue_sensors": {"spot_radius_m": 0.04}}, "solver": {"name": solver}}
+    )
+    timed, divided = Plant(scene), Plant(scene)
+    cells = np.arange(400)
+    reads = np.select([cells % 4 == 0, cells % 4 == 1, cells % 4 == 2], [0, 7_000_000, 20_000_000], -1)
+    drives = elliptic(timed)
+    sense, _ = timed.advance(drives, 20_000_000, Timing(np.full(400, -1), reads))
+    start = divided.sense()
+    middle, _ = divided.advance(drives, 7_000_000)
+    end, _ = divided.advance(drives, 20_000_000)
+    assert start.level is not None
+    assert middle.level is not None
+    assert end.level is not None
+    assert sense.level is not None
+    expected = np.select(
+        [(cells % 4 == 1)[:, None], (cells % 4 == 2)[:, None]], [middle.level, end.level], start.level
+    )
+    assert sense.level == pytest.approx(expected, abs=1e-9)
+    assert not np.allclose(expected, end.level)
+
+
+def test_a_parcel_that_tips_on_the_way_is_read_where_it_tipped() -> None:
+    """Carried off the right edge, told once: who reads later, in this call or the next, sees it where it lies."""
+    body = parcel(size_m=(0.54, 0.32), position_m=(0.9, 0.0), angle_rad=0.0, velocity_m_s=(1.0, 0.0))
+    timed, divided = (Plant(spec(body)) for _ in range(2))
+    n, until, draw = 400, 200_000_000, np.random.default_rng(1)
+    drives, acts = draw.uniform(0.5, 1.0, size=(n, 2)), draw.integers(0, until, n)
+    drives[:, 1] = 0.0
+    sense, events = timed.advance(drives, until, Timing(acts, np.full(n, until - 1)))
+    tips = []
+    for instant in [*np.unique(acts[acts > 0]).tolist(), until]:
+        seen, told = divided.advance(np.where((acts < instant)[:, None], drives, 0.0), instant)
+        tips += [event for event in told if event.kind == "off_array"]
+    (tip,) = (event for event in events if event.kind == "off_array")
+    assert tip.time_s == pytest.approx(tips[0].time_s, abs=1e-11)
+    assert 0.01 < tip.time_s < 0.19
+    assert timed.state == pytest.approx(divided.state, abs=1e-11)
+    late, _ = timed.advance(-drives, until + 1_000, Timing(np.full(n, until + 100), np.full(n, until + 500)))
+    assert seen.presence.any()
+    assert np.array_equal(sense.presence, seen.presence)
+    assert np.array_equal(late.presence, seen.presence)

@@ -158,6 +158,20 @@ def test_travel_is_the_integral_of_speed_until_a_wheel_has_stopped() -> None:
     assert motors.travel[0, 0] - before < TAU * begun
 
 
+def test_a_wheel_s_changes_are_in_order_and_within_the_call() -> None:
+    draw, motors = np.random.default_rng(9), Motors(RUBBING, 200)
+    for span_s in (0.05, 0.002):
+        motors.elapse(motors.command(draw.uniform(-9.0, 9.0, (200, 2)), span_s), span_s)
+    run = motors.command(draw.uniform(-3.0, 3.0, (200, 2)), 0.04, draw.uniform(1e-3, 0.04, 200))
+    assert run.changes is not None
+    after = run.changes.after_s
+    assert len(after) == 3
+    assert np.all(np.isinf(after) | (after < 0.04))
+    for first, then in ((0, 1), (0, 2), (1, 2)):
+        assert np.any(np.isfinite(after[first]) & np.isfinite(after[then]))
+        assert not np.any((after[first] >= after[then]) & np.isfinite(after[first]))
+
+
 def test_encoders_at_any_instant_are_the_travel_of_a_call_that_ends_there() -> None:
     draw, spans = np.random.default_rng(4), np.linspace(1e-3, 0.1, 37)
     motors, acts = Motors(RUBBING, 37), draw.uniform(1e-3, 0.09, 37)
