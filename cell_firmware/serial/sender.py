@@ -157,7 +157,7 @@ class _Going:
         start = np.maximum(after["free_ns"], self._at_ns)
         rest = self._frame.length - after["gone"]
         if settings.polled:
-            count = np.minimum(rest, settings.polled_bytes)
+            count = np.minimum(rest, settings.polled_bytes - there)
         else:
             count = np.minimum(rest, -((start - self._next_ns) // self._byte_ns))
             count = np.maximum(count, 0)

@@ -24,7 +24,7 @@ class Stamper(Firmware):
         heard: By tick, row and column, the tick of what was heard on each side; −1 for nothing.
     """
 
-    message = np.dtype([("tick", "<i8")])
+    message = np.dtype([("said", "<i8")])
 
     def __init__(self, every: int = 1) -> None:
         super().__init__(NoParameters())
@@ -37,13 +37,13 @@ class Stamper(Firmware):
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         inbox = inputs.inbox
         assert inbox is not None
-        assert not inbox.message["tick"][~inbox.received].any(), "a slot without a message reads zero"
-        heard = np.where(inbox.received, inbox.message["tick"], -1).tolist()
+        assert not inbox.message["said"][~inbox.received].any(), "a slot without a message reads zero"
+        heard = np.where(inbox.received, inbox.message["said"], -1).tolist()
         names = zip(*(state[name].tolist() for name in ("tick", "row", "column")), strict=True)
         self.heard.update(zip(names, heard, strict=True))
         tick = state["tick"]
         message = np.zeros((len(tick), 4), dtype=self.message)
-        message["tick"] = tick[:, None]
+        message["said"] = tick[:, None]
         sent = np.repeat(tick[:, None] % self.every == 0, 4, axis=1)
         return {**state, "tick": tick + 1}, Outputs(np.zeros((len(tick), 2)), Outbox(sent, message))
 

@@ -54,7 +54,7 @@ RUN = st.lists(st.sampled_from([0x00, 0xFF, 0x55, 0x80, 0x01, 0x7F, 0xA3]), min_
 GAP = st.sampled_from([0, 1, BIT_NS // 8, BIT_NS // 2, BIT_NS, 5 * BIT_NS, 12 * BIT_NS, 40 * BIT_NS])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     runs=st.lists(st.tuples(GAP, RUN), min_size=1, max_size=8),
     sender_ppm=st.integers(-60_000, 60_000),
@@ -83,7 +83,7 @@ def test_bytes_gaps_and_clocks_of_any_kind_are_read_as_the_line_s_levels_say(
     assert heard.counted("received") == sum(good for _, good in read)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     values=st.integers(0, 255), sender_ppm=st.integers(-60_000, 60_000), own_ppm=st.integers(-60_000, 60_000)
 )
