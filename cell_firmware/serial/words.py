@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -15,10 +16,13 @@ _MASKS: Final = np.array([(1 << 8 * n) - 1 for n in range(WORD + 1)], dtype="<u8
 """A word's first n bytes."""
 
 
-def copy_bytes(source: Bytes, source_at: Ints, target: Bytes, target_at: Ints, count: Ints) -> None:
+def copy_bytes(
+    source: Bytes, source_at: Ints, target: Bytes, target_at: Ints, count: Ints, *, clean: bool = False
+) -> None:
     """Copies ``count`` bytes in every row, from a place of the source's to one of the target's.
 
-    Behind them up to seven bytes of the target's row become zero: rows need so much room, as have the source's.
+    Whole words are moved: behind the last byte up to seven more of the target's row change, and rows of both must have
+    so many there.
 
     Args:
         source: ``(n, s)``, in one piece.
@@ -26,19 +30,26 @@ def copy_bytes(source: Bytes, source_at: Ints, target: Bytes, target_at: Ints, c
         target: ``(n, t)``, in one piece.
         target_at: ``(n,)``.
         count: ``(n,)``, may be 0.
+        clean: Whether those that change become zero; else they are whatever the source has there.
     """
     words_in, words_out = _words(source), _words(target)
-    from_ = np.arange(len(source)) * source.shape[1] + source_at
-    to = np.arange(len(target)) * target.shape[1] + target_at
+    from_ = _begins(*source.shape) + source_at
+    to = _begins(*target.shape) + target_at
     most = int(count.max(initial=0))
     for done in range(0, most, WORD):
-        row = np.flatnonzero(count > done)
-        if len(row) == len(count):
-            words_out[to + done] = words_in[from_ + done] & _MASKS[np.minimum(count - done, WORD)]
-        else:
-            words_out[to[row] + done] = (
-                words_in[from_[row] + done] & _MASKS[np.minimum(count[row] - done, WORD)]
-            )
+        if done:
+            row = np.flatnonzero(count > done)
+            from_, to, count = from_[row], to[row], count[row]
+        words = words_in[from_ + done]
+        words_out[to + done] = words & _MASKS[np.minimum(count - done, WORD)] if clean else words
+
+
+@lru_cache(maxsize=8)
+def _begins(rows: int, size: int) -> Ints:
+    """Where each row begins, of rows that lie one after another."""
+    begins = np.arange(rows, dtype=np.int64) * size
+    begins.setflags(write=False)
+    return begins
 
 
 def _words(rows: Bytes) -> NDArray[np.uint64]:
