@@ -15,6 +15,7 @@ from cell_firmware.specs import CellsSpec, SpeedLoopSpec
 
 if TYPE_CHECKING:
     from cell_firmware.clocks import ArrayClocks
+    from cell_firmware.effects.clock import ClockSpec
     from cell_firmware.effects.encoder import EncoderSpec
     from cell_firmware.effects.fixed_point import FixedPointSpec
     from cell_firmware.effects.pwm import PwmSpec
@@ -81,7 +82,9 @@ def wheels_of(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> W
     if motors is None:
         return None
     gains = spec.speed_loop or SpeedLoopSpec()
-    encoder = None if effects.encoder is None else _encoder(effects.encoder, spec.period_s, motors)
+    encoder = (
+        None if effects.encoder is None else _encoder(effects.encoder, effects.clock, spec.period_s, motors)
+    )
     pwm = None if effects.pwm is None else _pwm(effects.pwm, motors)
     if effects.fixed_point is not None:
         return _fixed_point(effects.fixed_point, gains, spec.period_s, motors, encoder, pwm)
@@ -90,7 +93,7 @@ def wheels_of(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> W
     return SpeedLoop(gains, spec.period_s, motors.supply_v, encoder, pwm)
 
 
-def _encoder(effect: EncoderSpec, period_s: float, motors: Motors) -> Encoder:
+def _encoder(effect: EncoderSpec, clock: ClockSpec | None, period_s: float, motors: Motors) -> Encoder:
     from cell_firmware.speed_loop.tachometer import LARGEST_DIFFERENCE, Encoder
 
     radius, theirs = effect.wheel_radius_m, motors.wheel_radius_m
@@ -98,7 +101,7 @@ def _encoder(effect: EncoderSpec, period_s: float, motors: Motors) -> Encoder:
         rule = f"must be that of effects.motors, {theirs:g}, or be left out"
         raise SettingError(("effects", "encoder", "wheel_radius_m"), radius, rule)
     encoder = Encoder(period_s, effect.m_per_count(theirs))
-    counts = motors.free_speed_m_s / encoder.unit_m_s
+    counts = motors.free_speed_m_s / encoder.unit_m_s * (1.0 if clock is None else clock.longest)
     if counts > LARGEST_DIFFERENCE:
         rule = (
             f"at most {LARGEST_DIFFERENCE} counts a period can be told apart, and a wheel without load makes "

@@ -121,6 +121,12 @@ class ClockSpec(CellEffectSpec):
         fastest = max([parts_per_billion(self.error_ppm), *known])
         return period_ns * (BILLION - fastest) // BILLION // self.exchanges_per_period
 
+    @property
+    def longest(self) -> float:
+        """The longest period that the settings allow, over the nominal one."""
+        known = [one.error_ppm for one in self.cells if one.error_ppm is not None]
+        return 1.0 + max([self.error_ppm, *known]) / 1e6
+
     def clocks(self, lattice: Lattice, period_ns: int, seed: int) -> ArrayClocks:
         """Every cell's clock.
 

@@ -97,6 +97,14 @@ def test_the_fastest_wheel_that_can_be_counted_is_not_refused() -> None:
         wheels(Motors(12.0, 127.1 * 0.03 * 6.2831853 / 256 / 0.004096), encoder={})
 
 
+def test_a_clock_that_is_slow_counts_more_in_a_period() -> None:
+    nearly = Motors(12.0, 126.0 * 0.03 * 6.2831853 / 256 / 0.004096)
+    assert wheels(nearly, encoder={}, clock={"error_ppm": 7_000.0}) is not None
+    for clock in ({"error_ppm": 8_500.0}, {"cells": [{"cell": [0, 0], "error_ppm": 8_500.0}]}):
+        with pytest.raises(SettingError, match=r"a wheel without load makes 127\.1"):
+            wheels(nearly, encoder={}, clock=clock)
+
+
 def test_gains_that_do_not_fit_are_refused_where_they_are_integers_only() -> None:
     cells = CellsSpec.model_validate({"speed_loop": {"kp_v_per_m_s": 1e9}})
     assert wheels(cells=cells) is not None
