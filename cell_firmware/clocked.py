@@ -62,13 +62,13 @@ class Clocked(Controller):
         inner, outputs = self.controller.act_on(np.flatnonzero(stepped), then, inner, inputs)
         drive = np.where(stepped[:, None], outputs.drive, clock["drive"])
         after = frozen({**clock, "count": clock["count"] + stepped, "drive": drive})
-        failures = {
-            i: FirmwareFailed(failure.cell, now.tick, failure.problem, failure.trace)
-            for i, failure in outputs.failures.items()
-        }
+        failures, hung = (
+            {i: FirmwareFailed(one.cell, now.tick, one.problem, one.trace) for i, one in found.items()}
+            for found in (outputs.failures, outputs.hung)
+        )
         return (
             ControllerState(state.cells, {**inner.parts, _CLOCK: after}),
-            ControllerOutputs(drive, outputs.outbox, failures, hung=outputs.hung),
+            ControllerOutputs(drive, outputs.outbox, failures, hung=hung),
         )
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:

@@ -40,21 +40,21 @@ def _parcels(scene: Scene, folder: Path) -> NDArray[np.float64]:
 
 
 def test_a_scene_without_clocks_has_ticks_of_a_period_and_no_instants() -> None:
-    scene = _scene("prototype", 1.0)
+    scene = _scene("motors", 1.0)
     assert scene.tick_ns == scene.cells.period_ns == PERIOD_NS
     assert scene.clocks() is None
     assert cell_times(scene) is None
 
 
 def test_ticks_of_a_scene_with_clocks_are_windows() -> None:
-    scene = _scene("prototype", 1.0, clock={"error_ppm": 20_000.0, "exchanges_per_period": 3})
+    scene = _scene("motors", 1.0, clock={"error_ppm": 20_000.0, "exchanges_per_period": 3})
     assert scene.tick_ns == PERIOD_NS * 98 // 100 // 3
     assert scene.ticks == -(-1_000_000_000 // scene.tick_ns)
     assert scene.tick_at(0.5) == -(-500_000_000 // scene.tick_ns)
 
 
 def test_the_plant_lets_cells_act_a_window_after_they_read() -> None:
-    lattice = _scene("prototype", 1.0).lattice()
+    lattice = _scene("motors", 1.0).lattice()
     clocks = ClockSpec(error_ppm=60_000).clocks(lattice, PERIOD_NS, 3).all
     times, read = CellTimes(clocks), np.full(len(lattice), NEVER)
     rests = 0
@@ -77,7 +77,7 @@ def test_equal_clocks_move_a_parcel_as_the_field_does_one_window_later(tmp_path:
     np.testing.assert_allclose(later[1:-1], plain[:-1], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["prototype", "heat"])
+@pytest.mark.parametrize("name", ["motors", "heat"])
 def test_equal_clocks_are_the_lockstep_with_drives_that_act_a_window_later(name: str, tmp_path: Path) -> None:
     """Speed loops and all, against a loop by hand over the plant and cells without clocks."""
     scene, n = _scene(name, 0.2), len(_scene(name, 0.2).lattice())
@@ -99,12 +99,12 @@ def test_equal_clocks_are_the_lockstep_with_drives_that_act_a_window_later(name:
 
 def test_more_exchanges_a_period_bring_drives_nearer_to_their_readings(tmp_path: Path) -> None:
     """With e exchanges a period drives are a period / e late: the error against none late falls in proportion."""
-    plain = _parcels(_scene("prototype", 1.0), tmp_path / "plain")[-1]
+    plain = _parcels(_scene("motors", 1.0), tmp_path / "plain")[-1]
     off = [
         np.abs(
-            _parcels(
-                _scene("prototype", 1.0, clock={**ALIGNED, "exchanges_per_period": e}), tmp_path / f"{e}"
-            )[-1]
+            _parcels(_scene("motors", 1.0, clock={**ALIGNED, "exchanges_per_period": e}), tmp_path / f"{e}")[
+                -1
+            ]
             - plain
         ).max()
         for e in (1, 4, 16)

@@ -68,7 +68,7 @@ def test_the_table_fits_a_terminal_and_says_what_was_tried(
     only(monkeypatch, "motors", "wheel_load", "feeders", "parcel_contact")
     command = [
         "effects",
-        "prototype",
+        "motors",
         "--duration",
         "0.1",
         "--repeats",
@@ -141,7 +141,7 @@ def test_a_signal_in_the_middle_of_a_run_ends_it_and_its_cells(
 
     monkeypatch.setattr(Plant, "advance", interrupted)
     only(monkeypatch, "motors")
-    assert main(["effects", "prototype", "--quiet"]) == 130
+    assert main(["effects", "motors", "--quiet"]) == 130
     assert tuple(capsys.readouterr()) == ("", "mdms: interrupted\n")
     assert calls[0] == 5
     assert not any(thread.name == "cells" for thread in threading.enumerate())

@@ -17,7 +17,7 @@ def _scene(*crashes: tuple[float, tuple[int, int]]) -> Scene:
     faults: list[dict[str, Any]] = [
         {"kind": "crash", "at_s": at_s, "cell": list(cell)} for at_s, cell in crashes
     ]
-    return load_scene("prototype", [Override(("faults",), faults, "")])
+    return load_scene("motors", [Override(("faults",), faults, "")])
 
 
 def test_a_crash_acts_at_the_first_tick_that_does_not_begin_before_it() -> None:
@@ -31,9 +31,9 @@ def test_a_cell_that_is_to_crash_twice_dies_the_first_time() -> None:
 
 
 def test_a_scene_without_faults_schedules_nothing() -> None:
-    assert deaths(load_scene("prototype")) == {}
+    assert deaths(load_scene("motors")) == {}
 
 
 def test_a_fault_of_an_unknown_kind_is_bad_input() -> None:
     with pytest.raises(InputError, match=r"faults\[0\]\.kind"):
-        load_scene("prototype", [Override(("faults",), [{"kind": "melt", "at_s": 0, "cell": [0, 0]}], "")])
+        load_scene("motors", [Override(("faults",), [{"kind": "melt", "at_s": 0, "cell": [0, 0]}], "")])

@@ -48,7 +48,7 @@ def test_a_file_in_the_place_of_the_folder_is_bad_input(tmp_path: Path) -> None:
 
 def test_the_header_has_the_whole_scene_and_where_everything_is(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(scene_text("prototype"))
+    path.write_text(scene_text("motors"))
     scene = load_scene(str(path))
     array = CellArray(scene.array)
     rectangle = np.array([[-0.25, -0.2], [0.25, -0.2], [0.25, 0.2], [-0.25, 0.2]])

@@ -26,7 +26,7 @@ from plant.plant import Plant
 
 def _scene(duration_s: float = 0.1, **values: object) -> Scene:
     overrides = [Override((key,), value, "") for key, value in values.items()]
-    return load_scene("prototype", [Override(("duration_s",), duration_s, ""), *overrides])
+    return load_scene("motors", [Override(("duration_s",), duration_s, ""), *overrides])
 
 
 def _run(scene: Scene, output: Path, **options: Any) -> Outcome:
@@ -40,7 +40,7 @@ def test_the_json_object_has_what_programs_rely_on(tmp_path: Path) -> None:
         "startup_s", "ticks_per_s", "realtime_factor", "parcels", "support_changes", "messages", "faults",
         "cells_lost", "digest", "output",
     }  # fmt: skip
-    assert (found["status"], found["scene"], found["cells"], found["ticks"]) == ("ok", "prototype", 18, 25)
+    assert (found["status"], found["scene"], found["cells"], found["ticks"]) == ("ok", "motors", 18, 25)
     assert set(found["messages"]) >= {"sent", "delivered", "lost", "late"}
     assert set(found["parcels"][0]) >= {
         "position_m", "angle_rad", "velocity_m_s", "angular_velocity_rad_s", "state", "time_s"
@@ -83,9 +83,7 @@ def test_motion_that_cannot_be_followed_is_unstable_and_exits_with_3(
 
 def test_a_plant_that_refuses_the_scene_starts_nothing(tmp_path: Path) -> None:
     parcel = {"size_m": [0.5, 0.4], "mass_kg": 3.0, "position_m": [9.0, 9.0]}
-    with pytest.raises(
-        InputError, match=r"^scene prototype: parcels\[0\]\.position_m = .* stands on nothing"
-    ):
+    with pytest.raises(InputError, match=r"^scene motors: parcels\[0\]\.position_m = .* stands on nothing"):
         _run(_scene(parcels=[parcel]), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

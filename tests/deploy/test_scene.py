@@ -40,7 +40,7 @@ def test_the_prototype_has_eighteen_cells_with_cell_0_0_among_them_and_motors() 
 
 
 def test_the_plant_gets_its_sections_and_no_others() -> None:
-    scene = load_scene("prototype")
+    scene = load_scene("motors")
     spec = scene.plant_spec()
     assert isinstance(spec, PlantSpec)
     assert spec.parcels == scene.parcels

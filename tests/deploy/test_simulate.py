@@ -52,7 +52,7 @@ def test_the_centre_follows_the_closed_form_of_the_linear_field(tmp_path: Path) 
 
 
 def test_motors_are_left_out_and_that_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    summary = simulate(_scene("prototype", duration_s=0.1), output=tmp_path, picture=False).summary
+    summary = simulate(_scene("motors", duration_s=0.1), output=tmp_path, picture=False).summary
     assert "mdms: effects.motors is left out: simulate has ideal wheels" in capsys.readouterr().err
     assert summary.status == "ok"
 

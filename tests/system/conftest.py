@@ -47,7 +47,7 @@ def kernels() -> None:
     from deploy.scene_files import load_scene
     from plant.plant import Plant
 
-    plant = Plant(load_scene("prototype").plant_spec())
+    plant = Plant(load_scene("motors").plant_spec())
     plant.advance(plant.wheel_speed, 4_096_000)
 
 

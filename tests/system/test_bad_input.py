@@ -28,7 +28,7 @@ REFUSED = [
     (("--realtime", "0"), "--realtime 0: must be greater than 0"),
     (
         ("--set", "parcels.0.position_m=[9.0,9.0]"),
-        "scene prototype: parcels[0].position_m = [9, 9]: the parcel stands on nothing",
+        "scene motors: parcels[0].position_m = [9, 9]: the parcel stands on nothing",
     ),
     (("--listen", "tcp/256.0.0.1:7447"), "listen on tcp/256.0.0.1:7447: "),
 ]
@@ -38,7 +38,7 @@ REFUSED = [
 def test_bad_input_is_one_line_and_status_2_and_leaves_no_folder(
     options: tuple[str, ...], line: str, mdms: Start
 ) -> None:
-    running = mdms("run", "prototype", *options)
+    running = mdms("run", "motors", *options)
     status, stdout, stderr = running.end()
     assert (status, stdout) == (2, "")
     assert stderr.startswith(line), stderr
@@ -49,7 +49,7 @@ def test_bad_input_is_one_line_and_status_2_and_leaves_no_folder(
 def test_a_port_in_use_is_named(mdms: Start) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        running = mdms("run", "prototype", "--listen", endpoint)
+        running = mdms("run", "motors", "--listen", endpoint)
         status, _, stderr = running.end()
     assert (status, stderr) == (2, f"listen on {endpoint}: the port is in use\n")
     assert not running.output.exists()
@@ -57,7 +57,7 @@ def test_a_port_in_use_is_named(mdms: Start) -> None:
 
 def test_an_output_that_is_no_folder_is_named(mdms: Start, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    status, _, stderr = mdms("run", "prototype", output=tmp_path / "file" / "out").end()
+    status, _, stderr = mdms("run", "motors", output=tmp_path / "file" / "out").end()
     assert status == 2
     assert stderr == f"output {tmp_path / 'file' / 'out'}: can't be made: Not a directory\n"
 
@@ -71,7 +71,7 @@ def test_simulate_refuses_firmware_without_a_field(mdms: Start) -> None:
 
 
 def test_a_plan_says_what_would_be_started_and_starts_nothing(mdms: Start) -> None:
-    running = mdms("run", "prototype", "--processes", "each", "--plan", "--json")
+    running = mdms("run", "motors", "--processes", "each", "--plan", "--json")
     status, stdout, stderr = running.end()
     plan = json.loads(stdout)
     assert (status, stderr, running.seen) == (0, "", set())

@@ -122,7 +122,7 @@ def test_a_scheduled_crash_kills_the_process_of_its_cell_alone(mdms: Start, smal
 
 def _kill_a_worker(mdms: Start, policy: str, how: signal.Signals) -> tuple[int, dict[str, Any], str, Mdms]:
     running = mdms(
-        "run", "prototype", "--processes", "2", "--json", "--no-picture", "--realtime", "--duration", "2.5",
+        "run", "motors", "--processes", "2", "--json", "--no-picture", "--realtime", "--duration", "2.5",
         "--set", f'stall.policy="{policy}"', "--set", "stall.deadline_s=0.3",
     )  # fmt: skip
     running.wait_until_recorded()

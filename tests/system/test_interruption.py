@@ -28,7 +28,7 @@ Start = Callable[..., Mdms]
 def test_a_signal_in_the_middle_of_a_run_ends_it_with_130_and_a_whole_recording(
     number: signal.Signals, processes: str, mdms: Start
 ) -> None:
-    running = mdms("run", "prototype", *LONG, "--processes", processes, "--json")
+    running = mdms("run", "motors", *LONG, "--processes", processes, "--json")
     running.wait_until_recorded()
     running.process.send_signal(number)
     status, stdout, stderr = running.end()
@@ -43,7 +43,7 @@ def test_a_signal_in_the_middle_of_a_run_ends_it_with_130_and_a_whole_recording(
 
 @pytest.mark.parametrize("after_s", [0.1, 0.35, 0.6])
 def test_a_signal_during_start_up_leaves_nothing_running(after_s: float, mdms: Start) -> None:
-    running = mdms("run", "prototype", *LONG, "--processes", "each")
+    running = mdms("run", "motors", *LONG, "--processes", "each")
     deadline = time.monotonic() + after_s
     while time.monotonic() < deadline:
         running.children()
@@ -56,14 +56,14 @@ def test_a_signal_during_start_up_leaves_nothing_running(after_s: float, mdms: S
 
 @pytest.mark.parametrize("workers", [0, 7], ids=["the parent", "several workers"])
 def test_a_signal_while_processes_are_started_leaves_nothing_running(workers: int, mdms: Start) -> None:
-    running = mdms("run", "prototype", *LONG, "--processes", "each")
+    running = mdms("run", "motors", *LONG, "--processes", "each")
     running.wait_until_started(workers)
     running.process.send_signal(signal.SIGTERM)
     assert running.end()[0] == 130
 
 
 def test_a_signal_while_the_picture_is_drawn_keeps_recording_and_summary(mdms: Start) -> None:
-    running = mdms("run", "prototype", "--duration", "2", "--processes", "1", "--json")
+    running = mdms("run", "motors", "--duration", "2", "--processes", "1", "--json")
     running.wait_for((running.output / "summary.json").exists, "the summary was written")
     running.process.send_signal(signal.SIGINT)
     status, stdout, _ = running.end()
@@ -75,7 +75,7 @@ def test_a_signal_while_the_picture_is_drawn_keeps_recording_and_summary(mdms: S
 
 
 def test_a_second_signal_does_not_spoil_the_end(mdms: Start) -> None:
-    running = mdms("run", "prototype", *LONG, "--processes", "2", "--json")
+    running = mdms("run", "motors", *LONG, "--processes", "2", "--json")
     running.wait_until_recorded()
     for _ in range(5):
         running.process.send_signal(signal.SIGINT)
@@ -86,7 +86,7 @@ def test_a_second_signal_does_not_spoil_the_end(mdms: Start) -> None:
 
 
 def test_the_workers_end_with_a_main_process_that_is_killed(mdms: Start) -> None:
-    running = mdms("run", "prototype", *LONG, "--processes", "each")
+    running = mdms("run", "motors", *LONG, "--processes", "each")
     running.wait_until_recorded()
     started = running.children()
     assert len(started) == 19
@@ -96,7 +96,7 @@ def test_the_workers_end_with_a_main_process_that_is_killed(mdms: Start) -> None
 
 
 def test_a_recording_after_kill_9_holds_all_but_the_last_half_second(mdms: Start) -> None:
-    running = mdms("run", "prototype", *LONG, "--processes", "1")
+    running = mdms("run", "motors", *LONG, "--processes", "1")
     running.wait_until_recorded()
     before, at = load(running.output).time_s[-1], time.monotonic()
     time.sleep(1.0)
@@ -109,7 +109,7 @@ def test_a_recording_after_kill_9_holds_all_but_the_last_half_second(mdms: Start
 
 
 def test_the_workers_end_though_their_parent_is_killed_first(mdms: Start) -> None:
-    running = mdms("run", "prototype", *LONG, "--processes", "2")
+    running = mdms("run", "motors", *LONG, "--processes", "2")
     running.wait_until_recorded()
     parent = min(running.children())
     os.kill(parent, signal.SIGKILL)
@@ -124,7 +124,7 @@ def test_an_interrupted_run_leaves_no_temporary_files(
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
     shared = set(Path("/dev/shm").iterdir())
-    running = mdms("run", "prototype", *LONG, "--processes", "2")
+    running = mdms("run", "motors", *LONG, "--processes", "2")
     running.wait_until_recorded()
     running.process.send_signal(signal.SIGINT)
     running.end()

@@ -22,7 +22,7 @@ def test_registers_are_recorded_after_the_ticks_asked_for_whoever_computes_them(
     digests: set[str | None] = set()
     for processes in ("0", "2"):
         running = mdms(
-            "run", "prototype", "--duration", "0.1", "--no-picture", "--processes", processes, "--registers", "10",
+            "run", "motors", "--duration", "0.1", "--no-picture", "--processes", processes, "--registers", "10",
             output=tmp_path / processes,
         )  # fmt: skip
         assert running.end()[0] == 0
@@ -31,12 +31,12 @@ def test_registers_are_recorded_after_the_ticks_asked_for_whoever_computes_them(
         recorded.append([array.tobytes() for array in run.registers.values()])
         digests.add(run.digest)
     assert recorded[0] == recorded[1]
-    unseen = mdms("run", "prototype", "--duration", "0.1", "--no-picture", "--json").end()[1]
+    unseen = mdms("run", "motors", "--duration", "0.1", "--no-picture", "--json").end()[1]
     assert digests == {json.loads(unseen)["digest"]}
 
 
 def test_the_recorded_integral_is_the_one_that_made_the_drives(mdms: Callable[..., Mdms]) -> None:
-    running = mdms("run", "prototype", "--duration", "0.1", "--no-picture", "--processes", "2", "--registers")
+    running = mdms("run", "motors", "--duration", "0.1", "--no-picture", "--processes", "2", "--registers")
     assert running.end()[0] == 0
     run = load(running.output)
     assert run.register_tick.tolist() == list(range(25))
@@ -52,7 +52,7 @@ def test_a_running_system_shows_its_cells(mdms: Callable[..., Mdms]) -> None:
     listen = f"tcp/127.0.0.1:{_free_port()}"
     running = mdms(
         "run",
-        "prototype",
+        "motors",
         "--duration",
         "600",
         "--realtime",
@@ -73,7 +73,7 @@ def test_a_running_system_shows_its_cells(mdms: Callable[..., Mdms]) -> None:
     assert "18 cells" in stdout
     assert "speed_loop.integral_v" in stdout
     status, _, stderr = mdms("registers", "9,9", "--timeout", "1", "--connect", listen).end()
-    assert (status, stderr.startswith("cell 9,9: not in run prototype-")) == (2, True)
+    assert (status, stderr.startswith("cell 9,9: not in run motors-")) == (2, True)
     running.process.send_signal(signal.SIGINT)
     assert running.end()[0] == 130
 

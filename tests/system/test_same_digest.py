@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from cell_firmware.effects.registry import CellEffects
 from deploy.overrides import Override
 from deploy.processes.plan import Processes, RunOptions, Transport, Wire
 from deploy.recordings.replay import load
@@ -87,7 +88,7 @@ def _shortened(name: str, duration_s: float) -> Scene:
         ("elliptic", 0.09, WAYS),
         ("heat", 0.09, WAYS),
         ("coulomb", 0.06, WAYS),  # another solver
-        ("prototype", 0.15, WAYS + EACH),
+        ("motors", 0.15, WAYS + EACH),
     ],
 )
 def test_the_digest_depends_neither_on_processes_nor_on_transport_nor_on_wire_form(
@@ -98,10 +99,28 @@ def test_the_digest_depends_neither_on_processes_nor_on_transport_nor_on_wire_fo
     assert len(set(digests.values())) == 1, digests
 
 
-def test_boards_that_count_and_compute_in_integers_act_alike_however_the_scene_is_cut(tmp_path: Path) -> None:
-    scene = _shortened("board", 0.1)
-    digests = {way: _run(scene, way, tmp_path).digest for way in [WAYS[0], WAYS[4], WAYS[7], EACH[0]]}
-    assert len(set(digests.values())) == 1, digests
+EVERYTHING = (
+    "effects.analogue_sensors={ spot_radius_m = 0.02 }",
+    "effects.adc={ noise_codes = 2.0 }",
+    "effects.sensor={ threshold = 0.4, hysteresis = 0.2, false_positive = 0.01, debounce_ticks = 2 }",
+    "effects.sensor.latency_ticks=1",
+    "effects.link_loss={ probability = 0.1 }",
+    "effects.link_delay={ between_ticks = [0, 2] }",
+    "effects.clock={ error_ppm = 20000, exchanges_per_period = 2 }",
+)
+"""What the scene ``prototype`` lacks of the cells' effects, and clocks far apart."""
+
+
+@pytest.mark.parametrize("more", [(), EVERYTHING], ids=["as it is", "with every effect of the cells"])
+def test_boards_act_alike_however_the_scene_is_cut(more: tuple[str, ...], tmp_path: Path) -> None:
+    scene = load_scene("prototype", [Override.parse(change) for change in ("duration_s=0.15", *more)])
+    if more:
+        assert {name for name, _ in scene.effects.asked()} >= set(CellEffects.model_fields)
+    summaries = {way: _run(scene, way, tmp_path) for way in [*WAYS, EACH[0]]}
+    assert {summary.status for summary in summaries.values()} == {"ok"}
+    assert len({summary.digest for summary in summaries.values()}) == 1
+    assert len({str(summary.effects) for summary in summaries.values()}) == 1
+    assert summaries[WAYS[0]].effects["serial.received"] > 0
 
 
 def test_parcels_that_come_and_go_do_so_alike_however_the_scene_is_cut(tmp_path: Path) -> None:
@@ -127,9 +146,9 @@ def test_parcels_that_come_and_go_do_so_alike_however_the_scene_is_cut(tmp_path:
 
 
 def test_the_digest_depends_on_what_happens(tmp_path: Path) -> None:
-    scene = _shortened("prototype", 0.05)
+    scene = _shortened("motors", 0.05)
     other = load_scene(
-        "prototype",
+        "motors",
         [Override(("duration_s",), 0.05, ""), Override(("parcels", 0, "angle_rad"), 0.1500001, "")],
     )
     assert _run(scene, WAYS[0], tmp_path).digest != _run(other, WAYS[0], tmp_path).digest

@@ -39,6 +39,6 @@ def test_with_json_stdout_has_one_object_even_if_the_firmware_prints(
 
 
 def test_a_run_that_goes_well_says_nothing_on_a_stderr_that_is_no_terminal(mdms: Callable[..., Mdms]) -> None:
-    status, stdout, stderr = mdms("run", "prototype", "--duration", "0.05").end()
+    status, stdout, stderr = mdms("run", "motors", "--duration", "0.05").end()
     assert (status, stderr) == (0, "")
-    assert stdout.startswith("prototype  ok\n")
+    assert stdout.startswith("motors  ok\n")

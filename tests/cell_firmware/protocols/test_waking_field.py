@@ -62,3 +62,22 @@ def test_any_of_a_cell_s_sensors_wakes_it() -> None:
         firmware.init(cells), Inputs(np.array([[False, True], [False, False]]), None, inbox)
     )
     assert outputs.speed_m_s.tolist() == [[0.2, -0.1], [0.0, 0.0]]
+
+
+def test_a_word_counts_for_as_many_periods_as_the_cell_has_patience(grid: Callable[..., Lattice]) -> None:
+    def awake(patience: int) -> list[bool]:
+        """Of a cell that is told once, and then nothing more."""
+        field = {"kind": "uniform", "velocity_m_s": [1.0, 0.0]}
+        firmware = WakingField(WakingFieldParameters.model_validate({"field": field, "patience": patience}))
+        state = firmware.init(Cells.of(grid(1, 1), np.zeros((1, 2)), 0.004))
+        found: list[bool] = []
+        for tick in range(6):
+            inbox = Inbox(np.zeros((1, 4), dtype=np.bool_), np.zeros((1, 4), dtype=firmware.message))
+            if tick == 1:
+                inbox.received[0, 2], inbox.message["level"][0, 2] = True, 2
+            state, outputs = firmware.step(state, Inputs(np.zeros((1, 1), dtype=np.bool_), None, inbox))
+            found.append(bool(outputs.speed_m_s[0, 0]))
+        return found
+
+    assert awake(1) == [False, True, False, False, False, False]
+    assert awake(3) == [False, True, True, True, False, False]

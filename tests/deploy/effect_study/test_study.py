@@ -23,7 +23,7 @@ from deploy.scene_files import bundled_names
 SHOWN = {
     "uneven_supports": ("uneven", 1.5),
     "contact_width": ("wide_wheels", 1.5),
-    "motors": ("prototype", 0.5),
+    "motors": ("motors", 0.5),
     "wheel_load": ("loaded", 0.4),
     "roller_impacts": ("bumpy", 0.5),
     "clock": ("drifting", 0.5),
@@ -32,9 +32,9 @@ SHOWN = {
     "sensor": ("noisy", 0.5),
     "link_delay": ("noisy", 0.5),
     "link_loss": ("noisy", 0.5),
-    "encoder": ("board", 0.5),
-    "pwm": ("board", 0.5),
-    "fixed_point": ("board", 0.5),
+    "encoder": ("prototype", 0.5),
+    "pwm": ("prototype", 0.5),
+    "fixed_point": ("prototype", 0.5),
     "serial": ("serial", 0.8),
     "cop": ("watchdog", 1.5),
     "feeders": ("stream", 3.0),
@@ -80,9 +80,9 @@ def test_where_an_effect_counts_its_influence_is_far_above_the_solver_s_error(ef
     [
         ("parcel_contact", "elliptic"),  # one parcel and no rail
         ("sensor", "heat"),  # firmware that doesn't look
-        ("link_delay", "prototype"),  # firmware that doesn't talk
-        ("link_loss", "prototype"),
-        ("serial", "prototype"),
+        ("link_delay", "motors"),  # firmware that doesn't talk
+        ("link_loss", "motors"),
+        ("serial", "motors"),
     ],
 )
 def test_an_effect_with_nothing_to_do_moves_nothing_at_all(effect: str, scene: str) -> None:
@@ -188,7 +188,7 @@ def test_the_plant_alone_moves_a_field_s_parcels_as_with_cells_to_the_last_bit()
     ("scene", "sets"),
     [
         ("heat", ()),
-        ("prototype", ()),
+        ("motors", ()),
         ("elliptic", ("effects.sensor={}",)),
         ("elliptic", ("faults=[{ at_s = 0.1, cell = [9, 9] }]",)),
     ],

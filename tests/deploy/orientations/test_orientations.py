@@ -18,7 +18,7 @@ from deploy.orientations.sizes import size_map
 from deploy.orientations.study import study
 from plant.turntable import Turntable
 
-TIPS = ("prototype", "--set", "parcels.0.size_m=[0.4,0.2]", "--at", "0.1,0")
+TIPS = ("motors", "--set", "parcels.0.size_m=[0.4,0.2]", "--at", "0.1,0")
 """Where some angles have no cells all round the centre of mass."""
 SIZES = ("--sizes", "0.5:0.6:3,0.3:0.4:2")
 
@@ -72,7 +72,7 @@ def test_what_the_table_can_t_promise_is_said(capsys: pytest.CaptureFixture[str]
     assert "The point is no equilibrium at every angle" in capsys.readouterr().out
     assert main(["orientations", *TIPS]) == 0
     assert "At some angles it doesn't stand" in capsys.readouterr().out
-    assert main(["orientations", "prototype"]) == 0
+    assert main(["orientations", "motors"]) == 0
     assert "nothing stops it from turning" in " ".join(capsys.readouterr().out.split())
 
 

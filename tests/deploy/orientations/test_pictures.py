@@ -43,7 +43,7 @@ def test_every_stable_orientation_is_drawn_in_its_colour(misaligned: Study, tmp_
 
 
 def test_where_the_torque_never_vanishes_the_parcel_is_drawn_as_it_starts(tmp_path: Path) -> None:
-    asked = study(load_scene("prototype"), 0, None)
+    asked = study(load_scene("motors"), 0, None)
     profile = asked.profile()
     assert profile.stable() == ()
     draw_orientations(asked, profile, tmp_path / "o.png")
