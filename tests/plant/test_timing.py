@@ -274,33 +274,6 @@ def test_drives_that_stay_what_they_are_divide_nothing() -> None:
     assert plain.effort == timed.effort
 
 
-@pytest.mark.parametrize("solver", ["exact", "implicit"])
-def test_levels_are_read_at_each_cells_own_instant(solver: str) -> None:
-    """Against a plant that is stopped there: a spot's level moves with the parcel's edge."""
-    body = parcel(velocity_m_s=(1.0, 0.3))
-    scene = PlantSpec.model_validate(
-        dict(spec(body, sensors_m=((0.0, 0.0), (0.03, 0.0))))
-        | {"effects": {"analogue_sensors": {"spot_radius_m": 0.04}}, "solver": {"name": solver}}
-    )
-    timed, divided = Plant(scene), Plant(scene)
-    cells = np.arange(400)
-    reads = np.select([cells % 4 == 0, cells % 4 == 1, cells % 4 == 2], [0, 7_000_000, 20_000_000], -1)
-    drives = elliptic(timed)
-    sense, _ = timed.advance(drives, 20_000_000, Timing(np.full(400, -1), reads))
-    start = divided.sense()
-    middle, _ = divided.advance(drives, 7_000_000)
-    end, _ = divided.advance(drives, 20_000_000)
-    assert start.level is not None
-    assert middle.level is not None
-    assert end.level is not None
-    assert sense.level is not None
-    expected = np.select(
-        [(cells % 4 == 1)[:, None], (cells % 4 == 2)[:, None]], [middle.level, end.level], start.level
-    )
-    assert sense.level == pytest.approx(expected, abs=1e-9)
-    assert not np.allclose(expected, end.level)
-
-
 def test_a_parcel_that_tips_on_the_way_is_read_where_it_tipped() -> None:
     """Carried off the right edge, told once: who reads later, in this call or the next, sees it where it lies."""
     body = parcel(size_m=(0.54, 0.32), position_m=(0.9, 0.0), angle_rad=0.0, velocity_m_s=(1.0, 0.0))
