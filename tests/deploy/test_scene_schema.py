@@ -73,7 +73,7 @@ def test_the_reference_names_every_key_and_choice_of_the_schema() -> None:
     schemas = [whole, *whole["$defs"].values()]
     keys = {key for schema in schemas for key in schema.get("properties", {})}
     choices = {
-        choice
+        str(choice)
         for schema in schemas
         for value in schema.get("properties", {}).values()
         for choice in (*value.get("enum", ()), *((value["const"],) if "const" in value else ()))
