@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final, final
 
 import numpy as np
@@ -62,13 +63,14 @@ class Clocked(Controller):
         inner, outputs = self.controller.act_on(np.flatnonzero(stepped), then, inner, inputs)
         drive = np.where(stepped[:, None], outputs.drive, clock["drive"])
         after = frozen({**clock, "count": clock["count"] + stepped, "drive": drive})
-        failures, hung = (
-            {i: FirmwareFailed(one.cell, now.tick, one.problem, one.trace) for i, one in found.items()}
-            for found in (outputs.failures, outputs.hung)
-        )
         return (
             ControllerState(state.cells, {**inner.parts, _CLOCK: after}),
-            ControllerOutputs(drive, outputs.outbox, failures, hung=hung),
+            ControllerOutputs(
+                drive,
+                outputs.outbox,
+                _in_tick(now.tick, outputs.failures),
+                hung=_in_tick(now.tick, outputs.hung),
+            ),
         )
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
@@ -85,3 +87,8 @@ class Clocked(Controller):
 def _without(state: ControllerState) -> ControllerState:
     """What the cells' controller knows of."""
     return ControllerState(state.cells, {name: part for name, part in state.parts.items() if name != _CLOCK})
+
+
+def _in_tick(tick: int, failures: Mapping[int, FirmwareFailed]) -> dict[int, FirmwareFailed]:
+    """The same failures, told by the exchange in which they came out."""
+    return {i: FirmwareFailed(one.cell, tick, one.problem, one.trace) for i, one in failures.items()}

@@ -17,6 +17,7 @@ from bus.partition import Partition
 from cell_firmware.board import Board
 from cell_firmware.clocked import Clocked
 from cell_firmware.clocks import ArrayClocks, Clocks
+from cell_firmware.controller import Instant
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
@@ -198,6 +199,23 @@ def test_a_cell_that_fails_at_its_instant_is_named_and_the_others_go_on(
     assert [(failure.cell, failure.tick) for failure in came.failures] == [((0, 1), 6)]
     assert came.drives[:, 1, 0].tolist() == [0, 0, 1, 1, 2, 2, 0, 0, 0]
     assert came.drives[:, 2, 0].tolist() == [0, 1, 1, 2, 2, 3, 3, 4, 4]
+
+
+def test_failures_are_told_by_row_and_tick(grid: Callable[..., Lattice], everything: Callable[..., Cells]):
+    class Failing(Counting):
+        message = None  # pyright: ignore[reportAssignmentType, reportIncompatibleVariableOverride]
+
+        def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+            raise ValueError("no")
+
+    lattice, bits = grid(1, 3), np.zeros((3, 1), dtype=np.bool_)
+    controller = Clocked(Board(Failing()), clocks_of(lattice, [0] * 3, [PERIOD_NS // 2, 0, 0], 2))
+    state = controller.init(everything(lattice))
+    _, outputs = controller.step(Instant(1, np.array(0)), state, Inputs(bits))
+    assert {i: (failure.cell, failure.tick) for i, failure in outputs.failures.items()} == {
+        1: ((0, 1), 1),
+        2: ((0, 2), 1),
+    }
 
 
 def test_registers_tell_what_the_clocks_do(grid: Callable[..., Lattice], everything: Callable[..., Cells]):

@@ -139,6 +139,23 @@ def test_random_instants_are_the_same_as_dividing_the_call_by_hand_at_every_one(
     assert timed.support_changes == divided.support_changes > 0
 
 
+def test_who_reads_as_a_call_begins_sees_what_has_come_since_it_last_read() -> None:
+    plant = Plant(spec(parcel(velocity_m_s=(1.0, -0.5)), motors=MOTORS))
+    n, still = 400, elliptic(plant)
+    first, _ = plant.advance(still, TICK_NS, everyone(n, -1, 0))
+    kept = first
+    for tick in range(2, 40):
+        kept, _ = plant.advance(still, tick * TICK_NS, everyone(n, -1, -1))
+    now = plant.sense()
+    told, _ = plant.advance(still, 40 * TICK_NS, everyone(n, -1, 39 * TICK_NS))
+    assert np.array_equal(kept.presence, first.presence)
+    assert np.array_equal(told.presence, now.presence)
+    assert not np.array_equal(told.presence, kept.presence)
+    assert told.encoder_m is not None
+    assert now.encoder_m is not None
+    assert told.encoder_m.tobytes() == now.encoder_m.tobytes()
+
+
 def test_levels_are_those_of_each_cell_s_own_instant() -> None:
     """Spots as wide as the pitch allows, so that cells beside the parcel read it too."""
     body = parcel(velocity_m_s=(1.0, -0.5), angular_velocity_rad_s=2.0)

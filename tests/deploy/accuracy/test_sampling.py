@@ -32,6 +32,13 @@ def test_with_motors_errors_fall_with_the_period_and_the_shortest_is_what_they_a
     assert judged[0] > 1.5 * judged[1] > 2.25 * judged[2] > 0.0
 
 
+def test_clocks_of_cells_are_left_out() -> None:
+    """With them, ticks would not end together at every period."""
+    (plain,) = price("effects.motors={}")
+    (found,) = price("effects.motors={}", "effects.clock={ error_ppm = 20_000 }")
+    assert [row.error_max for row in found.rows] == [row.error_max for row in plain.rows]
+
+
 def test_after_a_run_that_takes_too_long_no_shorter_period_is_tried() -> None:
     scene = load_scene("elliptic", duration=0.065536)
     reference = follow(ideal(scene))
