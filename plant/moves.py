@@ -53,6 +53,7 @@ class Moves:
         self._legs = with_legs(spec, solver)
         self._radius_m: Floats = np.array([body.radius_m for body in solver.bodies])
         self._never_s: Floats = np.full(len(array), np.inf)
+        self._none: Floats = np.zeros(0)
         self._nothing: Floats = np.zeros((0, len(solver.bodies), 6))
 
     def through(
@@ -72,7 +73,7 @@ class Moves:
             reading: what cells read on the way; None: none does.
             sense: what all cells would read now.
         """
-        whole = Leg(run.motion, self.grip, span_s, self._nothing[:, 0, 0], self._nothing)
+        whole = Leg(run.motion, self.grip, span_s, self._none, self._nothing)
         if reading is not None and not reading.any_inside:
             reading = None
         if run.changes is None and reading is None:

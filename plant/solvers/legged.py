@@ -35,8 +35,8 @@ class LeggedSolver(ThreadedSolver[Work]):
             none = np.zeros((0, len(self._array), 2))
             changes = Changes(none, none, none)
         way = Way(*changes, outing.reads_s, outing.margin_m, self._array.sensors_m, outing.presence)
-        nothing = np.zeros((0, len(self.parcels), 6))
-        errand = Errand(self._surface(motion, outing.grip), outing.span_s, nothing[:, 0, 0], nothing)
+        surface = self._surface(motion, outing.grip)
+        errand = Errand(surface, outing.span_s, np.zeros(0), np.zeros((0, len(self.parcels), 6)))
 
         def move(thread: int, share: slice) -> list[Advance]:
             desk, hand = self.desk(thread), _hand(motion, changes)

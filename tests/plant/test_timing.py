@@ -311,3 +311,19 @@ def test_a_parcel_that_tips_on_the_way_is_read_where_it_tipped() -> None:
     assert seen.presence.any()
     assert np.array_equal(sense.presence, seen.presence)
     assert np.array_equal(late.presence, seen.presence)
+
+
+@pytest.mark.parametrize("solver", ["exact", "implicit"])
+def test_cells_without_parcels_read_their_own_wheels_alone(solver: str) -> None:
+    scene = PlantSpec.model_validate(
+        dict(spec(rows=2, columns=2, motors=MOTORS)) | {"solver": {"name": solver}}
+    )
+    plant = Plant(scene)
+    reads = TICK_NS * np.array([1, 2, 3, 4]) // 4
+    drives = np.full((4, 2), 10.0)
+    sense, events = plant.advance(drives, TICK_NS, Timing(np.full(4, 1_000_000), reads))
+    turned = np.maximum(reads * 1e-9 - 1e-3, 0.0)
+    expected = turned + TAU * np.expm1(-turned / TAU)
+    assert sense.encoder_m == pytest.approx(np.repeat(expected[:, None], 2, axis=1), abs=1e-15)
+    assert not sense.presence.any()
+    assert events == []
