@@ -244,8 +244,7 @@ def test_in_its_own_time_a_cell_is_reset_alike_however_far_its_crystal_is_off(
     seen, before, hung = [], -1, []
     for tick in range(120):
         out = shard.step(tick, np.zeros((4, 1), dtype=np.bool_))
-        hung += out.hung
-        assert [one.tick for one in out.hung] == [tick] * len(out.hung)
+        hung += [(one.cell, one.tick - tick) for one in out.hung]
         count = int(shard.registers()[1]["clock.count"][1])
         if count > before and count:
             seen.append(out.drive[1, 0])
