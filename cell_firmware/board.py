@@ -93,6 +93,11 @@ class Board(Controller):
                 self.init(cells.take(np.array([i])))
         raise FirmwareFailed(cells.name(0), 0, f"init: {problem}", trace)
 
+    def idle(self, now: Instant, state: ControllerState) -> ControllerState:
+        """What every part says that goes on."""
+        after = {name: frozen(part.idle(now, state.parts[name])) for name, part in self._parts.items()}
+        return ControllerState(state.cells, {**state.parts, **after})
+
     def after_reset(self, state: ControllerState) -> ControllerState:
         """The program as after power-on, and what each part says that it keeps."""
         begun = self.init(state.cells).parts

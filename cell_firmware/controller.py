@@ -166,6 +166,15 @@ class Controller(ABC):
             The next state and what the cells do. The state of a cell that failed means nothing.
         """
 
+    def idle(self, now: Instant, state: ControllerState) -> ControllerState:  # noqa: ARG002
+        """A control period in which no program runs: what of the hardware goes on; by default nothing.
+
+        Args:
+            now: When.
+            state: Of these cells.
+        """
+        return state
+
     def act_on(
         self, rows: NDArray[np.int64], now: Instant, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:

@@ -49,6 +49,10 @@ class Mailbox(LinkPart):
             "overwritten": np.zeros(shape, dtype=np.int64),
         }
 
+    def after_reset(self, cells: Cells, state: State) -> State:
+        """All is forgotten; what was counted is the observer's, not the cell's."""
+        return {**self.init(cells), "overwritten": state["overwritten"]}
+
     def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
         """What waited, or has come just in time, for the cells that are stepped."""
         steps, into_ns = (now.at_ns >= 0)[:, None], (now.at_ns % self._window_ns)[:, None]

@@ -31,6 +31,15 @@ class Part(ABC):
         """
         return self.init(cells)
 
+    def idle(self, now: Instant, state: State) -> State:  # noqa: ARG002
+        """What it remembers after a control period in which the program did not run: by default the same.
+
+        Args:
+            now: When.
+            state: Of n cells whose program hangs, or has not started yet.
+        """
+        return state
+
     def registers(self, state: State) -> dict[str, NDArray[Any]]:  # noqa: ARG002
         """What can be read of it: arrays by name, each with a row a cell."""
         return {}

@@ -27,9 +27,9 @@ class Watchdog(Controller):
 
     A program that raises hangs: it no longer serves, the pins keep what they had, and nothing is sent. One that runs
     but doesn't serve (``Outputs.served``) goes on until it is reset. What a reset keeps is the crystal, the divider,
-    and what parts of the board say of themselves (``Part.after_reset``); all other memory is as after power-on. The
-    wheels are at 0 until the program starts, at the first control instant after ``reboot_s``; till then its start-up
-    code serves.
+    and what parts of the board say of themselves (``Part.after_reset``, ``Part.idle``); all other memory is as after
+    power-on. The wheels are at 0 until the program starts, at the first control instant after ``reboot_s``; till then
+    its start-up code serves.
 
     Args:
         controller: Of the cells.
@@ -74,6 +74,9 @@ class Watchdog(Controller):
         inner, watch = self._reset(_without(state), state.parts[_COP])
         at_ns = watch["instants"] * self._period_ns
         runs = ~watch["hung"] & (at_ns >= watch["starts_ns"])
+        waits = np.flatnonzero(~runs)
+        if len(waits):
+            inner = inner.put(waits, self.controller.idle(now.take(waits), inner.take(waits)))
         inner, outputs = self.controller.act_on(np.flatnonzero(runs), now, inner, inputs)
 
         raised = np.zeros(len(runs), dtype=np.bool_)

@@ -17,7 +17,7 @@ from cell_firmware.serial.look import COUNTERS
 from cell_firmware.serial.receiver import ErrorsOf, Receiver
 from cell_firmware.serial.sender import Sender
 from cell_firmware.serial.settings import LineSettings
-from cell_firmware.serial.sharing import Scan
+from cell_firmware.serial.sharing import PLACE, Scan
 
 _COUNTERS = ("sent", *COUNTERS, "replaced")
 
@@ -68,8 +68,13 @@ class SerialLines(LinkPart):
         return state
 
     def after_reset(self, cells: Cells, state: State) -> State:
-        """All is forgotten; what was counted is the observer's, not the cell's."""
-        return {**self.init(cells), **{name: state[name] for name in _COUNTERS}}
+        """All is forgotten; what was counted is the observer's, not the cell's, and the switch turns by itself."""
+        kept = _COUNTERS if self._scan is None else (*_COUNTERS, *PLACE)
+        return {**self.init(cells), **{name: state[name] for name in kept}}
+
+    def idle(self, now: Instant, state: State) -> State:
+        """The switch turns; bytes that are not out yet stay where they are."""
+        return state if self._scan is None else self._scan.turn(now.at_ns[..., None], state)[0]
 
     def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
         """Messages that have come since the cells last looked; of two on a side the later one."""

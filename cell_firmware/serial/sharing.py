@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
 from cell_firmware.firmware import Bools, Cells, State
 from cell_firmware.serial.settings import Ints
 
+PLACE: Final = ("periods", "since_ns")
+"""What of its state is the switch's own, which no reset of the processor touches."""
+
 
 @final
 class Scan:
-    """Leads the lines of one SCI to one side at a time, by the count of the cell's own periods.
+    """Leads the lines of one SCI to one side at a time, by a count of the cell's own periods that is kept in hardware.
 
     Cells with an even sum of row and column go round north, east, south, west; the others south, west, north, east:
     neighbours whose counts agree face each other, each pair for one of four dwells.

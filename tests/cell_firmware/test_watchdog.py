@@ -23,6 +23,8 @@ from cell_firmware.effects.cop import TIMEOUTS_S, CopSpec
 from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, Outbox, Outputs, State
 from cell_firmware.mailbox import Mailbox
 from cell_firmware.parts import WheelPart
+from cell_firmware.serial.lines import SerialLines
+from cell_firmware.serial.settings import LineSettings
 from cell_firmware.shard import Shard
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop import SpeedLoop
@@ -228,6 +230,33 @@ def test_a_speed_loop_begins_anew_without_a_jump(everything: Any, grid: Any) -> 
     _, first = plain.step(Instant(0, np.array(0)), fresh, inputs)
     assert after.drive[1].tobytes() == first.drive[1].tobytes()
     assert after.drive[0].tobytes() != first.drive[0].tobytes()
+
+
+def test_a_switch_between_four_lines_turns_whether_the_program_runs_or_not(
+    everything: Any, grid: Any
+) -> None:
+    settings = LineSettings(bit_ns=104_000, period_ns=PERIOD_NS, dwell_periods=3)
+    cells = everything(grid(1, 4))
+    lines = SerialLines(settings, Counting.message)
+    board = watchdog(Counting(), TIMEOUTS_S[0], 0.02, links=lines)
+    shard, unheard = Shard(board, cells, Partition.even(grid(1, 4), 1), 0), []
+    for tick in range(70):
+        shard.step(tick, np.zeros((4, 1), dtype=np.bool_))
+        assert set(shard._state.parts["serial"]["periods"].tolist()) == {tick + 1}
+        unheard.append(shard.counted()["serial.unheard"])
+    # hung from instant 30, up from 41: neighbours face each other as before, and hear all
+    assert unheard[47] == unheard[69]
+    assert shard.counted()["cop.resets"] == 1
+    received = shard.registers()[1]["serial.received"]
+    assert (received[2] > 0).sum() == 2
+
+
+def test_what_mailboxes_counted_outlives_a_reset(everything: Any, grid: Any) -> None:
+    cells, lines = everything(grid(1, 2)), Mailbox(Counting.message, PERIOD_NS)
+    state = {**lines.init(cells), "overwritten": np.full((2, 4), 3), "waits": np.ones((2, 4), dtype=np.bool_)}
+    after = lines.after_reset(cells, state)
+    assert (after["overwritten"] == 3).all()
+    assert not after["waits"].any()
 
 
 def test_in_its_own_time_a_cell_is_reset_alike_however_far_its_crystal_is_off(

@@ -56,6 +56,47 @@ def test_resets_act_alike_however_the_scene_is_cut_and_no_cell_is_lost(
     assert np.all(drives[:49, others] == [0.1, 0.05])
 
 
+FALTERING = """
+from cell_firmware.cell import CellFirmware, CellOutputs
+import numpy as np
+
+class Faltering(CellFirmware):
+    message = np.dtype([("heat", "<f4")])
+
+    def init(self, cell):
+        return 0.05 * cell.column, 0, (cell.row + cell.column) % 3
+
+    def step(self, state, inputs):
+        heat, steps, kind = state
+        if kind == 1 and steps == 9:
+            raise RuntimeError("stuck")
+        heard = [message["heat"] for message in inputs.inbox.values() if message is not None]
+        heat += sum(0.1 * (other - heat) for other in heard)
+        message = dict.fromkeys(inputs.inbox, {"heat": heat})
+        return (heat, steps + 1, kind), CellOutputs((heat, 0.0), message, served=kind != 2 or steps < 5)
+"""
+"""Cells that hang, cells that stop serving, and cells that do neither, to which every message matters."""
+
+
+def test_resets_go_with_clocks_and_serial_lines_however_the_scene_is_cut(
+    small: Callable[..., Path], tmp_path: Path
+) -> None:
+    (tmp_path / "faltering.py").write_text(FALTERING)
+    effects = {**COP, "clock": {}, "serial": {"baud": 125_000, "sharing": "mux", "dwell_periods": 2}}
+    changes = [
+        Override(("cells",), {"firmware": str(tmp_path / "faltering.py")}, ""),
+        Override(("effects",), effects, ""),
+    ]
+    scene = load_scene(str(small()), changes)
+    summaries = {way: _go(scene, way, tmp_path) for way in (WAYS[0], WAYS[5], WAYS[6], EACH[1])}
+    assert len({one.digest for one in summaries.values()}) == 1, summaries
+    counted = [one.effects for one in summaries.values()]
+    assert all(one == counted[0] for one in counted)
+    assert counted[0]["cop.resets"] > counted[0]["cop.hangs"] >= 8
+    assert counted[0]["serial.received"] > 100
+    assert all(one.status == "ok" and not one.cells_lost for one in summaries.values())
+
+
 def test_without_a_watchdog_the_same_cells_are_lost(small: Callable[..., Path], tmp_path: Path) -> None:
     summary = _go(_scene(small()), WAYS[0], tmp_path)
     assert sorted(summary.cells_lost) == [(0, 3), (1, 1)]
