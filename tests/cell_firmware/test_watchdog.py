@@ -154,6 +154,17 @@ def test_a_program_that_runs_but_does_not_serve_goes_on_until_it_is_reset(
     assert found[:, 1, 0].tolist() == list(range(1, 41))
 
 
+def test_who_hangs_changes_nothing_about_who_does_not_serve(
+    row: tuple[Partition, Cells], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Counting, "hangs", {1: 29})
+    monkeypatch.setattr(Counting, "silent", {2: 29})
+    found = drives(watchdog(Counting(), TIMEOUTS_S[0]), *row, 45)
+    # both were last served in 28: 114.688 ms + 16.384 ms is a boundary, instant 32
+    assert found[:, 1, 0].tolist() == [*range(1, 30), 29, 29, 29, *range(1, 14)]
+    assert found[:, 2, 0].tolist() == [*range(1, 33), *range(1, 14)]
+
+
 @pytest.mark.parametrize("firmware", [Counting, Patient])
 def test_a_cell_alone_gets_the_same_bytes_as_among_many(
     firmware: type[Counting], everything: Any, grid: Any

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bus.member import Member
 from deploy.overrides import Override
 from deploy.processes.plan import RunOptions
 from deploy.recordings.replay import load
@@ -111,6 +112,21 @@ def test_why_a_program_hangs_is_told_once(
     assert said.count("hangs from tick 10 (0.04096 s)") == 1
     assert "until it is reset: OverflowError: the counter of periods has run over" in said
     assert "stumbling_field.py" in said
+
+
+def test_a_shard_reports_a_reason_to_hang_once(
+    small: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[tuple[int, int]] = []
+    hang = Member.hang
+
+    def counting(member: Member, cell: int, tick: int, detail: str) -> None:
+        told.append((cell, tick))
+        hang(member, cell, tick, detail)
+
+    monkeypatch.setattr(Member, "hang", counting)
+    assert _go(_scene(small(), **COP), WAYS[0], tmp_path).effects["cop.hangs"] == 6
+    assert told == [(3, 10)]
 
 
 def test_a_period_as_long_as_the_timeout_is_refused(small: Callable[..., Path]) -> None:
