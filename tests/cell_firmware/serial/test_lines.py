@@ -96,10 +96,20 @@ def test_a_burst_that_is_lost_damages_its_message_and_the_next_is_right() -> Non
         assert pair.counted("damaged") in ((1,) if lost in (0, 4) else (1, 2))
 
 
+@pytest.mark.parametrize("more", [-1, 0, 1, 5])
+def test_a_message_that_is_short_or_long_is_damaged_though_its_beginning_would_pass(more: int) -> None:
+    heard = Heard(RING, np.dtype([("a", "<u2")]))
+    frame = bytes([1, 2, check(1, 2), 3, 4, 5, 6, 7])
+    for tick in range(1, 6):
+        heard.tick(tick, tick * PERIOD_NS, [(0, frame[: 3 + more])] if tick == 1 else [])
+    assert [message for message in heard.messages if message] == ([(0x0201,)] if more == 0 else [])
+    assert heard.counted("damaged") == (more != 0)
+
+
 def test_a_ring_that_is_full_loses_the_new_bytes_and_counts_them() -> None:
     fast = LineSettings(bit_ns(125_000), PERIOD_NS)
     heard = Heard(fast, np.dtype([(f"f{i}", "<u8") for i in range(3)]))
-    heard.tick(1, PERIOD_NS, [(0, bytes(range(20)))])
+    heard.tick(1, PERIOD_NS, [(0, bytes(range(9))), (9 * fast.byte_ns, bytes(range(9, 20)))])
     assert (heard.counted("received"), heard.counted("overruns")) == (16, 4)
     assert heard.state["heard"][1, WEST, :16].tolist() == list(range(16))
     heard.tick(2, 2 * PERIOD_NS, [(0, bytes(range(5)))])  # looked at: there is room again

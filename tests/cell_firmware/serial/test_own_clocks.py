@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from cell_firmware.controller import Instant
 from cell_firmware.firmware import Inbox, Outbox
 from cell_firmware.serial.bursts import BurstType
+from cell_firmware.serial.frames import check_of
 from cell_firmware.serial.lines import SerialLines
 from cell_firmware.serial.rates import bit_ns
 from cell_firmware.serial.settings import LineSettings
-from tests.cell_firmware.serial.line import EAST, PERIOD_NS, WEST, errors_of, two_cells
+from tests.cell_firmware.serial.line import EAST, ONE_BYTE, PERIOD_NS, WEST, Heard, errors_of, two_cells
 
 BILLION = 10**9
 MESSAGE = np.dtype([("a", "<u4")])
@@ -121,6 +122,32 @@ def test_messages_are_read_at_the_first_step_after_their_end_however_clocks_and_
     for name in ("framing", "damaged", "overruns"):
         assert not pair.state[name].any()
     assert len(pair.heard) > 2
+
+
+@pytest.mark.parametrize("ppb", [(20_000_000, -20_000_000), (-20_000_000, 20_000_000)])
+def test_a_message_ends_ten_bits_of_the_sender_s_and_nine_of_the_receiver_s_after_its_last_start(
+    ppb: tuple[int, int],
+) -> None:
+    """And a window and a bit, by no clock, for the exchange."""
+    byte_ns, nine_bits = 1_040_000 * (BILLION + ppb[0]) // BILLION, 936_000 * (BILLION + ppb[1]) // BILLION
+    end = byte_ns + byte_ns + nine_bits + PERIOD_NS + 104_000
+    for early in (0, 1):
+        heard = Heard(LineSettings(bit_ns(9615), PERIOD_NS), ONE_BYTE, ppb)
+        heard.tick(1, -1, [(0, bytes([7, int(check_of(np.array([[7]], dtype=np.uint8))[0])]))])
+        heard.tick(2, end - early, [])
+        assert heard.messages == [None, None if early else (7,)]
+
+
+def test_of_what_comes_while_a_cell_does_not_look_at_all_the_oldest_is_lost_and_counted() -> None:
+    heard = Heard(LineSettings(bit_ns(9615), PERIOD_NS), ONE_BYTE, (0, 0))
+    for tick in range(1, 11):
+        heard.tick(tick, -1, [(0, bytes([tick] * 3))])
+    lost = heard.counted("overruns")
+    assert 0 < lost < 30
+    assert lost % 3 == 0
+    heard.tick(11, 14 * PERIOD_NS, [])
+    assert heard.counted("received") + heard.counted("overruns") == 30
+    assert heard.counted("received") == 16  # as many as the ring holds
 
 
 @pytest.mark.parametrize("ppb", [(0, 0), (100_000, -100_000), (-30_000_000, 0)])

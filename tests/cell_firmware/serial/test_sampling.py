@@ -16,6 +16,7 @@ from tests.cell_firmware.serial.line import BIT_NS, ONE_BYTE, PERIOD_NS, Bits, H
 
 FAST = LineSettings(16 * 500, PERIOD_NS)
 """125,000 baud: room for many bytes in a tick."""
+SLOW = LineSettings(BIT_NS, PERIOD_NS)
 
 
 def framing(value: int, own_ppm: int, count: int = 10) -> tuple[int, int]:
@@ -35,6 +36,31 @@ def test_a_receiver_six_per_cent_slow_finds_the_next_start_bit_in_place_of_any_s
     assert framing(0x00, 60_000) == framing(0xFF, 60_000) == (9, 1)  # nothing follows the last
 
 
+def test_the_next_start_bit_counts_whichever_burst_brings_it() -> None:
+    """Eight bytes back to back: within a window, over its end, and with a nanosecond's gap; the last is alone."""
+    heard = Heard(SLOW, np.dtype([("a", "u1"), ("b", "<u8")]), (0, 60_000_000))
+    byte_ns = SLOW.byte_ns
+    over = 4 * byte_ns - PERIOD_NS
+    bursts = {
+        1: [(0, b"\xff" * 2), (2 * byte_ns, b"\xff" * 2)],
+        2: [(over, b"\xff"), (over + byte_ns + 1, b"\xff" * 3)],
+    }
+    for tick in range(1, 8):
+        heard.tick(tick, tick * PERIOD_NS, bursts.get(tick, []))
+    assert (heard.counted("framing"), heard.counted("received")) == (7, 1)
+
+
+@pytest.mark.parametrize(("ring", "counts"), [(16, (1, 0, 1)), (0, (1, 1, 0))])
+def test_a_byte_with_a_framing_error_takes_up_the_register_but_no_place_in_a_ring(
+    ring: int, counts: tuple[int, int, int]
+) -> None:
+    settings = LineSettings(BIT_NS, PERIOD_NS, ring, 2)
+    heard = Heard(settings, np.dtype([("a", "u1"), ("b", "<u8")]), (0, 60_000_000))
+    for tick in range(1, 4):
+        heard.tick(tick, tick * PERIOD_NS, [(0, b"\xff\xff")] if tick == 1 else [])
+    assert tuple(map(heard.counted, ("framing", "overruns", "received"))) == counts
+
+
 @pytest.mark.parametrize("own_ppm", [-40_000, 40_000, -50_000, 52_000])
 @pytest.mark.parametrize("value", [0x00, 0xFF])
 def test_four_and_five_per_cent_lose_nothing(own_ppm: int, value: int) -> None:
@@ -49,16 +75,16 @@ def test_the_limit_is_half_a_bit_in_nine_and_a_half() -> None:
         assert sorted(samples) == sorted([9, number])
 
 
-SLOW = LineSettings(BIT_NS, PERIOD_NS)
 RUN = st.lists(st.sampled_from([0x00, 0xFF, 0x55, 0x80, 0x01, 0x7F, 0xA3]), min_size=1, max_size=4)
-GAP = st.sampled_from([0, 1, BIT_NS // 8, BIT_NS // 2, BIT_NS, 5 * BIT_NS, 12 * BIT_NS, 40 * BIT_NS])
+PPM = st.sampled_from([-60_000, -45_000, 45_000, 60_000]) | st.integers(-60_000, 60_000)
+GAP = st.sampled_from([0, 0, 1, BIT_NS // 8, BIT_NS // 2, BIT_NS, 5 * BIT_NS, 12 * BIT_NS, 40 * BIT_NS])
 
 
 @settings(max_examples=80, deadline=None)
 @given(
     runs=st.lists(st.tuples(GAP, RUN), min_size=1, max_size=8),
-    sender_ppm=st.integers(-60_000, 60_000),
-    own_ppm=st.integers(-60_000, 60_000),
+    sender_ppm=PPM,
+    own_ppm=PPM,
 )
 def test_bytes_gaps_and_clocks_of_any_kind_are_read_as_the_line_s_levels_say(
     runs: list[tuple[int, list[int]]], sender_ppm: int, own_ppm: int

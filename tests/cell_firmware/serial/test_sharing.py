@@ -78,11 +78,16 @@ def test_cells_whose_scans_are_apart_lose_what_comes_to_a_side_that_is_not_selec
         assert len(pair.heard) > 0
 
 
-def test_a_byte_on_its_way_as_the_switch_turns_to_its_side_is_not_heard() -> None:
-    for late in (0, 1):
-        heard = Heard(LineSettings(BIT_NS, PERIOD_NS, dwell_periods=1), ONE_BYTE)
-        # cell 0,1 has looked at the end of its second period and turned to its third side, west's
-        since = np.full(2, PERIOD_NS + late)
+@pytest.mark.parametrize("clocks", [None, (0, 0)])
+def test_a_byte_on_its_way_as_the_switch_turns_to_its_side_is_not_heard(
+    clocks: tuple[int, int] | None,
+) -> None:
+    """With clocks of their own all comes a window and a bit later than on the line."""
+    late_ns = 0 if clocks is None else PERIOD_NS + BIT_NS
+    for missed in (0, 1):
+        heard = Heard(LineSettings(BIT_NS, PERIOD_NS, dwell_periods=1), ONE_BYTE, clocks)
+        # cell 0,1 has ended its second period, and turned to its third side, west's
+        since = np.full(2, PERIOD_NS + late_ns + missed)
         heard.state = {**heard.state, "periods": np.array([2, 2]), "since_ns": since}
-        heard.tick(2, 2 * PERIOD_NS, [(0, b"7")])
-        assert (heard.counted("received"), heard.counted("unheard")) == (1 - late, late)
+        heard.tick(2, 4 * PERIOD_NS, [(0, b"7")])
+        assert (heard.counted("received"), heard.counted("unheard")) == (1 - missed, missed)
