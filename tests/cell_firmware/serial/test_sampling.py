@@ -50,14 +50,16 @@ def test_the_next_start_bit_counts_whichever_burst_brings_it() -> None:
     assert (heard.counted("framing"), heard.counted("received")) == (7, 1)
 
 
-@pytest.mark.parametrize(("ring", "counts"), [(16, (1, 0, 1)), (0, (1, 1, 0))])
+@pytest.mark.parametrize(
+    ("lines", "count", "counts"),
+    [(FAST, 17, (16, 0, 1)), (LineSettings(BIT_NS, PERIOD_NS, 0, 2), 2, (1, 1, 0))],
+)
 def test_a_byte_with_a_framing_error_takes_up_the_register_but_no_place_in_a_ring(
-    ring: int, counts: tuple[int, int, int]
+    lines: LineSettings, count: int, counts: tuple[int, int, int]
 ) -> None:
-    settings = LineSettings(BIT_NS, PERIOD_NS, ring, 2)
-    heard = Heard(settings, np.dtype([("a", "u1"), ("b", "<u8")]), (0, 60_000_000))
+    heard = Heard(lines, np.dtype([("a", "u1"), ("b", "<u8")]), (0, 60_000_000))
     for tick in range(1, 4):
-        heard.tick(tick, tick * PERIOD_NS, [(0, b"\xff\xff")] if tick == 1 else [])
+        heard.tick(tick, tick * PERIOD_NS, [(0, b"\xff" * count)] if tick == 1 else [])
     assert tuple(map(heard.counted, ("framing", "overruns", "received"))) == counts
 
 
