@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
 
 from cell_firmware.board import Board
 from cell_firmware.controller import Controller
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from cell_firmware.effects.encoder import EncoderSpec
     from cell_firmware.effects.fixed_point import FixedPointSpec
     from cell_firmware.effects.pwm import PwmSpec
+    from cell_firmware.serial.settings import LineSettings
     from cell_firmware.speed_loop.fixed_point import FixedPointLoop
     from cell_firmware.speed_loop.pwm import Pwm
     from cell_firmware.speed_loop.tachometer import Encoder
@@ -152,14 +155,23 @@ def _links(
     if firmware.message is None:
         return None
     if effects.serial is not None:
-        from cell_firmware.serial.lines import SerialLines
-
-        settings = effects.serial.settings(spec.period_ns)
-        if clocks is None:
-            return SerialLines(settings, firmware.message)
-        return SerialLines(settings, firmware.message, clocks.all.window_ns, clocks.ppb)
+        return _serial(effects.serial.settings(spec.period_ns), firmware.message, effects, clocks)
     if clocks is None:
         return None
     from cell_firmware.mailbox import Mailbox
 
     return Mailbox(firmware.message, clocks.all.window_ns)
+
+
+def _serial(
+    settings: LineSettings, message: np.dtype[Any], effects: CellEffects, clocks: ArrayClocks | None
+) -> LinkPart:
+    """Serial lines: byte by byte where something may happen to a byte."""
+    from cell_firmware.serial.lines import SerialLines
+    from cell_firmware.serial.whole import WholeMessages, undisturbed
+
+    window_ns = settings.period_ns if clocks is None else clocks.all.window_ns
+    worst_ppb = 0 if clocks is None else int(np.abs(clocks.all.ppb).max(initial=0))
+    safe = effects.link_loss is None and effects.link_delay is None
+    kind = WholeMessages if safe and undisturbed(settings, window_ns, worst_ppb) else SerialLines
+    return kind(settings, message) if clocks is None else kind(settings, message, window_ns, clocks.ppb)

@@ -77,8 +77,7 @@ class Receiver:
         }
         if self._errors_of is None:
             return state
-        own = self._errors_of(cells.row, cells.column)[:, None]
-        sender = self._errors_of(cells.row[:, None] + _STEPS[:, 0], cells.column[:, None] + _STEPS[:, 1])
+        own, sender = neighbours_errors(self._errors_of, cells)
         return {**state, **LineTimes.of(self._settings, self._late_ns, own, sender).state()}
 
     def hear(self, window: int, state: State, lines: Inbox) -> State:
@@ -147,3 +146,9 @@ def _names(burst: int) -> list[str]:
     """Arrays of a burst in the queue."""
     runs = (2 * burst, 2 * burst + 1)
     return [f"data_{burst}", *(name for i in runs for name in (f"left_{i}", f"place_{i}", f"start_{i}_ns"))]
+
+
+def neighbours_errors(errors_of: ErrorsOf, cells: Cells) -> tuple[Ints, Ints]:
+    """Errors of the cells' own clocks, ``(n, 1)`` ppb, and of their neighbours', ``(n, 4)``."""
+    own = errors_of(cells.row, cells.column)[:, None]
+    return own, errors_of(cells.row[:, None] + _STEPS[:, 0], cells.column[:, None] + _STEPS[:, 1])
