@@ -71,36 +71,38 @@ class Watchdog(Controller):
         self, now: Instant, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period: resets, and a step of the programs that run."""
-        inner, watch = self._reset(_without(state), state.parts[_COP])
+        watch = state.parts[_COP]
         at_ns = watch["instants"] * self._period_ns
+        inner, watch = self._reset(at_ns, _without(state), watch)
         runs = ~watch["hung"] & (at_ns >= watch["starts_ns"])
         waits = np.flatnonzero(~runs)
         if len(waits):
             inner = inner.put(waits, self.controller.idle(now.take(waits), inner.take(waits)))
         inner, outputs = self.controller.act_on(np.flatnonzero(runs), now, inner, inputs)
-
-        raised = np.zeros(len(runs), dtype=np.bool_)
-        raised[list(outputs.failures)] = True
-        well = runs & ~raised
-        served = well if outputs.served is None else well & outputs.served
-        drive = np.where(well[:, None], outputs.drive, watch["drive"])
-        after: State = {
-            **watch,
-            "instants": watch["instants"] + 1,
-            "served_ns": np.where(served, at_ns, watch["served_ns"]),
-            "hung": watch["hung"] | raised,
-            "hangs": watch["hangs"] + raised,
-            "drive": drive,
-        }
+        after: dict[str, NDArray[Any]] = {**watch, "instants": watch["instants"] + 1}
+        if len(waits) or outputs.failures:
+            raised = np.zeros(len(runs), dtype=np.bool_)
+            raised[list(outputs.failures)] = True
+            runs &= ~raised
+            after["hung"], after["hangs"] = watch["hung"] | raised, watch["hangs"] + raised
+            after["drive"] = np.where(runs[:, None], outputs.drive, watch["drive"])
+        else:
+            after["drive"] = outputs.drive.copy()
+        served = runs if outputs.served is None else runs & outputs.served
+        after["served_ns"] = np.where(served, at_ns, watch["served_ns"])
         return (
             ControllerState(state.cells, {**inner.parts, _COP: frozen(after)}),
-            ControllerOutputs(drive, outputs.outbox, hung=outputs.failures),
+            ControllerOutputs(after["drive"], outputs.outbox, hung=outputs.failures),
         )
 
-    def _reset(self, inner: ControllerState, watch: State) -> tuple[ControllerState, State]:
+    def _reset(
+        self, at_ns: NDArray[np.int64], inner: ControllerState, watch: State
+    ) -> tuple[ControllerState, State]:
         """Resets those whose time is over."""
+        if (at_ns - watch["served_ns"]).max() < self._timeout_ns:
+            return inner, watch  # none can be, and dividing takes its time
         bites_ns = -(-(watch["served_ns"] + self._timeout_ns) // DIVIDER_NS) * DIVIDER_NS
-        over: Bools = watch["instants"] * self._period_ns >= bites_ns
+        over: Bools = at_ns >= bites_ns
         if not over.any():
             return inner, watch
         rows = np.flatnonzero(over)
