@@ -147,7 +147,6 @@ def test_of_what_comes_while_a_cell_does_not_look_at_all_the_oldest_is_lost_and_
     assert lost % 3 == 0
     heard.tick(11, 14 * PERIOD_NS, [])
     assert heard.counted("received") + heard.counted("overruns") == 30
-    assert heard.counted("received") == 16  # as many as the ring holds
 
 
 @pytest.mark.parametrize("ppb", [(0, 0), (100_000, -100_000), (-30_000_000, 0)])
