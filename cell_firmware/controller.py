@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.firmware import Bools, Cells, Floats, Inputs, Outbox, State, picked, solid
+from cell_firmware.firmware import Bools, Cells, Floats, Inputs, Outbox, State, picked, put
 
 
 class Instant(NamedTuple):
@@ -60,8 +60,10 @@ class ControllerState:
         for part, state in self.parts.items():
             changed: dict[str, NDArray[Any]] = {}
             for name, array in state.items():
-                changed[name] = array.copy()
-                solid(changed[name])[rows] = solid(other.parts[part][name])
+                theirs = other.parts[part][name]
+                # a program may have gone over from one type to another
+                changed[name] = array.astype(np.result_type(array, theirs), order="C")
+                put(changed[name], rows, theirs)
             parts[part] = frozen(changed)
         return ControllerState(self.cells, parts)
 
@@ -196,12 +198,12 @@ class Controller(ABC):
         if not len(rows):
             return state, ControllerOutputs(drive, None)
         some, outputs = self.act(now.take(rows), state.take(rows), inputs.take(rows))
-        drive[rows] = outputs.drive
+        put(drive, rows, outputs.drive)
         outbox, served = None, None
         if outputs.outbox is not None:
             outbox = Outbox.empty(n, outputs.outbox.message.dtype)
-            outbox.sent[rows] = outputs.outbox.sent
-            solid(outbox.message)[rows] = solid(outputs.outbox.message)
+            put(outbox.sent, rows, outputs.outbox.sent)
+            put(outbox.message, rows, outputs.outbox.message)
         if outputs.served is not None:
             served = np.zeros(n, dtype=np.bool_)
             served[rows] = outputs.served

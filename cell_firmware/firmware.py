@@ -26,8 +26,19 @@ def solid(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def picked(array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
-    """``array[rows]``, and as fast for structures as for numbers."""
-    return solid(array)[rows].view(array.dtype)
+    """``array[rows]``, a tenth of its time for rows of several items."""
+    return solid(array).take(rows, axis=0).view(array.dtype)
+
+
+def put(array: NDArray[Any], rows: NDArray[np.int64], values: NDArray[Any]) -> None:
+    """``array[rows] = values``, likewise; ``array`` must lie in one piece."""
+    if array.ndim == 1 or array.dtype != values.dtype or array.dtype.hasobject:
+        solid(array)[rows] = solid(values)
+        return
+    whole_row = np.dtype((np.void, array.strides[0]))
+    array.reshape(len(array), -1).view(whole_row)[rows] = (
+        np.ascontiguousarray(values).reshape(len(values), -1).view(whole_row)
+    )
 
 
 @final
@@ -61,10 +72,10 @@ class Cells:
     def take(self, indices: NDArray[np.int64]) -> Cells:
         """These cells alone, in this order."""
         return Cells(
-            self.row[indices],
-            self.column[indices],
-            self.position_m[indices],
-            self.has_neighbour[indices],
+            picked(self.row, indices),
+            picked(self.column, indices),
+            picked(self.position_m, indices),
+            picked(self.has_neighbour, indices),
             self.period_s,
             self.sensors,
         )
@@ -116,10 +127,12 @@ class Inputs:
 
     def take(self, indices: NDArray[np.int64]) -> Inputs:
         """The inputs of these cells alone, in this order."""
-        encoder_m = None if self.encoder_m is None else self.encoder_m[indices]
-        inbox = self.inbox and Inbox(self.inbox.received[indices], picked(self.inbox.message, indices))
-        level = None if self.level is None else self.level[indices]
-        return Inputs(self.presence[indices], encoder_m, inbox, level)
+        encoder_m = None if self.encoder_m is None else picked(self.encoder_m, indices)
+        inbox = self.inbox and Inbox(
+            picked(self.inbox.received, indices), picked(self.inbox.message, indices)
+        )
+        level = None if self.level is None else picked(self.level, indices)
+        return Inputs(picked(self.presence, indices), encoder_m, inbox, level)
 
 
 @final
