@@ -35,7 +35,7 @@ KINDS: dict[str, Callable[[int], NDArray[Any]]] = {
     "bits": lambda n: (np.arange(4 * n) % 3 == 0).reshape(n, 4),
     "pairs": lambda n: np.arange(2.0 * n).reshape(n, 2),
     "blocks": lambda n: np.arange(6.0 * n).reshape(n, 2, 3),
-    "columns": lambda n: np.arange(6.0 * n).reshape(2, 3, n).transpose(2, 0, 1),  # rows not in one piece
+    "columns": lambda n: np.arange(6.0 * n).reshape(2, 3, n).transpose(2, 1, 0),  # rows not in one piece
     "structures": structures,
     "objects": objects,
 }
