@@ -74,6 +74,11 @@ class Board(Controller):
         """What a link carries in a tick: a message of the firmware's, or what the serial lines make of it."""
         return self.firmware.message if self.links is None else self.links.line
 
+    @property
+    def tentative(self) -> bool:
+        """As the firmware has it: the parts of a board are pure."""
+        return self.firmware.tentative
+
     def init(self, cells: Cells) -> ControllerState:
         """The state before tick 0.
 

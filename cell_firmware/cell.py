@@ -102,11 +102,14 @@ class CellFirmware(Program, ABC):
 class PerCell(Firmware):
     """Runs a ``CellFirmware`` for every cell of an array, in cell order.
 
-    A cell that raises is named in ``Outputs.failed`` with its traceback, and the others are stepped.
+    A cell that raises is named in ``Outputs.failed`` with its traceback, and the others are stepped. Nobody is stepped
+    in vain: a user's program may print.
 
     Args:
         firmware: The program of one cell.
     """
+
+    tentative = False
 
     def __init__(self, firmware: CellFirmware) -> None:
         super().__init__(firmware.parameters)

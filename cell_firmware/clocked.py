@@ -38,6 +38,11 @@ class Clocked(Controller):
         """What a link carries in an exchange."""
         return self.controller.message
 
+    @property
+    def tentative(self) -> bool:
+        """As the cells' controller has it."""
+        return self.controller.tentative
+
     def init(self, cells: Cells) -> ControllerState:
         """The state before a cell's first instant: its wheels stand still."""
         inner = self.controller.init(cells)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inputs, Outbox, State, picked, put
+
+_MOST: Final = 0.75
+"""Of the cells: if more of them are stepped, it costs less to step all."""
 
 
 class Instant(NamedTuple):
@@ -67,6 +70,29 @@ class ControllerState:
             parts[part] = frozen(changed)
         return ControllerState(self.cells, parts)
 
+    def keep(self, rows: NDArray[np.int64], before: ControllerState) -> ControllerState:
+        """This state, but these cells' rows are as they were ``before``.
+
+        Arrays that only this state has are written to: for what a step has just made, and few rows.
+        """
+        taken = {id(array) for state in before.parts.values() for array in state.values()}
+        parts: dict[str, State] = {}
+        for part, state in self.parts.items():
+            kept: dict[str, NDArray[Any]] = {}
+            for name, array in state.items():
+                old = before.parts[part][name]
+                if array is old:
+                    kept[name] = array
+                    continue
+                if array.base is not None or id(array) in taken or array.dtype != old.dtype:
+                    array = array.astype(np.result_type(array, old), order="C")  # noqa: PLW2901 - a copy
+                taken.add(id(array))
+                array.setflags(write=True)
+                put(array, rows, picked(old, rows))
+                kept[name] = array
+            parts[part] = frozen(kept)
+        return ControllerState(self.cells, parts)
+
     @staticmethod
     def joined(cells: Cells, states: Sequence[ControllerState]) -> ControllerState:
         """The state of ``cells`` from those of each of them alone."""
@@ -111,6 +137,11 @@ class Controller(ABC):
     @abstractmethod
     def message(self) -> np.dtype[Any] | None:
         """Little-endian structured type of what a link carries in a tick; None if cells don't talk."""
+
+    @property
+    def tentative(self) -> bool:
+        """Whether cells may be stepped that are not due, and that be undone."""
+        return False
 
     @abstractmethod
     def init(self, cells: Cells) -> ControllerState:
@@ -197,6 +228,8 @@ class Controller(ABC):
         drive = np.zeros((n, 2))
         if not len(rows):
             return state, ControllerOutputs(drive, None)
+        if self.tentative and len(rows) > _MOST * n:
+            return self._act_on_most(rows, now, state, inputs)
         some, outputs = self.act(now.take(rows), state.take(rows), inputs.take(rows))
         put(drive, rows, outputs.drive)
         outbox, served = None, None
@@ -212,6 +245,25 @@ class Controller(ABC):
             for found in (outputs.failures, outputs.hung)
         )
         return state.put(rows, some), ControllerOutputs(drive, outbox, failures, served, hung)
+
+    def _act_on_most(
+        self, rows: NDArray[np.int64], now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """The same: all cells are stepped, which is pure, and for those few that should not be it is undone."""
+        idle = np.ones(len(state.cells), dtype=np.bool_)
+        idle[rows] = False
+        others = np.flatnonzero(idle)
+        after, outputs = self.act(now, state, inputs)
+        drive, outbox = outputs.drive.copy(), outputs.outbox
+        drive[others] = 0.0
+        if outbox is not None:
+            outbox = Outbox(outbox.sent & ~idle[:, None], outbox.message)
+        failures, hung = (
+            {i: failure for i, failure in found.items() if not idle[i]}
+            for found in (outputs.failures, outputs.hung)
+        )
+        served = None if outputs.served is None else outputs.served & ~idle
+        return after.keep(others, state), ControllerOutputs(drive, outbox, failures, served, hung)
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:  # noqa: ARG002
         """What can be read of cells while they run, ``part.register`` to an array with a row a cell."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,6 +181,9 @@ class Firmware(Program, ABC):
     comparisons, ``np.where``, ``np.sqrt``; no ``math``, no ``**``, no reduction across cells, no access to a
     neighbour but through messages. State arrays are handed in read-only.
     """
+
+    tentative: ClassVar[bool] = True
+    """Whether cells may be stepped that are not due, and that be undone: to step all may cost less."""
 
     @abstractmethod
     def init(self, cells: Cells) -> State:

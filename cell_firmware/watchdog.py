@@ -48,6 +48,11 @@ class Watchdog(Controller):
         """What a link carries in a tick."""
         return self.controller.message
 
+    @property
+    def tentative(self) -> bool:
+        """As the cells' controller has it."""
+        return self.controller.tentative
+
     def init(self, cells: Cells) -> ControllerState:
         """The state before tick 0: power-on clears the counters."""
         n = len(cells)

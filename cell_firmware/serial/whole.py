@@ -124,7 +124,7 @@ class WholeMessages(LinkPart):
         since = np.where(state["since"] < 0, sent_in, state["since"])
         began = sent_in - lines.message[self._began].astype(np.int64)
         heard = lines.received & (began >= since)
-        there_ns = sent_in * self._window_ns + lines.message[self._last] + state["whole_ns"]
+        there_ns = sent_in * self._window_ns + lines.message[self._last].astype(np.int64) + state["whole_ns"]
         new = now.tick % self._slots
         after = {
             **state,

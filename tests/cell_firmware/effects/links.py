@@ -25,6 +25,7 @@ class Stamper(Firmware):
     """
 
     message = np.dtype([("said", "<i8")])
+    tentative = False  # it writes down every step
 
     def __init__(self, every: int = 1) -> None:
         super().__init__(NoParameters())

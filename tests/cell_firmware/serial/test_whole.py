@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -130,13 +130,19 @@ scenarios = st.builds(
 )
 
 
+LONG = Scenario(
+    9615, 9, 6, 1, [9_000_000, -9_000_000, 0, 1, 2, 3], [0, 1, 2, 3, 4, 5], (0, 999), (99, 0), None
+)
+
+
 @settings(max_examples=60)
-@given(scenarios)
-def test_programs_hear_what_they_would_hear_of_bytes_when_they_would(scenario: Scenario) -> None:
+@given(scenarios, st.just(90))
+@example(LONG, 1_100)  # beyond what 32 bits hold in nanoseconds
+def test_programs_hear_what_they_would_hear_of_bytes_when_they_would(scenario: Scenario, ticks: int) -> None:
     if scenario.reboot_s is None:
         scenario.hangs = (99, 0)
     assume(undisturbed(scenario.lines, scenario.window_ns, 9_000_000))
-    by_bytes, whole = (scenario.heard(kind, 90) for kind in (SerialLines, WholeMessages))
+    by_bytes, whole = (scenario.heard(kind, ticks) for kind in (SerialLines, WholeMessages))
     for tick, (one, other) in enumerate(zip(by_bytes, whole, strict=True)):
         for name in ("firmware.came", "firmware.word", "serial.replaced"):
             np.testing.assert_array_equal(one[name], other[name], err_msg=f"{name} in tick {tick}")
