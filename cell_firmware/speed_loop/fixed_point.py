@@ -26,8 +26,12 @@ class FixedPointLoop(WheelPart):
         I = I + ki e
         u = saturated(kf reference + kp e + I)
 
-    The integral saturates at the supply, and is frozen while the output does so in the error's direction. Products are
-    rounded to the nearest. Floating point is only in reading the disc and the reference, and in writing volts.
+    While u saturates the integral is conditioned instead (`conditioning`), with V the measured speed::
+
+        I = I + b (limited(u - kf V) - I)
+
+    The integral saturates at the supply. Products are rounded to the nearest, but for the one with b: away from zero,
+    so that the integral gets there. Floating point is only in reading the disc and the reference, and in writing volts.
 
     Args:
         scaling: Gains and limits.
@@ -71,8 +75,10 @@ class FixedPointLoop(WheelPart):
         grown = integral + scaling.ki.times(error)
         wanted = scaling.feed_forward.times(reference) + scaling.kp.times(error) + grown
         limit = scaling.output_limit
-        winding = ((wanted > limit) & (error > 0)) | ((wanted < -limit) & (error < 0))
-        return np.where(winding, integral, _within(grown, limit)), _within(wanted, limit)
+        output = _within(wanted, limit)
+        ahead = scaling.feed_forward.times(_within(measured, scaling.reference_limit))
+        held = integral + scaling.share.away_from_zero(_within(output - ahead, limit) - integral)
+        return np.where(wanted == output, _within(grown, limit), held), output
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
         """The integrals; counts and duties where there are any."""

@@ -11,6 +11,7 @@ from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Floats, State
 from cell_firmware.parts import WheelPart
 from cell_firmware.specs import SpeedLoopSpec
+from cell_firmware.speed_loop.conditioning import share
 from cell_firmware.speed_loop.pwm import Pwm
 from cell_firmware.speed_loop.tachometer import Tachometer, Travel
 
@@ -25,8 +26,11 @@ class SpeedLoop(WheelPart):
         I = I + ki e T
         u = clamp(kf reference + kp e + I, -supply, +supply)
 
-    While the sum is beyond the supply in the error's direction the integral is remembered as it was, so that
-    a wheel that can't follow does not wind it up.
+    While u is limited the integral is conditioned instead (`conditioning`), with V the measured speed::
+
+        I = I + b (u - kf V - I)
+
+    It stays within ``supply + kf |V|``, V the largest there was.
 
     Args:
         spec: Gains.
@@ -52,6 +56,7 @@ class SpeedLoop(WheelPart):
         self.supply_v = float(supply_v)
         self._tachometer = Travel(self.period_s) if tachometer is None else tachometer
         self._pwm = pwm
+        self._share = share(spec.kp_v_per_m_s, spec.ki_v_per_m * self.period_s, spec.feed_forward_v_per_m_s)
 
     def init(self, cells: Cells) -> State:
         """Integral terms ``(n, 2)`` V, what the tachometer remembers, and with PWM the duty ``(n, 2)``."""
@@ -65,13 +70,15 @@ class SpeedLoop(WheelPart):
         """One control period."""
         spec = self.spec
         seen, reading = self._tachometer.read(state, encoder_m)
-        error = reference_m_s - reading * self._tachometer.unit_m_s
+        measured = reading * self._tachometer.unit_m_s
+        error = reference_m_s - measured
         ahead = spec.feed_forward_v_per_m_s * reference_m_s + spec.kp_v_per_m_s * error
-        grown = state["integral_v"] + spec.ki_v_per_m * error * self.period_s
+        before = state["integral_v"]
+        grown = before + spec.ki_v_per_m * error * self.period_s
         wanted = ahead + grown
-        winding = ((wanted > self.supply_v) & (error > 0.0)) | ((wanted < -self.supply_v) & (error < 0.0))
-        after: dict[str, NDArray[Any]] = {"integral_v": np.where(winding, state["integral_v"], grown), **seen}
         volts = np.minimum(np.maximum(wanted, -self.supply_v), self.supply_v)
+        held = before + self._share * (volts - spec.feed_forward_v_per_m_s * measured - before)
+        after: dict[str, NDArray[Any]] = {"integral_v": np.where(wanted == volts, grown, held), **seen}
         if self._pwm is not None:
             after["duty"] = duty = self._pwm.duty(volts)
             volts = self._pwm.volts(duty)

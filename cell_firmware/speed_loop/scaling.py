@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 
 from cell_firmware.errors import SettingError
 from cell_firmware.specs import SpeedLoopSpec
+from cell_firmware.speed_loop.conditioning import share
 from cell_firmware.speed_loop.tachometer import FRACTION_BITS, LARGEST_WORD, IntegerTachometer
 
 OUTPUT_BITS: Final = 12
 """Of an output and of an integral: Q12, 4096ths of a level."""
 IDEAL_LEVELS: Final = 2**11
 """Levels of the supply where no PWM has levels of its own."""
+LARGEST_WAY: Final = 2**29
+"""That an integral can have to go: from the supply one way to the supply the other, at the most levels."""
+_LOW_BITS: Final = 14
 _LARGEST_SUM: Final = 2**31 - 1
 _MOST_SHIFT: Final = 30
 _FIELDS: Final = ("kp_v_per_m_s", "ki_v_per_m", "feed_forward_v_per_m_s")
@@ -57,6 +61,19 @@ class Gain:
             return (value * self.word) << -self.shift
         return (value * self.word + (1 << (self.shift - 1))) >> self.shift
 
+    def away_from_zero(self, value: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The product of a factor <= 1 with numbers up to `LARGEST_WAY` either way, both in Q12.
+
+        Of 32 bits like all else: the word by the upper bits and by the lower 14. Rounded away from zero, no further
+        than the number itself: what is left of it by and by goes to 0.
+        """
+        magnitude = np.abs(value)
+        low = (magnitude & ((1 << _LOW_BITS) - 1)) * self.word
+        product = (magnitude >> _LOW_BITS) * self.word + ((low + ((1 << _LOW_BITS) - 1)) >> _LOW_BITS)
+        left = max(self.shift - _LOW_BITS, 0)  # less only where the word is 0
+        moved = (product + ((1 << left) - 1)) >> left
+        return np.where(value < 0, -moved, moved)
+
 
 class Realised(NamedTuple):
     """A gain as asked for and as it is.
@@ -92,6 +109,7 @@ class Scaling:
 
     Attributes:
         kp, ki, feed_forward: Gains.
+        share: Of its way that an integral moves in a saturated period, a factor from Q12 to Q12.
         reference_limit: Of the reference, either way, Q4.
         error_limit: Of the error.
         output_limit: Of output and integral, Q12: the supply.
@@ -117,6 +135,7 @@ class Scaling:
         self._units = (unit, unit * period_s, unit)
         gains = [self._gain(i) for i in range(len(_FIELDS))]
         self.kp, self.ki, self.feed_forward = gains
+        self.share = Gain.nearest(share(self.kp.factor, self.ki.factor, self.feed_forward.factor))
         self.error_limit = self._error_limit()
         self._check_sum()
 

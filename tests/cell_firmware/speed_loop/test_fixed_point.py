@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -64,6 +65,7 @@ def exactly(gain: Gain) -> Fraction:
     loop(2000, 0, 1.0, 200.0, 10.0), 2**20, -1000, -2000
 )  # the integral grows though the sum is within the supply
 @example(loop(255, 16, 5.0, 50.0, 1.0), -(2**20), -2032, 2032)
+@example(loop(2000, 1920, 5.0, 50.0, 30.0), -(2**20), 2000, 1000)  # feed-forward alone is beyond the supply
 def test_a_step_is_within_its_stated_rounding_of_exact_arithmetic(
     loop: FixedPointLoop, share: int, reference: int, measured: int
 ) -> None:
@@ -85,8 +87,11 @@ def test_a_step_is_within_its_stated_rounding_of_exact_arithmetic(
     assert abs(after) <= limit
     if abs(abs(wanted) - limit) <= rounding:
         return  # whether it saturates is a matter of rounding
-    if abs(wanted) > limit and wanted * error > 0:
-        assert after == integral
+    if abs(wanted) > limit:
+        ahead = exactly(made.feed_forward) * measured
+        way = max(-limit, min(limit, output - ahead)) - integral
+        assert abs(after - (integral + exactly(made.share) * way)) < Fraction(3, 2)
+        assert min(0, way) - Fraction(1, 2) <= after - integral <= max(0, way) + Fraction(1, 2)
     else:
         assert abs(after - max(-limit, min(limit, grown))) <= Fraction(1, 2)
 
@@ -101,8 +106,10 @@ def test_no_error_is_answered_with_the_other_sign(loop: FixedPointLoop, measured
 
 def test_the_least_16_bit_number_is_negated_without_a_wrap() -> None:
     one = loop(2000, 0, 12.0, 200.0, 0.0)
-    assert acted(one, 0, 0, -(2**15)) == (0, one.scaling.output_limit)
-    assert acted(one, 0, 0, 2**15 - 1) == (0, -one.scaling.output_limit)
+    limit = one.scaling.output_limit
+    moved = math.ceil(exactly(one.scaling.share) * limit)
+    assert acted(one, 0, 0, -(2**15)) == (moved, limit)
+    assert acted(one, 0, 0, 2**15 - 1) == (-moved, -limit)
 
 
 def test_the_integral_saturates_at_the_supply() -> None:
@@ -113,6 +120,35 @@ def test_the_integral_saturates_at_the_supply() -> None:
     assert integral <= one.scaling.output_limit
     assert integral > 0.98 * one.scaling.output_limit
     assert output == one.scaling.output_limit
+
+
+def test_a_reading_of_128_counts_back_does_not_wrap_what_holds_the_limit() -> None:
+    """The largest feed-forward that is not refused, by 127 counts: one more and the sum would take 33 bits."""
+    per_volt = loop(1, 16, 0.0, 0.01, 1.0).scaling.feed_forward.factor
+    one = loop(1, 16, 0.0, 0.01, 0.9999 * (2**31 - 1) / (127 * 16) / per_volt)
+    limit = one.scaling.output_limit
+    assert one.scaling.feed_forward.times(128 * 16) + limit > 2**31 - 1
+    after, output = acted(one, 0, 127 * 16, -128 * 16)
+    assert output == limit
+    assert after > 0
+
+
+@pytest.mark.parametrize(("supply", "error"), [(1, 20_000), (-1, -20_000)])
+def test_rounding_leaves_nothing_of_the_way_to_the_supply(supply: int, error: int) -> None:
+    """By the nearest, a share of 1 in 2,930 would stop 1,464 steps before."""
+    one = loop(2000, 0, 12.0, 1.0, 0.0)
+    assert exactly(one.scaling.share) == pytest.approx(Fraction(1, 2930), rel=1e-3)
+    limit = supply * one.scaling.output_limit
+    integral = limit - supply * 1000
+    for _ in range(1000):
+        after, output = acted(one, integral, error, 0)
+        assert output == limit
+        assert supply * (after - integral) > 0
+        integral = after
+        if integral == limit:
+            break
+    assert integral == limit
+    assert acted(one, integral, error, 0) == (limit, limit)
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from fractions import Fraction
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cell_firmware.errors import SettingError
 from cell_firmware.specs import SpeedLoopSpec
-from cell_firmware.speed_loop.scaling import Gain, Scaling
+from cell_firmware.speed_loop.scaling import LARGEST_WAY, Gain, Scaling
 from cell_firmware.speed_loop.tachometer import Encoder, Words
 from tests.cell_firmware.speed_loop.wheels import PERIOD_S, SUPPLY_V, TURN_M
 
@@ -41,6 +42,22 @@ def test_a_product_is_the_exact_one_rounded_to_the_nearest_and_keeps_its_sign(
     product = gain.times(value)
     assert abs(product - exact) <= Fraction(1, 2)
     assert product * value >= 0
+
+
+@given(st.floats(1e-12, 1.0), st.integers(-LARGEST_WAY, LARGEST_WAY))
+@example(1.0, -LARGEST_WAY)
+@example(1.0 - 2.0**-15, LARGEST_WAY)
+def test_a_share_is_the_exact_one_rounded_away_from_zero_and_no_more_than_all(
+    factor: float, value: int
+) -> None:
+    gain = Gain.nearest(factor)
+    exact = value * gain.word * Fraction(2) ** -gain.shift
+    product = gain.away_from_zero(np.array([value], dtype=np.int32))
+    assert product.dtype == np.int32
+    moved = int(product[0])
+    assert 0 <= abs(moved) - abs(exact) < 1
+    assert abs(moved) <= abs(value)
+    assert moved * value >= 0
 
 
 def scaling(levels: int = 2000, counts: int = 256, **gains: float) -> Scaling:
@@ -101,6 +118,17 @@ def test_a_gain_that_does_not_fit_is_refused_by_name(gains: dict[str, float], fi
 def test_without_a_gain_there_is_nothing_to_refuse() -> None:
     made = scaling(kp_v_per_m_s=0.0, ki_v_per_m=0.0)
     assert (made.kp.times(1000), made.ki.times(1000), made.rounding_v) == (0, 0, 0.0)
+    assert made.share.factor == 0.0
+
+
+def test_the_share_is_that_of_the_integral_in_what_an_error_comes_to() -> None:
+    gains = {"kp_v_per_m_s": 12.0, "ki_v_per_m": 200.0}
+    assert scaling(**gains).share.factor == pytest.approx(0.8192 / 12.8192, rel=1e-4)
+    assert scaling(**gains, feed_forward_v_per_m_s=9.0).share.factor == pytest.approx(
+        0.8192 / 21.8192, rel=1e-4
+    )
+    assert scaling(kp_v_per_m_s=0.0).share.factor == 1.0
+    assert scaling(ki_v_per_m=0.0).share.factor == 0.0
 
 
 @given(
@@ -127,3 +155,5 @@ def test_no_sum_of_a_loop_that_is_not_refused_exceeds_32_bits(
         + made.output_limit
         <= LARGEST
     )
+    assert 2 * made.output_limit <= LARGEST_WAY
+    assert 0.0 <= made.share.factor <= 1.0
