@@ -34,7 +34,8 @@ from tests.cell_firmware.speed_loop.wheels import (
 STUDY = SpeedLoopSpec(kp_v_per_m_s=6.0, ki_v_per_m=100.0)
 TURNS_PER_S, BEGIN_S, END_S = 2.0, 4.0, 12.0
 COULOMB, STATIC = 0.04, 0.07
-TOP, AFTER = SUPPLY_V * GAIN, 0.5
+TOP, AFTER, FAST = SUPPLY_V * GAIN, 0.5, 1.1
+ENDLESS = Motors(1e6, 1e5)
 METHOD = f"""\
 Method. A first-order motor solved exactly: time constant {TAU_S} s, {GAIN} m/s per volt, supply {SUPPLY_V} V,
 wheel radius {RADIUS_M} m, period {PERIOD_S} s.
@@ -42,7 +43,8 @@ Straying: Coulomb friction {COULOMB:.0%} and static friction {STATIC:.0%} of the
 kp {STUDY.kp_v_per_m_s} V per m/s, ki {STUDY.ki_v_per_m} V/m. The true speed at the ends of the periods from
 {BEGIN_S} to {END_S} s: rms about its mean, peak to peak, and the mean less what was asked for.
 Recovery: no friction. Saturated for a second, then {AFTER} m/s: the time until the wheel stays within 5 % of the way,
-over that of the same loop without limits.
+over that of the linear loop: in floating point, without limits, from its steady state at {TOP:g} m/s.
+Run-up: no friction. From rest to {FAST} m/s: by how much of the way the wheel goes beyond.
 Ripple: of a motor's speed under pulses of half a period, in closed form.
 """
 
@@ -114,10 +116,21 @@ def tell_recovery() -> None:
     print(f"\n{'recovery from':34}" + "".join(f"{before:>7} m/s" for before in befores))
     for kp, ki in ((12.0, 200.0), (6.0, 100.0), (12.0, 400.0)):
         gains = SpeedLoopSpec(kp_v_per_m_s=kp, ki_v_per_m=ki)
-        linear = recovery_s(drive(gains, Motors(1e6, 1e5)), TOP)
+        linear = recovery_s(drive(gains, ENDLESS), TOP)
         for name, effects in (("float", {}), ("fixed", {"fixed_point": {}}), ("board", board(1920, 2000))):
             ratios = [recovery_s(drive(gains, **effects), before) / linear for before in befores]
             print(f"{f'kp {kp:g}, ki {ki:g}, {name}':34}" + "".join(f"{ratio:11.2f}" for ratio in ratios))
+
+
+def tell_run_up() -> None:
+    print(f"\n{'beyond, of the run-up':34}{'with limits':>12}{'without':>10}")
+    for kp, ki, ahead in ((12.0, 200.0, 0.0), (12.0, 400.0, 0.0), (12.0, 200.0, 10.0)):
+        gains = SpeedLoopSpec(kp_v_per_m_s=kp, ki_v_per_m=ki, feed_forward_v_per_m_s=ahead)
+        limited, free = (
+            max(0.0, float(follow(part, [FAST] * 400, Wheel())[0].max()) / FAST - 1.0)
+            for part in (drive(gains), drive(gains, ENDLESS))
+        )
+        print(f"{f'kp {kp:g}, ki {ki:g}, kf {ahead:g}':34}{limited:12.1%}{free:10.1%}")
 
 
 def tell_ripple() -> None:
@@ -138,6 +151,7 @@ def main() -> None:
     tell_levels()
     tell_rounding()
     tell_recovery()
+    tell_run_up()
     tell_ripple()
 
 
