@@ -247,14 +247,19 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
     from plant.plant import Plant
     from plant.solvers.registry import is_compiled
 
-    if not is_compiled(scene.solver):
+    motors = scene.effects.motors
+    divided = scene.effects.clock is not None or (motors is not None and motors.first_order.static_v > 0.0)
+    if not is_compiled(scene.solver, divided=divided):
         _, lasting = folder()
         once = "once" if lasting else "every time: the cache folder can't be written, see NUMBA_CACHE_DIR"
         warn(f"compiling the solver ({once}) ...")
     try:
-        return Plant(scene.plant_spec())
+        plant = Plant(scene.plant_spec())
     except PlantError as error:
         raise InputError(f"scene {scene.name}: {error}") from None
+    if divided:
+        plant.make_ready()
+    return plant
 
 
 def status_of(error: PlantError) -> str:

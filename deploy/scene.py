@@ -154,6 +154,7 @@ class Scene(Spec):
         data = self.model_dump(mode="json", exclude=_ASIDE)
         data["effects"] = {name: table for name, table in data["effects"].items() if table is not None}
         data["cells"]["firmware"] = self.cells.firmware.rpartition("/")[2]
+        del data["cells"]["board"]  # its effects are written out
         data["cells"]["parameters"] = normal_parameters(self.cells)
         data["cells"]["speed_loop"] = self.speed_loop and self.speed_loop.model_dump(mode="json")
         for key in ("missing", "cells"):

@@ -16,7 +16,7 @@ from plant.reading import Reading
 from plant.reports import Event, Sense
 from plant.solvers.solver import Advance, Leg, LegSolver, Outing, Solver
 from plant.specs import PlantSpec
-from plant.wheels import Floats, WheelRun, WheelsUnderWay
+from plant.wheels import Floats, WheelMotion, WheelRun, WheelsUnderWay
 
 
 @final
@@ -81,6 +81,16 @@ class Moves:
         if self._legs is not None:
             return self._each_by_legs(self._legs, run, span_s, start_s, reading)
         return self._by_legs(run, whole, start_s, reading, sense)
+
+    def make_ready(self) -> None:
+        """Compile, or load, what divided calls need beyond others."""
+        if self._legs is None or not len(self.live):
+            return
+        still: Floats = np.zeros((len(self._array), 2))
+        seen = np.zeros((len(self._array), len(self._array.sensors_m)), dtype=np.bool_)
+        none = np.zeros(len(self._radius_m))
+        run = WheelRun(WheelMotion(still, still, 0.0))
+        self._legs.advance_legs(self.live[:1], Outing(run, self.grip, 0.0, self._never_s, none, seen))
 
     def sampled(
         self, run: WheelRun, span_s: float, start_s: float, times_s: Floats, out: Floats

@@ -115,6 +115,10 @@ class Plant:
         level = None if self._spots is None else self._spots.level(self._solver.state, self._moves.there)
         return Sense(presence, None if travel is None else _read_only(travel), level)
 
+    def make_ready(self) -> None:
+        """Compile, or load, what calls with timing, and wheels that stop on the way, need beyond others."""
+        self._moves.make_ready()
+
     def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
         """Note that cells are dead from now on.
 

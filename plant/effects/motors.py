@@ -8,7 +8,7 @@ way of u. Integrated in closed form, when a wheel stops or turns round included,
 from __future__ import annotations
 
 import math
-from typing import ClassVar, NamedTuple, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, cast, final
 
 import numpy as np
 from pydantic import model_validator
@@ -46,16 +46,26 @@ class MotorsSpec(EffectSpec):
     messages: ClassVar[tuple[str, ...]] = ("cells are told encoder counts", "drives are volts")
     rung: ClassVar[int | None] = 30
     time_constant_s: Positive | None = None
-    """0.06 where nothing is said, nor ``dc`` given."""
+    """0.06 unless ``dc`` is given."""
     speed_per_volt_m_s: Positive | None = None
-    """No-load surface speed per volt; 0.1 likewise."""
+    """No-load surface speed per volt; 0.1 unless ``dc`` is given."""
     coulomb_v: NotNegative | None = None
-    """Volts that dry friction takes from a turning wheel; none likewise."""
+    """Volts that dry friction takes from a turning wheel; none unless ``dc`` is given."""
     static_v: NotNegative | None = None
-    """Volts that start a wheel; as ``coulomb_v`` likewise."""
+    """Volts that start a wheel; as ``coulomb_v`` unless ``dc`` is given."""
     supply_v: Positive = 12.0
     """Commands saturate at plus and minus this voltage."""
     dc: DcMotorSpec | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _filled_in(cls, data: Any) -> Any:
+        """Defaults, which hold only where there is no ``dc``: two ways to say the same are the same."""
+        if not isinstance(data, dict) or cast("dict[str, Any]", data).get("dc") is not None:
+            return data  # pyright: ignore[reportUnknownVariableType]
+        given = {key: value for key, value in cast("dict[str, Any]", data).items() if value is not None}
+        usual = {"time_constant_s": 0.06, "speed_per_volt_m_s": 0.1, "coulomb_v": 0.0}
+        return {**usual, "static_v": given.get("coulomb_v", 0.0), **given}
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:
@@ -71,18 +81,16 @@ class MotorsSpec(EffectSpec):
     def first_order(self) -> FirstOrder:
         """What the wheels do without load, whichever way it is told."""
         told = self if self.dc is None else self.dc
-        coulomb_v = told.coulomb_v or 0.0
+        assert told.time_constant_s is not None, "this is a bug: no time constant"
+        assert told.speed_per_volt_m_s is not None, "this is a bug: no speed per volt"
         return FirstOrder(
-            0.06 if told.time_constant_s is None else told.time_constant_s,
-            0.1 if told.speed_per_volt_m_s is None else told.speed_per_volt_m_s,
-            coulomb_v,
-            coulomb_v if told.static_v is None else told.static_v,
+            told.time_constant_s, told.speed_per_volt_m_s, told.coulomb_v or 0.0, told.static_v or 0.0
         )
 
     @classmethod
     def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """The defaults."""
-        return cls(time_constant_s=0.06, speed_per_volt_m_s=0.1)
+        return cls()
 
 
 @final

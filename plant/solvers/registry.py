@@ -31,9 +31,19 @@ _KERNELS = {
 """The kernel module of each compiled solver's entry point."""
 
 
-def is_compiled(spec: SolverSpec) -> bool:
-    """Whether a solver's kernels are on disk; the first run of a version takes seconds to compile them."""
-    return spec.name not in _KERNELS or any(cache.folder()[0].rglob(f"{_KERNELS[spec.name]}.*.nbi"))
+def is_compiled(spec: SolverSpec, *, divided: bool = False) -> bool:
+    """Whether a solver's kernels are on disk; the first run of a version takes seconds to compile them.
+
+    Args:
+        spec: of the solver.
+        divided: whether wheels change, or cells read, on the way of a call.
+    """
+    if spec.name not in _KERNELS:
+        return True
+    names = [f"{_KERNELS[spec.name]}.*.nbi"]
+    if divided and spec.name == "exact":
+        names.append("block.advance_legs*.nbi")
+    return all(any(cache.folder()[0].rglob(name)) for name in names)
 
 
 def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:

@@ -13,6 +13,8 @@ from plant.effects.analogue_sensors import AnalogueSensorsSpec
 from plant.effects.motors import MotorsSpec
 from plant.errors import PlantError
 from plant.plant import Plant
+from plant.solver_specs import ExactSpec
+from plant.solvers.registry import is_compiled
 from plant.specs import ParcelSpec, PlantSpec
 from plant.timing import Timing
 from tests.plant.laws import VISCOUS
@@ -327,3 +329,23 @@ def test_cells_without_parcels_read_their_own_wheels_alone(solver: str) -> None:
     assert sense.encoder_m == pytest.approx(np.repeat(expected[:, None], 2, axis=1), abs=1e-15)
     assert not sense.presence.any()
     assert events == []
+
+
+def test_what_timing_needs_is_compiled_before_and_changes_nothing() -> None:
+    def end(ready: bool) -> bytes:
+        plant = solved({"name": "exact"}, parcel())
+        if ready:
+            before = plant.state.tobytes()
+            plant.make_ready()
+            assert (plant.state.tobytes(), plant.time_ns, plant.support_changes) == (before, 0, 0)
+            assert is_compiled(ExactSpec(), divided=True)
+        drives = elliptic(plant)
+        for tick in range(1, 60):
+            plant.advance(
+                drives * (1 + tick % 3),
+                tick * TICK_NS,
+                everyone(len(drives), (tick - 1) * TICK_NS + 7, tick * TICK_NS),
+            )
+        return plant.state.tobytes()
+
+    assert end(ready=True) == end(ready=False)
