@@ -74,11 +74,18 @@ class FixedPointLoop(WheelPart):
         error = _within(reference - measured, scaling.error_limit)
         grown = integral + scaling.ki.times(error)
         wanted = scaling.feed_forward.times(reference) + scaling.kp.times(error) + grown
-        limit = scaling.output_limit
-        output = _within(wanted, limit)
+        output = _within(wanted, scaling.output_limit)
+        after = _within(grown, scaling.output_limit)
+        saturated = wanted != output
+        if saturated.any():  # spares the time, and changes no bits
+            after = np.where(saturated, self._conditioned(integral, output, measured), after)
+        return after, output
+
+    def _conditioned(self, integral: Integers, output: Integers, measured: Integers) -> Integers:
+        scaling = self.scaling
         ahead = scaling.feed_forward.times(_within(measured, scaling.reference_limit))
-        held = integral + scaling.share.away_from_zero(_within(output - ahead, limit) - integral)
-        return np.where(wanted == output, _within(grown, limit), held), output
+        holding = _within(output - ahead, scaling.output_limit)
+        return integral + scaling.share.away_from_zero(holding - integral)
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
         """The integrals; counts and duties where there are any."""

@@ -18,7 +18,7 @@ OUTPUT_BITS: Final = 12
 IDEAL_LEVELS: Final = 2**11
 """Levels of the supply where no PWM has levels of its own."""
 LARGEST_WAY: Final = 2**29
-"""That an integral can have to go: from the supply one way to the supply the other, at the most levels."""
+"""Q12: more than from the supply one way to the supply the other, which is all that an integral can have to go."""
 _LOW_BITS: Final = 14
 _LARGEST_SUM: Final = 2**31 - 1
 _MOST_SHIFT: Final = 30
@@ -30,7 +30,7 @@ _Number = TypeVar("_Number", int, NDArray[np.int32])
 @final
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """A factor from Q4 to Q12: ``word / 2^shift``.
+    """A factor from Q4 to Q12, or a share of what is in Q12: ``word / 2^shift``.
 
     Attributes:
         word: 15 bits, so that its product with a 16-bit speed fits 32.
@@ -62,10 +62,10 @@ class Gain:
         return (value * self.word + (1 << (self.shift - 1))) >> self.shift
 
     def away_from_zero(self, value: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The product of a factor <= 1 with numbers up to `LARGEST_WAY` either way, both in Q12.
+        """The product of a share <= 1 with numbers up to `LARGEST_WAY` either way.
 
-        Of 32 bits like all else: the word by the upper bits and by the lower 14. Rounded away from zero, no further
-        than the number itself: what is left of it by and by goes to 0.
+        In 32 bits like all else: the word by the upper bits and by the lower 14. Rounded away from zero, which is no
+        further than the number itself, so that repeating it leaves nothing.
         """
         magnitude = np.abs(value)
         low = (magnitude & ((1 << _LOW_BITS) - 1)) * self.word
