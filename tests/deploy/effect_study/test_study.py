@@ -33,7 +33,7 @@ SHOWN = {
     "link_delay": ("noisy", 0.5),
     "link_loss": ("noisy", 0.5),
     "encoder": ("prototype", 0.5),
-    "pwm": ("prototype", 0.5),
+    "pwm": ("prototype", 1.5),
     "fixed_point": ("prototype", 0.5),
     "serial": ("serial", 0.8),
     "cop": ("watchdog", 1.5),
