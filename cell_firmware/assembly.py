@@ -172,6 +172,8 @@ def _serial(
 
     window_ns = settings.period_ns if clocks is None else clocks.all.window_ns
     worst_ppb = 0 if clocks is None else int(np.abs(clocks.all.ppb).max(initial=0))
-    safe = effects.link_loss is None and effects.link_delay is None
+    # a cell that begins to talk as soon as it was reset runs into what it had not finished to say
+    reboots = effects.cop is None or effects.cop.reboot_s * 1e9 >= 2 * settings.period_ns
+    safe = effects.link_loss is None and effects.link_delay is None and reboots
     kind = WholeMessages if safe and undisturbed(settings, window_ns, worst_ppb) else SerialLines
     return kind(settings, message) if clocks is None else kind(settings, message, window_ns, clocks.ppb)

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, final
+from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cell_firmware.around import Around
 from cell_firmware.clocks import NEVER, ArrayClocks, Clocks
-from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
+from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Inputs
 
-_CLOCK: Final = "clock"
-
 
 @final
-class Clocked(Controller):
+class Clocked(Around):
     """Lets cells step when their own clocks say so.
 
     Exchange k brings what each cell with an instant r in window k - 1 read at r: those cells are stepped, each with its
@@ -29,19 +27,12 @@ class Clocked(Controller):
         clocks: Of the whole array.
     """
 
+    part = "clock"
+    shown = ("ppb", "count")
+
     def __init__(self, controller: Controller, clocks: ArrayClocks) -> None:
-        self.controller = controller
+        super().__init__(controller)
         self._clocks = clocks
-
-    @property
-    def message(self) -> np.dtype[Any] | None:
-        """What a link carries in an exchange."""
-        return self.controller.message
-
-    @property
-    def tentative(self) -> bool:
-        """As the cells' controller has it."""
-        return self.controller.tentative
 
     def init(self, cells: Cells) -> ControllerState:
         """The state before a cell's first instant: its wheels stand still."""
@@ -53,23 +44,23 @@ class Clocked(Controller):
             "count": np.zeros(len(cells), dtype=np.int64),
             "drive": np.zeros((len(cells), 2)),
         }
-        return ControllerState(cells, {**inner.parts, _CLOCK: frozen(clock)})
+        return self.outer(inner, clock)
 
     def act(
         self, now: Instant, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One exchange: a control period of the cells that have an instant in the window before it."""
-        clock = state.parts[_CLOCK]
+        clock = state.parts[self.part]
         whole, window = self._clocks.all, now.tick - 1
         clocks = Clocks(whole.period_ns, whole.window_ns, clock["ppb"], clock["phase_ns"])
         then = Instant(window, clocks.due(window, clock["count"]))
         stepped = then.at_ns != NEVER
-        inner, inputs = self.controller.listen(then, _without(state), inputs)
+        inner, inputs = self.controller.listen(then, self.inner(state), inputs)
         inner, outputs = self.controller.act_on(np.flatnonzero(stepped), then, inner, inputs)
         drive = np.where(stepped[:, None], outputs.drive, clock["drive"])
-        after = frozen({**clock, "count": clock["count"] + stepped, "drive": drive})
+        after = {**clock, "count": clock["count"] + stepped, "drive": drive}
         return (
-            ControllerState(state.cells, {**inner.parts, _CLOCK: after}),
+            self.outer(inner, after),
             ControllerOutputs(
                 drive,
                 outputs.outbox,
@@ -77,21 +68,6 @@ class Clocked(Controller):
                 hung=_in_tick(now.tick, outputs.hung),
             ),
         )
-
-    def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
-        """The clocks' errors and how often they ticked; and what the cells' controller has."""
-        clock = state.parts[_CLOCK]
-        own = {f"{_CLOCK}.{name}": clock[name] for name in ("ppb", "count")}
-        return {**own, **self.controller.registers(_without(state))}
-
-    def counted(self, state: ControllerState) -> dict[str, int]:
-        """What the cells' controller has counted."""
-        return self.controller.counted(_without(state))
-
-
-def _without(state: ControllerState) -> ControllerState:
-    """What the cells' controller knows of."""
-    return ControllerState(state.cells, {name: part for name, part in state.parts.items() if name != _CLOCK})
 
 
 def _in_tick(tick: int, failures: Mapping[int, FirmwareFailed]) -> dict[int, FirmwareFailed]:

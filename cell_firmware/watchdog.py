@@ -7,17 +7,17 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
+from cell_firmware.around import Around
+from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant
 from cell_firmware.effects.cop import DIVIDER_S, CopSpec
 from cell_firmware.firmware import Bools, Cells, Inputs, State
 from cell_firmware.specs import nanoseconds
 
-_COP: Final = "cop"
 DIVIDER_NS: Final = nanoseconds(DIVIDER_S)
 
 
 @final
-class Watchdog(Controller):
+class Watchdog(Around):
     """Resets cells whose program does not serve its watchdog in time.
 
     The control interrupt and the watchdog's counter divide the same crystal, from the same instant on: with both in the
@@ -37,21 +37,14 @@ class Watchdog(Controller):
         period_ns: The control period, in the cells' own time.
     """
 
+    part = "cop"
+    shown = ("hung", "hangs", "resets")
+
     def __init__(self, controller: Controller, spec: CopSpec, period_ns: int) -> None:
-        self.controller = controller
+        super().__init__(controller)
         self._timeout_ns = nanoseconds(spec.timeout_s)
         self._reboot_ns = round(spec.reboot_s * 1e9)
         self._period_ns = period_ns
-
-    @property
-    def message(self) -> np.dtype[Any] | None:
-        """What a link carries in a tick."""
-        return self.controller.message
-
-    @property
-    def tentative(self) -> bool:
-        """As the cells' controller has it."""
-        return self.controller.tentative
 
     def init(self, cells: Cells) -> ControllerState:
         """The state before tick 0: power-on clears the counters."""
@@ -65,20 +58,20 @@ class Watchdog(Controller):
             "hangs": np.zeros(n, dtype=np.int64),
             "resets": np.zeros(n, dtype=np.int64),
         }
-        return ControllerState(cells, {**self.controller.init(cells).parts, _COP: frozen(watch)})
+        return self.outer(self.controller.init(cells), watch)
 
     def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
         """What came over the lines, which listen whether a program hangs or not."""
-        inner, inputs = self.controller.listen(now, _without(state), inputs)
-        return ControllerState(state.cells, {**inner.parts, _COP: state.parts[_COP]}), inputs
+        inner, inputs = self.controller.listen(now, self.inner(state), inputs)
+        return self.outer(inner, state.parts[self.part]), inputs
 
     def act(
         self, now: Instant, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period: resets, and a step of the programs that run."""
-        watch = state.parts[_COP]
+        watch = state.parts[self.part]
         at_ns = watch["instants"] * self._period_ns
-        inner, watch = self._reset(at_ns, _without(state), watch)
+        inner, watch = self._reset(at_ns, self.inner(state), watch)
         runs = ~watch["hung"] & (at_ns >= watch["starts_ns"])
         waits = np.flatnonzero(~runs)
         if len(waits):
@@ -96,7 +89,7 @@ class Watchdog(Controller):
         served = runs if outputs.served is None else runs & outputs.served
         after["served_ns"] = np.where(served, at_ns, watch["served_ns"])
         return (
-            ControllerState(state.cells, {**inner.parts, _COP: frozen(after)}),
+            self.outer(inner, after),
             ControllerOutputs(after["drive"], outputs.outbox, hung=outputs.failures),
         )
 
@@ -122,19 +115,8 @@ class Watchdog(Controller):
         }
         return inner.put(rows, self.controller.after_reset(inner.take(rows))), after
 
-    def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
-        """Whether a program hangs, and how often it did and was reset; and what the cells' controller has."""
-        watch = state.parts[_COP]
-        own = {f"{_COP}.{name}": watch[name] for name in ("hung", "hangs", "resets")}
-        return {**own, **self.controller.registers(_without(state))}
-
     def counted(self, state: ControllerState) -> dict[str, int]:
         """Programs that hung and cells that were reset; and what the cells' controller has counted."""
-        watch = state.parts[_COP]
-        own = {f"{_COP}.{name}": int(watch[name].sum()) for name in ("hangs", "resets")}
-        return {**own, **self.controller.counted(_without(state))}
-
-
-def _without(state: ControllerState) -> ControllerState:
-    """What the cells' controller knows of."""
-    return ControllerState(state.cells, {name: part for name, part in state.parts.items() if name != _COP})
+        watch = state.parts[self.part]
+        own = {f"{self.part}.{name}": int(watch[name].sum()) for name in ("hangs", "resets")}
+        return {**own, **super().counted(state)}

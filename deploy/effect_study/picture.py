@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from deploy.scene import Scene
 
 FILE_NAME = "ladder.png"
-_WIDTH, _HEIGHT = 12.4, 5.45
+_WIDTH, _AROUND, _LINE_HEIGHT, _LEAST_LINES = 12.4, 1.6, 0.32, 12
 _INK, _DIM, _LINE, _DOT, _TOP, _BESIDE = (
     "#22272e", "#8b95a1", "#c9d0d8", "#2f6f9f", "#b3541e", "#8fa0b2",
 )  # fmt: skip
@@ -46,9 +46,11 @@ def draw_ladder(scene: Scene, climbed: Sequence[Climbed], path: Path) -> None:
 def _figure(scene: Scene, climbed: Sequence[Climbed]) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")
-    axes = figure.add_axes((0.8 / _WIDTH, 0.6 / _HEIGHT, 6.3 / _WIDTH, 3.85 / _HEIGHT))
-    words = figure.add_axes((7.4 / _WIDTH, 0.6 / _HEIGHT, 4.8 / _WIDTH, 3.85 / _HEIGHT))
+    inside = _LINE_HEIGHT * max(len(climbed), _LEAST_LINES)
+    height = _AROUND + inside
+    figure = Figure(figsize=(_WIDTH, height), dpi=DPI, facecolor="white")
+    axes = figure.add_axes((0.8 / _WIDTH, 0.6 / height, 6.3 / _WIDTH, inside / height))
+    words = figure.add_axes((7.4 / _WIDTH, 0.6 / height, 4.8 / _WIDTH, inside / height))
     points = [
         (number, one.wall_s, 1e3 * (one.distance.displacement_m or 0.0), bool(one.rung.instead))
         for number, one in enumerate(climbed, start=1)
@@ -114,7 +116,7 @@ def _draw_words(axes: Axes, climbed: Sequence[Climbed]) -> None:
     """A line a rung: its number, name, and what it adds; in grey what was left out."""
     axes.set_axis_off()
     axes.set_xlim(0.0, 1.0)
-    lines = max(len(climbed), 12)
+    lines = max(len(climbed), _LEAST_LINES)
     axes.set_ylim(lines, 0.0)
     for number, one in enumerate(climbed, start=1):
         there = one.distance is not None
