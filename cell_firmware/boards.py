@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, Literal, cast, final
+from typing import Annotated, Any, Final, Literal, cast, final
 
-from pydantic import ValidationError, field_validator
+from pydantic import Discriminator, Tag, ValidationError, field_validator
 
 from bus.spec import Spec
 
@@ -46,6 +46,17 @@ class BoardSpec(Spec):
             if name not in known:
                 raise ValueError(f"a board has {', '.join(known)}; not {name}")
         return value
+
+
+def _written(value: Any) -> str:
+    """Whether a board is written as its name or as a table: what is wrong with it is then told of that alone."""
+    return "name" if isinstance(value, str) else "table"
+
+
+Board = Annotated[
+    Annotated[BoardName, Tag("name")] | Annotated[BoardSpec, Tag("table")], Discriminator(_written)
+]
+"""A board by its name, or short of some of its effects."""
 
 
 def with_board(scene: Any) -> Any:

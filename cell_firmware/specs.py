@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field, field_validator
 
 from bus.spec import CellName, Finite, NotNegative, Positive, Spec, Vector
-from cell_firmware.boards import BoardName, BoardSpec
+from cell_firmware.boards import Board
 
 __all__ = [
     "CellName",
@@ -48,7 +48,7 @@ class CellsSpec(Spec):
     """The control period; the default is one real-time interrupt of an MC68HC11 at 8 MHz."""
     parameters: dict[str, Any] = {}  # noqa: RUF012 - pydantic copies it
     """The firmware's own, validated by it."""
-    board: BoardName | BoardSpec | None = None
+    board: Board | None = None
     """A board by name, or ``{ name, without }``: asks for all its effects but those, as if ``effects`` named them."""
     speed_loop: SpeedLoopSpec | None = None
     """Gains of the speed loop; only a scene with motors has one, and gets the defaults if it says nothing."""

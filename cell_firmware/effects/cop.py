@@ -41,7 +41,7 @@ class CopSpec(CellEffectSpec):
     @classmethod
     def _one_of_the_chip_s(cls, value: float) -> float:
         if value not in TIMEOUTS_S:
-            raise ValueError(f"must be one of {', '.join(f'{one:g}' for one in TIMEOUTS_S)}")
+            raise ValueError(f"must be one of {', '.join(map(str, TIMEOUTS_S))}")
         return value
 
     def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
