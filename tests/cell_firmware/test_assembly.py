@@ -9,10 +9,15 @@ from typing import Any
 
 import pytest
 
-from cell_firmware.assembly import Motors, wheels_of
+from bus.lattice import Lattice
+from cell_firmware.around import Around
+from cell_firmware.assembly import Motors, assemble, wheels_of
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import SettingError
-from cell_firmware.parts import WheelPart
+from cell_firmware.parts import LinkPart, WheelPart
+from cell_firmware.protocols.waking_field import WakingField, WakingFieldParameters
+from cell_firmware.serial.lines import SerialLines
+from cell_firmware.serial.whole import WholeMessages
 from cell_firmware.specs import CellsSpec
 from cell_firmware.speed_loop import SpeedLoop
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop
@@ -113,3 +118,34 @@ def test_gains_that_do_not_fit_are_refused_where_they_are_integers_only() -> Non
     assert str(caught.value).startswith(
         "cells.speed_loop.kp_v_per_m_s = 1000000000.0: fixed point: too large"
     )
+
+
+SERIAL: dict[str, Any] = {"serial": {}}
+
+
+@pytest.mark.parametrize(
+    ("effects", "kind"),
+    [
+        (SERIAL, WholeMessages),
+        ({**SERIAL, "clock": {"error_ppm": 50.0}}, WholeMessages),
+        ({**SERIAL, "cop": {"timeout_s": 0.016384, "reboot_s": 0.01}}, WholeMessages),
+        ({**SERIAL, "cop": {"timeout_s": 0.016384, "reboot_s": 0.005}}, SerialLines),
+        ({**SERIAL, "clock": {"error_ppm": 30_000.0}}, SerialLines),
+        ({**SERIAL, "link_loss": {"probability": 0.1}}, SerialLines),
+        ({**SERIAL, "link_delay": {"ticks": 1}}, SerialLines),
+        ({"serial": {"sharing": "mux"}}, SerialLines),
+        ({"serial": {"ring_bytes": 0}}, SerialLines),
+    ],
+)
+def test_lines_go_byte_by_byte_exactly_where_something_can_happen_to_a_byte(
+    effects: dict[str, Any], kind: type[LinkPart]
+) -> None:
+    asked, spec = CellEffects.model_validate(effects), CellsSpec(firmware="waking_field")
+    lattice = Lattice((0, column) for column in range(200))
+    clocks = None if asked.clock is None else asked.clock.clocks(lattice, spec.period_ns, 1)
+    field = {"kind": "uniform", "velocity_m_s": [0.1, 0.0]}
+    firmware = WakingField(WakingFieldParameters.model_validate({"field": field}))
+    found: Any = assemble(firmware, spec, asked, None, clocks)
+    while isinstance(found, Around):
+        found = found.controller
+    assert type(found.links) is kind
