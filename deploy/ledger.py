@@ -134,7 +134,8 @@ class Ledger:
             row, column = report.cells[0]
             since = f"tick {report.tick} ({report.tick * self._period_ns * 1e-9:g} s)"
             self._warn(
-                f"the program of cell {row},{column} hangs from {since} until it is reset: {report.detail}"
+                f"the program of cell {row},{column} hangs from {since} until it is reset (others that hang for the "
+                f"same reason are counted, not told): {report.detail}"
             )
 
     def describe(self, losses: Sequence[Loss]) -> str:
