@@ -14,7 +14,8 @@ SIDES = ("north", "east", "south", "west")
 OPPOSITE = (2, 3, 0, 1)
 """``OPPOSITE[side]``: the side on which a neighbour sees us."""
 
-_STEP = ((1, 0), (0, 1), (-1, 0), (0, -1))
+STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+"""Row and column of the neighbour on each side, from one's own."""
 
 
 @final
@@ -38,7 +39,7 @@ class Lattice:
         self._index = {cell: i for i, cell in enumerate(ordered)}
         self.rows: NDArray[np.int64] = np.array([r for r, _ in ordered], dtype=np.int64)
         self.columns: NDArray[np.int64] = np.array([c for _, c in ordered], dtype=np.int64)
-        steps = np.array(_STEP)
+        steps = np.array(STEPS)
         self.neighbours: NDArray[np.int64] = self.find(
             self.rows[:, None] + steps[:, 0], self.columns[:, None] + steps[:, 1]
         )

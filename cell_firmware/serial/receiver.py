@@ -7,6 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
+from bus.lattice import STEPS
 from cell_firmware.firmware import Bools, Cells, Inbox, State
 from cell_firmware.serial.bursts import BurstType
 from cell_firmware.serial.frames import Frame
@@ -18,8 +19,7 @@ from cell_firmware.serial.words import WORD
 ErrorsOf = Callable[[Ints, Ints], Ints]
 """Errors of the clocks of the cells in these rows and columns, ppb, of any shape."""
 
-_STEPS: Final = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-"""Row and column of the neighbour on each side, from one's own."""
+_STEPS: Final = np.array(STEPS)
 _TOGETHER: Final = 2
 """Bursts under way on a line where all is equal: that which comes, and the end of the last."""
 _BY_OWN_CLOCKS: Final = 7
