@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 Cell = tuple[int, int]
 
+KEYS: Final = shard_key("*", None, "registers")
+"""On which cells show themselves."""
+
 _MOST_CELLS: Final = 1_000_000
 """Of a shard: what its frames are bounded by."""
 _TOGETHER_S: Final = 1.0
@@ -62,13 +65,14 @@ def look(connect: str, wanted: Iterable[Cell], timeout_s: float) -> Seen:
     except TransportError as error:
         raise InputError(f"--connect {connect}: {error}") from None
     try:
-        return _gather(endpoint, set(wanted), begun + timeout_s)
+        endpoint.subscribe(KEYS)
+        return gather(endpoint, set(wanted), begun + timeout_s)
     finally:
         endpoint.close()
 
 
-def _gather(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> Seen:
-    endpoint.subscribe(shard_key("*", None, "registers"))
+def gather(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> Seen:
+    """The same, of an endpoint that has subscribed to ``KEYS``, until a time of ``time.monotonic``."""
     seen = Seen()
     while (left := deadline - time.monotonic()) > 0 and not (wanted and wanted <= seen.cells.keys()):
         event = endpoint.receive(left)
@@ -100,11 +104,13 @@ def _take(seen: Seen, event: Received) -> None:
 
 
 def ranges(cells: Mapping[Cell, Mapping[str, Any]]) -> dict[str, tuple[float, float, float]]:
-    """Of every register the least, the mean and the greatest over all cells and the numbers in them."""
+    """Of every register that all cells have the least, the mean and the greatest, over them and the numbers in it."""
     import numpy as np
 
     found: dict[str, tuple[float, float, float]] = {}
-    for name in next(iter(cells.values())):
+    for name, first in next(iter(cells.values())).items():
+        if any(name not in own or np.shape(own[name]) != np.shape(first) for own in cells.values()):
+            continue  # of another run, or nobody's
         values: NDArray[Any] = np.array([registers[name] for registers in cells.values()], dtype=np.float64)
         if values.size:
             found[name] = (float(values.min()), float(values.mean()), float(values.max()))
