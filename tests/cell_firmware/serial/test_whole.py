@@ -130,6 +130,10 @@ scenarios = st.builds(
 )
 
 
+JUST_THERE = Scenario(9615, 4, 6, 1, [0] * 6, [0, 2_103_040] * 3, (0, 999), (99, 0), None)
+"""Messages are whole exactly when their receivers step: 60 bits and a window after their senders did."""
+JUST_FREE = Scenario(31250, 62, 11, 1, None, [], (0, 999), (99, 0), None)
+"""Lines are free again exactly when the cells step: 64 characters take five periods."""
 LONG = Scenario(
     9615, 9, 6, 1, [9_000_000, -9_000_000, 0, 1, 2, 3], [0, 1, 2, 3, 4, 5], (0, 999), (99, 0), None
 )
@@ -138,6 +142,8 @@ LONG = Scenario(
 @settings(max_examples=60)
 @given(scenarios, st.just(90))
 @example(LONG, 1_100)  # beyond what 32 bits hold in nanoseconds
+@example(JUST_THERE, 90)
+@example(JUST_FREE, 90)
 def test_programs_hear_what_they_would_hear_of_bytes_when_they_would(scenario: Scenario, ticks: int) -> None:
     if scenario.reboot_s is None:
         scenario.hangs = (99, 0)
