@@ -22,6 +22,7 @@ from cell_firmware.firmware import (
     State,
 )
 from cell_firmware.program import Program
+from cell_firmware.theory import Theory
 
 Message = Mapping[str, Any]
 """One message: values by field name, as the firmware's message type declares them."""
@@ -38,7 +39,8 @@ class Cell:
         position_m: Centre of the cell, m.
         neighbours: The sides with a cell on them, of ``north east south west``.
         period_s: The control period, s.
-        sensors: Its presence sensors.
+        sensors_m: Its presence sensors, from its centre, m.
+        pitch_m: Distance of neighbouring cells, m.
     """
 
     row: int
@@ -46,7 +48,8 @@ class Cell:
     position_m: tuple[float, float]
     neighbours: tuple[str, ...]
     period_s: float
-    sensors: int
+    sensors_m: tuple[tuple[float, float], ...]
+    pitch_m: float
 
 
 @final
@@ -114,11 +117,24 @@ class PerCell(Firmware):
     def __init__(self, firmware: CellFirmware) -> None:
         super().__init__(firmware.parameters)
         self.firmware = firmware
+        self.observed = firmware.observed  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self.message = firmware.message  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
 
     def check(self, lattice: Lattice) -> None:
         """Asks the firmware."""
         self.firmware.check(lattice)
+
+    def needed(self) -> tuple[str, ...]:
+        """Asks the firmware."""
+        return self.firmware.needed()
+
+    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+        """Asks the firmware."""
+        return self.firmware.cautions(lattice)
+
+    def theory(self, lattice: Lattice) -> Theory | None:
+        """Asks the firmware."""
+        return self.firmware.theory(lattice)
 
     def init(self, cells: Cells) -> State:
         """One state of any kind per cell, in an ``(n,)`` array of objects."""
@@ -153,7 +169,8 @@ def _cell(cells: Cells, i: int) -> Cell:
         (float(cells.position_m[i, 0]), float(cells.position_m[i, 1])),
         tuple(side for s, side in enumerate(SIDES) if cells.has_neighbour[i, s]),
         cells.period_s,
-        cells.sensors,
+        tuple((x, y) for x, y in cells.sensors_m.tolist()),
+        cells.pitch_m,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
@@ -52,7 +52,8 @@ class Cells:
         position_m: ``(n, 2)``, centre of each cell, m.
         has_neighbour: ``(n, 4)``, in the order of ``bus.lattice.SIDES``: is there a cell on that side?
         period_s: The control period, s.
-        sensors: Presence sensors of a cell.
+        sensors_m: ``(sensors, 2)``, where each cell has its presence sensors, from its centre, m.
+        pitch_m: Distance of neighbouring cells, m.
     """
 
     row: NDArray[np.int64]
@@ -60,7 +61,13 @@ class Cells:
     position_m: Floats
     has_neighbour: Bools
     period_s: float
-    sensors: int = 1
+    sensors_m: Floats
+    pitch_m: float
+
+    @property
+    def sensors(self) -> int:
+        """Presence sensors of a cell."""
+        return len(self.sensors_m)
 
     def __len__(self) -> int:
         return len(self.row)
@@ -77,21 +84,32 @@ class Cells:
             picked(self.position_m, indices),
             picked(self.has_neighbour, indices),
             self.period_s,
-            self.sensors,
+            self.sensors_m,
+            self.pitch_m,
         )
 
     @staticmethod
-    def of(lattice: Lattice, position_m: Floats, period_s: float, sensors: int = 1) -> Cells:
+    def of(
+        lattice: Lattice,
+        position_m: Floats,
+        period_s: float,
+        sensors_m: Sequence[tuple[float, float]] = ((0.0, 0.0),),
+        *,
+        pitch_m: float = 0.1,
+    ) -> Cells:
         """All cells of an array, in its order.
 
         Args:
             lattice: The cells and their neighbours.
             position_m: ``(n, 2)``, centre of each cell, m.
             period_s: The control period, s.
-            sensors: Presence sensors of a cell.
+            sensors_m: Presence sensors of a cell, from its centre, m.
+            pitch_m: Distance of neighbouring cells, m.
         """
         positions = np.asarray(position_m, dtype=np.float64)
-        return Cells(lattice.rows, lattice.columns, positions, lattice.neighbours >= 0, period_s, sensors)
+        sensors = np.array(sensors_m, dtype=np.float64).reshape(-1, 2)
+        has_neighbour = lattice.neighbours >= 0
+        return Cells(lattice.rows, lattice.columns, positions, has_neighbour, period_s, sensors, pitch_m)
 
 
 @final

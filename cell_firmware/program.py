@@ -8,6 +8,7 @@ import numpy as np
 
 from bus.lattice import Lattice
 from cell_firmware.specs import Spec
+from cell_firmware.theory import Theory
 
 
 class NoParameters(Spec):
@@ -25,6 +26,8 @@ class Program:
     """What a scene may set in ``[cells.parameters]``."""
     message: ClassVar[np.dtype[Any] | None] = None
     """Little-endian structured type of a message between neighbours; None if they don't talk."""
+    observed: ClassVar[str | None] = None
+    """Which of its variables is the protocol's field: a name in its state, a number or a vector a cell."""
 
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
@@ -36,3 +39,17 @@ class Program:
             ParametersError: They do not.
         """
         del lattice
+
+    def needed(self) -> tuple[str, ...]:
+        """Effects without which its parameters ask for what no cell of the scene has."""
+        return ()
+
+    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+        """What will go wrong on this array, though nothing forbids it: a line each, that says what will be seen."""
+        del lattice
+        return ()
+
+    def theory(self, lattice: Lattice) -> Theory | None:
+        """What theory says of it on this array; None if it has nothing to say."""
+        del lattice
+        return None

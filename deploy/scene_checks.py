@@ -57,7 +57,7 @@ def cross_problems(
             problems += [
                 Problem(("effects", *path), rule, value) for path, value, rule in effects.unfit(cells)
             ]
-        problems += _firmware_problems(array, cells)
+        problems += _firmware_problems(array, cells, effects)
     return problems
 
 
@@ -92,7 +92,9 @@ def _fault_problems(array: ArraySpec, faults: Mapping[int, Fault]) -> list[Probl
     return problems
 
 
-def _firmware_problems(array: ArraySpec | None, cells: CellsSpec) -> list[Problem]:
+def _firmware_problems(
+    array: ArraySpec | None, cells: CellsSpec, effects: EffectsSpec | None
+) -> list[Problem]:
     from cell_firmware import loader
 
     try:
@@ -111,7 +113,13 @@ def _firmware_problems(array: ArraySpec | None, cells: CellsSpec) -> list[Proble
         return [Problem((*_PARAMETERS, *p.path), p.message, p.value) for p in error.problems]
     except FirmwareError as error:
         return [Problem(_FIRMWARE, str(error))]
-    return []
+    if effects is None:
+        return []
+    return [
+        Problem(("effects", name), f"is missing: with these parameters {cells.firmware} needs it", None)
+        for name in firmware.needed()
+        if getattr(effects, name) is None
+    ]
 
 
 def normal_parameters(cells: CellsSpec) -> dict[str, Any]:

@@ -119,7 +119,13 @@ def _shard(order: Order, shard: int) -> Shard:
     site = Site(order.partition.cells(shard), sensors, controller.message, scene.seed, levels=order.levels)
     return Shard(
         controller,
-        Cells.of(array.lattice, array.positions_m, scene.cells.period_s, sensors),
+        Cells.of(
+            array.lattice,
+            array.positions_m,
+            scene.cells.period_s,
+            scene.array.sensors_m,
+            pitch_m=array.pitch_m,
+        ),
         order.partition,
         shard,
         scene.effects.stages(site),

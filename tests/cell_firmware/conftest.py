@@ -33,7 +33,7 @@ PITCH_M = 0.1
 
 def cells_of(lattice: Lattice, sensors: int = 1) -> Cells:
     position = np.stack((lattice.columns * PITCH_M, lattice.rows * PITCH_M), axis=1)
-    return Cells.of(lattice, position, PERIOD_S, sensors)
+    return Cells.of(lattice, position, PERIOD_S, ((0.0, 0.0),) * sensors, pitch_m=PITCH_M)
 
 
 def links_of(firmware: Firmware, effects: CellEffects, clocks: ArrayClocks | None) -> LinkPart | None:

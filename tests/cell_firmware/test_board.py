@@ -283,7 +283,7 @@ def test_plain_firmware_sees_plain_values(grid: Callable[..., Lattice], run: Cal
 
     run(PerCell(Watch(NONE)), Partition.even(grid(2, 1), 1), 2, presence=np.ones((2, 2, 1), dtype=np.bool_))
     cells = [cell for cell, _ in seen if cell is not None]
-    assert cells[1] == Cell(1, 0, (0.0, 0.1), ("south",), 0.004096, 1)
+    assert cells[1] == Cell(1, 0, (0.0, 0.1), ("south",), 0.004096, ((0.0, 0.0),), 0.1)
     first, _, _, above = [inputs for _, inputs in seen if inputs is not None]
     nothing = {"north": None, "east": None, "south": None, "west": None}
     assert first == CellInputs((True,), None, nothing)

@@ -56,7 +56,7 @@ def test_any_of_a_cell_s_sensors_wakes_it() -> None:
     firmware: Any = waking(0)
 
     lattice = Lattice([(0, 0), (0, 1)])
-    cells = Cells.of(lattice, np.zeros((2, 2)), 0.004, sensors=2)
+    cells = Cells.of(lattice, np.zeros((2, 2)), 0.004, ((0.0, 0.0), (0.01, 0.0)))
     inbox = Inbox(np.zeros((2, 4), dtype=np.bool_), np.zeros((2, 4), dtype=firmware.message))
     _, outputs = firmware.step(
         firmware.init(cells), Inputs(np.array([[False, True], [False, False]]), None, inbox)
