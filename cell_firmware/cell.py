@@ -113,6 +113,7 @@ class PerCell(Firmware):
     """
 
     tentative = False
+    form = "cell by cell"
 
     def __init__(self, firmware: CellFirmware) -> None:
         super().__init__(firmware.parameters)

@@ -203,6 +203,9 @@ class Firmware(Program, ABC):
     tentative: ClassVar[bool] = True
     """Whether cells may be stepped that are not due, and that be undone: to step all may cost less."""
 
+    form: ClassVar[str] = "on arrays"
+    """How it runs, in words."""
+
     @abstractmethod
     def init(self, cells: Cells) -> State:
         """The state before tick 0: arrays by name, each with one row per cell."""

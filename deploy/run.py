@@ -212,6 +212,7 @@ class _Run:
             duration_s=scene.duration_s,
             simulated_s=ledger.time_ns * 1e-9,
             cells=len(plant.array),
+            firmware=_firmware(scene),
             processes=self.plan.workers,
             transport=self.plan.transport,
             solver=scene.solver.accuracy(),
@@ -235,6 +236,15 @@ class _Run:
         elif not self.quiet:
             sys.stderr.write(f"mdms: {line}\n")
             sys.stderr.flush()
+
+
+def _firmware(scene: Scene) -> dict[str, str | int]:
+    """What the cells ran, for the summary."""
+    from cell_firmware.loader import load
+
+    firmware = load(scene.cells)
+    size = 0 if firmware.message is None else firmware.message.itemsize
+    return {"name": scene.cells.firmware.rpartition("/")[2], "form": firmware.form, "message_bytes": size}
 
 
 def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:

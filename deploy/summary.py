@@ -75,6 +75,8 @@ class Summary:
         duration_s: Simulated time asked for.
         simulated_s: Simulated time reached.
         cells: How many.
+        firmware: The cells' program: ``name``, ``form`` (on arrays, or cell by cell), ``message_bytes`` (0: they don't
+            talk); None without cells.
         processes: Worker processes; 0 where everything ran in one process.
         transport: ``zenoh``, ``memory``, or None without a bus.
         solver: ``name``, and ``tolerance`` or ``step_s``.
@@ -108,6 +110,7 @@ class Summary:
     cells_lost: Sequence[tuple[int, int]] = ()
     feeders: TrafficCount | None = None
     effects: Mapping[str, int] = field(default_factory=dict[str, int])
+    firmware: Mapping[str, str | int] | None = None
     digest: str | None = None
     output: str | None = None
     reason: str | None = None

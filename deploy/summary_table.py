@@ -61,6 +61,7 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
         ("simulated", f"{summary.simulated_s:g} of {summary.duration_s:g} s in {summary.ticks:,} ticks"),
         ("wall time", _wall(summary)),
         ("cells", _cells(summary)),
+        *_firmware(summary),
         ("solver", _solver(summary)),
         ("supports", f"changed {summary.support_changes:,} times"),
     ]
@@ -103,6 +104,13 @@ def _cells(summary: Summary) -> str:
     processes = counted(summary.processes, "process", "processes") if summary.processes else "this process"
     where = f"in {processes}"
     return f"{summary.cells:,} {where} over {summary.transport}"
+
+
+def _firmware(summary: Summary) -> list[tuple[str, str]]:
+    if summary.firmware is None:
+        return []
+    name, form, size = (summary.firmware[key] for key in ("name", "form", "message_bytes"))
+    return [("firmware", f"{name}, {form}; " + (f"messages of {size} bytes" if size else "no messages"))]
 
 
 def _solver(summary: Summary) -> str:

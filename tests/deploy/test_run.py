@@ -48,6 +48,22 @@ def test_the_json_object_has_what_programs_rely_on(tmp_path: Path) -> None:
     assert found == json.loads((tmp_path / "summary.json").read_text())
 
 
+def test_the_summary_says_whether_cells_run_on_arrays_or_one_by_one(tmp_path: Path) -> None:
+    (tmp_path / "idle.py").write_text(
+        "import numpy as np\n"
+        "from cell_firmware.cell import CellFirmware, CellOutputs\n"
+        "class Idle(CellFirmware):\n"
+        "    message = np.dtype([('a', '<u2'), ('b', '?')])\n"
+        "    def init(self, cell): return None\n"
+        "    def step(self, state, inputs): return state, CellOutputs((0.0, 0.0))\n"
+    )
+    scene = _scene(cells={"firmware": str(tmp_path / "idle.py")})
+    said = _run(scene, tmp_path / "idle").summary.firmware
+    assert said == {"name": "idle.py", "form": "cell by cell", "message_bytes": 3}
+    said = _run(_scene(), tmp_path / "motors").summary.firmware
+    assert said == {"name": "velocity_field", "form": "on arrays", "message_bytes": 0}
+
+
 def test_the_recording_begins_with_the_scene_and_ends_as_the_summary_does(tmp_path: Path) -> None:
     scene = _scene()
     summary = _run(scene, tmp_path).summary

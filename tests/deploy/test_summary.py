@@ -108,6 +108,14 @@ def test_a_summary_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path)
         summary().write(tmp_path / "absent")
 
 
+def test_the_table_says_what_the_cells_ran() -> None:
+    heat = {"name": "heat_diffusion", "form": "on arrays", "message_bytes": 16}
+    assert "heat_diffusion, on arrays; messages of 16 bytes" in printed(summary(firmware=heat))
+    quiet = {"name": "turn.py", "form": "cell by cell", "message_bytes": 0}
+    assert "turn.py, cell by cell; no messages" in printed(summary(firmware=quiet))
+    assert "firmware" not in printed(summary())
+
+
 def test_the_table_names_lost_cells_faults_and_lost_messages() -> None:
     text = printed(
         summary(
