@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 from bus.errors import BusError
+from deploy.cautions import cautions_of
 from deploy.cell_times import cell_times
 from deploy.digest import Digest
 from deploy.errors import DeployError, InputError
@@ -84,6 +85,7 @@ class _Run:
         self.interruption = interruption
         self.quiet = quiet
         self.plan = plan(scene, options, run_name(scene, secrets.token_hex(4)))
+        self.cautions: tuple[str, ...] = ()
         self.digest = Digest(scene.canonical())
         self.status = "ok"
         self.reason: str | None = None
@@ -96,6 +98,10 @@ class _Run:
         """Everything; see `run`."""
         from deploy.recordings.replay import load
 
+        with self.interruption.allowed():
+            self.cautions = cautions_of(self.scene)
+        for line in self.cautions:
+            self._warn(f"caution: {line}")
         with System(self.plan, self.scene, self.options.listen) as system:
             with self.interruption.allowed():
                 plant = load_plant(self.scene, self._warn)
@@ -225,6 +231,7 @@ class _Run:
             faults=ledger.faults,
             cells_lost=ledger.cells_lost,
             feeders=plant.traffic(),
+            cautions=self.cautions,
             effects={} if counts is None else dict(sorted(counts.tally.items())),
             digest=self.digest.hexdigest,
             output=str(folder),

@@ -85,6 +85,7 @@ class Summary:
         faults: Scheduled, live and found: each at least ``time_s`` and ``kind``.
         cells_lost: ``(row, column)`` of each.
         feeders: What came and went; None where the scene has no feeders.
+        cautions: What the firmware said before the run will go wrong, a line each.
         effects: What effects of the cells did to cells that lived, by ``effect.what``, of all processes that said so:
             one that is killed from outside does not.
         digest: See ``deploy/digest.py``; None where there is none.
@@ -109,6 +110,7 @@ class Summary:
     faults: Sequence[Mapping[str, Any]] = ()
     cells_lost: Sequence[tuple[int, int]] = ()
     feeders: TrafficCount | None = None
+    cautions: Sequence[str] = ()
     effects: Mapping[str, int] = field(default_factory=dict[str, int])
     firmware: Mapping[str, str | int] | None = None
     digest: str | None = None

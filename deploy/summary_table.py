@@ -73,6 +73,7 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
             if number
         )
         lines.append(("messages", f"{messages.sent:,} sent, {messages.delivered:,} delivered{trouble}"))
+    lines += [("caution", caution) for caution in summary.cautions]
     lines += _effects(summary.effects)
     if summary.faults:
         lines.append(("faults", _faults(summary.faults)))

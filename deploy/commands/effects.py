@@ -89,8 +89,11 @@ def effects(
     tell = _silent if quiet else _tell
     interruption = Interruption()
     with interruption.watching(last=True), interruption.allowed():
+        from deploy.cautions import cautions_of
         from deploy.run import load_plant
 
+        for line in cautions_of(found):
+            tell(f"caution: {line}")
         load_plant(found, tell)  # whatever the plant refuses in the scene itself is bad input
         if ladder or output is not None:
             _ladder(found, repeats, output, tell, as_json=as_json)
