@@ -171,6 +171,16 @@ class Outbox:
         """An outbox of n cells with nothing in it, to be filled."""
         return Outbox(np.zeros((n, 4), dtype=np.bool_), np.zeros((n, 4), dtype=message))
 
+    @staticmethod
+    def to_all(message: np.dtype[Any] | None, **values: NDArray[Any]) -> Outbox:
+        """The same to every side: ``(n,)`` values by the names of the message's fields."""
+        assert message is not None, "this is a bug: messages of firmware that has none"
+        n = len(next(iter(values.values())))
+        outbox = Outbox(np.ones((n, 4), dtype=np.bool_), np.empty((n, 4), dtype=message))
+        for name in message.names or ():
+            outbox.message[name] = values[name][:, None]
+        return outbox
+
 
 @final
 @dataclass(frozen=True, slots=True)

@@ -5,49 +5,23 @@ from __future__ import annotations
 from typing import Annotated, final
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from bus.lattice import Lattice
-from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.specs import CellName, Spec, Vector
+from cell_firmware.recall import Patience, last_word, still_counts
+from cell_firmware.spectra import explicit_cautions, relaxed
+from cell_firmware.spread import SpreadParameters, speeds_told
+from cell_firmware.theory import Theory
 
 
-class CellSpeed(Spec):
-    """A cell and its speed."""
-
-    cell: CellName
-    speed_m_s: Vector
-
-
-class HeatDiffusionParameters(Spec):
+class HeatDiffusionParameters(SpreadParameters):
     """How fast speed spreads, where from, and where it is held."""
 
     diffusion_number: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.2
-    """``r = alpha period / pitch^2``, at most 1/4, or the explicit scheme grows without bound."""
-    speed_m_s: Vector = (0.0, 0.0)
-    """Speed that every cell starts with, unless ``initial`` or ``held`` names it."""
-    initial: tuple[CellSpeed, ...] = ()
-    """Cells that start with another speed."""
-    held: tuple[CellSpeed, ...] = ()
-    """Cells that keep their speed: the boundary condition."""
-
-    @field_validator("diffusion_number")
-    @classmethod
-    def _stable(cls, value: float) -> float:
-        if value > 0.25:
-            raise ValueError(f"must be at most 0.25, not {value}: the explicit scheme is unstable above that")
-        return value
-
-    @field_validator("initial", "held")
-    @classmethod
-    def _each_once(cls, value: tuple[CellSpeed, ...]) -> tuple[CellSpeed, ...]:
-        seen: set[tuple[int, int]] = set()
-        for item in value:
-            if item.cell in seen:
-                raise ValueError(f"names cell [{item.cell[0]}, {item.cell[1]}] twice")
-            seen.add(item.cell)
-        return value
+    """``r = alpha period / pitch^2``: at most 1/4, or speeds may alternate and grow."""
+    patience: Patience = 1
+    """For how many periods a neighbour's word counts: more than 1 where messages get lost."""
 
 
 @final
@@ -60,57 +34,65 @@ class HeatDiffusion(Firmware):
 
     and drives and sends ``u_i[k]``. A message of tick k - 1 is read in tick k, so both sides of the exchange
     refer to the same tick. In tick 0 nothing has been received and ``u[0]`` is the initial speed: the wheels
-    of tick k run at ``M^k u[0]``, where M is the identity plus r times the lattice's Laplacian, with the
-    rows of held cells replaced by the identity's. A side without a message (no cell there, or a dead
-    one) is insulated.
+    of tick k run at ``M^k u[0]``, where M is the identity less r times the lattice's Laplacian, with the
+    rows of held cells replaced by the identity's.
+
+    Where no message comes the last one counts, for ``patience`` periods in all. A side without one (no cell there, or a
+    dead one) is insulated.
+
+    Up to r = 1/4 every speed is a mean of speeds there were, with weights of at least 0, whatever links lose or delay:
+    it stays in the range in which all began. On links that do neither, the slowest error shrinks by
+    ``max |1 - r lambda|`` a tick, over the eigenvalues of the Laplacian of the cells that are not held.
+
+    Source: Crank, *The Mathematics of Diffusion*, 2nd ed., Oxford 1975, ch. 8 (explicit scheme and its limit).
     """
 
     Parameters = HeatDiffusionParameters
     message = np.dtype([("vx_m_s", "<f8"), ("vy_m_s", "<f8")])
+    observed = "speed_m_s"
 
     def check(self, lattice: Lattice) -> None:
-        """Every cell that is named must exist."""
-        problems = tuple(
-            Problem(
-                (name, i, "cell"),
-                f"the array has no cell [{item.cell[0]}, {item.cell[1]}]",
-                list(item.cell),
-            )
-            for name, items in (("initial", self.parameters.initial), ("held", self.parameters.held))
-            for i, item in enumerate(items)
-            if item.cell not in lattice
+        """Every place that is named must exist, and no cell be named twice."""
+        self.parameters.check("heat_diffusion", lattice)
+
+    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+        """The scheme's limit: 1/4 on four neighbours, ``2 / lambda_max`` on this array."""
+        number, links = self.parameters.diffusion_number, self.parameters.links
+        return explicit_cautions("diffusion_number", number, "speeds", lambda: links(lattice))
+
+    def theory(self, lattice: Lattice) -> Theory:
+        """Factor from the spectrum; the limit is harmonic between held cells, and flat where there are none."""
+        links = self.parameters.links(lattice)
+        speed, _ = self.parameters.start(lattice.rows, lattice.columns)
+        number = self.parameters.diffusion_number
+        return Theory(
+            f"explicit conduction: slowest of |1 - {number:g} lambda| over the Laplacian's spectrum (Crank 1975)",
+            factor=relaxed(links.spectrum(), number),
+            limit=links.at_rest(speed),
         )
-        if problems:
-            raise ParametersError("heat_diffusion", problems)
 
     def init(self, cells: Cells) -> State:
-        """Speeds ``(n, 2)`` m/s before tick 0, and which cells are held."""
-        speed = np.empty((len(cells), 2))
-        speed[:] = self.parameters.speed_m_s
-        held = np.zeros((len(cells), 1), dtype=np.bool_)
-        for item in self.parameters.initial:
-            speed[_is(cells, item)] = item.speed_m_s
-        for item in self.parameters.held:
-            speed[_is(cells, item)] = item.speed_m_s
-            held[_is(cells, item)] = True
-        return {"speed_m_s": speed, "held": held}
+        """Speeds ``(n, 2)`` m/s before tick 0, which cells are held, and that no side has told anything."""
+        speed, held = self.parameters.start(cells.row, cells.column)
+        sides = cells.has_neighbour.shape
+        return {
+            "speed_m_s": speed,
+            "held": held[:, None],
+            "told_m_s": np.zeros((*sides, 2)),
+            "counts": np.zeros(sides, dtype=np.int16),
+        }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """One explicit step; sides are added in the order north, east, south, west."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
-        own, held = state["speed_m_s"], state["held"]
-        theirs = np.stack((inbox.message["vx_m_s"], inbox.message["vy_m_s"]), axis=2)
-        heard = inbox.received[:, :, None]
-        flow = np.where(heard, theirs - own[:, None, :], 0.0)
+        own = state["speed_m_s"]
+        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
+        told = last_word(inbox.received, counts, speeds_told(inbox), state["told_m_s"])
+        flow = np.where(counts[:, :, None] > 0, told - own[:, None, :], 0.0)
         gain = flow[:, 0] + flow[:, 1] + flow[:, 2] + flow[:, 3]
-        speed = np.where(held, own, own + self.parameters.diffusion_number * gain)
+        speed = np.where(state["held"], own, own + self.parameters.diffusion_number * gain)
 
-        message = np.empty((len(own), 4), dtype=self.message)
-        message["vx_m_s"], message["vy_m_s"] = speed[:, 0, None], speed[:, 1, None]
-        sent = np.ones((len(own), 4), dtype=np.bool_)
-        return {"speed_m_s": speed, "held": held}, Outputs(speed, Outbox(sent, message))
-
-
-def _is(cells: Cells, item: CellSpeed) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    return (cells.row == item.cell[0]) & (cells.column == item.cell[1])
+        outbox = Outbox.to_all(self.message, vx_m_s=speed[:, 0], vy_m_s=speed[:, 1])
+        after = {**state, "speed_m_s": speed, "told_m_s": told, "counts": counts}
+        return after, Outputs(speed, outbox)

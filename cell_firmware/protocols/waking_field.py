@@ -9,6 +9,7 @@ from pydantic import Field
 
 from cell_firmware.fields import FieldSpec
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.recall import Patience, last_word, still_counts
 from cell_firmware.specs import Spec
 
 
@@ -18,7 +19,7 @@ class WakingFieldParameters(Spec):
     field: FieldSpec
     reach: Annotated[int, Field(ge=0, le=100)] = 1
     """How many cells away from one that senses a parcel wheels run, counted along rows and columns."""
-    patience: Annotated[int, Field(ge=1, le=1_000)] = 1
+    patience: Patience = 1
     """For how many periods a neighbour's word counts: more than 1 where messages may come late."""
 
 
@@ -47,17 +48,14 @@ class WakingField(Firmware):
         """Wake or sleep, and tell the neighbours."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
-        counts = np.where(inbox.received, self.parameters.patience, np.maximum(state["counts"], 1) - 1)
-        told = np.where(inbox.received, inbox.message["level"], np.where(counts > 0, state["told"], 0))
+        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
+        told = last_word(inbox.received, counts, inbox.message["level"], state["told"])
         highest = np.maximum(np.maximum(told[:, 0], told[:, 1]), np.maximum(told[:, 2], told[:, 3]))
         here = inputs.presence[:, 0]
         for sensor in range(1, inputs.presence.shape[1]):
             here = here | inputs.presence[:, sensor]
         level = np.where(here, self.parameters.reach + 1, np.maximum(highest, 1) - 1)
 
-        message = np.empty((len(level), 4), dtype=self.message)
-        message["level"] = level[:, None]
-        sent = np.ones((len(level), 4), dtype=np.bool_)
         speed = np.where(level[:, None] > 0, state["speed_m_s"], 0.0)
-        after = {**state, "told": told, "counts": counts.astype(np.int16)}
-        return after, Outputs(speed, Outbox(sent, message))
+        after = {**state, "told": told, "counts": counts}
+        return after, Outputs(speed, Outbox.to_all(self.message, level=level))

@@ -129,13 +129,13 @@ def problems(firmware: str, parameters: dict[str, Any]) -> list[str]:
 def test_all_bad_parameters_are_told_at_once_with_their_paths():
     found = problems(
         "heat_diffusion",
-        {"diffusion_number": 0.3, "held": [{"cell": [0, -1], "speed_m_s": [0.0, "x"]}], "hold": []},
+        {"diffusion_number": -0.3, "held": [{"cell": [0, -1], "speed_m_s": [0.0, "x"]}], "hold": []},
     )
     assert found == [
-        "diffusion_number: must be at most 0.25, not 0.3: the explicit scheme is unstable above that",
+        "diffusion_number: must be greater than 0, not -0.3",
         "held[0].cell[1]: must be greater than or equal to 0, not -1",
         "held[0].speed_m_s[1]: must be a valid number, unable to parse string as a number, not 'x'",
-        "hold: unknown key; did you mean held? Known: diffusion_number, held, initial, speed_m_s",
+        "hold: unknown key; did you mean held? Known: diffusion_number, held, initial, patience, speed_m_s",
     ]
 
 
