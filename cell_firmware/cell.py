@@ -14,6 +14,7 @@ from bus.lattice import SIDES, Lattice
 from cell_firmware.firmware import (
     Cells,
     Firmware,
+    Floats,
     Inbox,
     Inputs,
     Messages,
@@ -124,6 +125,10 @@ class PerCell(Firmware):
     def check(self, lattice: Lattice) -> None:
         """Asks the firmware."""
         self.firmware.check(lattice)
+
+    def check_places(self, lattice: Lattice, position_m: Floats) -> None:
+        """Asks the firmware."""
+        self.firmware.check_places(lattice, position_m)
 
     def needed(self) -> tuple[str, ...]:
         """Asks the firmware."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from cell_firmware.specs import Spec
@@ -39,6 +40,18 @@ class Program:
             ParametersError: They do not.
         """
         del lattice
+
+    def check_places(self, lattice: Lattice, position_m: NDArray[np.float64]) -> None:
+        """The same for parameters that do not fit where the cells are.
+
+        Args:
+            lattice: The cells.
+            position_m: ``(n, 2)``, centre of each, m.
+
+        Raises:
+            ParametersError: They do not.
+        """
+        del lattice, position_m
 
     def needed(self) -> tuple[str, ...]:
         """Effects without which its parameters ask for what no cell of the scene has."""

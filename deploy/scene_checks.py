@@ -12,6 +12,7 @@ from cell_firmware.specs import CellsSpec
 from deploy.effects.registry import EffectsSpec
 from deploy.faults import Fault
 from deploy.scene_errors import Path, Problem, problems_of, strictly
+from plant.array import CellArray
 from plant.friction.registry import FrictionSpec
 from plant.solver_specs import SolverSpec
 from plant.specs import ArraySpec, disagreements, misplaced
@@ -108,7 +109,9 @@ def _firmware_problems(
     try:
         firmware = loader.load(cells)
         if array is not None:
-            firmware.check(array.lattice())
+            lattice = array.lattice()
+            firmware.check(lattice)
+            firmware.check_places(lattice, CellArray(array).positions_m)
     except ParametersError as error:
         return [Problem((*_PARAMETERS, *p.path), p.message, p.value) for p in error.problems]
     except FirmwareError as error:

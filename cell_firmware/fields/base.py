@@ -7,6 +7,8 @@ from abc import abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.lattice import Lattice
+from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.specs import Spec
 
 Array = NDArray[np.float64]
@@ -30,6 +32,29 @@ class Field(Spec):
         Returns:
             ``(n, 2)``, m/s.
         """
+
+    def check_places(self, firmware: str, lattice: Lattice, position_m: Array) -> None:
+        """Refuses a field that is no number somewhere, as a firmware's parameter ``field``.
+
+        Args:
+            firmware: Whose parameter it is.
+            lattice: The cells.
+            position_m: ``(n, 2)``, centre of each, m.
+
+        Raises:
+            ParametersError: At some cell it is not finite; names the first.
+        """
+        speed = self.velocity(position_m[:, 0], position_m[:, 1])
+        bad: list[int] = np.flatnonzero(~np.isfinite(speed).all(axis=1)).tolist()
+        if not bad:
+            return
+        (row, column), (x, y) = lattice.cells[bad[0]], position_m[bad[0]].tolist()
+        vx, vy = speed[bad[0]].tolist()
+        others = f", and at {len(bad) - 1} more" if len(bad) > 1 else ""
+        rule = (
+            f"is ({vx:g}, {vy:g}) m/s at cell [{row}, {column}], x = {x:g}, y = {y:g}{others}: must be finite"
+        )
+        raise ParametersError(firmware, (Problem(("field",), rule, self.model_dump(mode="json")),))
 
 
 def columns(vx: Array, vy: Array) -> Array:

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field as Tagged
 
 from cell_firmware.fields.elliptic import Elliptic
+from cell_firmware.fields.expression import Expression
 from cell_firmware.fields.radial import Radial
 from cell_firmware.fields.squeeze import Squeeze
 from cell_firmware.fields.sum import Sum
@@ -15,6 +16,7 @@ from cell_firmware.fields.vortex import Vortex
 
 FieldSpec = Annotated[
     Elliptic  # linear, the paper's Fig. 12
+    | Expression  # any formula of x and y
     | Radial  # away from a centre, or towards it
     | Squeeze  # two halves towards a line, the paper's Fig. 14
     | Sum  # several at once

@@ -10,7 +10,7 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.fields import FieldSpec
-from cell_firmware.firmware import Cells, Firmware, Inputs, Outputs, State
+from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outputs, State
 from cell_firmware.specs import CellName, Spec
 
 
@@ -39,6 +39,10 @@ class StumblingField(Firmware):
         )
         if problems:
             raise ParametersError("stumbling_field", problems)
+
+    def check_places(self, lattice: Lattice, position_m: Floats) -> None:
+        """The field must be a number at every cell."""
+        self.parameters.field.check_places("stumbling_field", lattice, position_m)
 
     def init(self, cells: Cells) -> State:
         """Each cell's speed, ``(n, 2)`` m/s, and the periods left, ``(n,)``; negative without the bug."""

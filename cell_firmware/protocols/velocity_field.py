@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import final
 
+from bus.lattice import Lattice
 from cell_firmware.fields import FieldSpec
-from cell_firmware.firmware import Cells, Firmware, Inputs, Outputs, State
+from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outputs, State
 from cell_firmware.specs import Spec
 
 
@@ -20,6 +21,10 @@ class VelocityField(Firmware):
     """Looks its speed up once and keeps it."""
 
     Parameters = VelocityFieldParameters
+
+    def check_places(self, lattice: Lattice, position_m: Floats) -> None:
+        """The field must be a number at every cell."""
+        self.parameters.field.check_places("velocity_field", lattice, position_m)
 
     def init(self, cells: Cells) -> State:
         """Each cell's speed, ``(n, 2)`` m/s."""

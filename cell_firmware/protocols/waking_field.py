@@ -7,8 +7,9 @@ from typing import Annotated, final
 import numpy as np
 from pydantic import Field
 
+from bus.lattice import Lattice
 from cell_firmware.fields import FieldSpec
-from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
 from cell_firmware.recall import Patience, last_word, still_counts
 from cell_firmware.specs import Spec
 
@@ -33,6 +34,10 @@ class WakingField(Firmware):
 
     Parameters = WakingFieldParameters
     message = np.dtype([("level", "u1")])
+
+    def check_places(self, lattice: Lattice, position_m: Floats) -> None:
+        """The field must be a number at every cell."""
+        self.parameters.field.check_places("waking_field", lattice, position_m)
 
     def init(self, cells: Cells) -> State:
         """Each cell's speed while it is awake, ``(n, 2)`` m/s; what each side told last, and for how long it counts."""

@@ -226,6 +226,26 @@ def test_firmware_checks_its_parameters_against_the_array() -> None:
     assert line == "scene x.toml: cells.parameters.held[1].cell = [99, 0]: the array has no cell [99, 0]"
 
 
+def test_a_field_that_is_no_number_at_a_cell_is_refused_with_the_cell() -> None:
+    text = GOOD.replace(
+        '"elliptic", kx_per_s = -1.0, ky_per_s = -2.0', '"expression", vx = "sqrt(0.9 - x)", vy = "0"'
+    )
+    (line,) = refused(text)
+    assert line.startswith('scene x.toml: cells.parameters.field = {kind = "expression", ')
+    assert line.endswith(
+        ": is (nan, 0) m/s at cell [0, 19], x = 0.95, y = -0.95, and at 19 more: must be finite"
+    )
+
+
+def test_a_formula_that_is_refused_is_shown_with_the_column() -> None:
+    text = GOOD.replace('"elliptic", kx_per_s = -1.0, ky_per_s = -2.0', '"expression", vx = "2*z", vy = "0"')
+    assert refused(text) == [
+        "scene x.toml: cells.parameters.field.vx = \"2*z\": column 3: unknown name 'z'; known: x, y, pi",
+        "  2*z",
+        "    ^",
+    ]
+
+
 def test_unknown_firmware_is_answered_with_the_nearest_bundled_one() -> None:
     (line,) = refused(GOOD.replace('"velocity_field"', '"velocity_feld"'))
     assert line.startswith("scene x.toml: cells.firmware: unknown firmware 'velocity_feld'")
