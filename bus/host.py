@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, final
 
 import numpy as np
@@ -20,7 +20,7 @@ from bus.forms.form import HostForm, Wiring
 from bus.keys import plant_key, shard_key
 from bus.lives import Lives
 from bus.partition import Partition
-from bus.registers import RegisterFrame, decode_registers
+from bus.registers import RegisterFrame, Shown, Wanted, decode_registers, due, joined
 from bus.roll import Roll
 from bus.specs import StallSpec
 from bus.transport import Endpoint
@@ -46,7 +46,7 @@ class Host:
         encoders: Whether sense frames carry encoder travel.
         levels: Whether they carry sensors' levels.
         message: The firmware's message type, None where cells send each other nothing.
-        registers_every: Take in the registers that cells show every so many ticks; None: not.
+        wanted: Registers of the cells to take in.
         stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
         clock: Monotonic wall seconds.
 
@@ -65,7 +65,7 @@ class Host:
         encoders: bool,
         message: np.dtype[Any] | None,
         levels: bool = False,
-        registers_every: int | None = None,
+        wanted: Sequence[Wanted] = (),
         stall: StallSpec | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -93,8 +93,8 @@ class Host:
         for shard in range(partition.count):
             self._inbox.routes[shard_key(run, shard, "report")] = (self._report, shard)
         self._shown: list[RegisterFrame] = []
-        self._registers_every = registers_every
-        if registers_every is not None:
+        self._wanted = tuple(wanted)
+        if self._wanted:
             for shard in range(partition.count):
                 self._inbox.routes[shard_key(run, shard, "registers")] = (self._take_registers, shard)
             endpoint.subscribe(shard_key(run, None, "registers"), "quiet")
@@ -202,10 +202,10 @@ class Host:
         hung, self._hung = self._hung, []
         return hung
 
-    def take_registers(self) -> list[RegisterFrame]:
+    def take_registers(self) -> list[Shown]:
         """What cells have shown of themselves since the last call; a tick's is there when its drives are."""
-        shown, self._shown = self._shown, []
-        return shown
+        frames, self._shown = self._shown, []
+        return joined(frames, self._lattice)
 
     # --- to all ---------------------------------------------------------------------------------
 
@@ -260,13 +260,11 @@ class Host:
     def _take_registers(self, shard: int, payload: bytes) -> None:
         cells = int(np.count_nonzero(self._shard_of == shard))
         frame = decode_registers(payload, cells)
-        if any(
-            cell not in self._lattice or self._shard_of[self._lattice.index(cell)] != shard
-            for cell in map(tuple, frame.cells.tolist())
-        ):
+        rows = self._lattice.find(*frame.cells.T.astype(np.int64))
+        if (rows < 0).any() or (self._shard_of[rows] != shard).any():
             raise WireError("registers", "cells", f"must be cells of shard {shard}")
         self.counts.delivered += 1
-        if self._registers_every is not None and frame.tick % self._registers_every == 0:
+        if due(self._wanted, frame.tick) is not None:
             self._shown.append(frame)  # others are for those who watch
 
     # --- who is still there ---------------------------------------------------------------------

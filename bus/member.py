@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -20,7 +20,7 @@ from bus.keys import plant_key, shard_key
 from bus.lives import Lives
 from bus.outgoing import Outgoing
 from bus.partition import Partition
-from bus.registers import RegisterFrame, encode_registers, shown
+from bus.registers import RegisterFrame, Wanted, due, encode_registers, shown
 from bus.specs import StallSpec
 from bus.transport import Alive, Endpoint
 from bus.wire import Control, DriveFrame, LinkFrame, Report, SenseFrame
@@ -69,7 +69,7 @@ class Member:
         stall: Deadlines.
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
             None: as long as the token stands. A paused or compiling plant is silent too.
-        registers_every: Show the cells' registers to the plant every so many ticks; None: not.
+        wanted: Registers of the cells that the plant wants to see.
         tally: What else to report as the shard leaves: numbers that the cells counted, by name.
         clock: Monotonic wall seconds.
 
@@ -91,7 +91,7 @@ class Member:
         levels: bool = False,
         stall: StallSpec | None = None,
         silence_s: float | None = None,
-        registers_every: int | None = None,
+        wanted: Sequence[Wanted] = (),
         tally: Callable[[], Mapping[str, int]] = dict[str, int],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -133,7 +133,7 @@ class Member:
         endpoint.subscribe(control, "urgent")
         self._report = endpoint.publisher(shard_key(run, shard, "report"))
         self._registers = endpoint.publisher(shard_key(run, shard, "registers"))
-        self._registers_every = registers_every
+        self._wanted = tuple(wanted)
         self._show_next = 0.0
         endpoint.watch_alive(self._plant_key)
 
@@ -154,7 +154,7 @@ class Member:
         deadline = self._clock() + limit
         self._show(self._form.alive_keys)
         waiting = {**self._outgoing.publishers, "report": self._report}
-        if self._registers_every is not None:
+        if self._wanted:
             waiting["registers"] = self._registers
         while True:
             waiting = {key: publisher for key, publisher in waiting.items() if not publisher.matched()}
@@ -260,17 +260,24 @@ class Member:
             read: Gives who they are, ``(n, 2)`` row and column, and their registers by name, arrays with a row for
                 each; asked only where somebody wants to see.
         """
-        every = self._registers_every
-        if every is None or tick % every:
-            now = self._clock()
-            if now < self._show_next:
-                return
-            self._show_next = now + _SHOW_S
-            if not self._registers.matched():
-                return
+        wanted = due(self._wanted, tick)
+        if (wanted is None or wanted.names is not None) and self._watched():
+            wanted = Wanted(1)
+        if wanted is None:
+            return
         cells, registers = read()
+        if wanted.names is not None:
+            registers = {name: array for name, array in registers.items() if name in wanted.names}
         self._registers.put(encode_registers(RegisterFrame(tick, cells, shown(registers))))
         self.counts.sent += 1
+
+    def _watched(self) -> bool:
+        """Whether somebody may want to see all registers now: looked up a few times a second."""
+        now = self._clock()
+        if now < self._show_next:
+            return False
+        self._show_next = now + _SHOW_S
+        return self._registers.matched()
 
     # --- who takes part -------------------------------------------------------------------------
 

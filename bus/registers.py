@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bus.codec import VERSION, binary, layout, packer, reader
 from bus.errors import WireError
+from bus.lattice import Lattice
 
 NAMES_LIMIT: Final = 256
 """Most registers of a cell, and longest name of one, characters."""
@@ -33,6 +34,74 @@ class RegisterFrame(NamedTuple):
     tick: int
     cells: NDArray[Any]
     registers: Mapping[str, NDArray[Any]]
+
+
+class Wanted(NamedTuple):
+    """Registers that the plant wants to see.
+
+    Attributes:
+        every: In every how many ticks.
+        names: Which; None: all.
+    """
+
+    every: int
+    names: frozenset[str] | None = None
+
+
+def due(wanted: Iterable[Wanted], tick: int) -> Wanted | None:
+    """What is wanted in a tick, all of it together; None if nothing is."""
+    found = [one.names for one in wanted if tick % one.every == 0]
+    if not found:
+        return None
+    named = [names for names in found if names is not None]
+    return Wanted(1, frozenset[str]().union(*named) if len(named) == len(found) else None)
+
+
+class Shown(NamedTuple):
+    """The registers of all cells after a tick, in the lattice's order.
+
+    Attributes:
+        tick: The tick that they have computed.
+        cells: ``(n,)``: which of them have shown theirs.
+        registers: By name, arrays with a row a cell; zero where it has shown none.
+    """
+
+    tick: int
+    cells: NDArray[np.bool_]
+    registers: Mapping[str, NDArray[Any]]
+
+
+def joined(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[Shown]:
+    """Frames of several shards, those of a tick together.
+
+    Args:
+        frames: Whose cells are in the lattice. Where one has a register in another shape than one before it, its
+            cells' rows are NaN, or zero for what can't be NaN.
+        lattice: The cells.
+    """
+    by_tick: dict[int, list[RegisterFrame]] = {}
+    for frame in frames:
+        by_tick.setdefault(frame.tick, []).append(frame)
+    n = len(lattice)
+    found: list[Shown] = []
+    for tick, together in by_tick.items():
+        cells = np.zeros(n, dtype=np.bool_)
+        registers: dict[str, NDArray[Any]] = {}
+        for frame in together:
+            rows = lattice.find(*frame.cells.T.astype(np.int64))
+            cells[rows] = True
+            for name, array in frame.registers.items():
+                own = registers.get(name)
+                if own is None:
+                    own = registers[name] = np.zeros((n, *array.shape[1:]), dtype=array.dtype)
+                elif own.dtype != array.dtype:
+                    own = registers[name] = own.astype(np.result_type(own, array))
+                if own.shape[1:] == array.shape[1:]:
+                    own[rows] = array
+                elif own.dtype.kind == "f":
+                    own[rows] = np.nan
+        found.append(Shown(tick, cells, registers))
+    return found
 
 
 def shown(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -12,6 +12,7 @@ from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import SettingError
 from cell_firmware.firmware import Firmware
+from cell_firmware.meter import MessageMeter
 from cell_firmware.parts import LinkPart, WheelPart
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec
 
@@ -49,6 +50,8 @@ def assemble(
     effects: CellEffects,
     motors: Motors | None,
     clocks: ArrayClocks | None = None,
+    *,
+    metered: bool = False,
 ) -> Controller:
     """The controller that every cell has.
 
@@ -58,12 +61,16 @@ def assemble(
         effects: Of the cells.
         motors: None where the wheels run at the speed that they are told.
         clocks: None where all cells step at once, by the plant's clock.
+        metered: Whether every cell counts its messages.
 
     Raises:
         SettingError: Settings of the board that don't go together.
     """
     controller: Controller = Board(
-        firmware, wheels_of(spec, effects, motors), _links(firmware, spec, effects, clocks)
+        firmware,
+        wheels_of(spec, effects, motors),
+        _links(firmware, spec, effects, clocks),
+        MessageMeter() if metered else None,
     )
     if effects.cop is not None:
         from cell_firmware.watchdog import Watchdog

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.meter import MessageMeter
 from cell_firmware.parts import LinkPart, Part, WheelPart
 
 _PROGRAM = "firmware"
 _WHEELS = "speed_loop"
 _LINKS = "serial"
+_METER = "messages"
 
 
 class _BadOutput(Exception):
@@ -58,15 +60,21 @@ class Board(Controller):
         firmware: The cells' program.
         wheels: Given exactly where the wheels have motors.
         links: What messages have to pass; None where links hand them over whole.
+        meter: Counts them; None: nobody wants to know.
     """
 
     def __init__(
-        self, firmware: Firmware, wheels: WheelPart | None = None, links: LinkPart | None = None
+        self,
+        firmware: Firmware,
+        wheels: WheelPart | None = None,
+        links: LinkPart | None = None,
+        meter: MessageMeter | None = None,
     ) -> None:
         self.firmware = firmware
         self.wheels = wheels
         self.links = links
-        parts: dict[str, Part | None] = {_WHEELS: wheels, _LINKS: links}
+        self.meter = meter
+        parts: dict[str, Part | None] = {_WHEELS: wheels, _LINKS: links, _METER: meter}
         self._parts = {name: part for name, part in parts.items() if part is not None}
 
     @property
@@ -88,6 +96,7 @@ class Board(Controller):
         n = len(cells)
         try:
             program = frozen(_checked_state(self.firmware.init(cells), None, n))
+            _check_observed(self.firmware, program)
         except Exception as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
             problem, trace = _described(error)
         else:
@@ -139,6 +148,8 @@ class Board(Controller):
                 sent = outbox.sent.copy()
                 sent[rows] = False
                 outbox = Outbox(sent, outbox.message)
+        if self.meter is not None:
+            parts[_METER] = frozen(self.meter.count(parts[_METER], state.cells, inputs.inbox, outbox))
         if self.links is not None:
             parts[_LINKS], outbox = self.links.send(now, parts[_LINKS], outbox)
         return ControllerState(state.cells, parts), ControllerOutputs(
@@ -148,7 +159,10 @@ class Board(Controller):
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
         """The program's variables, and what every part shows."""
         return {
-            **{f"{_PROGRAM}.{name}": array for name, array in state.parts[_PROGRAM].items()},
+            **{
+                f"{_PROGRAM}.{name}": array
+                for name, array in self.firmware.shown(state.parts[_PROGRAM]).items()
+            },
             **{
                 f"{part.effect or name}.{register}": value
                 for name, part in self._parts.items()
@@ -272,6 +286,12 @@ def _checked_state(state: Any, before: State | None, n: int) -> State:
                 f"state[{name!r}] must be an array with {n} rows, one a cell, not {_kind(array)}"
             )
     return arrays
+
+
+def _check_observed(firmware: Firmware, state: State) -> None:
+    name = firmware.observed
+    if name is not None and name not in firmware.shown(state):
+        raise _BadOutput(f"observed is {name!r}, and there is no such variable in its state")
 
 
 def _kind(value: Any) -> str:

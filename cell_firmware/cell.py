@@ -149,6 +149,20 @@ class PerCell(Firmware):
             states[i] = self.firmware.init(_cell(cells, i))
         return {"cell": states}
 
+    def shown(self, state: State) -> State:
+        """Of the cells' own states what is ``observed``, as float64: NaN where a cell has no numbers there.
+
+        A cell's state may be a mapping with that key, or anything with that attribute.
+        """
+        name = self.observed
+        if name is None or not any(_has(own, name) for own in state["cell"]):
+            return {}
+        values = [_numbers(own, name) for own in state["cell"]]
+        shape = next((value.shape for value in values if value is not None), ())
+        blank = np.full(shape, np.nan)
+        fit = [blank if value is None or value.shape != shape else value for value in values]
+        return {name: np.stack(fit)}
+
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """Steps each cell on plain values."""
         n = len(inputs.presence)
@@ -178,6 +192,21 @@ def _cell(cells: Cells, i: int) -> Cell:
         tuple((x, y) for x, y in cells.sensors_m.tolist()),
         cells.pitch_m,
     )
+
+
+def _has(state: Any, name: str) -> bool:
+    return name in state if isinstance(state, Mapping) else hasattr(state, name)
+
+
+def _numbers(state: Any, name: str) -> Floats | None:
+    """A variable of a cell's state as numbers; None where it has none there, or not yet."""
+    if not _has(state, name):
+        return None
+    value: Any = state[name] if isinstance(state, Mapping) else getattr(state, name)  # pyright: ignore[reportUnknownVariableType]
+    try:
+        return None if value is None else np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
 
 
 def _inputs(inputs: Inputs, i: int) -> CellInputs:

@@ -216,6 +216,10 @@ class Firmware(Program, ABC):
     form: ClassVar[str] = "on arrays"
     """How it runs, in words."""
 
+    def shown(self, state: State) -> State:
+        """What can be seen of its state from outside: arrays by name, each with one row per cell; by default all."""
+        return state
+
     @abstractmethod
     def init(self, cells: Cells) -> State:
         """The state before tick 0: arrays by name, each with one row per cell."""

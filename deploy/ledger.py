@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deploy.digest import Digest
 
 if TYPE_CHECKING:
     from bus.counts import Loss
-    from bus.registers import RegisterFrame
+    from bus.registers import Shown
     from bus.wire import Report
     from deploy.progress import Progress
     from deploy.recordings.recorder import Recorder
@@ -55,7 +52,6 @@ class Ledger:
         warn: Callable[[str], None],
     ) -> None:
         self._cells = cells
-        self._index = {cell: i for i, cell in enumerate(cells)}
         self._period_ns = period_ns
         self._digest = digest
         self._recorder = recorder
@@ -91,20 +87,9 @@ class Ledger:
         self.time_ns = record.until_ns
         self._progress.update(self.ticks, self.time_ns)
 
-    def registers(self, frames: Sequence[RegisterFrame]) -> None:
-        """Record what the cells showed of themselves, the cells of a tick together."""
-        by_tick: dict[int, list[RegisterFrame]] = {}
-        for frame in frames:
-            by_tick.setdefault(frame.tick, []).append(frame)
-        for tick, together in by_tick.items():
-            joined: dict[str, NDArray[Any]] = {}
-            for frame in together:
-                rows = [self._index[row, column] for row, column in frame.cells.tolist()]
-                for name, array in frame.registers.items():
-                    if name not in joined:
-                        joined[name] = np.zeros((len(self._cells), *array.shape[1:]), dtype=array.dtype)
-                    joined[name][rows] = array
-            self._recorder.registers(tick, tick * self._period_ns, joined)
+    def registers(self, shown: Shown) -> None:
+        """Record what the cells showed of themselves."""
+        self._recorder.registers(shown.tick, shown.tick * self._period_ns, shown.registers)
 
     def _take_events(self, events: Sequence[Event]) -> None:
         for event in events:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 from bus.errors import BusError
+from bus.registers import Wanted
 from deploy.cautions import cautions_of
 from deploy.cell_times import cell_times
 from deploy.digest import Digest
@@ -168,13 +169,14 @@ class _Run:
             ledger.tick(record)
             if watched:
                 ledger.hung(host.take_hung())
-            if registers is not None:
-                ledger.registers(host.take_registers())
+            for shown in host.take_registers():
+                ledger.registers(shown)
             if self.interruption.requested:
                 raise Interrupted
 
         registers, watched = self.options.registers, self.scene.effects.cop is not None
-        host = system.start(plant.array, plant.sense(), registers)
+        wanted = () if registers is None else (Wanted(registers),)
+        host = system.start(plant.array, plant.sense(), wanted)
         return PlantProcess(
             plant,
             host,

@@ -15,6 +15,7 @@ from deploy.processes.worker import Order, controller_of
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts, Host
+    from bus.registers import Wanted
     from bus.transport import Endpoint
     from deploy.scene import Scene
     from plant.array import CellArray
@@ -83,13 +84,16 @@ class System:
         self._locator = self._endpoint.locator
         self._cells = self._processes or WorkerThread(open_client(self._locator))
 
-    def start(self, array: CellArray, sense: Sense, registers: int | None = None) -> Host:
+    def start(
+        self, array: CellArray, sense: Sense, wanted: tuple[Wanted, ...] = (), *, metered: bool = False
+    ) -> Host:
         """Start the cells and wait until all of them are ready.
 
         Args:
             array: The cells that exist.
             sense: What they sense first: whether there are encoders and levels.
-            registers: Have the cells show their registers every so many ticks; None: not.
+            wanted: Registers that the cells are to show.
+            metered: Have the cells count their messages.
 
         Raises:
             DeployError: A worker failed on the way; says which and why.
@@ -109,7 +113,8 @@ class System:
             run=plan.run,
             connect=self._locator,
             encoders=encoders,
-            registers=registers,
+            wanted=wanted,
+            metered=metered,
             levels=levels,
             alone=plan.workers > 0,
         )
@@ -122,7 +127,7 @@ class System:
             encoders=encoders,
             levels=levels,
             message=controller_of(scene).message,
-            registers_every=registers,
+            wanted=wanted,
             stall=scene.stall,
         )
         self._cells.start(order)

@@ -15,6 +15,7 @@ from deploy.faults.schedule import Deaths, deaths
 
 if TYPE_CHECKING:
     from bus.lockstep import FormName
+    from bus.registers import Wanted
     from cell_firmware.controller import Controller
     from cell_firmware.shard import Shard
     from deploy.scene import Scene
@@ -35,7 +36,8 @@ class Order:
         connect: Where the plant listens.
         encoders: Whether the wheels have encoders.
         levels: Whether sensors have levels.
-        registers: Show the cells' registers to the plant every so many ticks; None: not.
+        wanted: Registers of the cells that the plant wants to see.
+        metered: Whether cells count their messages.
         alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
     """
 
@@ -47,7 +49,8 @@ class Order:
     connect: str
     encoders: bool
     levels: bool
-    registers: int | None
+    wanted: tuple[Wanted, ...]
+    metered: bool
     alone: bool
 
     def __call__(self, shard: int) -> None:
@@ -85,7 +88,7 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
         levels=order.levels,
         message=cells.message,
         stall=order.scene.stall,
-        registers_every=order.registers,
+        wanted=order.wanted,
         tally=cells.counted,
     )
     schedule = deaths(order.scene)
@@ -99,14 +102,15 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     member.close()
 
 
-def controller_of(scene: Scene) -> Controller:
-    """The controller that a scene gives every cell."""
+def controller_of(scene: Scene, *, metered: bool = False) -> Controller:
+    """The controller that a scene gives every cell; ``metered``: which counts the cell's messages."""
     from cell_firmware.assembly import assemble
     from cell_firmware.loader import load
     from deploy.motors import told
 
     motors = told(scene.effects.motors)
-    return assemble(load(scene.cells), scene.cells, scene.effects, motors, scene.clocks())
+    firmware = load(scene.cells)
+    return assemble(firmware, scene.cells, scene.effects, motors, scene.clocks(), metered=metered)
 
 
 def _shard(order: Order, shard: int) -> Shard:
@@ -115,7 +119,8 @@ def _shard(order: Order, shard: int) -> Shard:
     from cell_firmware.shard import Shard
 
     scene, array = order.scene, order.array
-    controller, sensors = controller_of(scene), len(scene.array.sensors_m)
+    controller = controller_of(scene, metered=order.metered)
+    sensors = len(scene.array.sensors_m)
     site = Site(order.partition.cells(shard), sensors, controller.message, scene.seed, levels=order.levels)
     return Shard(
         controller,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ from bus.forms import FormName
 from bus.lattice import Lattice
 from bus.lockstep import Gathered, Host, Loss, Member
 from bus.partition import Partition
+from bus.registers import Wanted
 from bus.specs import StallSpec
 from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received
 from bus.transports.memory import MemoryBus
@@ -114,7 +115,7 @@ class System:
     levels: bool = False
     stall: StallSpec = field(default_factory=StallSpec)
     clock: FakeClock | None = None
-    registers_every: int | None = None
+    wanted: Sequence[Wanted] = ()
 
     def __post_init__(self) -> None:
         self.endpoint = self._clocked(self.network.endpoint())
@@ -136,7 +137,7 @@ class System:
             "levels": self.levels,
             "message": self.message,
             "stall": self.stall,
-            "registers_every": self.registers_every,
+            "wanted": self.wanted,
         }
         if self.clock is not None:
             agreed["clock"] = self.clock

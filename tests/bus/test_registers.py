@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bus.errors import WireError
 from bus.partition import Partition
-from bus.registers import RegisterFrame, decode_registers, encode_registers, shown
+from bus.registers import RegisterFrame, Wanted, decode_registers, due, encode_registers, joined, shown
 from tests.bus.support import FakeClock, Network, System, grid, payloads, settle
 
 CELLS = np.array([[0, 1], [2, 3]])
@@ -94,10 +94,10 @@ def test_no_bytes_make_more_than_a_wire_error(data: st.DataObject):
     assert all(len(array) == len(frame.cells) for array in frame.registers.values())
 
 
-def pair(network: Network, every: int | None, clock: FakeClock | None = None) -> System:
-    """A host and two members that show registers every so many ticks."""
+def pair(network: Network, *wanted: Wanted, clock: FakeClock | None = None) -> System:
+    """A host that wants to see registers, and two members that show them."""
     partition = Partition.even(grid(2, 2), 2)
-    return System(network, partition, "packed", clock=clock, registers_every=every).start()
+    return System(network, partition, "packed", clock=clock, wanted=wanted).start()
 
 
 def readings(system: System, shard: int, tick: int) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:
@@ -106,7 +106,7 @@ def readings(system: System, shard: int, tick: int) -> tuple[NDArray[np.int64], 
 
 
 def test_the_plant_has_the_registers_of_a_tick_when_it_has_its_drives(network: Network):
-    system = pair(network, every=2)
+    system = pair(network, Wanted(2))
     for tick in range(5):
         system.host.publish(system.sense(tick))
         for shard, member in enumerate(system.members):
@@ -114,16 +114,46 @@ def test_the_plant_has_the_registers_of_a_tick_when_it_has_its_drives(network: N
             member.show(tick, lambda shard=shard, tick=tick: readings(system, shard, tick))
             member.publish(system.drive(shard, tick), None)
         system.host.gather(tick)
-        frames = system.host.take_registers()
-        assert sorted(frame.tick for frame in frames) == ([tick, tick] if tick % 2 == 0 else [])
-        assert sorted(value for frame in frames for value in frame.registers["a"].tolist()) == (
-            [100 * cell + tick for cell in range(4)] if tick % 2 == 0 else []
-        )
+        shown = [(one.tick, one.registers["a"].tolist()) for one in system.host.take_registers()]
+        assert shown == ([(tick, [100 * cell + tick for cell in range(4)])] if tick % 2 == 0 else [])
     system.host.stop()
 
 
+def test_what_is_wanted_in_a_tick_is_all_that_anybody_wants():
+    some, other, everything = Wanted(2, frozenset("a")), Wanted(3, frozenset("b")), Wanted(4)
+    names = [due((some, other, everything), tick) for tick in range(7)]
+    assert [found and found.names for found in names] == [None, None, {"a"}, {"b"}, None, None, {"a", "b"}]
+    assert [found is None for found in names] == [False, True, False, False, False, True, False]
+    assert due((), 0) is None
+
+
+def test_registers_that_are_not_asked_for_do_not_go_over_the_bus(memory: Network):
+    system = pair(memory, Wanted(1, frozenset({"a", "nobody's"})), clock=FakeClock())
+    watcher = memory.endpoint()
+    watcher.subscribe("mdms/*/shard/*/registers")
+    cells, registers = readings(system, 1, 0)
+    for tick in range(2):  # the first comes with all of them: somebody may be watching
+        system.members[1].show(tick, lambda: (cells, {**registers, "b": np.zeros(2)}))
+    frames = [decode_registers(payload, 4) for payload in payloads(watcher.receive_all(0))]
+    assert [sorted(frame.registers) for frame in frames] == [["a", "b"], ["a"]]
+
+
+def test_frames_of_a_tick_are_joined_in_the_order_of_the_cells():
+    lattice = grid(2, 2)
+    first = RegisterFrame(5, np.array([[1, 1], [0, 0]]), {"a": np.array([3, 0]), "f": np.array([0.5, 0.25])})
+    second = RegisterFrame(5, np.array([[1, 0]]), {"a": np.array([2.5]), "f": np.array([[1.0, 2.0]])})
+    (shown_,) = joined([first, second], lattice)
+    assert shown_.tick == 5
+    assert shown_.cells.tolist() == [True, False, True, True]
+    assert shown_.registers["a"].tolist() == [0.0, 0.0, 2.5, 3.0]  # of two types, the one that holds both
+    np.testing.assert_array_equal(
+        shown_.registers["f"], [0.25, 0.0, np.nan, 0.5]
+    )  # of another shape: no number
+    assert [one.tick for one in joined([first, second._replace(tick=6)], lattice)] == [5, 6]
+
+
 def test_where_nobody_wants_to_see_registers_they_are_not_even_read(network: Network):
-    system = pair(network, every=None)
+    system = pair(network)
 
     def read() -> Any:
         raise AssertionError("nobody wants to see this")
@@ -134,7 +164,7 @@ def test_where_nobody_wants_to_see_registers_they_are_not_even_read(network: Net
 
 def test_who_watches_a_run_is_shown_its_cells_five_times_a_second(memory: Network):
     clock = FakeClock()
-    system = pair(memory, None, clock)
+    system = pair(memory, clock=clock)
     watcher = memory.endpoint()
     watcher.subscribe("mdms/*/shard/*/registers")
     member = system.members[1]
@@ -148,7 +178,7 @@ def test_who_watches_a_run_is_shown_its_cells_five_times_a_second(memory: Networ
 
 
 def test_registers_of_cells_that_are_not_the_shards_are_refused(memory: Network):
-    system = pair(memory, every=1)
+    system = pair(memory, Wanted(1))
     system.host.publish(system.sense(0))
     wrong = readings(system, 1, 0)
     for shard, member in enumerate(system.members):
@@ -156,5 +186,6 @@ def test_registers_of_cells_that_are_not_the_shards_are_refused(memory: Network)
         member.show(0, lambda: wrong)
         member.publish(system.drive(shard, 0), None)
     system.host.gather(0)
-    assert len(system.host.take_registers()) == 1
+    (shown_,) = system.host.take_registers()
+    assert shown_.cells.tolist() == [False, False, True, True]
     assert system.host.counts.malformed["registers: cells"] == 1
