@@ -24,6 +24,7 @@ from cell_firmware.specs import CellsSpec
 
 BUNDLED = {
     "heat_diffusion": "cell_firmware.protocols.heat_diffusion:HeatDiffusion",
+    "hop_gradient": "cell_firmware.protocols.hop_gradient:HopGradient",
     "stumbling_field": "cell_firmware.protocols.stumbling_field:StumblingField",
     "velocity_field": "cell_firmware.protocols.velocity_field:VelocityField",
     "waking_field": "cell_firmware.protocols.waking_field:WakingField",

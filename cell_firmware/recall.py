@@ -26,15 +26,18 @@ def still_counts(received: Bools, counts: Counts, patience: int) -> Counts:
     return np.where(received, patience, np.maximum(counts, 1) - 1).astype(np.int16)
 
 
-def last_word(received: Bools, counts: Counts, message: NDArray[Any], before: NDArray[Any]) -> NDArray[Any]:
-    """What each side told last, ``(n, 4)`` or ``(n, 4, components)``; 0 where it no longer counts.
+def last_word(
+    received: Bools, counts: Counts, message: NDArray[Any], before: NDArray[Any], silence: int = 0
+) -> NDArray[Any]:
+    """What each side told last, ``(n, 4)`` or ``(n, 4, components)``.
 
     Args:
         received: ``(n, 4)``: did a word come?
         counts: ``(n, 4)``, what ``still_counts`` says.
         message: What came.
         before: This function's answer of the period before.
+        silence: What a side counts as whose word no longer does.
     """
     shape = received.shape + (1,) * (message.ndim - 2)
-    kept = np.where(counts.reshape(shape) > 0, before, np.zeros((), dtype=before.dtype))
+    kept = np.where(counts.reshape(shape) > 0, before, np.array(silence, dtype=before.dtype))
     return np.where(received.reshape(shape), message, kept)
