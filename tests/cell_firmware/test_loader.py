@@ -53,7 +53,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_all_known():
         find("velocity_feild")
     assert str(caught.value) == (
         "unknown firmware 'velocity_feild'; did you mean 'velocity_field'? "
-        "Known: heat_diffusion, stumbling_field, velocity_field, waking_field; "
+        "Known: heat_diffusion, hop_gradient, stumbling_field, velocity_field, waking_field; "
         "or package.module:Class, or a path to a .py file"
     )
 
