@@ -6,6 +6,7 @@ import difflib
 import importlib
 import importlib.util
 import inspect
+import pkgutil
 import sys
 import traceback
 from pathlib import Path
@@ -16,6 +17,7 @@ from pydantic import ValidationError
 
 from bus.errors import WireError
 from bus.wire import check_message
+from cell_firmware import protocols
 from cell_firmware.cell import CellFirmware, PerCell
 from cell_firmware.errors import FirmwareError, ParametersError
 from cell_firmware.firmware import Firmware
@@ -23,13 +25,10 @@ from cell_firmware.parameter_errors import problems
 from cell_firmware.specs import CellsSpec
 
 BUNDLED = {
-    "heat_diffusion": "cell_firmware.protocols.heat_diffusion:HeatDiffusion",
-    "hop_gradient": "cell_firmware.protocols.hop_gradient:HopGradient",
-    "stumbling_field": "cell_firmware.protocols.stumbling_field:StumblingField",
-    "velocity_field": "cell_firmware.protocols.velocity_field:VelocityField",
-    "waking_field": "cell_firmware.protocols.waking_field:WakingField",
+    module.name: f"{protocols.__name__}.{module.name}:{module.name.title().replace('_', '')}"
+    for module in pkgutil.iter_modules(protocols.__path__)
 }
-"""Bundled firmware by name."""
+"""Bundled firmware by name: a new one is a file of that name, with a class of that name."""
 
 FirmwareClass = type[Firmware] | type[CellFirmware]
 

@@ -1,1 +1,1 @@
-"""Bundled firmware, one a file; ``cell_firmware.loader`` knows them by name."""
+"""Bundled firmware, one a file, found by the file's name: no other modules here."""

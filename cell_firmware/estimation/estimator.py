@@ -1,0 +1,221 @@
+"""Cells that estimate together where the parcel over them is: what a protocol puts inside itself to know it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.estimation import group, pattern
+from cell_firmware.estimation.leading import FIELDS, SHOWN, UNKNOWN, EstimatorParameters, Leader, followed
+from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Outbox, State, picked, put
+
+MESSAGE: Final = np.dtype([*group.FIELDS, *pattern.FIELDS, *FIELDS])
+"""What cells tell their neighbours: 47 bytes."""
+_GROUP: Final = np.dtype(group.FIELDS)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What n cells know of the parcel that is over them or near.
+
+    Attributes:
+        known: ``(n,)``: does the cell know a pose at all?
+        leads: ``(n,)``: is it the leader, who makes the estimate?
+        covered: ``(n,)``: does one of its sensors sense a parcel?
+        centre_m: ``(n, 2)``.
+        direction: ``(n, 2)``, unit vector along the parcel's x; which way round is left open.
+        motion: ``(n, 3)``, velocity, m/s, and angular velocity, rad/s.
+        shift_m: ``(n, 2)``, from the centre to the mean, by load, of the living cells that carry the parcel.
+    """
+
+    known: Bools
+    leads: Bools
+    covered: Bools
+    centre_m: Floats
+    direction: Floats
+    motion: Floats
+    shift_m: Floats
+
+
+@final
+class Estimator:
+    """Finds the group, gathers the pattern of its sensors, follows the parcel, and tells everybody in the group.
+
+    Cells that sense a parcel, and those up to ``HALO`` links around them, form a tree whose root is the one with the
+    least row, then column, that senses it. Up the tree goes the pattern, in slices; down goes the pose that the leader
+    makes of it. Everybody moves the pose on by itself from period to period, so that it is of now and not of when it
+    was told, and goes on so for ``memory`` periods when nothing more is told: a new leader begins with it.
+
+    Args:
+        parameters: The protocol's.
+        halo: How many links around a sensed parcel cells take part.
+        patience: For how many periods a neighbour's word counts.
+        memory: For how many periods a pose counts that nobody confirms; at most 254.
+    """
+
+    def __init__(
+        self, parameters: EstimatorParameters, halo: int = 2, patience: int = 6, memory: int = 200
+    ) -> None:
+        self._parameters = parameters
+        self._halo, self._patience, self._memory = halo, patience, memory
+
+    def init(self, cells: Cells) -> State:
+        """What cells remember; nothing is known."""
+        n, slices = len(cells), pattern.BANDS * cells.sensors
+        nothing, nobody = np.zeros(n, dtype=np.int64), np.full(n, group.NOBODY)
+        site = np.concatenate(([cells.pitch_m, cells.period_s], cells.sensors_m.ravel()))
+        return {
+            "row": cells.row,
+            "column": cells.column,
+            "position_m": cells.position_m,
+            "site": np.tile(site, (n, 1)),
+            "told": np.zeros((n, 4), dtype=_GROUP),
+            "counts": np.zeros((n, 4), dtype=np.int16),
+            "level": nothing,
+            "leader": nobody,
+            "hops": nothing,
+            "parent": np.full(n, group.ROOT),
+            "barred": nobody,
+            "bar": nothing,
+            "heard_known": np.zeros((n, 4, slices), dtype=np.uint64),
+            "heard_covered": np.zeros((n, 4, slices), dtype=np.uint64),
+            "sent_known": np.zeros((n, slices), dtype=np.uint64),
+            "sent_covered": np.zeros((n, slices), dtype=np.uint64),
+            "turn": nothing,
+            "leads": np.zeros(n, dtype=np.bool_),
+            "covered": np.zeros(n, dtype=np.bool_),
+            "centre_m": np.zeros((n, 2)),
+            "direction": np.zeros((n, 2)),
+            "motion": np.zeros((n, 3)),
+            "grip": np.ones(n),
+            "shift_m": np.zeros((n, 2)),
+            "age": np.full(n, UNKNOWN),
+            "young": nothing,
+            "strange": nothing,
+            "spread": np.zeros((n, 6, 6)),
+        }
+
+    def step(self, state: State, inputs: Inputs, command: Floats) -> tuple[State, Outbox]:
+        """One control period.
+
+        Args:
+            state: What ``init`` or the last step returned.
+            inputs: The protocol's; its messages have the fields of ``MESSAGE`` and perhaps others.
+            command: ``(n, 3)``, the rigid motion that each cell wants of the parcel and has driven in the last period,
+                velocity, m/s, and angular velocity, rad/s: a leader takes its own to be everybody's.
+        """
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        awake = inputs.presence.any(axis=1) | inbox.received.any(axis=1) | (state["counts"] > 0).any(axis=1)
+        awake = awake | (state["level"] > 0) | (state["age"] < UNKNOWN)
+        outbox = Outbox.empty(len(awake), MESSAGE)
+        rows = np.flatnonzero(awake)
+        if not len(rows):
+            return state, outbox
+        some = {name: picked(array, rows) for name, array in state.items()}
+        changed, sent, message = self._step(some, inputs.take(rows), command[rows])
+        put(outbox.sent, rows, np.repeat(sent[:, None], 4, axis=1))
+        put(outbox.message, rows, np.repeat(message[:, None], 4, axis=1))
+        after = dict(state)
+        for name, new in changed.items():
+            after[name] = state[name].copy()
+            put(after[name], rows, new.astype(state[name].dtype, copy=False))
+        return after, outbox
+
+    def estimate(self, state: State) -> Estimate:
+        """What cells know now."""
+        return Estimate(
+            state["age"] < UNKNOWN,
+            state["leads"],
+            state["covered"],
+            state["centre_m"],
+            state["direction"],
+            state["motion"],
+            state["shift_m"],
+        )
+
+    def _step(
+        self, state: State, inputs: Inputs, command: Floats
+    ) -> tuple[dict[str, NDArray[Any]], Bools, NDArray[Any]]:
+        """The same, of cells that have something to do: what of their state changes, who tells something, and what."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        counts = np.where(inbox.received, self._patience, np.maximum(state["counts"], 1) - 1)
+        heard, told = counts > 0, state["told"].copy()
+        told[inbox.received] = inbox.message[list(_GROUP.names or ())][inbox.received]
+        covered: Bools = np.any(inputs.presence, axis=1)
+        place = self._place(state, covered, told, heard)
+
+        theirs = pattern.heard(
+            pattern.Map(state["heard_known"], state["heard_covered"]), inbox.message, inbox.received, heard
+        )
+        mine = pattern.own(state["row"], state["column"], inputs.presence, place.level > 0)
+        whole = pattern.gathered(mine, theirs, group.children(place, told, heard))
+        sent = pattern.Map(state["sent_known"], state["sent_covered"])
+        turn = pattern.next_slice(whole, sent, state["turn"])
+        sent = pattern.noted(sent, whole, turn)
+
+        views = self._pose(state, place, inbox, whole, command)
+        changed: dict[str, NDArray[Any]] = {
+            **place._asdict(),
+            **views,
+            "told": told,
+            "counts": counts,
+            "heard_known": theirs.known,
+            "heard_covered": theirs.covered,
+            "sent_known": sent.known,
+            "sent_covered": sent.covered,
+            "turn": turn + 1,
+            "covered": covered,
+        }
+        return changed, (place.level > 0) | (state["level"] > 0), _message(place, whole, turn, views)
+
+    def _place(self, state: State, covered: Bools, told: NDArray[Any], heard: Bools) -> group.Place:
+        before = group.Place(*(state[name] for name in group.Place._fields))
+        level = group.levels(covered, told, heard, self._halo)
+        own = group.keys(state["row"], state["column"])
+        return group.elect(own, covered, level, told, heard, before, self._patience + 2)
+
+    def _pose(
+        self,
+        state: State,
+        place: group.Place,
+        inbox: Inbox,
+        whole: pattern.Map,
+        command: Floats,
+    ) -> dict[str, NDArray[Any]]:
+        """What everybody believes of the parcel now."""
+        views = followed(state, place, inbox, float(state["site"][0, 1]))
+        lost = views["age"] > self._memory
+        views["age"] = np.where(lost | (place.level == 0), UNKNOWN, views["age"])
+        leads = place.leader == group.keys(state["row"], state["column"])
+        views["leads"] = leads
+        rows = np.flatnonzero(leads)
+        if len(rows):
+            before = {name: picked(array, rows) for name, array in state.items()}
+            leader = Leader(self._parameters, state["site"][0])
+            mine = leader.step(before, pattern.Map(whole.known[rows], whole.covered[rows]), command[rows])
+            for name, new in mine.items():
+                views[name] = views[name].copy() if name in views else state[name].copy()
+                put(views[name], rows, new.astype(views[name].dtype, copy=False))
+        return views
+
+
+def _message(
+    place: group.Place, whole: pattern.Map, turn: NDArray[np.int64], views: dict[str, NDArray[Any]]
+) -> NDArray[Any]:
+    """What cells tell, ``(n,)`` of ``MESSAGE``."""
+    every = np.arange(len(turn))
+    message = np.zeros(len(turn), dtype=MESSAGE)
+    for name in ("level", "leader", "hops", "parent"):
+        message[name] = getattr(place, name)
+    message["slice"] = turn
+    message["known"], message["covered"] = whole.known[every, turn], whole.covered[every, turn]
+    for name, (array, column) in SHOWN.items():
+        message[name] = views[array][:, column]
+    message["age"] = views["age"]
+    return message

@@ -1,0 +1,66 @@
+"""Cells under a parcel estimate together where it is, from sensors and messages alone, and bring it to a place."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorParameters
+from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outputs, State
+from cell_firmware.specs import Positive, Vector
+
+
+class ParcelEstimateParameters(EstimatorParameters):
+    """What cells know of parcels, and where to bring them."""
+
+    target_m: Vector
+    """Where the parcel's centre is to come to rest."""
+    gain_per_s: Positive = 0.5
+    """Speed asked for per distance from there."""
+    speed_m_s: Positive = 0.2
+    """No parcel is asked to go faster."""
+
+
+@final
+class ParcelEstimate(Firmware):
+    """Brings parcels to a place by an estimate of their pose that the cells under each make together.
+
+    Cells that know a pose drive a rigid field, ``v = gain (target - centre)``, no faster than asked; a cell that
+    senses a parcel and knows no pose takes its own place for the centre. Close to the target they add ``gain (centre +
+    shift - own place)``. That brings the parcel's true centre to the target though the estimate may be off: loads share
+    out so that ``sum N_i p_i = W X`` whatever cells carry it (the paper's eq. 5); ``shift`` allows for dead ones.
+    """
+
+    Parameters = ParcelEstimateParameters
+    message = MESSAGE
+    observed = "centre_m"
+
+    def __init__(self, parameters: ParcelEstimateParameters) -> None:
+        super().__init__(parameters)
+        self._estimator = Estimator(parameters)
+
+    def init(self, cells: Cells) -> State:
+        """The estimator's state; the rigid motion ``(n, 3)`` that the cell asked for last."""
+        return {**self._estimator.init(cells), "command": np.zeros((len(cells), 3))}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """Estimate, and drive by it."""
+        after, outbox = self._estimator.step(state, inputs, state["command"])
+        estimate = self._estimator.estimate(after)
+        place = state["position_m"]
+        centre = np.where(estimate.known[:, None], estimate.centre_m, place)
+        velocity, near = self._velocity(centre)
+        pull = self.parameters.gain_per_s * near * (centre + estimate.shift_m - place)
+        drives = (estimate.known | estimate.covered)[:, None]
+        speed = np.where(drives, np.where(estimate.known[:, None], velocity + pull, velocity), 0.0)
+        command = np.concatenate((velocity, np.zeros((len(place), 1))), axis=1)
+        return {**after, "command": command}, Outputs(speed, outbox)
+
+    def _velocity(self, centre: Floats) -> tuple[Floats, Floats]:
+        """``(n, 2)`` m/s towards the target, and ``(n, 1)``, 1 at the target to 0 where the speed limit begins."""
+        asked = self.parameters.gain_per_s * (np.array(self.parameters.target_m) - centre)
+        length = np.sqrt(asked[:, :1] * asked[:, :1] + asked[:, 1:] * asked[:, 1:])
+        limit = self.parameters.speed_m_s
+        slower = np.where(length > limit, limit / np.maximum(length, limit), 1.0)
+        return asked * slower, np.maximum(1.0 - length / limit, 0.0)
