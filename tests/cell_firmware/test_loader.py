@@ -53,7 +53,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_all_known():
         find("velocity_feild")
     assert str(caught.value) == (
         "unknown firmware 'velocity_feild'; did you mean 'velocity_field'? "
-        "Known: heat_diffusion, hop_gradient, stumbling_field, velocity_field, waking_field; "
+        f"Known: {', '.join(sorted(BUNDLED))}; "
         "or package.module:Class, or a path to a .py file"
     )
 
@@ -132,9 +132,9 @@ def test_all_bad_parameters_are_told_at_once_with_their_paths():
         {"diffusion_number": -0.3, "held": [{"cell": [0, -1], "speed_m_s": [0.0, "x"]}], "hold": []},
     )
     assert found == [
-        "diffusion_number: must be greater than 0, not -0.3",
         "held[0].cell[1]: must be greater than or equal to 0, not -1",
         "held[0].speed_m_s[1]: must be a valid number, unable to parse string as a number, not 'x'",
+        "diffusion_number: must be greater than 0, not -0.3",
         "hold: unknown key; did you mean held? Known: diffusion_number, held, initial, patience, speed_m_s",
     ]
 
