@@ -67,9 +67,10 @@ def test_the_words_under_a_field_describe_it() -> None:
     assert "simulated time" in schema["properties"]["duration_s"]["description"].lower()
 
 
-def test_the_reference_names_every_key_and_choice_of_the_schema() -> None:
+def test_the_reference_and_the_protocols_pages_name_every_key_and_choice_of_the_schema() -> None:
     whole = scene_schema()
-    words = set(re.findall(r"\w+", REFERENCE.read_text(encoding="utf-8")))
+    pages = (REFERENCE, *sorted((REFERENCE.parent / "protocols").glob("*.md")))
+    words = {word for page in pages for word in re.findall(r"\w+", page.read_text(encoding="utf-8"))}
     schemas = [whole, *whole["$defs"].values()]
     keys = {key for schema in schemas for key in schema.get("properties", {})}
     choices = {
