@@ -5,61 +5,30 @@ from __future__ import annotations
 from typing import Annotated, Final, final
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bus.lattice import STEPS, Lattice
-from cell_firmware.errors import ParametersError, Problem
-from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.errors import ParametersError
+from cell_firmware.firmware import Bools, Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.hops import hops_to
+from cell_firmware.places import Ints, Place, misplaced
 from cell_firmware.recall import Patience, last_word, still_counts
-from cell_firmware.specs import CellName, Positive, Spec
+from cell_firmware.specs import Positive, Spec
 from cell_firmware.theory import Theory
 
 _AHEAD: Final = np.array([(column, row) for row, column in STEPS], dtype=np.float64)
 """Direction along x and y of each side."""
 
 
-class Block(Spec):
-    """A rectangle of cells, from one corner to the opposite, both of them in it."""
-
-    first: CellName
-    last: CellName
-
-    @model_validator(mode="after")
-    def _ascending(self) -> Block:
-        if self.first[0] > self.last[0] or self.first[1] > self.last[1]:
-            raise ValueError(
-                "first must be the corner of the lowest row and column, last that of the highest"
-            )
-        return self
-
-    def cells(self) -> tuple[tuple[int, int], ...]:
-        """``(row, column)`` of each."""
-        rows, columns = range(self.first[0], self.last[0] + 1), range(self.first[1], self.last[1] + 1)
-        return tuple((row, column) for row in rows for column in columns)
-
-
 class HopGradientParameters(Spec):
     """Where to, how fast, and when a distance or a silence is too long."""
 
-    goals: tuple[CellName, ...] = ()
-    blocks: tuple[Block, ...] = ()
-    """Goals by the rectangle; cells of these that do not exist are none."""
+    goals: Annotated[tuple[Place, ...], Field(min_length=1)]
     speed_m_s: Positive = 0.2
     limit: Annotated[int, Field(ge=2, le=65_535)] = 255
     """Distance that means: no way leads to a goal. More than the longest way there may ever be."""
     patience: Patience = 1
     """For how many periods a neighbour's word counts; one not heard for longer counts as dead."""
-
-    @model_validator(mode="after")
-    def _somewhere(self) -> HopGradientParameters:
-        if not self.goals and not self.blocks:
-            raise ValueError("needs a goal: give goals, blocks or both")
-        return self
-
-    def cells(self) -> frozenset[tuple[int, int]]:
-        """All that are named."""
-        return frozenset(self.goals).union(*(block.cells() for block in self.blocks))
 
 
 @final
@@ -85,19 +54,10 @@ class HopGradient(Firmware):
     observed = "distance"
 
     def check(self, lattice: Lattice) -> None:
-        """Every goal must exist, and some cell of every block."""
-        goals = self.parameters.goals
-        problems = [
-            Problem(("goals", i), f"the array has no cell [{cell[0]}, {cell[1]}]", list(cell))
-            for i, cell in enumerate(goals)
-            if cell not in lattice
-        ] + [
-            Problem(("blocks", i), "the array has no cell in it")
-            for i, block in enumerate(self.parameters.blocks)
-            if not any(cell in lattice for cell in block.cells())
-        ]
+        """Every goal must exist."""
+        problems = misplaced(lattice, {"goals": self.parameters.goals})
         if problems:
-            raise ParametersError("hop_gradient", tuple(problems))
+            raise ParametersError("hop_gradient", problems)
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """Cells that ``limit`` keeps from ever knowing their way."""
@@ -117,17 +77,22 @@ class HopGradient(Firmware):
             limit=np.where((away < 0) | (away > limit), limit, away),
         )
 
-    def _away(self, lattice: Lattice) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-        return hops_to(lattice, (lattice.index(cell) for cell in self.parameters.cells() if cell in lattice))
+    def _is_goal(self, row: Ints, column: Ints) -> Bools:
+        found = np.zeros(len(row), dtype=np.bool_)
+        for place in self.parameters.goals:
+            found |= place.has(row, column)
+        return found
+
+    def _away(self, lattice: Lattice) -> Ints:
+        return hops_to(lattice, np.flatnonzero(self._is_goal(lattice.rows, lattice.columns)).tolist())
 
     def init(self, cells: Cells) -> State:
         """Who is a goal; each cell's distance; what each side told last, and for how long that counts."""
-        named, limit, n = self.parameters.cells(), self.parameters.limit, len(cells)
-        goal = np.array([cells.name(i) in named for i in range(n)], dtype=np.bool_)
+        goal, n = self._is_goal(cells.row, cells.column), len(cells)
         return {
             "goal": goal,
-            "distance": np.where(goal, 0, limit).astype(np.uint16),
-            "told": np.full((n, 4), limit, dtype=np.uint16),
+            "distance": np.where(goal, 0, self.parameters.limit).astype(np.uint16),
+            "told": np.full((n, 4), self.parameters.limit, dtype=np.uint16),
             "counts": np.zeros((n, 4), dtype=np.int16),
         }
 

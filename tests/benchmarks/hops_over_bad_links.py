@@ -50,7 +50,7 @@ Breadth-first search says what is right; where the dead cut cells off, the limit
 
 def shard_of(lattice: Lattice, tables: dict[str, Any], patience: int, seed: int) -> Shard:
     """All cells as one shard, with the effects of the tables."""
-    parameters = {"goals": [[0, 0]], "limit": LIMIT, "patience": patience}
+    parameters = {"goals": [{"cell": [0, 0]}], "limit": LIMIT, "patience": patience}
     spec = CellsSpec(firmware="hop_gradient", parameters=parameters)
     cells = Cells.of(lattice, np.zeros((len(lattice), 2)), spec.period_s)
     effects, firmware, partition = CellEffects.model_validate(tables), load(spec), Partition.even(lattice, 1)
