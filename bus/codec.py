@@ -18,7 +18,8 @@ from bus.errors import WireError
 VERSION: Final = 1
 """Version of every payload; another is refused."""
 TICK_LIMIT: Final = 2**62
-_NUMBERS: Final[frozenset[type]] = frozenset((int, float))
+NUMBERS: Final[frozenset[type]] = frozenset((int, float))
+"""Types that a number in a payload may have."""
 _BOOLEANS: Final[frozenset[type]] = frozenset((bool,))
 _ENVELOPE: Final = 64
 """Bytes that the version, the tick and the names around the values may take."""
@@ -141,7 +142,7 @@ def share_list(kind: str, value: object, count: int) -> list[float]:
     """
     if type(value) is list:
         items = cast("list[Any]", value)
-        if len(items) == count and _NUMBERS.issuperset(map(type, items)):
+        if len(items) == count and NUMBERS.issuperset(map(type, items)):
             if all(0.0 <= item <= 1.0 for item in items):
                 return [float(item) for item in items]
             raise WireError(kind, "range", "every value must be in [0, 1]")
@@ -183,7 +184,7 @@ def pair(kind: str, value: object) -> tuple[float, float]:
     """
     if type(value) is list:
         items = cast("list[Any]", value)
-        if len(items) == 2 and _NUMBERS.issuperset(map(type, items)):
+        if len(items) == 2 and NUMBERS.issuperset(map(type, items)):
             first, second = float(items[0]), float(items[1])
             check_finite(kind, first, second)
             return first, second

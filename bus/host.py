@@ -20,6 +20,7 @@ from bus.forms.form import HostForm, Wiring
 from bus.keys import plant_key, shard_key
 from bus.lives import Lives
 from bus.partition import Partition
+from bus.readings import Readings
 from bus.registers import RegisterFrame, Shown, Wanted, decode_registers, due, joined
 from bus.roll import Roll
 from bus.specs import StallSpec
@@ -42,9 +43,7 @@ class Host:
         partition: How the cells are cut into shards; the same on all sides.
         form: ``"packed"`` or ``"cells"``; the same on all sides.
         run: Name of the run.
-        sensors: Presence sensors a cell.
-        encoders: Whether sense frames carry encoder travel.
-        levels: Whether they carry sensors' levels.
+        readings: What sense frames carry.
         message: The firmware's message type, None where cells send each other nothing.
         wanted: Registers of the cells to take in.
         stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
@@ -61,10 +60,8 @@ class Host:
         form: FormName,
         *,
         run: str,
-        sensors: int,
-        encoders: bool,
+        readings: Readings,
         message: np.dtype[Any] | None,
-        levels: bool = False,
         wanted: Sequence[Wanted] = (),
         stall: StallSpec | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -72,12 +69,10 @@ class Host:
         self._endpoint = endpoint
         self._lattice = partition.lattice
         self._shard_of = partition.shard_of
-        self._sensors = sensors
-        self._encoders = encoders
-        self._levels = levels
+        self._readings = readings
         self._stall = StallSpec() if stall is None else stall
         self._clock = clock
-        self._form: HostForm = FORMS[form].host(Wiring(run, partition, sensors, encoders, message, levels))
+        self._form: HostForm = FORMS[form].host(Wiring(run, partition, readings, message))
         self.counts = Counts()
         self._tick = 0
         self._lives = Lives(len(partition.lattice))
@@ -146,10 +141,9 @@ class Host:
         Raises:
             BusError: The frame is not what was agreed.
         """
-        shape = (len(self._lattice), self._sensors)
-        agreed = _described(shape, self._encoders, shape if self._levels else None)
-        level = None if frame.level is None else frame.level.shape
-        found = _described(frame.presence.shape, frame.encoder_m is not None, level)
+        agreed, found = _agreed(self._readings, len(self._lattice)), _found(frame)
+        if frame.picture is not None and not self._readings.camera:
+            found["a picture"] = frame.picture.pose.shape
         if found != agreed:
             raise BusError(f"sense frame of tick {frame.tick}: must have {agreed}, has {found}")
         puts = list(zip(self._sense, self._form.sense_payloads(frame), strict=True))
@@ -293,7 +287,24 @@ class Host:
             self._losses += [Loss(i, self._tick, reason, detail) for i in lost]
 
 
-def _described(presence: tuple[int, ...], encoders: bool, level: tuple[int, ...] | None) -> str:
-    """What a sense frame has, in words."""
-    travel = "and" if encoders else "without"
-    return f"presence {presence} {travel} encoder travel and {'no levels' if level is None else f'levels {level}'}"
+def _agreed(readings: Readings, cells: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of what a sense frame has to have, by name."""
+    each = (cells, readings.sensors)
+    shapes = {
+        "presence": each,
+        "encoder travel": (cells, 2) if readings.encoders else None,
+        "levels": each if readings.levels else None,
+        "labels": (cells,) if readings.labels else None,
+    }
+    return {name: shape for name, shape in shapes.items() if shape is not None}
+
+
+def _found(frame: SenseFrame) -> dict[str, tuple[int, ...]]:
+    """Shapes of what it has."""
+    arrays = {
+        "presence": frame.presence,
+        "encoder travel": frame.encoder_m,
+        "levels": frame.level,
+        "labels": frame.label,
+    }
+    return {name: array.shape for name, array in arrays.items() if array is not None}

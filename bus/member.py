@@ -20,6 +20,7 @@ from bus.keys import plant_key, shard_key
 from bus.lives import Lives
 from bus.outgoing import Outgoing
 from bus.partition import Partition
+from bus.readings import Readings
 from bus.registers import RegisterFrame, Wanted, due, encode_registers, shown
 from bus.specs import StallSpec
 from bus.transport import Alive, Endpoint
@@ -32,7 +33,7 @@ _SHOW_S: Final = 0.2
 """How often to look whether somebody wants to see the cells' registers, and how often they are shown then."""
 
 
-Readings = tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]
+Own = tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]
 
 
 class Gathered(NamedTuple):
@@ -62,9 +63,7 @@ class Member:
         shard: Which of them this is.
         form: ``"packed"`` or ``"cells"``; the same on all sides.
         run: Name of the run.
-        sensors: Presence sensors a cell.
-        encoders: Whether sense frames carry encoder travel.
-        levels: Whether they carry sensors' levels.
+        readings: What sense frames carry.
         message: The firmware's message type, None where cells send each other nothing.
         stall: Deadlines.
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
@@ -85,17 +84,15 @@ class Member:
         form: FormName,
         *,
         run: str,
-        sensors: int,
-        encoders: bool,
+        readings: Readings,
         message: np.dtype[Any] | None,
-        levels: bool = False,
         stall: StallSpec | None = None,
         silence_s: float | None = None,
         wanted: Sequence[Wanted] = (),
         tally: Callable[[], Mapping[str, int]] = dict[str, int],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        wiring = Wiring(run, partition, sensors, encoders, message, levels)
+        wiring = Wiring(run, partition, readings, message)
         self._endpoint = endpoint
         self._lattice = partition.lattice
         self._shard = shard
@@ -223,7 +220,7 @@ class Member:
         senses = self._form.join_senses(self._senses.close(tick).values)
         if not self._lives.all:
             gone = ~self.live(tick)
-            for sensed in senses:
+            for sensed in (senses.presence, senses.encoder_m, senses.level, senses.label):
                 if sensed is not None:
                     sensed[gone] = 0
         sense = SenseFrame(tick, *senses)
@@ -250,7 +247,7 @@ class Member:
             self._tell_counts()
         self._endpoint.put_all(puts)
 
-    def show(self, tick: int, read: Callable[[], Readings]) -> None:
+    def show(self, tick: int, read: Callable[[], Own]) -> None:
         """Puts the registers of the cells, if the plant or somebody else wants to see them.
 
         Call it before ``publish`` of that tick: then the plant has them when it has its drives.

@@ -10,6 +10,7 @@ import numpy as np
 
 from bus.codec import TICK_LIMIT, VERSION, Mask, Message, Values, layout, packer, reader
 from bus.errors import WireError
+from bus.readings import Labels, Picture
 
 TEXT_LIMIT: Final = 4096
 """Longest text in a control record or report, characters."""
@@ -22,13 +23,16 @@ _MESSAGE_FIELDS: Final = 64
 class SenseFrame(NamedTuple):
     """What the cells sense as a tick begins: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None.
 
-    ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue.
+    ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue; ``label`` ``(n,)`` what scanners read,
+    None where there are none; ``picture`` what a camera saw, in the ticks in which one comes in.
     """
 
     tick: int
     presence: Mask
     encoder_m: Values | None
     level: Values | None = None
+    label: Labels | None = None
+    picture: Picture | None = None
 
 
 class DriveFrame(NamedTuple):

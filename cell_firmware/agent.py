@@ -143,7 +143,15 @@ class _Agent:
                 )
             sense, links = gathered
             heard = None if links is None else Links(links.sent, links.message)
-            outputs = self._shard.step(tick, sense.presence, sense.encoder_m, heard, sense.level)
+            outputs = self._shard.step(
+                tick,
+                sense.presence,
+                sense.encoder_m,
+                heard,
+                sense.level,
+                label=sense.label,
+                camera=sense.picture,
+            )
             self._ticks += 1
             if outputs.failures:
                 self._failures += outputs.failures

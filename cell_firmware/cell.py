@@ -11,6 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from bus.lattice import SIDES, Lattice
+from bus.readings import Picture
 from cell_firmware.firmware import (
     Cells,
     Firmware,
@@ -63,12 +64,16 @@ class CellInputs:
         encoder_m: Surface travel of the two wheels since the start, m; None without encoders.
         inbox: By side, the message that the neighbour sent in the tick before, or None.
         level: How much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
+        label: Number of the exit that the parcel over the cell is meant for, 0 for none; None without scanners.
+        camera: By its number, x, y (m) and angle (rad) of each parcel that a camera saw; None where no picture came.
     """
 
     presence: tuple[bool, ...]
     encoder_m: tuple[float, float] | None
     inbox: Mapping[str, Message | None]
     level: tuple[float, ...] | None = None
+    label: int | None = None
+    camera: Mapping[int, tuple[float, float, float]] | None = None
 
 
 @final
@@ -133,6 +138,10 @@ class PerCell(Firmware):
     def needed(self) -> tuple[str, ...]:
         """Asks the firmware."""
         return self.firmware.needed()
+
+    def subscribes(self) -> bool:
+        """Asks the firmware."""
+        return self.firmware.subscribes()
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """Asks the firmware."""
@@ -216,7 +225,16 @@ def _inputs(inputs: Inputs, i: int) -> CellInputs:
         None if encoder is None else (encoder[0], encoder[1]),
         dict.fromkeys(SIDES) if inputs.inbox is None else _inbox(inputs.inbox, i),
         None if inputs.level is None else tuple(inputs.level[i].tolist()),
+        None if inputs.label is None else int(inputs.label[i]),
+        None if inputs.camera is None else _picture(inputs.camera),
     )
+
+
+def _picture(picture: Picture) -> dict[int, tuple[float, float, float]]:
+    return {
+        parcel: (x, y, angle)
+        for parcel, (x, y, angle) in zip(picture.parcel.tolist(), picture.pose.tolist(), strict=True)
+    }
 
 
 def _inbox(inbox: Inbox, i: int) -> dict[str, Message | None]:

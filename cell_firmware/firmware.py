@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
+from bus.readings import Labels, Picture
 from cell_firmware.program import Program
 
 Bools = NDArray[np.bool_]
@@ -136,12 +137,16 @@ class Inputs:
         encoder_m: ``(n, 2)``, surface travel of the two wheels since the start, m; None without encoders.
         inbox: Messages of the tick before; None for firmware that has none.
         level: ``(n, sensors)``, how much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
+        label: ``(n,)``, number of the exit that the parcel over each cell is meant for, 0: none; None without scanners.
+        camera: What a camera saw, the same for all cells; None where no picture comes in.
     """
 
     presence: Bools
     encoder_m: Floats | None = None
     inbox: Inbox | None = None
     level: Floats | None = None
+    label: Labels | None = None
+    camera: Picture | None = None
 
     def take(self, indices: NDArray[np.int64]) -> Inputs:
         """The inputs of these cells alone, in this order."""
@@ -150,7 +155,8 @@ class Inputs:
             picked(self.inbox.received, indices), picked(self.inbox.message, indices)
         )
         level = None if self.level is None else picked(self.level, indices)
-        return Inputs(picked(self.presence, indices), encoder_m, inbox, level)
+        label = None if self.label is None else picked(self.label, indices)
+        return Inputs(picked(self.presence, indices), encoder_m, inbox, level, label, self.camera)
 
 
 @final

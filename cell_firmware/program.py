@@ -57,6 +57,10 @@ class Program:
         """Effects without which its parameters ask for what no cell of the scene has."""
         return ()
 
+    def subscribes(self) -> bool:
+        """Whether cells with these parameters want to be shown a camera's pictures, where the scene has one."""
+        return False
+
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """What will go wrong on this array, though nothing forbids it: a line each, that says what will be seen."""
         del lattice

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.partition import Partition
+from bus.readings import Labels, Picture
 from cell_firmware.controller import Controller, Instant
 from cell_firmware.effects.stage import Stage
 from cell_firmware.errors import FirmwareError, FirmwareFailed
@@ -128,6 +129,9 @@ class Shard:
         encoder_m: Floats | None = None,
         links: Links | None = None,
         level: Floats | None = None,
+        *,
+        label: Labels | None = None,
+        camera: Picture | None = None,
     ) -> ShardOutputs:
         """One control period of all cells.
 
@@ -138,6 +142,8 @@ class Shard:
             links: What came in over the border from tick ``tick - 1``; None in tick 0, without messages, or
                 where there is no border.
             level: ``(n, sensors)``, how much of each sensor's spot is covered; None unless sensors are analogue.
+            label: ``(n,)``, what scanners read; None without scanners.
+            camera: What a camera saw; None where no picture comes in.
 
         Returns:
             Drives, outgoing messages, and the cells that failed in this tick.
@@ -145,7 +151,7 @@ class Shard:
         if tick != self._tick + 1:
             raise FirmwareError(f"this is a bug: a shard was given tick {tick} after tick {self._tick}")
         self._tick = tick
-        inputs = Inputs(presence, encoder_m, self._inbox(links), level)
+        inputs = Inputs(presence, encoder_m, self._inbox(links), level, label, camera)
         for stage in self._stages:
             inputs = stage.apply(tick, inputs, _EVERY if self._active is None else self._active)
         drive = np.zeros((self._n, 2))

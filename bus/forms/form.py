@@ -15,6 +15,7 @@ import numpy as np
 from bus.fixed import Decode
 from bus.keys import check_run
 from bus.partition import Index, Partition
+from bus.readings import Labels, Picture, Readings
 from bus.wire import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
 
 
@@ -26,10 +27,8 @@ class Wiring:
     Args:
         run: Name of the run, second chunk of every key.
         partition: How the cells are cut into shards.
-        sensors: Presence sensors a cell.
-        encoders: Whether there are encoders to read.
+        readings: What there is to read.
         message: The protocol's message type, None where cells send each other nothing.
-        levels: Whether sensors have levels.
 
     Raises:
         RunNameError: The name can't stand in a key.
@@ -38,10 +37,8 @@ class Wiring:
 
     run: str
     partition: Partition
-    sensors: int
-    encoders: bool
+    readings: Readings
     message: np.dtype[Any] | None
-    levels: bool = False
 
     def __post_init__(self) -> None:
         check_run(self.run)
@@ -56,11 +53,15 @@ class Senses(NamedTuple):
         presence: ``(n, sensors)``.
         encoder_m: ``(n, 2)`` travel, None without encoders.
         level: ``(n, sensors)`` in [0, 1], None without levels.
+        label: ``(n,)``, None without scanners.
+        picture: The same for all; None where none comes in.
     """
 
     presence: Mask
     encoder_m: Values | None
     level: Values | None
+    label: Labels | None
+    picture: Picture | None
 
 
 class HostForm(ABC):

@@ -6,16 +6,17 @@ from typing import Any, Final, cast, final
 
 import numpy as np
 
-from bus import codec, wire
+from bus import codec, readings_codec, wire
 from bus.errors import WireError
 from bus.forms.form import HostForm, MemberForm, Senses, Wiring, stretch
 from bus.keys import shard_key, shard_link_key
 from bus.partition import Index
+from bus.readings import Readings
 
-_SENSE: Final = codec.layout("presence", "encoder_m")
-_SENSE_LEVELS: Final = _SENSE | {"level"}
 _DRIVE: Final = codec.layout("drive")
 _LINK: Final = codec.layout("sent", "message")
+_NAME: Final = 16
+"""Bytes that the name of a value takes at most, and what says how long the value is."""
 
 
 @final
@@ -27,6 +28,7 @@ class PackedHost(HostForm):
         partition, run = wiring.partition, wiring.run
         shards = range(partition.count)
         self._cells = len(partition.lattice)
+        self._pictures = wiring.readings.camera > 0
         self.unit_cells = tuple(partition.cells(s) for s in shards)
         self._rows = tuple(stretch(cells) for cells in self.unit_cells)
         self.sense_keys = tuple(shard_key(run, s, "sense") for s in shards)
@@ -42,7 +44,10 @@ class PackedHost(HostForm):
 
     def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
         """A payload a shard."""
-        return [self._pack(_sense_fields(frame, rows)) for rows in self._rows]
+        common: dict[str, object] = {}
+        if self._pictures:
+            common["picture"] = readings_codec.picture_rows(frame.picture)
+        return [self._pack(_sense_fields(frame, rows) | common) for rows in self._rows]
 
     def _decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
         """Tick and ``(cells, 2)`` drives of a shard."""
@@ -60,7 +65,7 @@ class PackedHost(HostForm):
 
 
 def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, object]:
-    """What one shard is told; there is no field for levels in a run whose sensors have none."""
+    """What one shard is told of its cells; there is no field for levels or labels in a run that has none."""
     encoder_m, level = frame.encoder_m, frame.level
     fields: dict[str, object] = {
         "v": codec.VERSION,
@@ -70,7 +75,24 @@ def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, obje
     }
     if level is not None:
         fields["level"] = level[rows].tobytes()
+    if frame.label is not None:
+        fields["label"] = readings_codec.label_bytes(frame.label[rows])
     return fields
+
+
+def _sense_reader(readings: Readings, rows: int) -> codec.Read:
+    """What reads the senses of so many cells."""
+    names, limit = ["presence", "encoder_m"], rows * (readings.sensors + 16)
+    if readings.levels:
+        names.append("level")
+        limit += rows * 8 * readings.sensors
+    if readings.labels:
+        names.append("label")
+        limit += rows * 2 + _NAME
+    if readings.camera:
+        names.append("picture")
+        limit += readings.camera * readings_codec.PICTURED_BYTES + _NAME
+    return codec.reader("sense", limit, codec.layout(*names))
 
 
 @final
@@ -82,8 +104,7 @@ class PackedMember(MemberForm):
         partition, run = wiring.partition, wiring.run
         cells = partition.cells(shard)
         self._rows = len(cells)
-        self._sensors = wiring.sensors
-        self._encoders = wiring.encoders
+        self._readings = readings = wiring.readings
         self.alive_keys = (shard_key(run, shard, "alive"),)
         self.ready_keys = (shard_key(run, shard, "ready"),)
         self.drive_keys = (shard_key(run, shard, "drive"),)
@@ -92,14 +113,9 @@ class PackedMember(MemberForm):
         self.decode_sense = self._decode_sense
         self.decode_link = self._decode_link
         self.blank_senses = [None]
-        self._last_bits = bytes((self._rows * wiring.sensors + 7) // 8)
-        self._last_presence = np.zeros((self._rows, wiring.sensors), dtype=np.bool_)
-        self._levels = wiring.levels
-        self._read_sense = codec.reader(
-            "sense",
-            self._rows * (9 * wiring.sensors + 16 if wiring.levels else wiring.sensors + 16),
-            _SENSE_LEVELS if wiring.levels else _SENSE,
-        )
+        self._last_bits = bytes((self._rows * readings.sensors + 7) // 8)
+        self._last_presence = np.zeros((self._rows, readings.sensors), dtype=np.bool_)
+        self._read_sense = _sense_reader(readings, self._rows)
         self._message = np.dtype([]) if wiring.message is None else wiring.message
         self._zero = np.zeros((), dtype=self._message)
         incoming = () if wiring.message is None else partition.incoming_borders(shard)
@@ -124,18 +140,23 @@ class PackedMember(MemberForm):
     def _decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
         """Tick, and what the cells sense."""
         tick, fields = self._read_sense(payload)
+        rows, readings = self._rows, self._readings
         # Sensors change rarely: bytes that are the same as in the tick before need no reading.
         if fields["presence"] != self._last_bits:
-            bits = codec.bits("sense", fields["presence"], self._rows * self._sensors)
-            self._last_bits, self._last_presence = fields["presence"], bits.reshape(self._rows, self._sensors)
-        presence, encoder_m, level = self._last_presence.copy(), None, None
-        if self._encoders:
-            encoder_m = codec.floats("sense", fields["encoder_m"], self._rows)
+            bits = codec.bits("sense", fields["presence"], rows * readings.sensors)
+            self._last_bits, self._last_presence = fields["presence"], bits.reshape(rows, readings.sensors)
+        presence, encoder_m, level, label, picture = self._last_presence.copy(), None, None, None, None
+        if readings.encoders:
+            encoder_m = codec.floats("sense", fields["encoder_m"], rows)
         else:
             codec.nothing("sense", "encoder_m", fields["encoder_m"])
-        if self._levels:
-            level = codec.shares("sense", fields["level"], self._rows, self._sensors)
-        return tick, Senses(presence, encoder_m, level)
+        if readings.levels:
+            level = codec.shares("sense", fields["level"], rows, readings.sensors)
+        if readings.labels:
+            label = readings_codec.labels("sense", fields["label"], rows, readings.labels)
+        if readings.camera:
+            picture = readings_codec.picture("sense", fields["picture"], readings.camera)
+        return tick, Senses(presence, encoder_m, level, label, picture)
 
     def join_senses(self, values: list[Any]) -> Senses:
         """Those of the one unit."""

@@ -15,11 +15,11 @@ from deploy.processes.worker import Order, controller_of
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts, Host
+    from bus.readings import Readings
     from bus.registers import Wanted
     from bus.transport import Endpoint
     from deploy.scene import Scene
     from plant.array import CellArray
-    from plant.reports import Sense
 
 _STOP_S = 2.0
 """Wall time that the cells get to leave when they are told to stop."""
@@ -85,13 +85,18 @@ class System:
         self._cells = self._processes or WorkerThread(open_client(self._locator))
 
     def start(
-        self, array: CellArray, sense: Sense, wanted: tuple[Wanted, ...] = (), *, metered: bool = False
+        self,
+        array: CellArray,
+        readings: Readings,
+        wanted: tuple[Wanted, ...] = (),
+        *,
+        metered: bool = False,
     ) -> Host:
         """Start the cells and wait until all of them are ready.
 
         Args:
             array: The cells that exist.
-            sense: What they sense first: whether there are encoders and levels.
+            readings: What they can read.
             wanted: Registers that the cells are to show.
             metered: Have the cells count their messages.
 
@@ -104,7 +109,6 @@ class System:
         assert self._endpoint is not None
         assert self._cells is not None
         scene, plan = self._scene, self._plan
-        encoders, levels = sense.encoder_m is not None, sense.level is not None
         order = Order(
             scene=scene,
             array=array,
@@ -112,10 +116,9 @@ class System:
             wire=plan.wire,
             run=plan.run,
             connect=self._locator,
-            encoders=encoders,
+            readings=readings,
             wanted=wanted,
             metered=metered,
-            levels=levels,
             alone=plan.workers > 0,
         )
         host = self._host = Host(
@@ -123,9 +126,7 @@ class System:
             plan.partition,
             plan.wire,
             run=plan.run,
-            sensors=len(scene.array.sensors_m),
-            encoders=encoders,
-            levels=levels,
+            readings=readings,
             message=controller_of(scene).message,
             wanted=wanted,
             stall=scene.stall,

@@ -15,6 +15,7 @@ from deploy.faults.schedule import Deaths, deaths
 
 if TYPE_CHECKING:
     from bus.lockstep import FormName
+    from bus.readings import Readings
     from bus.registers import Wanted
     from cell_firmware.controller import Controller
     from cell_firmware.shard import Shard
@@ -34,8 +35,7 @@ class Order:
         wire: The wire form.
         run: Names the run on the bus.
         connect: Where the plant listens.
-        encoders: Whether the wheels have encoders.
-        levels: Whether sensors have levels.
+        readings: What the cells can read.
         wanted: Registers of the cells that the plant wants to see.
         metered: Whether cells count their messages.
         alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
@@ -47,8 +47,7 @@ class Order:
     wire: FormName
     run: str
     connect: str
-    encoders: bool
-    levels: bool
+    readings: Readings
     wanted: tuple[Wanted, ...]
     metered: bool
     alone: bool
@@ -83,9 +82,7 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
         shard,
         order.wire,
         run=order.run,
-        sensors=len(order.scene.array.sensors_m),
-        encoders=order.encoders,
-        levels=order.levels,
+        readings=order.readings,
         message=cells.message,
         stall=order.scene.stall,
         wanted=order.wanted,
@@ -118,10 +115,15 @@ def _shard(order: Order, shard: int) -> Shard:
     from cell_firmware.firmware import Cells
     from cell_firmware.shard import Shard
 
-    scene, array = order.scene, order.array
+    scene, array, readings = order.scene, order.array, order.readings
     controller = controller_of(scene, metered=order.metered)
-    sensors = len(scene.array.sensors_m)
-    site = Site(order.partition.cells(shard), sensors, controller.message, scene.seed, levels=order.levels)
+    site = Site(
+        order.partition.cells(shard),
+        readings.sensors,
+        controller.message,
+        scene.seed,
+        levels=readings.levels,
+    )
     return Shard(
         controller,
         Cells.of(

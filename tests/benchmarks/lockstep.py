@@ -26,6 +26,7 @@ from lockstep_bare import Bare
 from lockstep_case import MESSAGE, RUN, SENSORS, Case, Side, start_workers
 
 from bus.lockstep import Host
+from bus.readings import Readings
 from bus.transports.zenoh import open_hub
 from bus.wire import Control, SenseFrame
 
@@ -55,7 +56,12 @@ class Lockstep(Side):
         partition = case.partition()
         self._hub = open_hub()
         self._host = Host(
-            self._hub, partition, case.form, run=RUN, sensors=SENSORS, encoders=True, message=MESSAGE
+            self._hub,
+            partition,
+            case.form,
+            run=RUN,
+            readings=Readings(SENSORS, encoders=True),
+            message=MESSAGE,
         )
         self.workers = start_workers("lockstep", case, self._hub.locator)
         self._host.barrier()

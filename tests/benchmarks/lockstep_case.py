@@ -14,6 +14,7 @@ from bus.forms import FormName
 from bus.forms.form import Wiring
 from bus.lattice import Lattice
 from bus.partition import Partition
+from bus.readings import Readings
 
 MESSAGE = np.dtype([("u", "<f8")])
 RUN = "benchmark"
@@ -37,7 +38,7 @@ class Case:
         return Partition.even(lattice, self.workers)
 
     def wiring(self) -> Wiring:
-        return Wiring(RUN, self.partition(), SENSORS, True, MESSAGE)
+        return Wiring(RUN, self.partition(), Readings(SENSORS, encoders=True), MESSAGE)
 
 
 @dataclass(frozen=True)

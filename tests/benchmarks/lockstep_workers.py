@@ -12,6 +12,7 @@ from zenoh import handlers
 
 from bus.forms import FORMS
 from bus.lockstep import Member
+from bus.readings import Readings
 from bus.transports.zenoh import open_client
 from bus.wire import Control, DriveFrame, LinkFrame
 
@@ -60,7 +61,13 @@ def lockstep_worker(case: Case, shard: int, locator: str) -> float:
     endpoint = open_client(locator)
     partition = case.partition()
     member = Member(
-        endpoint, partition, shard, case.form, run=RUN, sensors=SENSORS, encoders=True, message=MESSAGE
+        endpoint,
+        partition,
+        shard,
+        case.form,
+        run=RUN,
+        readings=Readings(SENSORS, encoders=True),
+        message=MESSAGE,
     )
     member.ready()
     rows, links = len(partition.cells(shard)), len(partition.outgoing(shard))

@@ -13,6 +13,7 @@ from bus.forms import FormName
 from bus.lattice import Lattice
 from bus.lockstep import Gathered, Host, Loss, Member
 from bus.partition import Partition
+from bus.readings import Picture, Readings
 from bus.registers import Wanted
 from bus.specs import StallSpec
 from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received
@@ -103,6 +104,10 @@ class ClockedEndpoint(Endpoint):
         self._inner.close()
 
 
+PRESENCE = Readings(SENSORS)
+EVERYTHING = Readings(SENSORS, encoders=True, levels=True, labels=4, camera=3)
+
+
 @dataclass
 class System:
     """A host and its members on one network, all in this thread once they have started."""
@@ -111,8 +116,7 @@ class System:
     partition: Partition
     form: FormName
     message: np.dtype[Any] | None = None
-    encoders: bool = False
-    levels: bool = False
+    readings: Readings = PRESENCE
     stall: StallSpec = field(default_factory=StallSpec)
     clock: FakeClock | None = None
     wanted: Sequence[Wanted] = ()
@@ -132,9 +136,7 @@ class System:
     def _agreed(self) -> dict[str, Any]:
         agreed: dict[str, Any] = {
             "run": "test",
-            "sensors": SENSORS,
-            "encoders": self.encoders,
-            "levels": self.levels,
+            "readings": self.readings,
             "message": self.message,
             "stall": self.stall,
             "wanted": self.wanted,
@@ -157,9 +159,19 @@ class System:
         """A frame whose every value tells its tick and cell."""
         n = len(self.partition.lattice)
         bits = (np.arange(n * SENSORS).reshape(n, SENSORS) * 7 + tick) % 3 == 0
-        travel = (tick + np.arange(n * 2).reshape(n, 2) / 3.0) if self.encoders else None
+        travel = (tick + np.arange(n * 2).reshape(n, 2) / 3.0) if self.readings.encoders else None
         level = (np.arange(n * SENSORS).reshape(n, SENSORS) + tick) / (n * SENSORS + 99.0)
-        return SenseFrame(tick, bits, travel, level if self.levels else None)
+        label = (np.arange(n) + tick) % (self.readings.labels + 1) if self.readings.labels else None
+        return SenseFrame(
+            tick, bits, travel, level if self.readings.levels else None, label, self._picture(tick)
+        )
+
+    def _picture(self, tick: int) -> Picture | None:
+        """In every third tick where there is a camera: of all parcels but one."""
+        if not self.readings.camera or tick % 3:
+            return None
+        parcel = np.flatnonzero(np.arange(self.readings.camera) != tick % self.readings.camera)
+        return Picture(parcel, np.stack([parcel / 3.0, tick - parcel, -parcel / 7.0], axis=1))
 
     def drive(self, shard: int, tick: int) -> DriveFrame:
         cells = self.partition.cells(shard)

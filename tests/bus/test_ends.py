@@ -9,6 +9,7 @@ import pytest
 from bus.errors import HostLostError, WokenError
 from bus.lockstep import Member
 from bus.partition import Partition
+from bus.readings import Readings
 from tests.bus.support import (
     SENSORS,
     FakeClock,
@@ -33,7 +34,7 @@ def test_a_member_with_a_limit_gives_up_a_silent_plant(memory: Network) -> None:
     system = System(memory, Partition.each(grid(1, 1)), "packed", clock=clock)
     member = Member(
         system.member_endpoints[0], system.partition, 0, "packed",
-        run="test", sensors=SENSORS, encoders=False, message=None, silence_s=4.0, clock=clock,
+        run="test", readings=Readings(SENSORS), message=None, silence_s=4.0, clock=clock,
     )  # fmt: skip
     with pytest.raises(HostLostError, match="silent for 4 s; shard 0 waited for tick 0"):
         member.gather(0)

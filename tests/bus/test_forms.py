@@ -15,6 +15,7 @@ from bus.errors import WireError
 from bus.forms import FORMS, FormName
 from bus.forms.form import HostForm, MemberForm, Wiring
 from bus.partition import Partition
+from bus.readings import Picture, Readings
 from bus.wire import (
     Control,
     DriveFrame,
@@ -37,18 +38,33 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def sides(
-    form: FormName, *, encoders: bool = True, sensors: int = 3, levels: bool = False
+    form: FormName,
+    *,
+    encoders: bool = True,
+    sensors: int = 3,
+    levels: bool = False,
+    labels: int = 0,
+    camera: int = 0,
 ) -> tuple[HostForm, list[MemberForm]]:
     partition = Partition.even(grid(2, 3), 2)
-    wiring = Wiring("test", partition, sensors, encoders, MESSAGE, levels)
+    readings = Readings(sensors, encoders, levels, labels, camera)
+    wiring = Wiring("test", partition, readings, MESSAGE)
     return FORMS[form].host(wiring), [FORMS[form].member(wiring, shard) for shard in range(2)]
+
+
+PICTURE = Picture(np.array([0, 2]), np.array([[0.1, -0.2, 3.0], [-0.0, 1e-300, -7.5]]))
 
 
 def over_the_wire(
     form: FormName, sense: SenseFrame, drives: list[DriveFrame], links: list[LinkFrame]
 ) -> tuple[list[Any], Any, list[Any]]:
     """What each member senses, what the host gathers, and what each member hears, after encoding and decoding."""
-    host, members = sides(form, encoders=sense.encoder_m is not None, levels=sense.level is not None)
+    host, members = sides(
+        form,
+        encoders=sense.encoder_m is not None,
+        levels=sense.level is not None,
+        labels=0 if sense.label is None else 4,
+    )
     sent = dict(zip(host.sense_keys, host.sense_payloads(sense), strict=True))
     sensed: list[Any] = []
     for member in members:
@@ -143,14 +159,57 @@ def test_levels_go_without_encoders(form: FormName) -> None:
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
+@pytest.mark.parametrize("encoders", [False, True])
+@pytest.mark.parametrize("levels", [False, True])
+@pytest.mark.parametrize("picture", [None, PICTURE, Picture(np.zeros(0, np.int64), np.zeros((0, 3)))])
+def test_labels_and_pictures_survive_the_wire_whatever_else_there_is(
+    form: FormName, encoders: bool, levels: bool, picture: Picture | None
+) -> None:
+    host, members = sides(form, encoders=encoders, levels=levels, labels=2**16 - 1, camera=3)
+    bits, label = np.eye(6, 3, dtype=np.bool_), np.array([0, 1, 255, 256, 2**16 - 1, 7])
+    travel = np.linspace(-1.0, 1.0, 12).reshape(6, 2) if encoders else None
+    level = np.linspace(0.0, 1.0, 18).reshape(6, 3) if levels else None
+    frame = SenseFrame(3, bits, travel, level, label, picture)
+    sent = dict(zip(host.sense_keys, host.sense_payloads(frame), strict=True))
+    for member, rows in zip(members, (slice(0, 3), slice(3, 6)), strict=True):
+        values = [member.decode_sense(unit, sent[key])[1] for key, unit in member.sense_units.items()]
+        sensed = member.join_senses(values)
+        assert sensed.presence.tolist() == bits[rows].tolist()
+        assert sensed.label is not None
+        assert (sensed.label.tolist(), sensed.label.dtype) == (label[rows].tolist(), np.int64)
+        for found, expected in ((sensed.encoder_m, travel), (sensed.level, level)):
+            assert (found is None) == (expected is None)
+            assert found is None or expected is None or found.tobytes() == expected[rows].tobytes()
+        assert (sensed.picture is None) == (picture is None)
+        if picture is not None and sensed.picture is not None:
+            assert sensed.picture.parcel.tolist() == picture.parcel.tolist()
+            assert sensed.picture.pose.shape == picture.pose.shape
+            assert sensed.picture.pose.tobytes() == picture.pose.tobytes()
+
+
+def test_a_cell_is_told_its_label_and_the_picture_as_plain_numbers() -> None:
+    host, _ = sides("cells", encoders=False, labels=4, camera=3)
+    bits, label = np.eye(6, 3, dtype=np.bool_), np.arange(6) % 5
+    told = {"v": 1, "tick": 0, "presence": [False, True, False], "encoder_m": None, "label": 1}
+    assert msgpack.unpackb(host.sense_payloads(SenseFrame(0, bits, None, None, label))[1]) == {
+        **told,
+        "picture": None,
+    }
+    assert msgpack.unpackb(host.sense_payloads(SenseFrame(0, bits, None, None, label, PICTURE))[1]) == {
+        **told,
+        "picture": [[0, 0.1, -0.2, 3.0], [2, -0.0, 1e-300, -7.5]],
+    }
+
+
+@pytest.mark.parametrize("form", FORM_NAMES)
 def test_joined_arrays_may_be_written(form: FormName) -> None:
     sensed, driven, heard = over_the_wire(
         form,
-        SenseFrame(0, np.zeros((6, 3), np.bool_), np.zeros((6, 2)), np.zeros((6, 3))),
+        SenseFrame(0, np.zeros((6, 3), np.bool_), np.zeros((6, 2)), np.zeros((6, 3)), np.zeros(6, np.int64)),
         [DriveFrame(0, np.zeros((3, 2)))] * 2,
         [LinkFrame(0, np.ones(3, np.bool_), np.zeros(3, MESSAGE))] * 2,
     )
-    for array in (*sensed[0], driven, *heard[0]):
+    for array in (*sensed[0][:-1], driven, *heard[0]):
         assert array.flags.writeable
 
 
@@ -214,10 +273,20 @@ def good_payloads(form: FormName) -> list[tuple[Any, bytes]]:
         (lambda payload: decode_control(payload, 6), control),
         (lambda payload: decode_report(payload, 6), report),
         (lambda payload: feeling.decode_sense(0, payload), levels),
+        *_of_scanners_and_camera(form),
     ]
 
 
-GOOD = [(form, i) for form in FORM_NAMES for i in range(7)]
+def _of_scanners_and_camera(form: FormName) -> list[tuple[Any, bytes]]:
+    host, (member, _) = sides(form, labels=4, camera=3)
+    frame = SenseFrame(5, np.ones((6, 3), np.bool_), np.full((6, 2), 0.1), None, np.arange(6) % 5)
+    return [
+        (lambda payload: member.decode_sense(0, payload), host.sense_payloads(one)[0])
+        for one in (frame, frame._replace(picture=PICTURE))
+    ]
+
+
+GOOD = [(form, i) for form in FORM_NAMES for i in range(9)]
 
 
 @pytest.mark.parametrize(("form", "which"), GOOD)
@@ -367,6 +436,33 @@ def test_a_level_that_is_no_share_is_refused_and_so_is_one_where_none_was_agreed
     host, (member, _) = sides("packed", levels=True)
     sense = msgpack.unpackb(host.sense_payloads(SenseFrame(0, there, travel, level))[0])
     assert refusal(lambda p: member.decode_sense(0, p), {**sense, "level": b"\x00" * 24}) == "sense: size"
+
+
+@pytest.mark.parametrize("form", FORM_NAMES)
+def test_labels_and_pictures_that_no_run_can_have_are_refused(form: FormName) -> None:
+    host, (member, _) = sides(form, labels=4, camera=3)
+    frame = SenseFrame(0, np.ones((6, 3), np.bool_), np.zeros((6, 2)), None, np.zeros(6, np.int64), PICTURE)
+
+    def refused(**changed: object) -> str:
+        good = msgpack.unpackb(host.sense_payloads(frame)[0])
+        return refusal(lambda payload: member.decode_sense(0, payload), {**good, **changed})
+
+    too_large = host.sense_payloads(frame._replace(label=np.full(6, 5), picture=None))[0]
+    assert refusal(lambda payload: member.decode_sense(0, payload), too_large) == "sense: range"
+    assert refused(label=b"\x00" * 5) == ("sense: size" if form == "packed" else "sense: type")
+    assert refused(label=True) == ("sense: size" if form == "packed" else "sense: type")
+    row = [1, 0.0, 0.0, 0.0]
+    for picture in (1, [1], [row[:3]], [[*row, 0.0]], [[1.0, *row[1:]]], [[True, *row[1:]]], [row] * 4):
+        assert refused(picture=picture) == "sense: type"
+    for picture in ([row, row], [[2, *row[1:]], row], [[3, *row[1:]]], [[-1, *row[1:]]]):
+        assert refused(picture=picture) == "sense: range"
+    assert refused(picture=[[1, 0.0, float("nan"), 0.0]]) == "sense: finite"
+    plain, _ = sides(form)[1]
+    pictured = host.sense_payloads(frame)[0]
+    assert refusal(lambda payload: plain.decode_sense(0, payload), pictured) in (
+        "sense: length",
+        "sense: fields",
+    )
 
 
 def test_records_survive_the_wire() -> None:

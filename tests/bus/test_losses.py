@@ -13,6 +13,7 @@ from bus.partition import Partition
 from bus.specs import StallSpec
 from bus.wire import Control, decode_control
 from tests.bus.support import (
+    EVERYTHING,
     MESSAGE,
     FakeClock,
     Network,
@@ -168,7 +169,7 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
 ) -> None:
     """Same senses, same messages, same drives whatever the cut, and no loss."""
     system = System(
-        network, Partition.even(grid(2, 3), count), form, message=MESSAGE, encoders=True, levels=True
+        network, Partition.even(grid(2, 3), count), form, message=MESSAGE, readings=EVERYTHING
     ).start()
     dead, at = [1, 5], 2
     for side in (system.host, *system.members):
@@ -191,6 +192,8 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
             assert result.sense.presence[absent].any() == False  # noqa: E712 - NumPy's
             assert result.sense.level is not None
             assert not result.sense.level[absent].any()
+            assert result.sense.label is not None
+            assert not result.sense.label[absent].any()
             assert result.links is not None
             spoke = (incoming.source + incoming.source_side + tick - 1) % 3 != 0
             alive_then = ~np.isin(incoming.source, dead) | (tick - 1 < at)

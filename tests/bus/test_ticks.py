@@ -11,8 +11,10 @@ from bus.errors import BusError, RunNameError
 from bus.forms import FormName
 from bus.lockstep import Gathered, Host, Member
 from bus.partition import Partition
+from bus.readings import Picture, Readings
 from bus.wire import Control, DriveFrame, LinkFrame
 from tests.bus.support import (
+    EVERYTHING,
     MESSAGE,
     SENSORS,
     Network,
@@ -30,7 +32,7 @@ from tests.bus.support import (
 def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
     network: Network, form: FormName, count: int
 ) -> None:
-    system = System(network, Partition.even(grid(2, 3), count), form, encoders=True, levels=True).start()
+    system = System(network, Partition.even(grid(2, 3), count), form, readings=EVERYTHING).start()
     for tick in range(3):
         sense = system.sense(tick)
         system.host.publish(sense)
@@ -46,6 +48,13 @@ def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
             assert mine.level is not None
             assert sense.level is not None
             assert mine.level.tolist() == sense.level[cells].tolist()
+            assert mine.label is not None
+            assert sense.label is not None
+            assert mine.label.tolist() == sense.label[cells].tolist()
+            assert (mine.picture is None) == (sense.picture is None) == (tick != 0)
+            if mine.picture is not None and sense.picture is not None:
+                assert mine.picture.parcel.tolist() == sense.picture.parcel.tolist() == [1, 2]
+                assert mine.picture.pose.tobytes() == sense.picture.pose.tobytes()
             member.publish(system.drive(shard, tick), None)
         drive, losses = system.host.gather(tick)
         assert drive.tick == tick
@@ -143,14 +152,19 @@ def test_publishing_another_shape_than_agreed_is_refused_with_its_place(memory: 
         member.publish(system.drive(1, 0), None)
     with pytest.raises(BusError, match="links of shard 1, tick 0: must be 1 of"):
         member.publish(system.drive(1, 0), LinkFrame(0, np.zeros(2, np.bool_), np.zeros(2, MESSAGE)))
-    with pytest.raises(BusError, match="sense frame of tick 0: must have presence"):
+    with pytest.raises(BusError, match=r"sense frame of tick 0: must have \{'presence': "):
         system.host.publish(System.sense(system, 0).__class__(0, np.zeros((3, SENSORS), np.bool_), None))
     level = np.zeros((2, SENSORS))
-    with pytest.raises(BusError, match=r"must have .* and no levels, has .* and levels \(2, 2\)"):
+    with pytest.raises(BusError, match=r"must have {'presence': \(2, 2\)}, has .* 'levels': \(2, 2\)}"):
         system.host.publish(system.sense(0)._replace(level=level))
+    with pytest.raises(BusError, match="'labels'"):
+        system.host.publish(system.sense(0)._replace(label=np.zeros(2, np.int64)))
+    nobody = Picture(np.zeros(0, np.int64), np.zeros((0, 3)))
+    with pytest.raises(BusError, match="'a picture'"):
+        system.host.publish(system.sense(0)._replace(picture=nobody))
 
 
 def test_a_bad_run_name_is_refused(memory: Network) -> None:
     partition = Partition.each(grid(1, 1))
     with pytest.raises(RunNameError):
-        Host(memory.endpoint(), partition, "packed", run="a/b", sensors=1, encoders=False, message=None)
+        Host(memory.endpoint(), partition, "packed", run="a/b", readings=Readings(1), message=None)

@@ -14,6 +14,7 @@ from bus.errors import HostLostError, WokenError
 from bus.lattice import Lattice
 from bus.lockstep import Host, Loss, Member
 from bus.partition import Partition
+from bus.readings import Readings
 from bus.transports.memory import MemoryBus, MemoryEndpoint
 from bus.wire import SenseFrame
 from cell_firmware import agent
@@ -68,8 +69,7 @@ class System:
             self.partition,
             self.form,
             run=RUN,
-            sensors=1,
-            encoders=False,
+            readings=Readings(1),
             message=self.firmware.message,
         )
         count = self.partition.count
@@ -91,8 +91,7 @@ class System:
             s,
             self.form,
             run=RUN,
-            sensors=1,
-            encoders=False,
+            readings=Readings(1),
             message=self.firmware.message,
         )
         for tick, cells in self.deaths.items():
@@ -264,8 +263,8 @@ def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
     partition = Partition.even(grid(2, 2), 1)
     bus = MemoryBus()
     endpoint, ours = bus.endpoint(), bus.endpoint()
-    Host(endpoint, partition, "packed", run=RUN, sensors=1, encoders=False, message=HEAT.message)
-    member = Member(ours, partition, 0, "packed", run=RUN, sensors=1, encoders=False, message=HEAT.message)
+    Host(endpoint, partition, "packed", run=RUN, readings=Readings(1), message=HEAT.message)
+    member = Member(ours, partition, 0, "packed", run=RUN, readings=Readings(1), message=HEAT.message)
     member.ready(10.0)
     shard = Shard(Board(HEAT), everything(partition.lattice), partition, 0)
     threads = threading.active_count()
