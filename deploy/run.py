@@ -23,6 +23,7 @@ from deploy.output import header, illustrate, output_folder, parcel_outcomes, ru
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
 from deploy.progress import Progress
+from deploy.readings import camera_of, readings_of
 from deploy.recordings.recorder import Recorder
 from deploy.summary import Messages, Summary
 from plant.errors import PlantError, PlantUnstable
@@ -176,7 +177,8 @@ class _Run:
 
         registers, watched = self.options.registers, self.scene.effects.cop is not None
         wanted = () if registers is None else (Wanted(registers),)
-        host = system.start(plant.array, plant.sense(), wanted)
+        readings = readings_of(self.scene, plant.sense())
+        host = system.start(plant.array, readings, wanted)
         return PlantProcess(
             plant,
             host,
@@ -185,6 +187,7 @@ class _Run:
             schedule=deaths(self.scene),
             stall=self.scene.stall,
             timing=cell_times(self.scene),
+            camera=camera_of(self.scene, readings),
             observer=observe,
             pace=None if self.options.realtime is None else pacer(self.options.realtime),
         )

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 _ASIDE = {"title": True, "stall": {"deadline_s", "start_s"}}
 """What a run cannot show in what it does: words, and limits on the wall clock."""
 
+_UNSAID: dict[str, object] = {"destination": None, "to": [], "order": "turn"}
+"""Keys of a parcel or a feed that say nothing so: a run is described without them."""
+
 
 class Scene(Spec):
     """A scene file, validated.
@@ -63,7 +66,10 @@ class Scene(Spec):
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
         faults = dict(enumerate(self.faults))
-        problems = cross_problems(self.array, self.cells, self.friction, self.effects, self.solver, faults)
+        parcels = dict(enumerate(self.parcels))
+        problems = cross_problems(
+            self.array, self.cells, self.friction, self.effects, self.solver, faults, parcels
+        )
         if problems:
             raise ValidationError.from_exception_data(
                 "Scene",
@@ -153,6 +159,11 @@ class Scene(Spec):
         """
         data = self.model_dump(mode="json", exclude=_ASIDE)
         data["effects"] = {name: table for name, table in data["effects"].items() if table is not None}
+        feeders = data["effects"].get("feeders", {"feed": ()})
+        for parcel in (*data["parcels"], *feeders["feed"]):
+            for key, silence in _UNSAID.items():
+                if parcel.get(key) == silence:
+                    del parcel[key]
         data["cells"]["firmware"] = self.cells.firmware.rpartition("/")[2]
         del data["cells"]["board"]  # its effects are written out
         data["cells"]["parameters"] = normal_parameters(self.cells)

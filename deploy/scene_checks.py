@@ -15,7 +15,7 @@ from deploy.scene_errors import Path, Problem, problems_of, strictly
 from plant.array import CellArray
 from plant.friction.registry import FrictionSpec
 from plant.solver_specs import SolverSpec
-from plant.specs import ArraySpec, disagreements, misplaced
+from plant.specs import ArraySpec, ParcelSpec, disagreements, misplaced, unknown_exits
 
 _FIRMWARE: Path = ("cells", "firmware")
 _PARAMETERS: Path = ("cells", "parameters")
@@ -28,6 +28,7 @@ def cross_problems(
     effects: EffectsSpec | None,
     solver: SolverSpec | None,
     faults: Mapping[int, Fault],
+    parcels: Mapping[int, ParcelSpec],
 ) -> list[Problem]:
     """What does not agree. A section that is None is not valid by itself: what depends on it is not checked.
 
@@ -38,8 +39,11 @@ def cross_problems(
         effects: The effects.
         solver: How the motion is integrated.
         faults: Valid faults by their number in the scene.
+        parcels: Likewise the scene's own parcels.
     """
     problems = [Problem(path, rule, value) for path, value, rule in disagreements(friction, effects, solver)]
+    if effects is not None:
+        problems += [Problem(path, rule, value) for path, value, rule in unknown_exits(parcels, effects)]
     if array is not None:
         problems += _fault_problems(array, faults)
         if effects is not None:

@@ -22,7 +22,7 @@ from deploy.scene_checks import cross_problems
 from deploy.scene_errors import CROSS, Problem, SceneError, nearest, problems_of, strictly, strictly_any
 from plant.friction.registry import FrictionSpec
 from plant.solver_specs import SolverSpec, settings_of
-from plant.specs import ArraySpec
+from plant.specs import ArraySpec, ParcelSpec
 
 
 def bundled_names() -> tuple[str, ...]:
@@ -127,17 +127,22 @@ def _change_solver(data: dict[str, Any], overrides: Sequence[Override]) -> None:
 
 def _cross_problems(data: dict[str, Any]) -> list[Problem]:
     """What does not agree between those sections that are valid by themselves."""
-    faults: Any = data.get("faults")
-    listed = cast("list[Any]", faults) if isinstance(faults, list) else []
-    valid = {number: _part(Fault, fault) for number, fault in enumerate(listed)}
     return cross_problems(
         _part(ArraySpec, data.get("array")),
         _part(CellsSpec, data.get("cells", {})),
         _part(FrictionSpec, data.get("friction")),
         _part(EffectsSpec, data.get("effects", {})),
         _part(SolverSpec, data.get("solver", {})),
-        {number: fault for number, fault in valid.items() if fault is not None},
+        _valid(Fault, data.get("faults")),
+        _valid(ParcelSpec, data.get("parcels")),
     )
+
+
+def _valid(model: Any, data: Any) -> dict[int, Any]:
+    """The items of a list that are valid by themselves, by their number."""
+    listed = cast("list[Any]", data) if isinstance(data, list) else []
+    parts = {number: _part(model, item) for number, item in enumerate(listed)}
+    return {number: part for number, part in parts.items() if part is not None}
 
 
 def _part(model: Any, data: Any) -> Any:

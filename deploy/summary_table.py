@@ -157,7 +157,8 @@ def _traffic(count: TrafficCount) -> Iterator[tuple[str, str]]:
             text += f"; {feeder.held_back:,} held back, up to {feeder.longest_hold_s:.3g} s"
         yield f"feeder {feeder.name}", text
     for one in count.exits:
-        yield f"exit {one.name}", f"{one.left:,} left" + _after(one.transit_s)
+        wrong = f", {one.misrouted:,} of them misrouted" if one.misrouted else ""
+        yield f"exit {one.name}", f"{one.left:,} left" + _after(one.transit_s) + wrong
     if count.left and count.left_per_s is not None:
         yield "throughput", f"{count.left_per_s:.3g} parcels/s"
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import field_validator, model_validator
+from typing import Annotated
+
+from pydantic import Field, field_validator, model_validator
 
 from bus.spec import Finite, Positive, Spec, Vector
 from plant.geometry import PolygonError, check_convex, polar_moment_per_mass, rectangle
@@ -52,6 +54,8 @@ class ParcelSpec(PolygonSpec):
     angle_rad: Finite = 0.0
     velocity_m_s: Vector = (0.0, 0.0)
     angular_velocity_rad_s: Finite = 0.0
+    destination: Annotated[str, Field(min_length=1)] | None = None
+    """Name of the exit that it is meant for."""
 
     def moment_of_inertia_kg_m2(self) -> float:
         """About the centre of mass: as given, or a uniform plate's about its centroid."""

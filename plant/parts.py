@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, cast
 
 from plant.array import CellArray
+from plant.effects.registry import PlantEffects
 from plant.overlap import OverlapWatch
 from plant.reports import ParcelStatus
 from plant.solvers.solver import LegSolver, Rewindable, Solver
@@ -15,7 +16,9 @@ from plant.specs import PlantSpec
 from plant.wheels import IdealWheels, Wheels
 
 if TYPE_CHECKING:
+    from plant.camera import Camera
     from plant.contact.mover import ContactMover
+    from plant.scanners import Scanners
     from plant.spots import Spots
     from plant.traffic import Traffic
 
@@ -46,7 +49,8 @@ def make_traffic(
         return None
     from plant.traffic import Traffic
 
-    return Traffic(feeders, spec.seed, solver.state, status, overlaps)
+    destinations = [parcel.destination for parcel in spec.with_fed().parcels]
+    return Traffic(feeders, spec.seed, solver.state, status, overlaps, destinations)
 
 
 def make_spots(spec: PlantSpec, array: CellArray) -> Spots | None:
@@ -57,6 +61,25 @@ def make_spots(spec: PlantSpec, array: CellArray) -> Spots | None:
     from plant.spots import Spots
 
     return Spots(analogue, array, spec.with_fed().parcels)
+
+
+def make_scanners(spec: PlantSpec, array: CellArray) -> Scanners | None:
+    """What tells where the parcels over some cells are to go, None where no cell can read that."""
+    scanners, feeders = spec.effects.scanners, spec.effects.feeders
+    if scanners is None or feeders is None:
+        return None
+    from plant.scanners import Scanners
+
+    return Scanners(scanners, feeders, array, spec.with_fed().parcels)
+
+
+def make_camera(effects: PlantEffects, tick_ns: int, seed: int, later: int = 0) -> Camera | None:
+    """What takes pictures of parcels, None where nothing does; see ``plant.camera.Camera``."""
+    if effects.camera is None:
+        return None
+    from plant.camera import Camera
+
+    return Camera(effects.camera, tick_ns, seed, later)
 
 
 def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
@@ -73,7 +96,7 @@ def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
 def with_legs(spec: PlantSpec, solver: Solver) -> LegSolver | None:
     """The solver, if it divides calls for each parcel by itself; None where it can't, or effects act on all at once."""
     effects = spec.effects
-    together = (effects.parcel_contact, effects.wheel_load, effects.analogue_sensors)
+    together = (effects.parcel_contact, effects.wheel_load, effects.analogue_sensors, effects.scanners)
     if spec.solver.name != "exact" or any(effect is not None for effect in together):
         return None
     return cast("LegSolver", solver)

@@ -13,7 +13,7 @@ from plant.chronicle import Chronicle
 from plant.errors import PlantError
 from plant.moves import Moves
 from plant.overlap import OverlapWatch
-from plant.parts import make_spots, make_traffic, make_wheels
+from plant.parts import make_scanners, make_spots, make_traffic, make_wheels
 from plant.reading import Reading
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.rest import RestWatch
@@ -53,6 +53,7 @@ class Plant:
         rate = 0.0 if motors is None else 1.0 / motors.first_order.time_constant_s
         self._solver: Solver = make_solver(spec.with_fed(), self.array, rate)
         self._spots = make_spots(spec, self.array)
+        self._scanners = make_scanners(spec, self.array)
         self._now_ns = 0
         self._none: Floats = np.zeros(0)
         bodies = self._solver.bodies
@@ -89,6 +90,11 @@ class Plant:
         return self._solver.state.copy()
 
     @property
+    def there(self) -> NDArray[np.int64]:
+        """Numbers of the parcels that neither wait to be fed nor have left through an exit, ascending."""
+        return self._moves.there
+
+    @property
     def effort(self) -> int:
         """What the solver has done so far: steps, or right-hand sides with ``scipy``."""
         return self._solver.effort
@@ -112,8 +118,10 @@ class Plant:
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
         self._solver.presence(self._moves.there, presence)
         travel = self._wheels.travel
-        level = None if self._spots is None else self._spots.level(self._solver.state, self._moves.there)
-        return Sense(presence, None if travel is None else _read_only(travel), level)
+        state, there = self._solver.state, self._moves.there
+        level = None if self._spots is None else self._spots.level(state, there)
+        label = None if self._scanners is None else self._scanners.label(state, there)
+        return Sense(presence, None if travel is None else _read_only(travel), level, label)
 
     def make_ready(self) -> None:
         """Compile, or load, what calls with timing, and wheels that stop on the way, need beyond others."""

@@ -15,6 +15,7 @@ from plant.timing import Timing
 
 if TYPE_CHECKING:
     from bus.specs import StallSpec
+    from plant.camera import Camera
     from plant.plant import LossPolicy, Plant
     from plant.reports import Event, Sense
 
@@ -106,6 +107,7 @@ class PlantProcess:
         pace: Called with a tick's start, ns, before the tick begins; may wait.
         timing: Where cells have instants of their own: asked in order of ticks when, in a tick, the drives that it
             brought act and when cells read what they are told in the next. An instant may lie beyond the run's end.
+        camera: Whose pictures the cells are shown; None: none's.
 
     Attributes:
         tick: The tick that is under way, or the next.
@@ -127,11 +129,13 @@ class PlantProcess:
         observer: Callable[[TickRecord], None],
         pace: Callable[[int], None] | None = None,
         timing: Callable[[int], Timing] | None = None,
+        camera: Camera | None = None,
     ) -> None:
         self._plant = plant
         self._host = host
         self._tick_ns = tick_ns
         self._timing = timing
+        self._camera = camera
         self._duration_ns = duration_ns
         self._schedule = schedule
         self._abort = stall.policy == "abort"
@@ -229,7 +233,12 @@ class PlantProcess:
                 self._pace(start_ns)
             finally:
                 self.waiting = False
-        self._host.publish(SenseFrame(tick, sense.presence, sense.encoder_m, sense.level))
+        picture = None
+        if self._camera is not None:
+            picture = self._camera.look(tick, self._state, self._plant.there)
+        self._host.publish(
+            SenseFrame(tick, sense.presence, sense.encoder_m, sense.level, sense.label, picture)
+        )
         if died:
             self._host.retire(died, tick)
         self._report()

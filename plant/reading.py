@@ -39,6 +39,7 @@ class Reading:
         # who reads sees a parcel only where one is near: those cells are told below
         self._presence: NDArray[np.bool_] = last.presence & ~inside[:, None]
         self._level = None if last.level is None else np.where(inside[:, None], 0.0, last.level)
+        self._label = None if last.label is None else np.where(inside, 0, last.label)
         self._encoder_m = None if last.encoder_m is None else last.encoder_m.copy()
         self._slowed_m: Floats | None = None
 
@@ -82,7 +83,7 @@ class Reading:
         self._take(self._at_end, end)
         if self._encoder_m is not None:
             self._encoder_m.setflags(write=False)
-        return Sense(self._presence, self._encoder_m, self._level)
+        return Sense(self._presence, self._encoder_m, self._level, self._label)
 
     def _take(self, cells: NDArray[np.bool_], sense: Sense) -> None:
         self._see(cells, sense)
@@ -93,3 +94,5 @@ class Reading:
         self._presence[cells] = sense.presence[cells]
         if self._level is not None and sense.level is not None:
             self._level[cells] = sense.level[cells]
+        if self._label is not None and sense.label is not None:
+            self._label[cells] = sense.label[cells]

@@ -22,11 +22,14 @@ class Sense:
         presence: ``(n, sensors)`` bool.
         encoder_m: ``(n, 2)`` surface passed since the start, m, read-only; None where there are no encoders.
         level: ``(n, sensors)`` share of each sensor's spot that is covered, 0 to 1; None without ``analogue_sensors``.
+        label: ``(n,)`` number of the exit that the parcel over a cell's scanner is meant for, 0 for none; None without
+            ``scanners``.
     """
 
     presence: NDArray[np.bool_]
     encoder_m: Floats | None
     level: Floats | None = None
+    label: NDArray[np.int64] | None = None
 
 
 class Event(NamedTuple):
@@ -135,11 +138,13 @@ class ExitCount:
     Attributes:
         name: of the exit.
         left: how many parcels.
+        misrouted: how many of them were meant for another.
         transit_s: from when each was fed (the start, for the scene's own parcels) until it left.
     """
 
     name: str
     left: int
+    misrouted: int
     transit_s: Transit | None
 
 
@@ -154,6 +159,7 @@ class TrafficCount:
         waiting: parcels not fed yet.
         there: parcels on the array, tipped ones too.
         left: parcels that left by any exit.
+        misrouted: those of them that were meant for another.
         transit_s: of all of these.
         left_per_s: the throughput; None before any time has passed.
     """
@@ -163,5 +169,6 @@ class TrafficCount:
     waiting: int
     there: int
     left: int
+    misrouted: int
     transit_s: Transit | None
     left_per_s: float | None

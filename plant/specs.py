@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterator, Mapping
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -89,6 +90,28 @@ def misplaced(array: ArraySpec, effects: PlantEffects) -> Iterator[tuple[tuple[s
             yield ("effects", name, *path), value, rule
 
 
+def unknown_exits(
+    parcels: Mapping[int, ParcelSpec], effects: PlantEffects
+) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+    """Exits that parcels are meant for and that are none: the path of a value, the value, and the broken rule.
+
+    Args:
+        parcels: By their number in the scene.
+        effects: Those of the scene.
+    """
+    feeders = effects.feeders
+    meant = [(("parcels", number, "destination"), parcel.destination) for number, parcel in parcels.items()]
+    known = [] if feeders is None else [one.name for one in feeders.exits]
+    for number, feed in enumerate(() if feeders is None else feeders.feed):
+        path = ("effects", "feeders", "feed", number, "to")
+        meant += [((*path, place), name) for place, name in enumerate(feed.to)]
+    for path, name in meant:
+        if name is not None and name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            advice = f"nearest: {close[0]}" if close else f"there are {', '.join(known) or 'none'}"
+            yield path, name, f"effects.feeders.exits has none of that name; {advice}"
+
+
 class PlantSpec(Spec):
     """All the plant needs to know of a scene."""
 
@@ -105,7 +128,8 @@ class PlantSpec(Spec):
     def _agrees(self) -> PlantSpec:
         for path, value, rule in disagreements(self.friction, self.effects, self.solver):
             raise ValueError(f"{'.'.join(path)} {value} {rule}")
-        for path, value, rule in misplaced(self.array, self.effects):
+        own = dict(enumerate(self.parcels))
+        for path, value, rule in (*misplaced(self.array, self.effects), *unknown_exits(own, self.effects)):
             raise ValueError(f"{'.'.join(map(str, path))} {value}: {rule}")
         return self
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import final
 
@@ -53,12 +53,13 @@ class _Queue:
 @final
 @dataclass(slots=True)
 class _Gate:
-    """An exit: its edges, and how long those who left by it had been there."""
+    """An exit: its edges, how long those who left by it had been there, and how many were meant for another."""
 
     name: str
     normal: Floats
     offset: Floats
     transit_ns: list[int] = field(default_factory=list[int])
+    misrouted: int = 0
 
     def holds(self, points: Floats) -> NDArray[np.bool_]:
         """Which of the points ``(k, 2)`` are in it, its boundary included."""
@@ -81,14 +82,22 @@ class Traffic:
             those that wait lose their velocity here and get it back when they are fed.
         status: how every parcel fares; kept up to date.
         overlaps: knows the parcels' footprints.
+        destinations: of each parcel, the exit that it is meant for, if any.
 
     Attributes:
         there: ascending indices of the parcels that neither wait nor have left.
     """
 
     def __init__(
-        self, spec: FeedersSpec, seed: int, state: Floats, status: list[ParcelStatus], overlaps: OverlapWatch
+        self,
+        spec: FeedersSpec,
+        seed: int,
+        state: Floats,
+        status: list[ParcelStatus],
+        overlaps: OverlapWatch,
+        destinations: Sequence[str | None],
     ) -> None:
+        self._destinations = destinations
         self._state = state
         self._status = status
         self._overlaps = overlaps
@@ -135,9 +144,12 @@ class Traffic:
                 self._status[i] = ParcelStatus("off_array", time_ns * 1e-9, f"through exit {gate.name}")
                 transit_ns = time_ns - self._since_ns[i]
                 gate.transit_ns.append(transit_ns)
-                yield self._event(
-                    time_ns, "left", i, f"through exit {gate.name} after {transit_ns * 1e-9:.6g} s"
-                )
+                text = f"through exit {gate.name} after {transit_ns * 1e-9:.6g} s"
+                meant = self._destinations[i]
+                if meant not in (None, gate.name):
+                    gate.misrouted += 1
+                    text += f", though meant for {meant}"
+                yield self._event(time_ns, "left", i, text)
 
     def _feed(self, queue: _Queue, time_ns: int) -> Event:
         """Feed the next of a queue."""
@@ -167,7 +179,8 @@ class Traffic:
         """What has come and gone until now."""
         feeders = [_feed_count(queue, time_ns) for queue in self._queues]
         exits = [
-            ExitCount(gate.name, len(gate.transit_ns), Transit.of(gate.transit_ns)) for gate in self._gates
+            ExitCount(gate.name, len(gate.transit_ns), gate.misrouted, Transit.of(gate.transit_ns))
+            for gate in self._gates
         ]
         everyone = [transit_ns for gate in self._gates for transit_ns in gate.transit_ns]
         return TrafficCount(
@@ -176,6 +189,7 @@ class Traffic:
             waiting=sum(feeder.waiting for feeder in feeders),
             there=len(self.there),
             left=len(everyone),
+            misrouted=sum(gate.misrouted for gate in self._gates),
             transit_s=Transit.of(everyone),
             left_per_s=len(everyone) / (time_ns * 1e-9) if time_ns else None,
         )

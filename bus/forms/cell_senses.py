@@ -139,10 +139,9 @@ def _short(readings: Readings, pack: Callable[..., bytes]) -> Callable[..., Sens
     encoders, levels, largest = readings.encoders, readings.levels, readings.labels
 
     def sensed(marks: bytes, *values: float) -> Sensed | None:
-        presence, label = flags(marks), 0
-        if largest:
-            *values, label = values
-        travel, shares = (finite_pair(*values[:2]), values[2:]) if encoders else (b"", values)
+        presence, label = flags(marks), values[-1] if largest else 0
+        numbers = values[:-1] if largest else values
+        travel, shares = (finite_pair(*numbers[:2]), numbers[2:]) if encoders else (b"", numbers)
         fits = label <= largest and all(0.0 <= share <= 1.0 for share in shares)
         if presence is None or travel is None or not fits:
             return None

@@ -18,6 +18,7 @@ from deploy.faults.schedule import deaths
 from deploy.output import run_name
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
+from deploy.readings import camera_of, readings_of
 from deploy.run import load_plant, status_of
 from deploy.simulate import field_speeds
 from plant.errors import PlantError
@@ -127,14 +128,16 @@ def _process(scene: Scene, system: System, plant: Plant, events: list[Event]) ->
     def observe(record: TickRecord) -> None:
         events.extend(record.events)
 
+    readings = readings_of(scene, plant.sense())
     return PlantProcess(
         plant,
-        system.start(plant.array, plant.sense()),
+        system.start(plant.array, readings),
         tick_ns=scene.tick_ns,
         duration_ns=scene.duration_ns,
         schedule=deaths(scene),
         stall=scene.stall,
         timing=cell_times(scene),
+        camera=camera_of(scene, readings),
         observer=observe,
     )
 

@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
-from typing import Annotated, ClassVar, final
+from typing import Annotated, ClassVar, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,10 @@ class FeedSpec(ParcelSpec):
     """Each parcel's place is off by up to this much along x and along y, either way, uniformly at random."""
     angle_spread_rad: NotNegative = 0.0
     """The same of its angle."""
+    to: tuple[Name, ...] = ()
+    """Exits that its parcels are meant for; none: they are meant for no exit."""
+    order: Literal["turn", "random"] = "turn"
+    """How: each exit in turn, or each parcel's at random."""
 
     @model_validator(mode="after")
     def _schedule(self) -> FeedSpec:
@@ -56,6 +60,12 @@ class FeedSpec(ParcelSpec):
             raise ValueError("times_s says how many and when; leave count and first_s out")
         elif list(self.times_s) != sorted(self.times_s):
             raise ValueError("times_s must ascend")
+        return self
+
+    @model_validator(mode="after")
+    def _exits(self) -> FeedSpec:
+        if self.destination is not None:
+            raise ValueError("its parcels' exits are given by to; leave destination out")
         return self
 
     @property
@@ -84,9 +94,20 @@ class FeedSpec(ParcelSpec):
         kind = ParcelSpec.model_validate({key: getattr(self, key) for key in ParcelSpec.model_fields})
         draw = generator(seed, f"feeders.{self.name}.poses")
         spread = (*self.position_spread_m, self.angle_spread_rad)
-        for dx, dy, turn in (draw.uniform(-1.0, 1.0, (self.total, 3)) * spread).tolist():
+        off = (draw.uniform(-1.0, 1.0, (self.total, 3)) * spread).tolist()
+        for (dx, dy, turn), to in zip(off, self.destinations(seed), strict=True):
             place = (self.position_m[0] + dx, self.position_m[1] + dy)
-            yield kind.model_copy(update={"position_m": place, "angle_rad": self.angle_rad + turn})
+            pose = {"position_m": place, "angle_rad": self.angle_rad + turn}
+            yield kind.model_copy(update={**pose, "destination": to})
+
+    def destinations(self, seed: int) -> list[str | None]:
+        """The exit that each parcel is meant for, in the order in which they are fed."""
+        if not self.to:
+            return [None] * self.total
+        if self.order == "turn":
+            return [self.to[number % len(self.to)] for number in range(self.total)]
+        draw = generator(seed, f"feeders.{self.name}.exits")
+        return [self.to[number] for number in draw.integers(len(self.to), size=self.total).tolist()]
 
 
 class ExitSpec(PolygonSpec):
@@ -132,6 +153,10 @@ class FeedersSpec(EffectSpec):
     def total(self) -> int:
         """How many parcels all feeders have."""
         return sum(feed.total for feed in self.feed)
+
+    def number(self, exit_name: str | None) -> int:
+        """What a label says for an exit: its number in the scene's order, from 1; 0 for none."""
+        return 0 if exit_name is None else 1 + [one.name for one in self.exits].index(exit_name)
 
     def parcels(self, seed: int) -> tuple[ParcelSpec, ...]:
         """All parcels that will ever appear, feeder by feeder."""

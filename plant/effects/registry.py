@@ -6,11 +6,13 @@ from collections.abc import Iterator, Sequence
 
 from bus.effect import Effects
 from plant.effects.analogue_sensors import AnalogueSensorsSpec
+from plant.effects.camera import CameraSpec
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.feeders import FeedersSpec
 from plant.effects.motors import MotorsSpec
 from plant.effects.parcel_contact import ParcelContactSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
+from plant.effects.scanners import ScannersSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 from plant.effects.wheel_load import WheelLoadSpec
 
@@ -26,6 +28,8 @@ class PlantEffects(Effects):
     feeders: FeedersSpec | None = None
     parcel_contact: ParcelContactSpec | None = None
     analogue_sensors: AnalogueSensorsSpec | None = None
+    scanners: ScannersSpec | None = None
+    camera: CameraSpec | None = None
 
     def at_odds(self) -> Iterator[tuple[tuple[str, str], object, str]]:
         """See ``Effects``; and wheels that lack an inertia, or that their load could keep from turning."""

@@ -154,10 +154,11 @@ def test_many_parcels_are_counted_by_state() -> None:
 
 TRAFFIC = TrafficCount(
     feed=[FeedCount("west", 14, 2, 8, 1.4786), FeedCount("east", 3, 0, 0, 0.0)],
-    exits=[ExitCount("north", 6, Transit(5.36, 5.32, 5.41)), ExitCount("south", 0, None)],
+    exits=[ExitCount("north", 6, 2, Transit(5.36, 5.32, 5.41)), ExitCount("south", 0, 0, None)],
     waiting=2,
     there=11,
     left=6,
+    misrouted=2,
     transit_s=Transit(5.36, 5.32, 5.41),
     left_per_s=0.25,
 )
@@ -169,9 +170,11 @@ def test_what_came_and_went_is_in_the_json_object() -> None:
         "name": "west", "fed": 14, "waiting": 2, "held_back": 8, "longest_hold_s": 1.4786
     }  # fmt: skip
     assert found["exits"][0] == {
-        "name": "north", "left": 6, "transit_s": {"mean": 5.36, "shortest": 5.32, "longest": 5.41}
+        "name": "north", "left": 6, "misrouted": 2,
+        "transit_s": {"mean": 5.36, "shortest": 5.32, "longest": 5.41},
     }  # fmt: skip
     assert found["exits"][1]["transit_s"] is None
+    assert found["misrouted"] == 2
     assert (found["waiting"], found["there"], found["left"], found["left_per_s"]) == (2, 11, 6, 0.25)
     assert json.loads(summary().to_json())["feeders"] is None
 
@@ -180,7 +183,7 @@ def test_the_table_has_a_line_for_every_feeder_and_exit() -> None:
     lines = [" ".join(line.split()) for line in printed(summary(feeders=TRAFFIC)).splitlines()]
     assert "feeder west 14 fed, 2 waiting; 8 held back, up to 1.48 s" in lines
     assert "feeder east 3 fed, 0 waiting" in lines
-    assert "exit north 6 left after 5.36 s (5.32 to 5.41)" in lines
+    assert "exit north 6 left after 5.36 s (5.32 to 5.41), 2 of them misrouted" in lines
     assert "exit south 0 left" in lines
     assert "throughput 0.25 parcels/s" in lines
 
