@@ -293,9 +293,9 @@ def test_a_broken_step_ends_the_run_with_its_error(
     made: list[Shard] = []
     original = Shard.step
 
-    def step(self: Shard, tick: int, *arguments: Any) -> Any:
+    def step(self: Shard, tick: int, *arguments: Any, **named: Any) -> Any:
         made.append(self)
-        return original(self, tick + (tick == 2), *arguments)
+        return original(self, tick + (tick == 2), *arguments, **named)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Shard, "step", step)
