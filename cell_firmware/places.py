@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,9 +77,20 @@ class Velocity(Place):
         return self.speed_m_s
 
 
-def lay(
-    named: Sequence[Value] | Sequence[Velocity], row: Ints, column: Ints, into: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+class Given(Protocol):
+    """Cells, and something for each of them."""
+
+    @property
+    def amount(self) -> Any:
+        """What each of them gets."""
+        ...
+
+    def has(self, row: Ints, column: Ints) -> NDArray[np.bool_]:
+        """``(n,)``: is the cell in this row and column meant?"""
+        ...
+
+
+def lay(named: Sequence[Given], row: Ints, column: Ints, into: NDArray[Any]) -> NDArray[np.bool_]:
     """Writes what is given for some cells ``into`` ``(n, ...)``; returns ``(n,)``: is the cell among them?"""
     found = np.zeros(len(row), dtype=np.bool_)
     for place in named:

@@ -55,6 +55,10 @@ class Links:
         weight: ``(n, 4)``, of the link on each side, alike for both its ends; default: 1.
         of_cell: ``(n,)``, s in ``S L S``, S = diag(s), whose spectrum is asked for; default: 1. With 1 / sqrt(degree)
             it is the normalised Laplacian.
+
+    Attributes:
+        laplacian: L of all cells, sparse.
+        loose: ``(n,)``: free cells that no chain of links joins to a held one.
     """
 
     def __init__(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -177,5 +178,33 @@ def run() -> Callable[..., Run]:
         for shard in steps.shards:
             counted.update(shard.counted())
         return Run(np.array(drives), steps.failures, counted)
+
+    return go
+
+
+@pytest.fixture(scope="session")
+def watch() -> Callable[..., NDArray[Any]]:
+    """Runs firmware as ``run`` does; returns its observed field, ``(ticks, n, ...)``, 0 in dead cells."""
+
+    def go(
+        firmware: Firmware,
+        lattice: Lattice,
+        ticks: int,
+        dead: Mapping[int, list[tuple[int, int]]] | None = None,
+        presence: NDArray[np.bool_] | None = None,
+        effects: CellEffects | None = None,
+        seed: int = 0,
+    ) -> NDArray[Any]:
+        assert firmware.observed is not None
+        steps = Lockstep(firmware, Partition.even(lattice, 1), None, effects, seed)
+        seen: list[NDArray[Any]] = []
+        for k in range(ticks):
+            steps.retire((dead or {}).get(k, ()))
+            steps.step(None if presence is None else presence[k])
+            cells, registers = steps.shards[0].registers()
+            values = registers[f"firmware.{firmware.observed}"]
+            seen.append(np.zeros((len(lattice), *values.shape[1:]), values.dtype))
+            seen[-1][lattice.find(cells[:, 0], cells[:, 1])] = values
+        return np.array(seen)
 
     return go

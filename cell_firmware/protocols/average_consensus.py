@@ -1,0 +1,140 @@
+"""All cells come to know the mean of what each of them has."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, final
+
+import numpy as np
+from pydantic import Field
+
+from bus.lattice import Lattice
+from cell_firmware.errors import ParametersError
+from cell_firmware.faces import total
+from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.places import Value, lay, misplaced
+from cell_firmware.recall import Patience, still_counts
+from cell_firmware.specs import Finite, Spec, Vector
+from cell_firmware.spectra import Links, explicit_cautions, relaxed
+from cell_firmware.theory import Theory
+
+
+class AverageConsensusParameters(Spec):
+    """What is averaged, and how fast cells give way to each other."""
+
+    source: Literal["given", "presence"] = "given"
+    """Of what the mean is: of ``value`` and ``values``, or of how many of a cell's sensors see a parcel, 0 to 1."""
+    value: Finite = 0.0
+    """What every cell has, unless ``values`` names it."""
+    values: tuple[Value, ...] = ()
+    """Cells that have something else."""
+    weight: Literal["metropolis"] | Annotated[float, Field(gt=0, allow_inf_nan=False)] = "metropolis"
+    """Of a link: ``1 / (1 + d)``, d being the greater number of neighbours of its two cells, or the same for all."""
+    patience: Patience = 20
+    """After how many silent periods a neighbour is taken for gone, and what was lent to it is called in."""
+    velocity_m_s: Vector = (0.0, 0.0)
+    """Wheels run at this times the cell's estimate."""
+
+
+@final
+class AverageConsensus(Firmware):
+    """Distributed averaging that keeps its sum where messages get lost and cells die.
+
+    A cell's estimate is what it has and what has flown to it over its links, and each link levels its two ends::
+
+        x_i[k] = v_i[k] + sum over sides of f_ij[k]
+        f_ij[k] = (f_ij[k-1] - f_ji[k-1]) / 2 + w_ij (x_j[k-1] - x_i[k-1])
+
+    with what the neighbour's message of tick k - 1 tells of ``f_ji`` and ``x_j``. Where none comes the flow stays as it
+    is, and after ``patience`` silent periods it is set to 0. On links that lose nothing ``f_ji = -f_ij`` to the last
+    bit, and this is ``x[k] = (I - L_w) x[k-1]`` of Xiao & Boyd. A lost message makes the two ends differ, which the
+    next exchange undoes: at rest the flows are opposite, so that the sum of the estimates is that of what the cells
+    have. A cell that dies takes with it what it had, and nothing else: the others come to their own mean. What cells
+    have may change, and the mean is followed.
+
+    Source: Xiao & Boyd, "Fast linear iterations for distributed averaging", Systems & Control Letters 53 (2004), with
+    its constant and Metropolis weights; flows kept at both ends after Jesus, Baquero & Almeida, "Flow updating:
+    fault-tolerant aggregation for dynamic networks", J. Parallel Distrib. Comput. 78 (2015).
+    """
+
+    Parameters = AverageConsensusParameters
+    message = np.dtype([("value", "<f8"), ("flow", "<f8"), ("neighbours", "u1")])
+    observed = "value"
+
+    def check(self, lattice: Lattice) -> None:
+        """Every place that is named must exist, and no cell be named twice."""
+        problems = misplaced(lattice, {"values": self.parameters.values})
+        if problems:
+            raise ParametersError("average_consensus", problems)
+
+    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+        """A constant weight's limit; Metropolis weights have none."""
+        weight = self.parameters.weight
+        if weight == "metropolis":
+            return ()
+        return explicit_cautions("weight", weight, "estimates", lambda: Links(lattice))
+
+    def theory(self, lattice: Lattice) -> Theory:
+        """Factor from the weighted Laplacian's spectrum; the limit is the mean of each part that hangs together."""
+        weight = self.parameters.weight
+        if weight == "metropolis":
+            degree = (lattice.neighbours >= 0).sum(axis=1)
+            links = Links(
+                lattice, weight=1.0 / (1.0 + np.maximum(degree[:, None], degree[lattice.neighbours]))
+            )
+        else:
+            links = Links(lattice, weight=np.full((len(lattice), 4), weight))
+        given = self._given(lattice.rows, lattice.columns)
+        return Theory(
+            "averaging: slowest of |1 - lambda| over the weighted Laplacian's spectrum (Xiao & Boyd 2004)",
+            factor=relaxed(links.spectrum(), 1.0),
+            limit=None if self.parameters.source == "presence" else links.at_rest(given),
+        )
+
+    def init(self, cells: Cells) -> State:
+        """What cells have and take the mean for, ``(n,)``; what has flown to them over each side, ``(n, 4)``."""
+        given = self._given(cells.row, cells.column)
+        has_neighbour = cells.has_neighbour
+        neighbours = sum(has_neighbour[:, side].astype(np.uint8) for side in range(4))
+        return {
+            "given": given,
+            "value": given,
+            "flow": np.zeros(has_neighbour.shape),
+            "counts": np.zeros(has_neighbour.shape, dtype=np.int16),
+            "neighbours": np.asarray(neighbours),
+        }
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """Level every link from which a word has come, and add up."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
+        theirs, own = inbox.message, state["value"][:, None]
+        level = self._weight(state["neighbours"][:, None], theirs["neighbours"]) * (theirs["value"] - own)
+        levelled = (state["flow"] - theirs["flow"]) / 2.0 + level
+        flow = np.where(inbox.received, levelled, np.where(counts > 0, state["flow"], 0.0))
+        given = _seen(inputs) if self.parameters.source == "presence" else state["given"]
+        value = given + total(flow)
+
+        outbox = Outbox.to_all(self.message, value=value, neighbours=state["neighbours"], flow=value)
+        outbox.message["flow"] = flow
+        speed = value[:, None] * np.array(self.parameters.velocity_m_s)
+        after = {**state, "given": given, "value": value, "flow": flow, "counts": counts}
+        return after, Outputs(speed, outbox)
+
+    def _given(self, row: np.ndarray, column: np.ndarray) -> Floats:
+        given = np.full(len(row), self.parameters.value)
+        lay(self.parameters.values, row, column, given)
+        return given
+
+    def _weight(self, own: np.ndarray, theirs: np.ndarray) -> Floats | float:
+        weight = self.parameters.weight
+        return 1.0 / (1.0 + np.maximum(own, theirs)) if weight == "metropolis" else weight
+
+
+def _seen(inputs: Inputs) -> Floats:
+    """``(n,)``: the share of a cell's sensors that see a parcel."""
+    sensors = inputs.presence.shape[1]
+    seen = np.zeros(len(inputs.presence))
+    for sensor in range(sensors):
+        seen = seen + inputs.presence[:, sensor]
+    return seen / sensors

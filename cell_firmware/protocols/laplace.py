@@ -1,0 +1,167 @@
+"""Cells relax to a potential between those that hold theirs, and their wheels run down it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from bus.lattice import Lattice
+from cell_firmware.errors import ParametersError
+from cell_firmware.faces import across, gradient, total
+from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.places import Value, lay, misplaced
+from cell_firmware.reach import steps_from
+from cell_firmware.recall import Patience, last_word, still_counts
+from cell_firmware.specs import Finite, NotNegative, Spec
+from cell_firmware.spectra import Links
+from cell_firmware.theory import Theory
+
+
+class LaplaceParameters(Spec):
+    """Where the potential is held, how cells relax to it, and what wheels make of it."""
+
+    held: Annotated[tuple[Value, ...], Field(min_length=1)]
+    """Cells that keep their potential: sources, sinks, obstacles that repel."""
+    relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
+    """1 for Jacobi's method; more for the second-order one, which is faster by far where it suits the array."""
+    patience: Patience = 50
+    """For how many periods a neighbour's word counts; then it is taken for gone, and its side for insulated."""
+    speed_m_s: NotNegative | None = None
+    """At which wheels run down the potential, however steep."""
+    gain_m2_s: Finite | None = None
+    """Or their speed by its slope, the unit of potential being the scene's; below 0 they climb."""
+
+    @model_validator(mode="after")
+    def _at_most_one(self) -> Self:
+        if self.speed_m_s is not None and self.gain_m2_s is not None:
+            raise ValueError("give speed_m_s or gain_m2_s, not both")
+        return self
+
+
+@final
+class Laplace(Firmware):
+    """Relaxation to a harmonic potential: the electric field between electrodes, on cells.
+
+    A cell takes the mean of what its neighbours told last, with the relaxation w as ::
+
+        p_i[k] = p_i[k-2] + w (mean over neighbours j of p_j[k-1] - p_i[k-2])
+
+    and held cells keep theirs. At w = 1 that is Jacobi's method, whose error shrinks by rho a tick, the spectral
+    radius of the mean over neighbours that are not held: cos(pi / (N + 1)) for N x N cells within a held border. With
+    w > 1 it is the stationary second-order method, at best ``w = 2 / (1 + sqrt(1 - rho^2))`` by ``sqrt(w - 1)`` a tick:
+    as many rounds as the array is wide instead of that squared. The successive over-relaxation of textbooks needs
+    values of this tick from half the cells, which no message can bring.
+
+    No potential leaves the range of what is held and the 0 at which cells start. Lost and late messages cost time
+    alone: what cells come to is the same (at w = 1, for any delays below the patience: Chazan & Miranker 1969). With
+    w > 1 that holds for lost messages; where they come late potentials may swing within their range for ever.
+
+    Nobody can rest but at a held cell: a harmonic potential has no other minimum. What has no cell, and cells that died
+    and were silent for ``patience`` periods, are insulators: the field goes around them.
+
+    Source: Golub & Varga, "Chebyshev semi-iterative methods, successive overrelaxation iterative methods, and second
+    order Richardson iterative methods", Numer. Math. 3 (1961); Connolly, Burns & Weiss, "Path planning using
+    Laplace's equation", ICRA 1990.
+    """
+
+    Parameters = LaplaceParameters
+    message = np.dtype([("potential", "<f8")])
+    observed = "potential"
+
+    def check(self, lattice: Lattice) -> None:
+        """Every place that is named must exist, and no cell be named twice."""
+        problems = misplaced(lattice, {"held": self.parameters.held})
+        if problems:
+            raise ParametersError("laplace", problems)
+
+    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+        """Cells that no held one can reach, and a potential without a slope."""
+        found: list[str] = []
+        potential, held = self._start(lattice.rows, lattice.columns)
+        if np.ptp(potential[held]) == 0.0:
+            found.append("all held cells have the same potential: it becomes flat, and wheels stand")
+        loose = int((steps_from(lattice, np.flatnonzero(held)) < 0).sum())
+        if loose:
+            found.append(
+                f"{loose} cells have no way to a held one: their potential stays 0, and their wheels stand"
+            )
+        return tuple(found)
+
+    def theory(self, lattice: Lattice) -> Theory:
+        """Factor from the spectral radius of the mean over neighbours; the limit is harmonic."""
+        potential, held = self._start(lattice.rows, lattice.columns)
+        links = Links(lattice, held)
+        degree = np.maximum((lattice.neighbours >= 0).sum(axis=1), 1)
+        ends = Links(lattice, held | links.loose, of_cell=1.0 / np.sqrt(degree)).spectrum()
+        factor = None if ends.least is None else self._factor(max(1.0 - ends.least, ends.greatest - 1.0))
+        return Theory(
+            "relaxation: spectral radius of the mean over neighbours, second order if relaxation > 1"
+            " (Golub & Varga 1961)",
+            factor=factor,
+            limit=links.at_rest(potential),
+        )
+
+    def init(self, cells: Cells) -> State:
+        """Potentials ``(n,)`` of this tick and the one before, who is held, what each side told, the pitch."""
+        potential, held = self._start(cells.row, cells.column)
+        sides = cells.has_neighbour.shape
+        return {
+            "potential": potential,
+            "before": potential,
+            "held": held,
+            "told": np.zeros(sides),
+            "counts": np.zeros(sides, dtype=np.int16),
+            "pitch_m": np.full(len(cells), cells.pitch_m),
+        }
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """One relaxation; wheels go by the slope between what cells had in the tick before."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        own, before = state["potential"], state["before"]
+        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
+        told = last_word(inbox.received, counts, inbox.message["potential"], state["told"])
+        heard = counts > 0
+        number = total(heard.astype(np.float64))
+        mean = total(np.where(heard, told, 0.0)) / np.where(number > 0.0, number, 1.0)
+        relaxed = before + self.parameters.relaxation * (mean - before)
+        lowest, highest = self._range()
+        bounded = np.minimum(np.maximum(relaxed, lowest), highest)
+        potential = np.where(state["held"] | (number == 0.0), own, bounded)
+
+        speed = self._speed(across(heard, told, own), state["held"], state["pitch_m"])
+        after = {**state, "potential": potential, "before": own, "told": told, "counts": counts}
+        return after, Outputs(speed, Outbox.to_all(self.message, potential=potential))
+
+    def _start(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[Floats, Bools]:
+        potential = np.zeros(len(row))
+        return potential, lay(self.parameters.held, row, column, potential)
+
+    def _range(self) -> tuple[float, float]:
+        """The least and the greatest potential that is held; 0, at which cells start, among them."""
+        values = [place.value for place in self.parameters.held]
+        return min(*values, 0.0), max(*values, 0.0)
+
+    def _speed(self, faces: Floats, held: Bools, pitch_m: Floats) -> Floats:
+        """Down the slope. A held cell looks to those below it alone: a source feeds them, and a sink stands.
+
+        Less than a billionth of the potentials' range a cell is rounding: at a set speed wheels stand then.
+        """
+        speed, gain = self.parameters.speed_m_s, self.parameters.gain_m2_s
+        further = np.maximum(faces, 0.0) if gain is not None and gain < 0.0 else np.minimum(faces, 0.0)
+        slope = gradient(np.where(held[:, None], further, faces), pitch_m)
+        if speed is None:
+            return slope * (0.0 if gain is None else -gain)
+        lowest, highest = self._range()
+        steep = np.sqrt(slope[:, 0] * slope[:, 0] + slope[:, 1] * slope[:, 1])
+        runs = steep > 1e-9 * (highest - lowest) / pitch_m
+        return np.where(runs[:, None], slope * (-speed / np.where(runs, steep, 1.0))[:, None], 0.0)
+
+    def _factor(self, radius: float) -> float:
+        """By which the slowest error shrinks: the greater root of ``z^2 - w rho z + w - 1``."""
+        w = self.parameters.relaxation
+        apart = w * w * radius * radius - 4.0 * (w - 1.0)
+        return float(np.sqrt(w - 1.0)) if apart < 0.0 else float(w * radius + np.sqrt(apart)) / 2.0

@@ -1,0 +1,132 @@
+"""All cells agree on a leader: the one of the highest rank."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bus.lattice import Lattice
+from cell_firmware.errors import ParametersError, Problem
+from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.places import Place, lay, misplaced
+from cell_firmware.reach import leaders, steps_from
+from cell_firmware.specs import Spec, Vector
+from cell_firmware.theory import Theory
+
+Rank = Annotated[int, Field(ge=-(2**31), lt=2**31)]
+
+_PLACES: Final = 1 << 16
+"""Rows and columns that a key has room for."""
+
+
+class Ranked(Place):
+    """Cells, and a rank for each of them."""
+
+    rank: Rank
+
+    @property
+    def amount(self) -> int:
+        """What each of them gets."""
+        return self.rank
+
+
+class MaxConsensusParameters(Spec):
+    """Who ranks how high, and for how long a leader's word is good."""
+
+    rank: Rank = 0
+    """Of every cell, unless ``ranks`` names it. Among equals the highest row leads, then the highest column."""
+    ranks: tuple[Ranked, ...] = ()
+    """Cells that rank otherwise."""
+    lifetime: Annotated[int, Field(ge=1, le=65_534)] = 1_000
+    """For how many periods a leader's word is good: longer than the way through the array takes."""
+    speed_m_s: Vector = (0.0, 0.0)
+    """At which the leader's wheels run; those of the others stand."""
+
+
+@final
+class MaxConsensus(Firmware):
+    """Leader election by flooding: the greatest key wins, and words of a leader that is gone die out.
+
+    A cell's key is its rank, row and column. In every tick it takes the greatest key of its own, which is of age 0,
+    the one that it has, and those that its neighbours told, all a tick older than they were; of the same key the
+    youngest. It tells key and age. A key older than ``lifetime`` is dropped.
+
+    After as many ticks as a cell is steps from the leader it knows it, and nothing changes any more. A word that gets
+    lost comes a tick later. When the leader dies no word of it is younger than the youngest was a tick ago: after
+    ``lifetime + 1`` ticks, or that times 1 + d where messages take d ticks longer, no cell has one, and the next
+    leader's has spread after as many ticks more as it is steps away.
+
+    Source: Lynch, *Distributed Algorithms*, Morgan Kaufmann 1996, ch. 4.1 (FloodMax); ages as in the lifetimes of
+    link-state routing, RFC 2328.
+    """
+
+    Parameters = MaxConsensusParameters
+    message = np.dtype([("key", "<i8"), ("age", "<u2")])
+    observed = "leader"
+
+    def check(self, lattice: Lattice) -> None:
+        """Every place that is named must exist, no cell be named twice, and keys have room for all."""
+        problems = misplaced(lattice, {"ranks": self.parameters.ranks})
+        if max(lattice.rows.max(), lattice.columns.max()) >= _PLACES:
+            problems += (Problem((), f"rows and columns must be below {_PLACES}"),)
+        if problems:
+            raise ParametersError("max_consensus", problems)
+
+    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+        """A lifetime that is shorter than the leader's word takes."""
+        lifetime = self.parameters.lifetime
+        if lifetime >= len(lattice):
+            return ()
+        steps = steps_from(lattice, self._leaders(lattice))
+        beyond = int((steps > lifetime).sum())
+        if not beyond:
+            return ()
+        late = f"lifetime {lifetime} is shorter than the leader's word takes, {steps.max()} ticks"
+        return (f"{late}: {beyond} cells that are further away never keep it, and follow others",)
+
+    def theory(self, lattice: Lattice) -> Theory:
+        """Done after as many ticks as the furthest cell is steps from its leader."""
+        leader = self._leaders(lattice)
+        return Theory(
+            "flooding: a cell knows the leader after as many ticks as it is steps away (Lynch 1996, ch. 4.1)",
+            ticks=int(steps_from(lattice, leader).max()),
+            limit=np.stack((lattice.rows[leader], lattice.columns[leader]), axis=1),
+        )
+
+    def init(self, cells: Cells) -> State:
+        """Each cell's own key, and the greatest that it knows with its age: ``(n,)``, its own."""
+        key = self._keys(cells.row, cells.column)
+        leader = np.stack((cells.row, cells.column), axis=1)
+        return {"own": key, "key": key, "age": np.zeros(len(cells), dtype=np.int64), "leader": leader}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """The greatest key that is still good, and the youngest word of it."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        key, age = state["own"], np.zeros(len(state["own"]), dtype=np.int64)
+        heard = [(state["key"], state["age"] + 1, np.ones(len(key), dtype=np.bool_))]
+        for side in range(4):
+            message = inbox.message[:, side]
+            heard.append((message["key"], message["age"].astype(np.int64) + 1, inbox.received[:, side]))
+        for other, old, said in heard:
+            good = said & (old <= self.parameters.lifetime)
+            better = good & ((other > key) | ((other == key) & (old < age)))
+            key, age = np.where(better, other, key), np.where(better, old, age)
+
+        place = key % (1 << 32)
+        leader = np.stack((place // _PLACES, place % _PLACES), axis=1)
+        speed = np.where((key == state["own"])[:, None], np.array(self.parameters.speed_m_s), 0.0)
+        outbox = Outbox.to_all(self.message, key=key, age=age)
+        return {**state, "key": key, "age": age, "leader": leader}, Outputs(speed, outbox)
+
+    def _keys(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int64]:
+        rank = np.full(len(row), self.parameters.rank, dtype=np.int64)
+        lay(self.parameters.ranks, row, column, rank)
+        return (rank << 32) + row * _PLACES + column
+
+    def _leaders(self, lattice: Lattice) -> NDArray[np.int64]:
+        """``(n,)``: the cell that each comes to follow, by index."""
+        return leaders(lattice, self._keys(lattice.rows, lattice.columns))
