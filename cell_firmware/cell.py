@@ -131,9 +131,9 @@ class PerCell(Firmware):
         """Asks the firmware."""
         self.firmware.check(lattice)
 
-    def check_places(self, lattice: Lattice, position_m: Floats) -> None:
+    def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """Asks the firmware."""
-        self.firmware.check_places(lattice, position_m)
+        self.firmware.check_places(lattice, position_m, pitch_m)
 
     def needed(self) -> tuple[str, ...]:
         """Asks the firmware."""

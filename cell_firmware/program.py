@@ -41,17 +41,18 @@ class Program:
         """
         del lattice
 
-    def check_places(self, lattice: Lattice, position_m: NDArray[np.float64]) -> None:
+    def check_places(self, lattice: Lattice, position_m: NDArray[np.float64], pitch_m: float) -> None:
         """The same for parameters that do not fit where the cells are.
 
         Args:
             lattice: The cells.
             position_m: ``(n, 2)``, centre of each, m.
+            pitch_m: Distance of neighbouring cells, m.
 
         Raises:
             ParametersError: They do not.
         """
-        del lattice, position_m
+        del lattice, position_m, pitch_m
 
     def needed(self) -> tuple[str, ...]:
         """Effects without which its parameters ask for what no cell of the scene has."""

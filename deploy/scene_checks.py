@@ -115,7 +115,7 @@ def _firmware_problems(
         if array is not None:
             lattice = array.lattice()
             firmware.check(lattice)
-            firmware.check_places(lattice, CellArray(array).positions_m)
+            firmware.check_places(lattice, CellArray(array).positions_m, array.pitch_m)
     except ParametersError as error:
         return [Problem((*_PARAMETERS, *p.path), p.message, p.value) for p in error.problems]
     except FirmwareError as error:

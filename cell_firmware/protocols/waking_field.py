@@ -35,8 +35,9 @@ class WakingField(Firmware):
     Parameters = WakingFieldParameters
     message = np.dtype([("level", "u1")])
 
-    def check_places(self, lattice: Lattice, position_m: Floats) -> None:
+    def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """The field must be a number at every cell."""
+        del pitch_m
         self.parameters.field.check_places("waking_field", lattice, position_m)
 
     def init(self, cells: Cells) -> State:

@@ -1,0 +1,344 @@
+"""Vehicles of wheels: cells under a parcel and just ahead of it carry it along a journey, and hand it on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bus.lattice import Lattice
+from cell_firmware.errors import ParametersError, Problem
+from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inbox, Inputs, Outbox, Outputs, State
+from cell_firmware.journey import Journey, Leg, Reference, at_all
+from cell_firmware.rotation import direction
+from cell_firmware.specs import Finite, NotNegative, Positive, Spec, Vector
+from cell_firmware.theory import Theory
+
+Integers = NDArray[np.int64]
+
+NONE, CARRIES, GIVES_WAY, WAITS, ARRIVED = range(5)
+"""What ``state`` says of the vehicle that a cell belongs to."""
+_MOST_HOPS: Final = 255
+_LONGEST: Final = 2**31
+
+
+class Vehicle(Spec):
+    """One vehicle: where it begins, how large and fast it is, and where it goes."""
+
+    start_m: Vector
+    """Its reference at first: where its parcel's centre of mass should be."""
+    angle_rad: Finite = 0.0
+    """And how it is turned."""
+    radius_m: Positive
+    """Of a circle about the reference in which its parcel stays."""
+    speed_m_s: Positive = 0.1
+    """Of the reference, where it moves."""
+    turn_rate_rad_s: Positive = 0.5
+    """Of the reference, where it turns."""
+    legs: Annotated[tuple[Leg, ...], Field(min_length=1, max_length=1_000)]
+    """Its journey."""
+    laps: Annotated[int, Field(ge=1, le=1_000)] = 1
+    """How often it goes through its legs."""
+
+    def journey(self) -> Journey:
+        """Where its reference is after a time."""
+        legs = self.legs * self.laps
+        return Journey((*self.start_m, self.angle_rad), legs, self.speed_m_s, self.turn_rate_rad_s)
+
+
+class VirtualVehicleParameters(Spec):
+    """The vehicles, and how they hold what they carry."""
+
+    vehicles: Annotated[tuple[Vehicle, ...], Field(min_length=1, max_length=100)]
+    ahead: Annotated[int, Field(ge=1, le=20)] = 1
+    """How many cells from one that senses the parcel wheels turn too, and how many pitches wider than its radius a
+    vehicle is."""
+    patience: Annotated[int, Field(ge=1, le=1_000)] = 4
+    """For how many periods a neighbour's word counts."""
+    centring_per_s: tuple[NotNegative, NotNegative] = (0.5, 1.5)
+    """Speed towards the reference by distance from it, along its own axes: unequal, they turn a long parcel along the
+    weaker."""
+    hold_m: Positive | None = None
+    """A vehicle goes on while a cell as near to its reference senses the parcel; 1.5 pitches if left out."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Words:
+    """What cells believe of the vehicles: arrays ``(n, vehicles)``, or ``(n,)`` of each cell's own.
+
+    Attributes:
+        periods: The record: for how many periods the journey has gone on; -1 where it was never heard of.
+        reference: Where that is.
+        dx: The cell's place from the reference, m.
+        dy: m.
+        depth: How deep it lies in the vehicle's circle, m.
+        core: Whether it holds the record and paces it.
+        hops: What is told within the vehicle goes so far, at most.
+        life: Hops within which the core is still believed to be; 0: it isn't.
+        heard: For how many periods its cells next to this one count as there.
+        halted: Whether they say that it gives way.
+    """
+
+    periods: Integers
+    reference: Reference
+    dx: Floats
+    dy: Floats
+    depth: Floats
+    core: Bools
+    hops: Integers
+    life: Integers
+    heard: Integers
+    halted: Bools
+
+
+@final
+class VirtualVehicle(Firmware):
+    """A vehicle is a record that goes with its parcel from cell to cell.
+
+    The record is a whole number: for how many periods the vehicle has been on its journey, from which every cell works
+    out the reference pose. Cells near the reference (the core) that sense a parcel add one each period; all take over
+    the greatest number that a neighbour tells. So there is one pace, that of the core, and where no cell of the core
+    senses a parcel the vehicle waits.
+
+    A cell belongs to the vehicle in whose circle it lies deepest, of those that it has heard of and whose core still
+    gives signs of life (a number that falls by one a hop). It drives a rigid motion and draws to the reference,
+
+        V = U + w J d - R diag(kx, ky) R' d        d its place from the reference, R the reference's angle
+
+    while a parcel is sensed within ``ahead`` cells. For a parcel under which all wheels turn, the mean of the linear
+    field over its supports is the field at its centre of mass, whatever the supports (docs/dynamics.md): with e its
+    distance from the reference, ``e'' = -mu g (K e + e') - d/dt U``, K = R diag(kx, ky) R'.
+
+    Vehicles whose circles, wider by ``ahead`` pitches, meet: cells that hear of both tell, and the word goes from
+    hop to hop. The one named later gives way, if it is on its way towards the other; the one named first
+    only where circles without that margin come within a pitch.
+
+    Source: the idea is the demonstration of Luntz, Messner and Choset (parcels moved and turned independently by the
+    cells that happen to be under them); the protocol is ours.
+    """
+
+    Parameters = VirtualVehicleParameters
+    message = np.dtype(
+        [("vehicle", "u1"), ("periods", "<u4"), ("level", "u1"), ("life", "u1"), ("halt", "u1")]
+    )
+    observed = "speed_m_s"
+
+    def __init__(self, parameters: VirtualVehicleParameters) -> None:
+        super().__init__(parameters)
+        self._journeys = tuple(vehicle.journey() for vehicle in parameters.vehicles)
+        self._radius_m: Floats = np.array([vehicle.radius_m for vehicle in parameters.vehicles])
+        self._numbers: Integers = np.arange(1, len(self._journeys) + 1)
+
+    def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
+        """A journey must not lead where no cell could hold the record, nor two vehicles begin at one place."""
+        del lattice
+        parameters: VirtualVehicleParameters = self.parameters
+        problems: list[Problem] = []
+        for v, (vehicle, journey) in enumerate(zip(parameters.vehicles, self._journeys, strict=True)):
+            bare = _bare(journey, vehicle.speed_m_s, position_m, self._hold_m(pitch_m), pitch_m)
+            if bare is not None:
+                rule = f"leads to ({bare[0]:.4g}, {bare[1]:.4g}) m, where no cell is near enough to hold it"
+                problems.append(Problem(("vehicles", v), rule, list(vehicle.start_m)))
+            for other in range(v):
+                way = np.subtract(vehicle.start_m, parameters.vehicles[other].start_m)
+                if np.sqrt((way * way).sum()) < vehicle.radius_m + parameters.vehicles[other].radius_m:
+                    rule = f"begins within the circle of vehicles[{other}]"
+                    problems.append(Problem(("vehicles", v), rule, list(vehicle.start_m)))
+        if problems:
+            raise ParametersError("virtual_vehicle", tuple(problems))
+
+    def theory(self, lattice: Lattice) -> Theory | None:
+        """How long the journeys are, where nothing holds them up."""
+        del lattice
+        seconds = ", ".join(f"{journey.duration_s:.4g}" for journey in self._journeys)
+        return Theory(
+            f"journeys of {seconds} s of nominal periods, and a period more for each time they are handed on"
+        )
+
+    def init(self, cells: Cells) -> State:
+        """Who belongs to a vehicle at first; nothing heard, nothing sensed."""
+        n, vehicles = len(cells), self.parameters.vehicles
+        start: Floats = np.array([vehicle.start_m for vehicle in vehicles])
+        dx, dy = cells.position_m[:, 0, None] - start[:, 0], cells.position_m[:, 1, None] - start[:, 1]
+        within = np.sqrt(dx * dx + dy * dy) <= self._radius_m + self.parameters.ahead * cells.pitch_m
+        sides = {
+            f"told_{name}": np.zeros((n, 4), dtype=np.int64) for name in ("vehicle", "level", "life", "halt")
+        }
+        return {
+            "position_m": cells.position_m,
+            "pitch_m": np.full(n, cells.pitch_m),
+            "period_s": np.full(n, cells.period_s),
+            "periods": np.where(within, 0, -1),
+            "heard": np.zeros((n, len(vehicles)), dtype=np.int64),
+            **sides,
+            "counts": np.zeros((n, 4), dtype=np.int64),
+            "vehicle": np.zeros(n, dtype=np.int64),
+            "advances": np.zeros(n, dtype=np.bool_),
+            "idle": np.zeros(n, dtype=np.int64),
+            "state": np.zeros(n, dtype=np.int64),
+            "speed_m_s": np.zeros((n, 2)),
+        }
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """Hear of vehicles, belong to one, drive its motion, tell the neighbours."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        here: Bools = inputs.presence.any(axis=1)
+        told = self._told(state, inbox)
+        words = self._words(state, told, inbox)
+        own = _own(words)
+        mine: _Words = _picked(words, np.maximum(own - 1, 0))
+        level = _spread(told, own, "level", here, self.parameters.ahead + 1)
+        conflict = self._conflict(words, mine, own, state["pitch_m"])
+        halt = _spread(told, own, "halt", conflict, mine.hops)
+
+        before = _picked(state["periods"], np.maximum(own - 1, 0))
+        idle = np.where((own == 0) | (mine.periods > before), 0, np.minimum(state["idle"] + 1, _LONGEST))
+        speed = self._speed(mine, (own > 0) & (level > 0), halt == 0)
+        said = {"vehicle": own, "periods": mine.periods, "level": level, "life": mine.life, "halt": halt}
+        after = {
+            **state,
+            **told,
+            "periods": words.periods,
+            "heard": words.heard,
+            "vehicle": own,
+            "advances": mine.core & (own > 0) & here & (halt == 0) & ~mine.reference.ended,
+            "idle": idle,
+            "state": self._state(own, mine, halt, idle),
+            "speed_m_s": speed,
+        }
+        return after, Outputs(speed, self._outbox(said, words, inbox))
+
+    # --- what is heard ----------------------------------------------------------------------------
+
+    def _told(self, state: State, inbox: Inbox) -> dict[str, Integers]:
+        """What each side told last, where that still counts; else nothing."""
+        counts = np.where(inbox.received, self.parameters.patience, np.maximum(state["counts"] - 1, 0))
+        told = {
+            f"told_{name}": np.where(
+                inbox.received, inbox.message[name], np.where(counts > 0, state[f"told_{name}"], 0)
+            )
+            for name in ("vehicle", "level", "life", "halt")
+        }
+        return {**told, "counts": counts}
+
+    def _words(self, state: State, told: Mapping[str, Integers], inbox: Inbox) -> _Words:
+        """What there is to say of every vehicle after what came in."""
+        pitch_m = state["pitch_m"][:, None]
+        come = np.where(inbox.received, inbox.message["vehicle"], 0)[:, :, None] == self._numbers
+        heard = np.where(come, inbox.message["periods"].astype(np.int64)[:, :, None], -1).max(axis=1)
+        advances = state["advances"][:, None] & (state["vehicle"][:, None] == self._numbers)
+        periods = np.maximum(state["periods"] + advances, heard)
+
+        reference = at_all(self._journeys, np.maximum(periods, 0) * state["period_s"][:, None])
+        place = state["position_m"]
+        dx, dy = place[:, 0, None] - reference.x, place[:, 1, None] - reference.y
+        distance = np.sqrt(dx * dx + dy * dy)
+        core = (periods >= 0) & (distance <= self._hold_m(pitch_m))
+        outer_m = self._radius_m + self.parameters.ahead * pitch_m
+        hops = np.minimum(2.0 * np.ceil(2.0 * outer_m / pitch_m), _MOST_HOPS).astype(np.int64)
+
+        says = (told["told_vehicle"][:, :, None] == self._numbers) & (told["told_life"] > 0)[:, :, None]
+        nearest: Integers = np.where(says, told["told_life"][:, :, None], 0).max(axis=1)
+        life = np.where(core, hops, np.maximum(nearest - 1, 0))
+        still = np.where(says.any(axis=1), self.parameters.patience, np.maximum(state["heard"] - 1, 0))
+        halted = (says & (told["told_halt"] > 0)[:, :, None]).any(axis=1)
+        return _Words(periods, reference, dx, dy, outer_m - distance, core, hops, life, still, halted)
+
+    # --- what is done -----------------------------------------------------------------------------
+
+    def _conflict(self, words: _Words, mine: _Words, own: Integers, pitch_m: Floats) -> Bools:
+        """Whether a cell knows of a vehicle to which its own must give way."""
+        here, there = mine.reference, words.reference
+        way_x, way_y = there.x - here.x[:, None], there.y - here.y[:, None]
+        apart = np.sqrt(way_x * way_x + way_y * way_y)
+        towards = here.vx[:, None] * way_x + here.vy[:, None] * way_y > 0.0
+        radii = self._radius_m + self._radius_m[np.maximum(own - 1, 0)][:, None]
+        margin = pitch_m[:, None] * np.array([1.0, 2.0 * self.parameters.ahead])
+        first = (self._numbers < own[:, None]) & ~words.halted
+        close = (apart < radii + margin[:, :1]) | (first & (apart < radii + margin[:, 1:]))
+        others = (own > 0)[:, None] & (self._numbers != own[:, None]) & (words.heard > 0)
+        found: Bools = (others & towards & close).any(axis=1)
+        return found
+
+    def _speed(self, mine: _Words, turns: Bools, goes: Bools) -> Floats:
+        """The field of the vehicle's motion at the cell, ``(n, 2)`` m/s; 0 where wheels stand."""
+        reference = mine.reference
+        cosine, sine = direction(reference.angle)
+        along, across = cosine * mine.dx + sine * mine.dy, cosine * mine.dy - sine * mine.dx
+        kx, ky = self.parameters.centring_per_s
+        back_x, back_y = kx * along, ky * across
+        vx = np.where(goes, reference.vx - reference.turning * mine.dy, 0.0)
+        vy = np.where(goes, reference.vy + reference.turning * mine.dx, 0.0)
+        speed = np.stack(
+            (vx - (cosine * back_x - sine * back_y), vy - (sine * back_x + cosine * back_y)), axis=1
+        )
+        return np.where(turns[:, None], speed, 0.0)
+
+    def _state(self, own: Integers, mine: _Words, halt: Integers, idle: Integers) -> Integers:
+        """A word for people: what becomes of the vehicle."""
+        found = np.where(idle > self.parameters.patience, WAITS, CARRIES)
+        found = np.where(halt > 0, GIVES_WAY, found)
+        return np.where(own == 0, NONE, np.where(mine.reference.ended, ARRIVED, found))
+
+    def _outbox(self, said: Mapping[str, Integers], words: _Words, inbox: Inbox) -> Outbox:
+        """The record to all sides; to one that tells an older record of another vehicle, the newer."""
+        message = self.message
+        assert message is not None
+        outbox = Outbox.empty(len(said["vehicle"]), message)
+        for name, values in said.items():
+            outbox.message[name] = values[:, None]
+        outbox.sent[:] = said["vehicle"][:, None] > 0
+        vehicle = np.where(inbox.received, inbox.message["vehicle"], 0).astype(np.int64)
+        known = np.take_along_axis(words.periods, np.maximum(vehicle - 1, 0), axis=1)
+        behind = (vehicle > 0) & (vehicle != said["vehicle"][:, None]) & (inbox.message["periods"] < known)
+        corrected = np.zeros(behind.shape, dtype=outbox.message.dtype)
+        corrected["vehicle"], corrected["periods"] = vehicle, np.maximum(known, 0)
+        return Outbox(outbox.sent | behind, np.where(behind, corrected, outbox.message))
+
+    def _hold_m(self, pitch_m: Any) -> Any:
+        """How far from the reference a cell paces the vehicle, m."""
+        given: float | None = self.parameters.hold_m
+        return 1.5 * pitch_m if given is None else given
+
+
+def _own(words: _Words) -> Integers:
+    """The vehicle that each cell belongs to, from 1; 0 for none: the one in whose circle it lies deepest."""
+    alive = (words.periods >= 0) & (words.life > 0) & (words.depth >= 0.0)
+    depth = np.where(alive, words.depth, -1.0)
+    deepest = depth.argmax(axis=1)
+    return np.where(_picked(alive, deepest), deepest + 1, 0)
+
+
+def _spread(
+    told: Mapping[str, Integers], own: Integers, what: str, source: Bools, most: Integers | int
+) -> Integers:
+    """A number that is ``most`` at its sources and one less each hop, among cells of one vehicle."""
+    same = (told["told_vehicle"] == own[:, None]) & (own > 0)[:, None]
+    highest = np.where(same, told[f"told_{what}"], 0).max(axis=1)
+    return np.where(source, most, np.maximum(highest - 1, 0))
+
+
+def _picked(item: Any, index: Integers) -> Any:
+    """Of an array ``(n, vehicles)``, or a structure of them, the one that each cell's index says."""
+    if isinstance(item, np.ndarray):
+        return np.take_along_axis(item, index[:, None], axis=1)[:, 0]  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    return type(item)(*(_picked(getattr(item, part.name), index) for part in fields(item)))
+
+
+def _bare(
+    journey: Journey, speed_m_s: float, position_m: Floats, hold_m: float, pitch_m: float
+) -> tuple[float, float] | None:
+    """The first place of a journey without a cell near enough to hold the record."""
+    steps = int(journey.duration_s * speed_m_s / (0.1 * pitch_m)) + 2
+    way = journey.at(np.linspace(0.0, journey.duration_s, steps))
+    for x, y in zip(way.x.tolist(), way.y.tolist(), strict=True):
+        dx, dy = position_m[:, 0] - x, position_m[:, 1] - y
+        if not (dx * dx + dy * dy <= hold_m * hold_m).any():
+            return x, y
+    return None
