@@ -13,7 +13,7 @@ from cell_firmware.estimation.leading import FIELDS, SHOWN, UNKNOWN, EstimatorPa
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Outbox, State, picked, put
 
 MESSAGE: Final = np.dtype([*group.FIELDS, *pattern.FIELDS, *FIELDS])
-"""What cells tell their neighbours: 47 bytes."""
+"""What cells tell their neighbours: 95 bytes."""
 _GROUP: Final = np.dtype(group.FIELDS)
 
 
@@ -45,10 +45,11 @@ class Estimate:
 class Estimator:
     """Finds the group, gathers the pattern of its sensors, follows the parcel, and tells everybody in the group.
 
-    Cells that sense a parcel, and those up to ``HALO`` links around them, form a tree whose root is the one with the
-    least row, then column, that senses it. Up the tree goes the pattern, in slices; down goes the pose that the leader
-    makes of it. Everybody moves the pose on by itself from period to period, so that it is of now and not of when it
-    was told, and goes on so for ``memory`` periods when nothing more is told: a new leader begins with it.
+    Cells that sense a parcel, and those up to ``halo`` links around them, form a tree. Its root, the leader, senses the
+    parcel: it is who leads already, or else has the least row, then column. Up the tree goes the pattern; down goes
+    the pose that the leader makes of it. Everybody moves the pose on by itself from period to period, so that it is of
+    now and not of when it was told, and goes on so for ``memory`` periods when nothing more is told: a new leader
+    begins with it.
 
     Args:
         parameters: The protocol's.
@@ -65,7 +66,7 @@ class Estimator:
 
     def init(self, cells: Cells) -> State:
         """What cells remember; nothing is known."""
-        n, slices = len(cells), pattern.BANDS * cells.sensors
+        n, words = len(cells), (cells.sensors, pattern.WORDS)
         nothing, nobody = np.zeros(n, dtype=np.int64), np.full(n, group.NOBODY)
         site = np.concatenate(([cells.pitch_m, cells.period_s], cells.sensors_m.ravel()))
         return {
@@ -81,10 +82,10 @@ class Estimator:
             "parent": np.full(n, group.ROOT),
             "barred": nobody,
             "bar": nothing,
-            "heard_known": np.zeros((n, 4, slices), dtype=np.uint64),
-            "heard_covered": np.zeros((n, 4, slices), dtype=np.uint64),
-            "sent_known": np.zeros((n, slices), dtype=np.uint64),
-            "sent_covered": np.zeros((n, slices), dtype=np.uint64),
+            "heard_known": np.zeros((n, 4, *words), dtype=np.uint64),
+            "heard_covered": np.zeros((n, 4, *words), dtype=np.uint64),
+            "sent_known": np.zeros((n, *words), dtype=np.uint64),
+            "sent_covered": np.zeros((n, *words), dtype=np.uint64),
             "turn": nothing,
             "leads": np.zeros(n, dtype=np.bool_),
             "covered": np.zeros(n, dtype=np.bool_),
@@ -96,7 +97,7 @@ class Estimator:
             "age": np.full(n, UNKNOWN),
             "young": nothing,
             "strange": nothing,
-            "spread": np.zeros((n, 6, 6)),
+            "spread": np.zeros((n, 3, 3)),
         }
 
     def step(self, state: State, inputs: Inputs, command: Floats) -> tuple[State, Outbox]:
@@ -156,7 +157,7 @@ class Estimator:
         mine = pattern.own(state["row"], state["column"], inputs.presence, place.level > 0)
         whole = pattern.gathered(mine, theirs, group.children(place, told, heard))
         sent = pattern.Map(state["sent_known"], state["sent_covered"])
-        turn = pattern.next_slice(whole, sent, state["turn"])
+        turn = pattern.next_sensor(whole, sent, state["turn"])
         sent = pattern.noted(sent, whole, turn)
 
         views = self._pose(state, place, inbox, whole, command)
@@ -177,7 +178,7 @@ class Estimator:
     def _place(self, state: State, covered: Bools, told: NDArray[Any], heard: Bools) -> group.Place:
         before = group.Place(*(state[name] for name in group.Place._fields))
         level = group.levels(covered, told, heard, self._halo)
-        own = group.keys(state["row"], state["column"])
+        own = group.keys(state["row"], state["column"], state["leads"])
         return group.elect(own, covered, level, told, heard, before, self._patience + 2)
 
     def _pose(
@@ -192,13 +193,13 @@ class Estimator:
         views = followed(state, place, inbox, float(state["site"][0, 1]))
         lost = views["age"] > self._memory
         views["age"] = np.where(lost | (place.level == 0), UNKNOWN, views["age"])
-        leads = place.leader == group.keys(state["row"], state["column"])
+        leads = (place.parent == group.ROOT) & (place.leader != group.NOBODY)
         views["leads"] = leads
         rows = np.flatnonzero(leads)
         if len(rows):
             before = {name: picked(array, rows) for name, array in state.items()}
             leader = Leader(self._parameters, state["site"][0])
-            mine = leader.step(before, pattern.Map(whole.known[rows], whole.covered[rows]), command[rows])
+            mine = leader.step(before, whole.take(rows), command[rows])
             for name, new in mine.items():
                 views[name] = views[name].copy() if name in views else state[name].copy()
                 put(views[name], rows, new.astype(views[name].dtype, copy=False))
@@ -209,12 +210,10 @@ def _message(
     place: group.Place, whole: pattern.Map, turn: NDArray[np.int64], views: dict[str, NDArray[Any]]
 ) -> NDArray[Any]:
     """What cells tell, ``(n,)`` of ``MESSAGE``."""
-    every = np.arange(len(turn))
     message = np.zeros(len(turn), dtype=MESSAGE)
     for name in ("level", "leader", "hops", "parent"):
         message[name] = getattr(place, name)
-    message["slice"] = turn
-    message["known"], message["covered"] = whole.known[every, turn], whole.covered[every, turn]
+    pattern.tell(message, whole, turn)
     for name, (array, column) in SHOWN.items():
         message[name] = views[array][:, column]
     message["age"] = views["age"]

@@ -14,6 +14,7 @@ Integers = NDArray[np.int64]
 
 NOBODY: Final = 0xFFFFFFFF
 """Leader of a cell that follows none: above every cell's key."""
+_NEWCOMER: Final = 1 << 31
 ROOT: Final = 4
 """Side of the parent of a cell that leads, or follows nobody."""
 FARTHEST: Final = 40
@@ -42,9 +43,9 @@ class Place(NamedTuple):
     bar: Integers
 
 
-def keys(row: Integers, column: Integers) -> Integers:
-    """What leaders are elected by, ``(n,)``: the least of a group leads it."""
-    return (row & 0xFFFF) << 16 | (column & 0xFFFF)
+def keys(row: Integers, column: Integers, leads: Bools) -> Integers:
+    """What leaders are elected by, ``(n,)``: the least of a group leads. Who leads already is before who does not."""
+    return np.where(leads, 0, _NEWCOMER) | row << 16 | column
 
 
 def levels(covered: Bools, told: NDArray[Any], heard: Bools, halo: int) -> Integers:

@@ -35,7 +35,7 @@ UNKNOWN: Final = 255
 """Age of a pose where there is none."""
 _SETTLE: Final = 16
 """Periods for which a leader who was told nothing gathers the pattern before its first guess."""
-_SMOOTHED: Final = 0.1
+_SMOOTHED: Final = 0.05
 _STRANGE: Final = 0.3
 """Contradiction, in pitches, with which a pose is not believed for long."""
 _STRANGE_PERIODS: Final = 16
@@ -104,26 +104,23 @@ class Leader:
         belief = observer.moved(Belief(pose, spread), command, before["grip"])
         belief, wrong = observer.corrected(belief, sensors)
 
-        young = np.where(new, np.where(old, _SETTLE, 0), np.minimum(before["young"] + 1, _SETTLE))
+        young = np.where(new, 0, np.minimum(before["young"] + 1, _SETTLE))
+        settled = young == _SETTLE
         wrong_here = wrong > _STRANGE * self._pitch_m
         strange = np.where(old & wrong_here, np.where(new, 0, before["strange"]) + 1, 0)
-        begins = (~old & (young == _SETTLE)) | (strange > _STRANGE_PERIODS)
+        begins = (~old & settled) | (strange > _STRANGE_PERIODS)
         belief = self._begun(belief, sensors, np.flatnonzero(begins))
         known = old | begins
 
         foot = footing(self._wheels(before, sensors), belief.pose, observer.half_m(n))
-        fresh = (new | begins)[:, None]
+        share = np.where(settled, np.where(old, _SMOOTHED, 1.0), 0.0)
         return {
             "centre_m": belief.pose.centre_m,
             "direction": belief.pose.direction,
             "motion": belief.pose.motion,
             "spread": belief.spread,
-            "grip": np.where(
-                fresh[:, 0], foot.grip, before["grip"] + _SMOOTHED * (foot.grip - before["grip"])
-            ),
-            "shift_m": np.where(
-                fresh, foot.shift_m, before["shift_m"] + _SMOOTHED * (foot.shift_m - before["shift_m"])
-            ),
+            "grip": before["grip"] + share * (foot.grip - before["grip"]),
+            "shift_m": before["shift_m"] + share[:, None] * (foot.shift_m - before["shift_m"]),
             "age": np.where(known, 0, UNKNOWN),
             "young": young,
             "strange": np.where(begins, 0, strange),

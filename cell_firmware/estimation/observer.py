@@ -18,6 +18,12 @@ _DIRECTIONS: Final = np.stack(
     (np.cos(np.arange(_ANGLES) * np.pi / _ANGLES), np.sin(np.arange(_ANGLES) * np.pi / _ANGLES)), axis=1
 )
 _FARTHEST_TURN_RAD: Final = 0.2
+_DRIFT: Final = 0.1
+"""By how many pitches a guess strays in a second."""
+_PACE_PER_S: Final = 2.0
+"""Velocity that is gained by the metre of correction."""
+_FASTEST_M_S: Final = 2.0
+_FASTEST_RAD_S: Final = 10.0
 
 
 class Belief(NamedTuple):
@@ -25,7 +31,7 @@ class Belief(NamedTuple):
 
     Attributes:
         pose: The best guess.
-        spread: ``(n, 6, 6)``, its covariance: place, angle, velocity, angular velocity; m, rad, s.
+        spread: ``(n, 3, 3)``, its covariance: place, m, and angle, rad.
     """
 
     pose: Pose
@@ -54,18 +60,14 @@ class Observer:
         self, half_m: tuple[float, float], pitch_m: float, period_s: float, response_s: float
     ) -> None:
         self._half_m = np.array(half_m)
-        self._pitch_m = pitch_m
-        self._period_s = period_s
+        self._pitch_m, self._period_s = pitch_m, period_s
         self._rate = period_s / response_s
-        largest = max(half_m)
-        place, angle, speed, spin = (0.4 * pitch_m) ** 2, (0.4 * pitch_m / largest) ** 2, 0.02**2, 0.2**2
-        self.unsure = np.diag([place, place, angle, speed, speed, spin])
+        metric = np.diag([1.0, 1.0, 1.0 / (half_m[0] * half_m[0] + half_m[1] * half_m[1])])
+        self.unsure = (0.4 * pitch_m) ** 2 * metric
         """Spread of a first guess."""
-        self.told = np.diag([place, place, angle, speed, speed, spin]) / 100.0
+        self.told = (0.1 * pitch_m) ** 2 * metric
         """Spread of a guess that another cell has made."""
-        drift = (0.01 * pitch_m) ** 2 * period_s
-        push, twist = 0.05**2 * period_s, (0.05 / largest) ** 2 * period_s
-        self._noise = np.diag([drift, drift, drift / largest**2, push, push, twist])
+        self._drift = (_DRIFT * pitch_m) ** 2 * period_s * metric
         self._fineness = (0.01 * pitch_m) ** 2
 
     def half_m(self, n: int) -> Floats:
@@ -89,16 +91,16 @@ class Observer:
         pose = Pose(
             np.repeat(centre, _ANGLES, axis=0), np.tile(_DIRECTIONS, (n, 1)), np.zeros((n * _ANGLES, 3))
         )
-        belief = Belief(pose, np.broadcast_to(self.unsure, (n * _ANGLES, 6, 6)))
+        belief = Belief(pose, np.broadcast_to(self.unsure, (n * _ANGLES, 3, 3)))
         for _ in range(_FIRST_CORRECTIONS):
             pose = self._corrected(belief, many)[0].pose
-            belief = Belief(pose._replace(motion=np.zeros_like(pose.motion)), belief.spread)
+            belief = Belief(pose, belief.spread)
         wrong = np.maximum(worst(many, belief.pose, self.half_m(n * _ANGLES))[0], 0.0)
         moved = pose.centre_m - np.repeat(centre, _ANGLES, axis=0)
         score = wrong + 0.05 * np.sqrt(moved[:, 0] * moved[:, 0] + moved[:, 1] * moved[:, 1])
         best = score.reshape(n, _ANGLES).argmin(axis=1) + np.arange(n) * _ANGLES
         found = Pose(pose.centre_m[best], pose.direction[best], np.zeros((n, 3)))
-        return Belief(found, np.broadcast_to(self.unsure, (n, 6, 6)).copy()), wrong[best]
+        return Belief(found, np.broadcast_to(self.unsure, (n, 3, 3)).copy()), wrong[best]
 
     def moved(self, belief: Belief, command: Floats, grip: Floats) -> Belief:
         """A period later.
@@ -113,14 +115,7 @@ class Observer:
         centre = pose.centre_m + dt * pose.motion[:, :2]
         direction = turned(pose.direction, dt * pose.motion[:, 2])
         motion = pose.motion + follow * (command - pose.motion)
-        keep = (1.0 - follow)[:, :, None]
-        now = spread.copy()
-        cross = spread[:, :3, 3:] + dt * spread[:, 3:, 3:]
-        now[:, :3, :3] = spread[:, :3, :3] + dt * (cross + spread[:, 3:, :3])
-        now[:, :3, 3:] = keep * cross
-        now[:, 3:, :3] = keep * (spread[:, 3:, :3] + dt * spread[:, 3:, 3:])
-        now[:, 3:, 3:] = keep * keep * spread[:, 3:, 3:]
-        return Belief(Pose(centre, direction, motion), now + self._noise)
+        return Belief(Pose(centre, direction, motion), spread + self._drift)
 
     def corrected(self, belief: Belief, sensors: Sensors) -> tuple[Belief, Floats]:
         """With the worst contradictions resolved, one after another.
@@ -128,14 +123,18 @@ class Observer:
         Returns:
             The belief, and how far the worst sensor contradicted it before, ``(n,)`` m.
         """
-        belief, first = self._corrected(belief, sensors)
-        for _ in range(CORRECTIONS - 1):
-            belief, wrong = self._corrected(belief, sensors)
+        change, first = np.zeros((len(belief.spread), 3)), np.zeros(len(belief.spread))
+        for number in range(CORRECTIONS):
+            belief, more, wrong = self._corrected(belief, sensors)
+            change, first = change + more, np.where(number == 0, np.maximum(wrong, 0.0), first)
             if not (wrong > 0.0).any():
                 break
-        return belief, np.maximum(first, 0.0)
+        limits = (_FASTEST_M_S, _FASTEST_M_S, _FASTEST_RAD_S)
+        motion = np.clip(belief.pose.motion + _PACE_PER_S * change, np.negative(limits), limits)
+        return Belief(belief.pose._replace(motion=motion), belief.spread), first
 
-    def _corrected(self, belief: Belief, sensors: Sensors) -> tuple[Belief, Floats]:
+    def _corrected(self, belief: Belief, sensors: Sensors) -> tuple[Belief, Floats, Floats]:
+        """With the worst contradiction resolved: the belief, what it was changed by, and how bad it was."""
         pose, spread = belief
         wrong, slope = worst(sensors, pose, self.half_m(len(pose.centre_m)))
         any_ = wrong > 0.0
@@ -143,14 +142,20 @@ class Observer:
         carried = (
             spread[:, :, 0] * slope[:, :1] + spread[:, :, 1] * slope[:, 1:2] + spread[:, :, 2] * slope[:, 2:]
         )
+        late = (
+            self._period_s
+            * self._period_s
+            * (pose.motion[:, 0] * pose.motion[:, 0] + pose.motion[:, 1] * pose.motion[:, 1])
+        )
         variance = (
             carried[:, 0] * slope[:, 0] + carried[:, 1] * slope[:, 1] + carried[:, 2] * slope[:, 2]
-        ) + self._fineness
+        ) + (self._fineness + late)
         change = carried * (-error / variance)[:, None]
-        turn = np.minimum(np.maximum(change[:, 2], -_FARTHEST_TURN_RAD), _FARTHEST_TURN_RAD)
-        after = Pose(pose.centre_m + change[:, :2], turned(pose.direction, turn), pose.motion + change[:, 3:])
+        change[:, 2] = np.clip(change[:, 2], -_FARTHEST_TURN_RAD, _FARTHEST_TURN_RAD)
+        after = Pose(pose.centre_m + change[:, :2], turned(pose.direction, change[:, 2]), pose.motion)
         gain = np.where(any_, 1.0 / variance, 0.0)[:, None, None]
-        return Belief(after, spread - carried[:, :, None] * carried[:, None, :] * gain), wrong
+        smaller = spread - carried[:, :, None] * carried[:, None, :] * gain
+        return Belief(after, smaller), change, wrong
 
 
 class Footing(NamedTuple):

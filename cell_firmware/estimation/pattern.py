@@ -1,8 +1,8 @@
-"""The pattern of sensors under a parcel as a map of bits, gathered along a tree a slice at a time.
+"""The pattern of sensors under a parcel as maps of bits, gathered along a tree.
 
-A cell's bits have a place by its row and column modulo 16: whoever reads the map and is in the group knows which cell
-is meant, for no group is wider than that. A *slice* is four rows of one sensor: 64 cells in two words of 64 bits, one
-that says of which cells something is known, one that says which of those sense a parcel.
+A cell's bit has a place by its row and column modulo 16: whoever reads the map and is in the group knows which cell is
+meant, for no group is wider than that. Of each sensor there are two maps, of 256 bits in four words: the cells of which
+something is known, and those of them that sense a parcel there. A message carries both of one sensor.
 """
 
 from __future__ import annotations
@@ -19,77 +19,92 @@ Integers = NDArray[np.int64]
 
 WINDOW: Final = 16
 """Rows and columns of the map."""
-BANDS: Final = 4
-"""Slices of a sensor."""
-FIELDS: Final = [("slice", "u1"), ("known", "<u8"), ("covered", "<u8")]
-"""What a message carries of it: 17 bytes."""
+WORDS: Final = 4
+"""Of a map, each for four rows."""
+_KNOWN: Final = tuple(f"known_{word}" for word in range(WORDS))
+_COVERED: Final = tuple(f"covered_{word}" for word in range(WORDS))
+FIELDS: Final = [("sensor", "u1"), *((name, "<u8") for name in (*_KNOWN, *_COVERED))]
+"""What a message carries of it: 65 bytes."""
 _BITS: Final = np.arange(64, dtype=np.uint64)
 _ONE: Final = np.uint64(1)
 _NONE: Final = np.uint64(0)
 
 
 class Map(NamedTuple):
-    """Maps, ``(..., slices)`` words each."""
+    """Maps of n cells: ``(n, sensors, 4)`` words each, or ``(n, 4, sensors, 4)`` of their neighbours."""
 
     known: Words
     covered: Words
 
+    def take(self, rows: Integers) -> Map:
+        """Those of these cells, in this order."""
+        return Map(self.known[rows], self.covered[rows])
+
 
 def own(row: Integers, column: Integers, presence: Bools, member: Bools) -> Map:
-    """What cells know by themselves, ``(n, slices)``: members of a group their own bits, others nothing."""
-    band = np.where(member, row % WINDOW // BANDS, -1)
-    bit = np.left_shift(_ONE, (row % BANDS * WINDOW + column % WINDOW).astype(np.uint64))
-    here = np.where(np.arange(BANDS) == band[:, None], bit[:, None], _NONE)
-    sensors = range(presence.shape[1])
-    covered = [np.where(presence[:, s, None], here, _NONE) for s in sensors]
-    return Map(np.concatenate([here for _ in sensors], axis=1), np.concatenate(covered, axis=1))
+    """What cells know by themselves: members of a group their own bits, others nothing."""
+    word = np.where(member, row % WINDOW // WORDS, -1)
+    bit = np.left_shift(_ONE, (row % WORDS * WINDOW + column % WINDOW).astype(np.uint64))
+    here = np.where(np.arange(WORDS) == word[:, None], bit[:, None], _NONE)
+    known = np.repeat(here[:, None], presence.shape[1], axis=1)
+    return Map(known, np.where(presence[:, :, None], known, _NONE))
 
 
 def heard(before: Map, told: NDArray[Any], received: Bools, counts: Bools) -> Map:
-    """The neighbours' maps ``(n, 4, slices)`` with the slices that have just come in; nothing of who is silent."""
-    slices = int(before.known.shape[2])
-    slice_: Integers = told["slice"].astype(np.int64)
-    fresh = received[:, :, None] & (slice_[:, :, None] == np.arange(slices))
-    known = np.where(fresh, told["known"][:, :, None], before.known)
-    covered = np.where(fresh, told["covered"][:, :, None], before.covered)
-    listened = counts[:, :, None]
-    return Map(np.where(listened, known, _NONE), np.where(listened, covered, _NONE))
+    """The neighbours' maps with what has just come in; nothing of who is silent."""
+    sensors = int(before.known.shape[2])
+    number: Integers = told["sensor"].astype(np.int64)
+    fresh = (received[:, :, None] & (number[:, :, None] == np.arange(sensors)))[:, :, :, None]
+    listened = counts[:, :, None, None]
+    maps = [
+        np.where(fresh, np.stack([told[name] for name in names], axis=2)[:, :, None], old)
+        for names, old in ((_KNOWN, before.known), (_COVERED, before.covered))
+    ]
+    return Map(np.where(listened, maps[0], _NONE), np.where(listened, maps[1], _NONE))
 
 
 def gathered(mine: Map, theirs: Map, children: Bools) -> Map:
-    """Maps ``(n, slices)``: one's own bits and those of the children."""
-    return Map(_joined(mine[0], theirs[0], children), _joined(mine[1], theirs[1], children))
+    """Maps of one's own bits and those of the children."""
+    return Map(_joined(mine.known, theirs.known, children), _joined(mine.covered, theirs.covered, children))
 
 
 def _joined(mine: Words, theirs: Words, children: Bools) -> Words:
-    of_children = np.where(children[:, :, None], theirs, _NONE)
+    of_children = np.where(children[:, :, None, None], theirs, _NONE)
     return mine | of_children[:, 0] | of_children[:, 1] | of_children[:, 2] | of_children[:, 3]
 
 
-def next_slice(whole: Map, sent: Map, turn: Integers) -> Integers:
-    """Which slice is told next, ``(n,)``: one that has changed since it was told, else the one whose turn it is."""
-    slices = int(whole.known.shape[1])
-    changed = (whole.known != sent.known) | (whole.covered != sent.covered)
-    waits = (np.arange(slices) - turn[:, None]) % slices + np.where(changed, 0, slices)
+def next_sensor(whole: Map, sent: Map, turn: Integers) -> Integers:
+    """Whose maps are told next, ``(n,)``: a sensor's that have changed since, else that whose turn it is."""
+    sensors = int(whole.known.shape[1])
+    changed = ((whole.known != sent.known) | (whole.covered != sent.covered)).any(axis=2)
+    waits = (np.arange(sensors) - turn[:, None]) % sensors + np.where(changed, 0, sensors)
     return waits.argmin(axis=1)
 
 
 def noted(sent: Map, whole: Map, told: Integers) -> Map:
-    """What has been told of each slice, now that one is told."""
-    now = np.arange(int(whole.known.shape[1])) == told[:, None]
+    """What has been told of each sensor, now that one is."""
+    now = (np.arange(int(whole.known.shape[1])) == told[:, None])[:, :, None]
     return Map(np.where(now, whole.known, sent.known), np.where(now, whole.covered, sent.covered))
 
 
+def tell(message: NDArray[Any], whole: Map, told: Integers) -> None:
+    """Put one sensor's maps into messages ``(n,)``."""
+    every = np.arange(len(told))
+    message["sensor"] = told
+    for word in range(WORDS):
+        message[_KNOWN[word]] = whole.known[every, told, word]
+        message[_COVERED[word]] = whole.covered[every, told, word]
+
+
 def unfolded(words: Words, row: Integers, column: Integers) -> Bools:
-    """Maps ``(n, slices)`` as seen from the cells themselves, ``(n, sensors, 16, 16)``: their own place is [8, 8]."""
-    n, slices = words.shape
-    bits = (words[:, :, None] >> _BITS & _ONE).astype(np.bool_)
-    grid = bits.reshape(n, slices // BANDS, WINDOW, WINDOW)
+    """Maps ``(n, sensors, 4)`` as seen from the cells, ``(n, sensors, 16, 16)``: their own place is [8, 8]."""
+    n, sensors = words.shape[:2]
+    bits = (words[:, :, :, None] >> _BITS & _ONE).astype(np.bool_)
     steps = np.arange(WINDOW) - WINDOW // 2
     rows, columns = (row[:, None] + steps) % WINDOW, (column[:, None] + steps) % WINDOW
-    return grid[
+    return bits.reshape(n, sensors, WINDOW, WINDOW)[
         np.arange(n)[:, None, None, None],
-        np.arange(slices // BANDS)[None, :, None, None],
+        np.arange(sensors)[None, :, None, None],
         rows[:, None, :, None],
         columns[:, None, None, :],
     ]
