@@ -1,0 +1,150 @@
+"""Cells turn the parcel over them to an angle and bring it to a place, by an estimate of its pose: a closed loop."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, final
+
+import numpy as np
+from pydantic import Field
+
+from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorParameters
+from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outputs, State
+from cell_firmware.sighting import Sightings
+from cell_firmware.specs import Finite, Positive, Vector
+
+_AGAIN: Final = 2.0
+"""How many times as far off as it may rest a parcel has to be for its cells to start anew."""
+
+
+class AlignParameters(EstimatorParameters):
+    """How the parcel is to lie, and how fast it is brought there."""
+
+    angle_rad: Finite = 0.0
+    """Of the parcel's x axis; which way round is left open."""
+    target_m: Vector | None = None
+    """Where its centre is to come to rest; without, it is turned where it is."""
+    source: Literal["sensors", "camera"] = "sensors"
+    """What tells the pose: the cells' presence sensors and messages, or the scene's camera."""
+    gain_per_s: Positive = 0.5
+    """Speed asked for per distance from the target, and angular speed per sine of the angle that is left."""
+    speed_m_s: Positive = 0.2
+    """Neither the parcel's centre nor, by its turning, a corner is asked to go faster."""
+    rest_m: Positive = 0.003
+    """Wheels stop when the centre is no farther off ..."""
+    rest_rad: Positive = 0.003
+    """... and the angle no more, for ..."""
+    rest_s: Positive = 1.0
+    """... so long; they start anew when either is twice as far off."""
+    patience_s: Annotated[float, Field(gt=0, le=10)] = 0.2
+    """For how long a camera's picture counts."""
+
+
+@final
+class Align(Firmware):
+    """Drives a rigid field about the estimated centre, that turns and shifts the parcel until it lies as asked.
+
+    With c the centre that is believed and e the angle from the parcel's x axis to the target's, less whole half turns,
+    the parcel is asked to move by ``v = gain (target - c)`` and ``omega = gain sin(e)``, slower where that would be
+    faster than allowed, and the wheels at p drive ``v + omega x (p - c) + gain (c + shift - p) near``. Under viscous
+    friction the loads' balance makes that the parcel's own law of motion whichever cells carry it
+    (``sum N_i p_i = W X``, the paper's eq. 5)::
+
+        X'' = mu g (v - X'),   theta'' = (omega - theta') mu sum N_i r_i^2 / I
+
+    The last term, 1 at the target and 0 where the speed limit begins, holds the true centre to the one that is
+    believed; it has no moment, and so no say in the angle. Source: the law is a proportional controller; the estimate
+    is that of ``parcel_estimate``, or the scene's camera (the paper's vision system).
+    """
+
+    Parameters = AlignParameters
+    message = MESSAGE
+    observed = "left"
+
+    def __init__(self, parameters: AlignParameters) -> None:
+        super().__init__(parameters)
+        self._estimator: Estimator | None = None
+        self._sightings: Sightings | None = None
+        if parameters.source == "sensors":
+            self._estimator = Estimator(parameters)
+        else:
+            self.message = None  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
+            self._sightings = Sightings(parameters.size_m, parameters.patience_s)
+        self._target = np.array((np.cos(parameters.angle_rad), np.sin(parameters.angle_rad)))
+        self._corner_m = 0.5 * np.sqrt(parameters.size_m[0] ** 2 + parameters.size_m[1] ** 2)
+
+    def needed(self) -> tuple[str, ...]:
+        """A camera, where that is to tell the pose."""
+        return () if self._sightings is None else ("camera",)
+
+    def subscribes(self) -> bool:
+        """To the camera, where that is to tell the pose."""
+        return self._sightings is not None
+
+    def init(self, cells: Cells) -> State:
+        """What the source remembers; the motion asked for, ``(n, 3)``; distance, m, and sine of the angle left."""
+        n = len(cells)
+        source = self._estimator or self._sightings
+        assert source is not None
+        return {
+            **source.init(cells),
+            "command": np.zeros((n, 3)),
+            "left": np.zeros((n, 2)),
+            "quiet": np.zeros(n, dtype=np.int64),
+            "wait": np.full(n, max(1, round(self.parameters.rest_s / cells.period_s))),
+        }
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """See what there is to do, and do some of it."""
+        after, outbox = state, None
+        if self._estimator is not None:
+            after, outbox = self._estimator.step(state, inputs, state["command"])
+            found = self._estimator.estimate(after)
+            known, centre, direction, shift = found.known, found.centre_m, found.direction, found.shift_m
+        else:
+            assert self._sightings is not None
+            after = self._sightings.step(state, inputs)
+            known, centre, direction = self._sightings.pose(after)
+            shift = np.zeros_like(centre)
+        error, sine = self._error(centre, direction)
+        quiet = self._quiet(state, known, error, sine)
+        moves = known & (quiet < state["wait"])
+        velocity, spin, near = self._asked(error, sine)
+        place = state["position_m"] - centre
+        pull = (self.parameters.gain_per_s * near)[:, None] * (shift - place)
+        turning = spin[:, None] * np.stack((-place[:, 1], place[:, 0]), axis=1)
+        speed = np.where(moves[:, None], velocity + turning + pull, 0.0)
+        command = np.where(moves[:, None], np.concatenate((velocity, spin[:, None]), axis=1), 0.0)
+        own = {"command": command, "left": self._left(error, sine, known), "quiet": quiet}
+        return {**after, **own}, Outputs(speed, outbox)
+
+    def _error(self, centre: Floats, direction: Floats) -> tuple[Floats, Floats]:
+        """``(n, 2)`` m to the target; ``(n,)`` sine of the angle to it, whichever way round is nearer."""
+        target = self.parameters.target_m
+        error = np.zeros_like(centre) if target is None else np.array(target) - centre
+        x, y = self._target
+        along = direction[:, 0] * x + direction[:, 1] * y
+        across = direction[:, 0] * y - direction[:, 1] * x
+        return error, np.where(along < 0.0, -across, across)
+
+    def _quiet(self, state: State, known: Bools, error: Floats, sine: Floats) -> np.ndarray:
+        """``(n,)``: for how many periods the parcel has been where it may rest."""
+        p = self.parameters
+        stands = state["quiet"] >= state["wait"]
+        slack = np.where(stands, _AGAIN, 1.0)
+        square = error[:, 0] * error[:, 0] + error[:, 1] * error[:, 1]
+        there = (square <= (slack * p.rest_m) * (slack * p.rest_m)) & (np.abs(sine) <= slack * p.rest_rad)
+        return np.where(known & there, np.minimum(state["quiet"] + 1, state["wait"]), 0)
+
+    def _asked(self, error: Floats, sine: Floats) -> tuple[Floats, Floats, Floats]:
+        """Velocity ``(n, 2)`` and angular velocity ``(n,)``; 1 at the target to 0 where the speed limit begins."""
+        gain, limit = self.parameters.gain_per_s, self.parameters.speed_m_s
+        asked = gain * error
+        length = np.sqrt(asked[:, 0] * asked[:, 0] + asked[:, 1] * asked[:, 1])
+        slower = np.where(length > limit, limit / np.maximum(length, limit), 1.0)
+        fastest = limit / self._corner_m
+        spin = np.minimum(np.maximum(gain * sine, -fastest), fastest)
+        return asked * slower[:, None], spin, np.maximum(1.0 - length / limit, 0.0)
+
+    def _left(self, error: Floats, sine: Floats, known: Bools) -> Floats:
+        distance = np.sqrt(error[:, 0] * error[:, 0] + error[:, 1] * error[:, 1])
+        return np.where(known[:, None], np.stack((distance, np.abs(sine)), axis=1), 0.0)

@@ -1,0 +1,64 @@
+"""Where the nearest parcel is, by a camera's pictures: what a cell remembers of the last one."""
+
+from __future__ import annotations
+
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.firmware import Bools, Cells, Floats, Inputs, State
+
+_MARGIN: Final = 1.5
+"""Pitches from a parcel's corner beyond which it is none of a cell's business."""
+
+
+@final
+class Sightings:
+    """Picks, of each picture, the parcel whose centre is nearest, if any of it may be over the cell or next to it.
+
+    Args:
+        size_m: Length of the parcels along their x and y.
+        patience_s: For how long a picture counts.
+    """
+
+    def __init__(self, size_m: tuple[float, float], patience_s: float) -> None:
+        self._corner_m = 0.5 * np.sqrt(size_m[0] ** 2 + size_m[1] ** 2)
+        self._patience_s = patience_s
+
+    def init(self, cells: Cells) -> State:
+        """What cells remember; they have seen nothing."""
+        n = len(cells)
+        return {
+            "position_m": cells.position_m,
+            "reach_m": np.full(n, self._corner_m + _MARGIN * cells.pitch_m),
+            "patience": np.full(n, max(1, round(self._patience_s / cells.period_s))),
+            "counts": np.zeros(n, dtype=np.int64),
+            "centre_m": np.zeros((n, 2)),
+            "direction": np.tile((1.0, 0.0), (n, 1)),
+        }
+
+    def step(self, state: State, inputs: Inputs) -> dict[str, NDArray[Any]]:
+        """One control period."""
+        picture, place = inputs.camera, state["position_m"]
+        if picture is None:
+            return {**state, "counts": np.maximum(state["counts"], 1) - 1}
+        if not len(picture.parcel):
+            return {**state, "counts": np.zeros_like(state["counts"])}
+        dx, dy = picture.pose[:, 0] - place[:, :1], picture.pose[:, 1] - place[:, 1:]
+        square = dx * dx + dy * dy
+        nearest = square.argmin(axis=1)
+        close = square[np.arange(len(place)), nearest] <= state["reach_m"] * state["reach_m"]
+        # of each parcel once, not of each cell: a cell alone gets the same bits
+        angle = picture.pose[:, 2]
+        direction = np.array([(np.cos(one), np.sin(one)) for one in angle])
+        return {
+            **state,
+            "counts": np.where(close, state["patience"], 0),
+            "centre_m": picture.pose[nearest, :2],
+            "direction": direction[nearest],
+        }
+
+    def pose(self, state: State) -> tuple[Bools, Floats, Floats]:
+        """``(n,)``: is it known? ``(n, 2)``, its centre; ``(n, 2)``, unit vector along its x."""
+        return state["counts"] > 0, state["centre_m"], state["direction"]
