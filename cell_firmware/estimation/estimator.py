@@ -97,6 +97,7 @@ class Estimator:
             "age": np.full(n, UNKNOWN),
             "young": nothing,
             "strange": nothing,
+            "doubt": nothing,
             "spread": np.zeros((n, 3, 3)),
         }
 

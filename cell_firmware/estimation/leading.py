@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.estimation import pattern
-from cell_firmware.estimation.contour import Pose, Sensors, turned
+from cell_firmware.estimation.contour import Pose, Sensors, turned, worst
 from cell_firmware.estimation.group import Place
 from cell_firmware.estimation.observer import Belief, Observer, footing
 from cell_firmware.firmware import Floats, Inbox, State
@@ -33,12 +33,15 @@ FIELDS: Final = [
 """What cells tell each other of the pose: 23 bytes."""
 UNKNOWN: Final = 255
 """Age of a pose where there is none."""
-_SETTLE: Final = 16
-"""Periods for which a leader who was told nothing gathers the pattern before its first guess."""
+_SETTLE: Final = 8
+"""Periods, and as many more for each sensor of a cell, for which a new leader gathers the pattern: a message has one."""
 _SMOOTHED: Final = 0.05
 _STRANGE: Final = 0.3
 """Contradiction, in pitches, with which a pose is not believed for long."""
 _STRANGE_PERIODS: Final = 16
+_DOUBTFUL: Final = 0.02
+"""Contradiction, in pitches, with which it is asked whether the parcel's sides are mistaken for each other."""
+_DOUBT_PERIODS: Final = 32
 
 
 class EstimatorParameters(Spec):
@@ -83,6 +86,7 @@ class Leader:
         sensors_m = site[2:].reshape(-1, 2)
         half_m = (parameters.size_m[0] / 2.0, parameters.size_m[1] / 2.0)
         self._observer = Observer(half_m, self._pitch_m, period_s, parameters.response_s)
+        self._settle = _SETTLE * (1 + len(sensors_m))
         self._places = pattern.places(sensors_m, self._pitch_m)
         self._cells = pattern.places(np.zeros((1, 2)), self._pitch_m)
         self._age_s: Floats = pattern.hops(len(sensors_m)) * np.float64(period_s)
@@ -104,12 +108,14 @@ class Leader:
         belief = observer.moved(Belief(pose, spread), command, before["grip"])
         belief, wrong = observer.corrected(belief, sensors)
 
-        young = np.where(new, 0, np.minimum(before["young"] + 1, _SETTLE))
-        settled = young == _SETTLE
+        young = np.where(new, 0, np.minimum(before["young"] + 1, self._settle))
+        settled = young == self._settle
         wrong_here = wrong > _STRANGE * self._pitch_m
         strange = np.where(old & wrong_here, np.where(new, 0, before["strange"]) + 1, 0)
         begins = (~old & settled) | (strange > _STRANGE_PERIODS)
         belief = self._begun(belief, sensors, np.flatnonzero(begins))
+        doubt = np.where(old & ~begins & ~new, before["doubt"], 0)
+        belief, doubt = self._doubted(belief, sensors, doubt, np.flatnonzero(old & ~begins & (wrong > 0.0)))
         known = old | begins
 
         foot = footing(self._wheels(before, sensors), belief.pose, observer.half_m(n))
@@ -124,7 +130,37 @@ class Leader:
             "age": np.where(known, 0, UNKNOWN),
             "young": young,
             "strange": np.where(begins, 0, strange),
+            "doubt": doubt,
         }
+
+    def _doubted(
+        self, belief: Belief, sensors: Sensors, doubt: NDArray[np.int64], rows: NDArray[np.int64]
+    ) -> tuple[Belief, NDArray[np.int64]]:
+        """With a quarter of a turn more where that has long contradicted less: sides nearly alike are easily mistaken.
+
+        Args:
+            belief: Corrected by what sensors say.
+            sensors: What they say.
+            doubt: For how many periods, more or less, a quarter of a turn more would have been better.
+            rows: Who is contradicted.
+        """
+        observer, doubt = self._observer, np.maximum(doubt, 1) - 1
+        if not len(rows):
+            return belief, doubt
+        told, half_m = sensors.take(rows), observer.half_m(len(rows))
+        own = Pose(*(array[rows] for array in belief.pose))
+        aside = own._replace(direction=np.stack((-own.direction[:, 1], own.direction[:, 0]), axis=1))
+        spread = np.broadcast_to(observer.told, (len(rows), 3, 3)).copy()
+        other = observer.corrected(Belief(aside, spread), told)[0].pose
+        gain = worst(told, own, half_m)[0] - np.maximum(worst(told, other, half_m)[0], 0.0)
+        counts = doubt[rows] + np.where(gain > _DOUBTFUL * self._pitch_m, 2, 0)
+        turns = counts > _DOUBT_PERIODS
+        pose, found = [array.copy() for array in belief.pose], belief.spread.copy()
+        for array, mine, new in zip(pose, own, other._replace(motion=own.motion), strict=True):
+            array[rows] = np.where(turns[:, None], new, mine)
+        found[rows] = np.where(turns[:, None, None], observer.unsure, found[rows])
+        doubt[rows] = np.where(turns, 0, counts)
+        return Belief(Pose(*pose), found), doubt
 
     def _sensors(self, before: State, whole: pattern.Map) -> Sensors:
         n, place = len(before["row"]), before["position_m"]

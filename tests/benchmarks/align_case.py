@@ -39,7 +39,7 @@ SENSORS_M: dict[int, tuple[tuple[float, float], ...]] = {
     1: ((0.0, 0.0),),
     5: ((0.0, 0.0), (0.04, 0.02), (-0.02, 0.04), (-0.04, -0.02), (0.02, -0.04)),
 }
-"""By their number, where a cell's sensors are: five make a square lattice of 0.1 m / sqrt(5), and no two are in line."""
+"""By their number, where a cell's sensors are: five make a square lattice of 0.1 m / sqrt(5), no two in line."""
 PERIOD_NS = 16_384_000
 
 
