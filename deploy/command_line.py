@@ -28,6 +28,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
 _ALONE = {
     "--realtime": ("1", _NUMBER),
+    "--protocol-report": ("1", re.compile(r"[+-]?\d+")),
     "--registers": ("1", re.compile(r"[+-]?\d+")),
     "--docs": ("docs", re.compile(r"[^-].*")),
 }

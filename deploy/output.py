@@ -18,6 +18,8 @@ from deploy.errors import InputError
 from deploy.interruption import Interrupted, Interruption
 from deploy.overview.picture import FILE_NAME as PICTURE
 from deploy.overview.picture import draw_overview
+from deploy.protocol_report.report import CSV as PROTOCOL_CSV
+from deploy.protocol_report.report import PICTURE as PROTOCOL_PICTURE
 from deploy.recordings.format import Header
 from deploy.summary import FILE_NAME as SUMMARY
 from deploy.summary import ParcelOutcome, Summary
@@ -70,8 +72,8 @@ def output_folder(scene: Scene, wanted: Path | None) -> Path:
 
 
 def _without_last_run(folder: Path) -> Path:
-    """Remove the summary and picture of a run before, which would pass for this one's if it is cut short."""
-    for name in (SUMMARY, PICTURE):
+    """Remove what a run before left beside its recording, which would pass for this one's if it is cut short."""
+    for name in (SUMMARY, PICTURE, PROTOCOL_CSV, PROTOCOL_PICTURE):
         try:
             (folder / name).unlink(missing_ok=True)
         except OSError as error:
@@ -140,9 +142,14 @@ def illustrate(
     Raises:
         DeployError: It can't be written.
     """
+    return drawn(summary, lambda: draw_overview(run(), folder / PICTURE), folder, interruption)
+
+
+def drawn(summary: Summary, draw: Callable[[], None], folder: Path, interruption: Interruption) -> Summary:
+    """Draw a picture of a run; see ``illustrate``, which has one of what to draw."""
     try:
         with interruption.allowed():
-            draw_overview(run(), folder / PICTURE)
+            draw()
     except Interrupted:
         summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
         summary.write(folder)

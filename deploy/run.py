@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, final
@@ -19,7 +19,7 @@ from deploy.errors import DeployError, InputError
 from deploy.faults.schedule import crash_aborts, deaths
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
-from deploy.output import header, illustrate, output_folder, parcel_outcomes, run_name
+from deploy.output import drawn, header, illustrate, output_folder, parcel_outcomes, run_name
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
 from deploy.progress import Progress
@@ -30,6 +30,8 @@ from plant.errors import PlantError, PlantUnstable
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts
+    from deploy.protocol_report.report import ProtocolReport
+    from deploy.protocol_report.reporter import Reporter
     from deploy.scene import Scene
     from plant.plant import Plant
     from plant.process import Ended, PlantProcess, TickRecord
@@ -88,6 +90,7 @@ class _Run:
         self.quiet = quiet
         self.plan = plan(scene, options, run_name(scene, secrets.token_hex(4)))
         self.cautions: tuple[str, ...] = ()
+        self.reporter: Reporter | None = None
         self.digest = Digest(scene.canonical())
         self.status = "ok"
         self.reason: str | None = None
@@ -102,6 +105,7 @@ class _Run:
 
         with self.interruption.allowed():
             self.cautions = cautions_of(self.scene)
+            self.reporter = self._reporter()
         for line in self.cautions:
             self._warn(f"caution: {line}")
         with System(self.plan, self.scene, self.options.listen) as system:
@@ -129,7 +133,9 @@ class _Run:
                 recorder.close(self.status, self.digest.hexdigest)
         summary = self._summary(plant, ledger, folder)
         summary.write(folder)
-        if self.options.picture and self.status != "interrupted":
+        if summary.protocol is not None:
+            summary = self._write_report(summary, summary.protocol, folder)
+        if self.options.picture and summary.status != "interrupted":
             summary = illustrate(summary, lambda: load(folder), folder, self.interruption)
         return Outcome(summary, self.detail)
 
@@ -171,14 +177,22 @@ class _Run:
             if watched:
                 ledger.hung(host.take_hung())
             for shown in host.take_registers():
-                ledger.registers(shown)
+                if registers is not None and shown.tick % registers == 0:
+                    ledger.registers(shown)
+                if reporter is not None:
+                    reporter.take(shown)
+            if reporter is not None:
+                reporter.take_drive(record.tick, record.drives, host.live(record.tick))
             if self.interruption.requested:
                 raise Interrupted
 
         registers, watched = self.options.registers, self.scene.effects.cop is not None
+        reporter = self.reporter
         wanted = () if registers is None else (Wanted(registers),)
+        if reporter is not None:
+            wanted = (*wanted, *reporter.wanted)
         readings = readings_of(self.scene, plant.sense())
-        host = system.start(plant.array, readings, wanted)
+        host = system.start(plant.array, readings, wanted, metered=reporter is not None)
         return PlantProcess(
             plant,
             host,
@@ -237,10 +251,42 @@ class _Run:
             cells_lost=ledger.cells_lost,
             feeders=plant.traffic(),
             cautions=self.cautions,
-            effects={} if counts is None else dict(sorted(counts.tally.items())),
+            effects={} if counts is None else _of_effects(counts.tally),
+            protocol=self._report(ledger),
             digest=self.digest.hexdigest,
             output=str(folder),
         )
+
+    def _reporter(self) -> Reporter | None:
+        """What watches the protocol, where that is asked for."""
+        if self.options.protocol_report is None:
+            return None
+        from deploy.protocol_report.reporter import Reporter
+
+        return Reporter(self.scene, self.plan.partition.lattice, self.options.protocol_report)
+
+    def _report(self, ledger: Ledger) -> ProtocolReport | None:
+        """What the protocol did, where that is asked for."""
+        if self.reporter is None:
+            return None
+        from deploy.protocol_report.reporter import deaths_of
+
+        tally = dict[str, int]() if self.counts is None else self.counts.tally
+        return self.reporter.report(ledger.ticks, deaths_of(ledger.faults), tally)
+
+    def _write_report(self, summary: Summary, report: ProtocolReport, folder: Path) -> Summary:
+        """The report's table, and its picture unless there are to be none."""
+        from deploy.protocol_report.files import write_csv
+        from deploy.protocol_report.picture import draw_protocol
+        from deploy.protocol_report.report import CSV, PICTURE
+
+        assert self.reporter is not None
+        reporter = self.reporter
+        write_csv(reporter.residuals, folder / CSV)
+        if not self.options.picture or self.status == "interrupted":
+            return summary
+        path = folder / PICTURE
+        return drawn(summary, lambda: draw_protocol(reporter, report, path), folder, self.interruption)
 
     def _warn(self, line: str, progress: Progress | None = None) -> None:
         if progress is not None:
@@ -257,6 +303,11 @@ def _firmware(scene: Scene) -> dict[str, str | int]:
     firmware = load(scene.cells)
     size = 0 if firmware.message is None else firmware.message.itemsize
     return {"name": scene.cells.firmware.rpartition("/")[2], "form": firmware.form, "message_bytes": size}
+
+
+def _of_effects(tally: Mapping[str, int]) -> dict[str, int]:
+    """What effects counted; what cells count of their messages is for the protocol's report."""
+    return {name: number for name, number in sorted(tally.items()) if not name.startswith("messages.")}
 
 
 def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:

@@ -7,13 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.files import write_text
 from plant.reports import TrafficCount
+
+if TYPE_CHECKING:
+    from deploy.protocol_report.report import ProtocolReport
 
 FILE_NAME = "summary.json"
 
@@ -88,6 +91,7 @@ class Summary:
         cautions: What the firmware said before the run will go wrong, a line each.
         effects: What effects of the cells did to cells that lived, by ``effect.what``, of all processes that said so:
             one that is killed from outside does not.
+        protocol: What the cells' protocol did, held against theory; None unless asked for.
         digest: See ``deploy/digest.py``; None where there is none.
         output: The folder with everything the run left behind; None where it left nothing.
     """
@@ -113,6 +117,7 @@ class Summary:
     cautions: Sequence[str] = ()
     effects: Mapping[str, int] = field(default_factory=dict[str, int])
     firmware: Mapping[str, str | int] | None = None
+    protocol: ProtocolReport | None = None
     digest: str | None = None
     output: str | None = None
     reason: str | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from math import hypot
 from typing import TYPE_CHECKING, Any
@@ -38,19 +38,24 @@ def print_summary(summary: Summary, console: Console) -> None:
     if summary.reason:
         heading.append(f"  {summary.reason}")
     console.print(heading)
-    console.print(_facts(summary))
+    console.print(_facts(_lines(summary)))
+    if summary.protocol is not None:
+        from deploy.protocol_report.table import report_lines
+
+        console.print("\n[bold]protocol[/bold]")
+        console.print(_facts(report_lines(summary.protocol)))
     if 0 < len(summary.parcels) <= _MANY:
         console.print()
         console.print(_parcels(summary.parcels))
 
 
-def _facts(summary: Summary) -> Table:
+def _facts(lines: Iterable[tuple[str, str]]) -> Table:
     from rich.table import Table
 
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column(overflow="fold")
-    for name, value in _lines(summary):
+    for name, value in lines:
         grid.add_row(name, value)
     return grid
 

@@ -71,6 +71,16 @@ RegistersOption = Annotated[
         "registers and counters of their board.",
     ),
 ]
+ProtocolReportOption = Annotated[
+    int | None,
+    typer.Option(
+        "--protocol-report",
+        rich_help_panel=HOW,
+        metavar="[TICKS]",
+        help="Report what the cells' protocol does: its field's residuals tick by tick (or every so many ticks), their "
+        "rate against theory's, the load on its links; with a table (protocol.csv) and a picture (protocol.png).",
+    ),
+]
 PlanOption = Annotated[
     bool, typer.Option("--plan", rich_help_panel=HOW, help="Print what would be started, and exit.")
 ]
@@ -86,6 +96,7 @@ def run(
     listen: ListenOption = None,
     realtime: RealtimeOption = None,
     registers: RegistersOption = None,
+    protocol_report: ProtocolReportOption = None,
     show_plan: PlanOption = False,
 ) -> None:
     """Run a scene: every cell an agent with its own controller, the plant, and messages between them.
@@ -98,6 +109,10 @@ def run(
       [cyan]mdms run prototype --processes each[/cyan]
       [cyan]mdms run elliptic --duration 12 --realtime[/cyan]
       [cyan]mdms run elliptic --set 'faults=[{ at_s = 1, cell = [9, 9] }]'[/cyan]
+
+    What a protocol's cells come to, how fast, and what theory says of it:
+
+      [cyan]mdms run heat --protocol-report[/cyan]
     """
     scene = asked.load()
     options = RunOptions(
@@ -109,6 +124,7 @@ def run(
         output=asked.output,
         picture=asked.picture,
         registers=registers,
+        protocol_report=protocol_report,
     )
     if show_plan:
         print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)

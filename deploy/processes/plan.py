@@ -43,6 +43,7 @@ class RunOptions:
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
         registers: Record the cells' registers every so many ticks; None: not.
+        protocol_report: Look at the protocol's field every so many ticks, and report; None: not.
     """
 
     processes: Processes | None = None
@@ -53,6 +54,7 @@ class RunOptions:
     output: Path | None = None
     picture: bool = True
     registers: int | None = None
+    protocol_report: int | None = None
 
 
 @final
@@ -140,8 +142,9 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         raise InputError("--listen: the memory transport has no endpoint; leave one of the two out")
     if options.listen is not None and not _ENDPOINT.fullmatch(options.listen):
         raise InputError(f"--listen {options.listen}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
-    if options.registers is not None and options.registers < 1:
-        raise InputError(f"--registers {options.registers}: must be a number of ticks from 1")
+    for name, ticks in (("registers", options.registers), ("protocol-report", options.protocol_report)):
+        if ticks is not None and ticks < 1:
+            raise InputError(f"--{name} {ticks}: must be a number of ticks from 1")
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
         raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
     try:

@@ -1,0 +1,210 @@
+"""What a protocol did in a run, and what theory had said: numbers, and a sentence for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite, log
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.protocol_report.load import LinkLoad
+from deploy.protocol_report.rate import Rate
+from deploy.protocol_report.residuals import CHANGE, DISAGREEMENT, ERROR, Residuals
+from deploy.words import counted
+
+if TYPE_CHECKING:
+    from cell_firmware.theory import Theory
+    from deploy.scene import Scene
+
+CSV, PICTURE = "protocol.csv", "protocol.png"
+_AGREES: Final = 0.05
+"""A rate within this much of theory's agrees with it."""
+_STEADY: Final = 1e-6
+"""A factor within this much of 1 stays as it is."""
+_DISTURBS: Final = ("link_loss", "link_delay", "serial", "clock", "cop", "sensor")
+"""Effects that theory leaves out."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """What became of a residual.
+
+    Attributes:
+        first_rms: Root mean square when it was first known.
+        greatest_rms: In the run.
+        last_rms: In the last tick.
+        last_max: The greatest number in the last tick.
+        settled_1_percent_tick: From when on the root mean square is at most 1 % of the greatest; None if it isn't.
+        settled_1e6_tick: Likewise 1e-6.
+    """
+
+    first_rms: float
+    greatest_rms: float
+    last_rms: float
+    last_max: float
+    settled_1_percent_tick: int | None
+    settled_1e6_tick: int | None
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProtocolReport:
+    """A protocol's run, held against theory.
+
+    Attributes:
+        observed: Its field: a variable of the program, or ``drive`` where the program names none.
+        every_ticks: In every how many ticks it was looked at.
+        ticks: How often it was.
+        cells: That there were at the start.
+        cells_dead: That died.
+        law: What theory says; None if it says nothing.
+        predicted_factor: By which the slowest error shrinks a tick, by theory.
+        predicted_ticks: In which it is done, by theory.
+        residuals: By name, ``change``, ``error``, ``disagreement``: what became of each.
+        rate_of: Whose rate was fitted.
+        rate: The fit; None where there is too little to fit.
+        rate_ratio: The fitted rate (minus the factor's logarithm) by theory's; None without both, or if that stays.
+        last_change_tick: In which the field last changed.
+        verdict: In a sentence, whether it does what theory says.
+        notes: What else to know, a line each.
+        links: What its messages took; None if it sends none.
+    """
+
+    observed: str
+    every_ticks: int
+    ticks: int
+    cells: int
+    cells_dead: int
+    law: str | None
+    predicted_factor: float | None
+    predicted_ticks: int | None
+    residuals: Mapping[str, Course]
+    rate_of: str | None
+    rate: Rate | None
+    rate_ratio: float | None
+    last_change_tick: int
+    verdict: str
+    notes: tuple[str, ...]
+    links: LinkLoad | None
+
+
+def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> Course | None:
+    """What became of a residual; None if there never was a number of it."""
+    sizes = np.asarray(rms, dtype=np.float64)
+    known: NDArray[np.int64] = np.flatnonzero(np.isfinite(sizes))
+    if not len(known):
+        return None
+    sizes = sizes[known]
+    greatest = float(sizes.max())
+    ticks: NDArray[np.int64] = np.asarray(tick, dtype=np.int64)[known]
+
+    def settled(part: float) -> int | None:
+        over: NDArray[np.int64] = np.flatnonzero(sizes > part * greatest)
+        after = int(over[-1]) + 1 if len(over) else 0
+        return int(ticks[after]) if after < len(ticks) else None
+
+    return Course(
+        first_rms=float(sizes[0]),
+        greatest_rms=greatest,
+        last_rms=float(sizes[-1]),
+        last_max=float(np.asarray(most, dtype=np.float64)[known][-1]),
+        settled_1_percent_tick=settled(1e-2),
+        settled_1e6_tick=settled(1e-6),
+    )
+
+
+def told_by(residuals: Residuals) -> str:
+    """The residual whose rate says most: one that no drift of a common value keeps up."""
+    return next(name for name in (DISAGREEMENT, ERROR, CHANGE) if name in residuals.rms)
+
+
+def ratio(rate: Rate | None, predicted: float | None) -> float | None:
+    """The measured rate by theory's; None without both, or where one of them is no rate."""
+    if rate is None or predicted is None or predicted <= 0.0 or abs(predicted - 1.0) < _STEADY:
+        return None
+    return log(rate.factor) / log(predicted) if rate.factor > 0.0 else None
+
+
+def verdict(
+    theory: Theory | None, residuals: Residuals, rate: Rate | None, reasons: Sequence[str], last_death: int
+) -> str:
+    """Whether a protocol did what theory says, in a sentence.
+
+    Args:
+        theory: What it says; None if nothing.
+        residuals: What was seen.
+        rate: What was fitted.
+        reasons: Why the run may differ from what theory is for.
+        last_death: The tick in which the last cell died that did; 0 if none.
+    """
+    if not len(residuals.tick):
+        return "Nothing was seen of the field."
+    if theory is not None and theory.ticks is not None:
+        return _done(theory.ticks, residuals, reasons, last_death)
+    if theory is None or theory.factor is None:
+        return f"{_measured(rate)} Theory says nothing of a rate here."
+    if rate is None:
+        return f"Theory says a factor of {theory.factor:.6g} a tick; {_too_little(residuals)}"
+    return f"{_measured(rate)} {_compared(rate, theory.factor, reasons)}"
+
+
+def _done(bound: int, residuals: Residuals, reasons: Sequence[str], last_death: int) -> str:
+    """Of a protocol that is done after some ticks, or was not."""
+    last, end = residuals.moved, residuals.tick[-1]
+    since = f", {last - last_death} after the last cell died" if 0 < last_death <= last else ""
+    says = f"theory: done after {counted(bound, 'tick')}"
+    if last >= end:
+        return f"The field still changed in the last tick, {last}; {says}{_but(reasons)}."
+    fact = f"The field last changed in tick {last}{since}; {says}"
+    if last <= bound:
+        return f"{fact}. That is as it should be."
+    if since and last - last_death <= bound:
+        return f"{fact}, and after every death anew. That is as it should be."
+    return f"{fact}: it took longer{_but(reasons)}."
+
+
+def _measured(rate: Rate | None) -> str:
+    if rate is None:
+        return "There is too little to fit a rate to."
+    spread = "" if f"{rate.low:.6g}" == f"{rate.high:.6g}" else f" ({rate.low:.6g} to {rate.high:.6g})"
+    slow = rate.ticks_per_decade
+    decade = f", a tenth every {slow:.4g} ticks" if slow is not None and isfinite(slow) and slow < 1e6 else ""
+    return f"A factor of {rate.factor:.6g}{spread} a tick was measured{decade}."
+
+
+def _compared(rate: Rate, predicted: float, reasons: Sequence[str]) -> str:
+    """Of a protocol that comes ever closer, stays as it is, or runs away."""
+    says = f"Theory says {predicted:.6g}"
+    times = ratio(rate, predicted)
+    if times is None:
+        near = abs(rate.factor - predicted) < 1e-3
+        return f"{says}: {'it agrees' if near else f'it does not agree{_but(reasons)}'}."
+    if abs(times - 1.0) <= _AGREES:
+        return f"{says}: the rates agree within {max(100 * abs(times - 1.0), 0.01):.2g} %."
+    if predicted > 1.0:
+        return f"{says}: it grows {times:.3g} times as fast{_but(reasons)}."
+    if times > 1.0:
+        return f"{says} of the slowest error: {times:.3g} times as fast, as where a run has little of that error."
+    return f"{says}: {times:.3g} times as fast as that{_but(reasons)}."
+
+
+def _but(reasons: Sequence[str]) -> str:
+    return f", which theory does not cover here: {', '.join(reasons)}" if reasons else ""
+
+
+def _too_little(residuals: Residuals) -> str:
+    quiet = residuals.moved == 0
+    return "the field never changed." if quiet else "the run leaves too few ticks to measure one."
+
+
+def disturbances(scene: Scene, cells_dead: int) -> list[str]:
+    """What of a run theory leaves out: effects on cells and links, and deaths."""
+    asked = dict(scene.effects.asked())
+    found = [f"effect {name}" for name in _DISTURBS if name in asked]
+    if cells_dead:
+        found.append(f"{counted(cells_dead, 'cell')} died")
+    return found

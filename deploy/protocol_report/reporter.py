@@ -1,0 +1,172 @@
+"""Watches a protocol through a run, and says in the end what it did."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.registers import Shown, Wanted
+from deploy.errors import InputError
+from deploy.protocol_report.load import link_load
+from deploy.protocol_report.rate import fitted
+from deploy.protocol_report.report import ProtocolReport, course, disturbances, ratio, told_by, verdict
+from deploy.protocol_report.residuals import Residuals, Snapshots
+
+if TYPE_CHECKING:
+    from bus.lattice import Lattice
+    from cell_firmware.firmware import Firmware
+    from cell_firmware.theory import Theory
+    from deploy.scene import Scene
+
+DRIVE: Final = "drive"
+_PROGRAM: Final = "firmware."
+
+
+@final
+class Reporter:
+    """Takes a protocol's field tick by tick; what it keeps does not grow with the array's size times the run's length.
+
+    Args:
+        scene: What runs.
+        lattice: Its cells.
+        every: In every how many ticks to look.
+
+    Attributes:
+        scene: Likewise.
+        lattice: Likewise.
+        observed: The program's variable that is its field; ``drive`` where it names none.
+        theory: What theory says; None if nothing.
+        deaths: Of every cell that died, in which tick; known once there is a report.
+        residuals: Of the field.
+        snapshots: Of the field.
+
+    Raises:
+        InputError: The firmware raised when it was asked for its theory.
+    """
+
+    def __init__(self, scene: Scene, lattice: Lattice, every: int = 1) -> None:
+        from cell_firmware.loader import load
+
+        self.scene = scene
+        self.lattice = lattice
+        self.notes: list[str] = []
+        firmware = load(scene.cells)
+        self._message = firmware.message
+        self._every = every
+        self.observed = DRIVE if firmware.observed is None else firmware.observed
+        if firmware.observed is None:
+            self.notes.append("the program names no field of its own (observed): its drives are shown")
+        self.theory = self._theory(firmware)
+        limit = None if self.theory is None or self.theory.limit is None else _rows(self.theory.limit)
+        if limit is not None and len(limit) != len(lattice):
+            self.notes.append(f"theory's limit has {len(limit)} rows, not one a cell: left out")
+            limit = None
+        self._limit = limit
+        self.deaths: Mapping[tuple[int, int], int] = {}
+        self.residuals = Residuals(limit)
+        self.snapshots = Snapshots()
+
+    @property
+    def wanted(self) -> tuple[Wanted, ...]:
+        """The registers to have the cells show."""
+        if self.observed == DRIVE:
+            return ()
+        return (Wanted(self._every, frozenset({_PROGRAM + self.observed})),)
+
+    def take(self, shown: Shown) -> None:
+        """Take what the cells showed of themselves in a tick."""
+        field = shown.registers.get(_PROGRAM + self.observed)
+        if field is not None and shown.tick % self._every == 0:
+            self._take(shown.tick, field, shown.cells)
+
+    def take_drive(self, tick: int, drive: NDArray[np.float64], live: NDArray[np.bool_]) -> None:
+        """Take what the cells drove in a tick, where that is what is looked at."""
+        if self.observed == DRIVE and tick % self._every == 0:
+            self._take(tick, drive.copy(), live)
+
+    def report(
+        self, ticks: int, dead: Mapping[tuple[int, int], int], tally: Mapping[str, int]
+    ) -> ProtocolReport:
+        """What the protocol did.
+
+        Args:
+            ticks: Of the run.
+            dead: Of every cell that died, in which tick.
+            tally: What the cells counted.
+        """
+        self.deaths = dead
+        residuals, theory = self.residuals, self.theory
+        if not len(residuals.tick) and ticks:
+            self.notes.append(f"no cell showed {self.observed}: it is no number, or of too many")
+        tick = np.array(residuals.tick)
+        courses = {
+            name: found
+            for name, rms in residuals.rms.items()
+            if (found := course(residuals.tick, rms, residuals.most[name])) is not None
+        }
+        rate_of = told_by(residuals)
+        rate = fitted(tick, np.array(residuals.rms[rate_of]), residuals.scale)
+        predicted = None if theory is None else theory.factor
+        return ProtocolReport(
+            observed=self.observed,
+            every_ticks=self._every,
+            ticks=len(tick),
+            cells=len(self.lattice),
+            cells_dead=len(dead),
+            law=None if theory is None else theory.law,
+            predicted_factor=predicted,
+            predicted_ticks=None if theory is None else theory.ticks,
+            residuals=courses,
+            rate_of=None if rate is None else rate_of,
+            rate=rate,
+            rate_ratio=ratio(rate, predicted),
+            last_change_tick=residuals.moved,
+            verdict=verdict(
+                theory, residuals, rate, disturbances(self.scene, len(dead)), max(dead.values(), default=0)
+            ),
+            notes=tuple(self.notes),
+            links=link_load(self.scene, self._message, tally, *self._lived(ticks, dead)),
+        )
+
+    def _take(self, tick: int, field: NDArray[Any], live: NDArray[np.bool_]) -> None:
+        rows = _rows(field)
+        if self._limit is not None and self._limit.shape != rows.shape:
+            self.notes.append(
+                f"theory's limit has {self._limit.shape[1]} numbers a cell, the field {rows.shape[1]}"
+            )
+            self._limit, self.residuals = None, Residuals(None)
+        change = self.residuals.take(tick, rows, live)
+        self.snapshots.take(tick, change, rows, live)
+
+    def _lived(self, ticks: int, dead: Mapping[tuple[int, int], int]) -> tuple[int, int]:
+        """Ticks of all cells in which they lived, and of all directions of links whose sender did."""
+        links = (self.lattice.neighbours >= 0).sum(axis=1)
+        missed = {self.lattice.index(cell): max(ticks - tick, 0) for cell, tick in dead.items()}
+        lost = sum(int(links[cell]) * gone for cell, gone in missed.items())
+        return len(self.lattice) * ticks - sum(missed.values()), int(links.sum()) * ticks - lost
+
+    def _theory(self, firmware: Firmware) -> Theory | None:
+        try:
+            return firmware.theory(self.lattice)
+        except ModuleNotFoundError as error:
+            self.notes.append(f"what theory says needs {error.name}: pip install 'mdms-emulator[accuracy]'")
+            return None
+        except Exception as error:
+            trace = traceback.format_exc().rstrip()
+            raise InputError(
+                f"scene {self.scene.name}: firmware {self.scene.cells.firmware!r} can't tell its theory:\n{trace}"
+            ) from error
+
+
+def deaths_of(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], int]:
+    """Of every cell that died its tick, from a run's faults."""
+    return {(fault["cell"][0], fault["cell"][1]): int(fault["tick"]) for fault in faults}
+
+
+def _rows(field: NDArray[Any]) -> NDArray[np.float64]:
+    """``(n, d)`` numbers of a field, whatever a cell's row of it is."""
+    return np.asarray(field, dtype=np.float64).reshape(len(field), -1)
