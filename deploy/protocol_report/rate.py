@@ -12,12 +12,13 @@ Floats = NDArray[np.float64]
 
 _FIT_DECADES: Final = 2.5
 """Of the residual, above where it stops: the last of them are the slowest error's."""
-_ROUNDING: Final = 64 * np.finfo(np.float64).eps
+_ROUNDING: Final = 4096 * np.finfo(np.float64).eps
 """Of the field's size: below that a residual is rounding."""
 _ABOVE: Final = 5.0
 """Times the level at which a residual stops."""
-_BLOCKS: Final = 40
-_LEAST_POINTS: Final = 6
+_BLOCKS: Final = 20
+_LEAST_POINTS, _FEW_POINTS = 6, 12
+"""A fit needs; a fit of a fast decay has, though they reach back farther than the last decades."""
 _TAIL_BLOCKS: Final = 8
 _FALLS: Final = -20
 """Kendall's S of the tail's blocks, 28 at most: at or below this it falls, by chance in 3 of 1,000."""
@@ -54,7 +55,7 @@ class Rate:
         return float(-np.log(10.0) / np.log(self.factor)) if 0.0 < self.factor < 1.0 else None
 
 
-def fitted(tick: Floats, residual: Floats, scale: float) -> Rate | None:
+def fitted(tick: Floats, residual: Floats, scale: Floats) -> Rate | None:
     """The rate at which a residual dies out.
 
     The logarithm of the residual's root mean square over equal blocks of ticks is fitted by the median of the slopes
@@ -64,14 +65,14 @@ def fitted(tick: Floats, residual: Floats, scale: float) -> Rate | None:
     Args:
         tick: ``(T,)``, rising.
         residual: ``(T,)``, at least 0; NaN where there is none.
-        scale: Size of the field: tells what is rounding.
+        scale: ``(T,)``, size of the field so far: tells what is rounding.
 
     Returns:
         The rate; None if there are too few ticks to tell.
     """
     there = np.isfinite(residual) & (residual > _ROUNDING * scale)
     gone = np.flatnonzero(np.isfinite(residual) & ~there)
-    floor = _ROUNDING * scale if len(gone) else None
+    floor = float(_ROUNDING * scale[gone[0]]) if len(gone) else None
     # what comes after the residual was rounding for the first time is rounding too, unless it came back for good
     end = int(gone[0]) if len(gone) and np.mean(there[gone[0] :]) < 0.5 else len(residual)
     rows = np.flatnonzero(there[:end])
@@ -116,7 +117,8 @@ def _level(log: Floats) -> float | None:
 def _first(log: Floats) -> int:
     """Where the last decades begin; the middle if there are no more than those."""
     far = np.flatnonzero(np.abs(log - np.median(log[-3:])) > _FIT_DECADES)
-    return int(far[-1]) + 1 if len(far) else len(log) // 2
+    first = int(far[-1]) + 1 if len(far) else len(log) // 2
+    return max(min(first, len(log) - _FEW_POINTS), 0)
 
 
 def _blocks(ticks: Floats, log: Floats) -> tuple[Floats, Floats]:

@@ -109,7 +109,7 @@ class Reporter:
             if (found := course(residuals.tick, rms, residuals.most[name])) is not None
         }
         rate_of = told_by(residuals)
-        rate = fitted(tick, np.array(residuals.rms[rate_of]), residuals.scale)
+        rate = fitted(tick, np.array(residuals.rms[rate_of]), np.array(residuals.scale))
         predicted = None if theory is None else theory.factor
         return ProtocolReport(
             observed=self.observed,

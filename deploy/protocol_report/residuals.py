@@ -32,7 +32,7 @@ class Residuals:
         tick: Of every field that was taken.
         rms: By residual its root mean square in every tick; NaN where there is none.
         most: By residual its greatest number in every tick.
-        scale: The greatest finite number of the field so far.
+        scale: The greatest finite number of the field so far, in every tick.
         moved: The last tick in which any number was another than in the one before; 0 if none ever was.
     """
 
@@ -46,7 +46,8 @@ class Residuals:
         self.tick = array("q")
         self.rms = {name: array("d") for name in names}
         self.most = {name: array("d") for name in names}
-        self.scale = 0.0
+        self.scale = array("d")
+        self._greatest = 0.0
         self.moved = 0
         self._last: Floats | None = None
 
@@ -63,7 +64,8 @@ class Residuals:
         """
         field = field if live.all() else np.where(live[:, None], field, np.nan)
         finite = np.abs(field[np.isfinite(field)])
-        self.scale = max(self.scale, float(finite.max(initial=0.0)))
+        self._greatest = max(self._greatest, float(finite.max(initial=0.0)))
+        self.scale.append(self._greatest)
         self.tick.append(tick)
         changed = np.full(1, np.nan) if self._last is None else _difference(field, self._last)
         change, most = self._note(CHANGE, changed)
