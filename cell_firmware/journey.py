@@ -102,7 +102,9 @@ class Journey:
         speed = self._speed[leg]
         pose = self._pose[leg] + speed * (time_s - self._begin[leg])[:, None]
         ended = leg == len(self._begin) - 1
-        return Reference(*pose.T, *speed.T, ended)
+        x, y, angle = pose.T
+        vx, vy, turning = speed.T
+        return Reference(x, y, angle, vx, vy, turning, ended)
 
 
 def at_all(journeys: tuple[Journey, ...], time_s: Floats) -> Reference:

@@ -188,7 +188,7 @@ class VirtualVehicle(Firmware):
         """Hear of vehicles, belong to one, drive its motion, tell the neighbours."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
-        here: Bools = inputs.presence.any(axis=1)
+        here = np.zeros(len(inputs.presence), dtype=np.bool_) | inputs.presence.any(axis=1)
         told = self._told(state, inbox)
         words = self._words(state, told, inbox)
         own = _own(words)
