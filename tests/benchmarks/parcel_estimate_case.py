@@ -34,6 +34,7 @@ SENSORS_M: dict[int, tuple[tuple[float, float], ...]] = {
     5: ((0.0, 0.0), (0.03, 0.015), (-0.015, 0.03), (-0.03, -0.015), (0.015, -0.03)),
 }
 """By their number, where a cell's sensors are: no two in line with each other along rows or columns."""
+_IMPLICIT = {"name": "implicit", "tolerance": 1e-4}
 
 
 @dataclass(frozen=True)
@@ -45,20 +46,25 @@ class Case:
         dead_percent: Share of the cells that are dead from the start.
         dying_percent: Share of the cells that die one by one, evenly over the run.
         sensors: How many a cell has.
+        crooked_deg: How far a parcel may start off a quarter turn.
         effects: Of the cells, as in a scene.
+        wheel_m: Width of the wheels: over which a cell comes to carry; 0: points.
     """
 
     size_m: tuple[float, float]
     dead_percent: float = 0.0
     dying_percent: float = 0.0
     sensors: int = 1
+    crooked_deg: float = 45.0
     seeds: int = 20
     seconds: float = 30.0
     period_ns: int = 16_384_000
     sample_s: float = 0.2
     speed_m_s: float = 0.2
     gain_per_s: float = 0.5
+    squaring_per_s: float = 0.0
     effects: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    wheel_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -88,8 +94,12 @@ def run(case: Case) -> Course:
     named = [(r, s * width + c) for s in range(case.seeds) for r in range(CELLS) for c in range(CELLS)]
     middle = (np.arange(case.seeds) * width + half - (columns - 1) / 2) * PITCH_M
     parcels, dead, dying = _chances(case, middle)
+    wide = (
+        {"effects": {"contact_width": {"width_m": case.wheel_m}}, "solver": _IMPLICIT} if case.wheel_m else {}
+    )
     spec = PlantSpec.model_validate(
         {
+            **wide,
             "array": {
                 "rows": CELLS,
                 "columns": columns,
@@ -143,7 +153,7 @@ def _chances(
     dying: list[tuple[int, int]] = []
     for seed in range(case.seeds):
         chance = np.random.default_rng([seed, *(round(1e3 * side) for side in case.size_m)])
-        x, y, angle = _standing(case.size_m, reach, chance)
+        x, y, angle = _standing(case, reach, chance)
         parcels.append(
             {"size_m": case.size_m, "mass_kg": 1.0, "position_m": (middle[seed] + x, y), "angle_rad": angle}
         )
@@ -155,19 +165,18 @@ def _chances(
     return parcels, dead, [dying[int(i)] for i in turn]
 
 
-def _standing(
-    size_m: tuple[float, float], reach_m: float, chance: np.random.Generator
-) -> tuple[float, float, float]:
+def _standing(case: Case, reach_m: float, chance: np.random.Generator) -> tuple[float, float, float]:
     """A pose drawn evenly of those in which a parcel does not tip over at once."""
     place = (np.arange(CELLS) - CELLS // 2) * PITCH_M
     grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)
     while True:
         x, y = chance.uniform(-reach_m, reach_m, 2)
-        angle = chance.uniform(0.0, np.pi)
+        off = np.radians(case.crooked_deg)
+        angle = chance.integers(4) * np.pi / 2 + chance.uniform(-off, off)
         offsets = grid - (x, y)
         along = offsets @ (np.cos(angle), np.sin(angle))
         across = offsets @ (-np.sin(angle), np.cos(angle))
-        under = (abs(along) <= size_m[0] / 2) & (abs(across) <= size_m[1] / 2)
+        under = (abs(along) <= case.size_m[0] / 2) & (abs(across) <= case.size_m[1] / 2)
         if under.any() and find_supports(offsets[under], np.ones(under.sum(), dtype=np.bool_), PITCH_M):
             return float(x), float(y), float(angle)
 
@@ -182,6 +191,7 @@ def _shard(case: Case, lattice: Lattice, lost: NDArray[np.int64], width: int) ->
             "target_m": (0.0, 0.0),
             "speed_m_s": case.speed_m_s,
             "gain_per_s": case.gain_per_s,
+            "squaring_per_s": case.squaring_per_s,
         },
     )
     firmware = load(spec)
