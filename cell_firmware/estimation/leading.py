@@ -34,7 +34,7 @@ FIELDS: Final = [
 UNKNOWN: Final = 255
 """Age of a pose where there is none."""
 _SETTLE: Final = 8
-"""Periods, and as many more for each sensor of a cell, for which a new leader gathers the pattern: a message has one."""
+"""Periods, and as many more for each sensor of a cell, for which a new leader gathers the pattern before it guesses."""
 _SMOOTHED: Final = 0.05
 _STRANGE: Final = 0.3
 """Contradiction, in pitches, with which a pose is not believed for long."""
@@ -86,6 +86,7 @@ class Leader:
         sensors_m = site[2:].reshape(-1, 2)
         half_m = (parameters.size_m[0] / 2.0, parameters.size_m[1] / 2.0)
         self._observer = Observer(half_m, self._pitch_m, period_s, parameters.response_s)
+        self._oblong = half_m[0] != half_m[1]
         self._settle = _SETTLE * (1 + len(sensors_m))
         self._places = pattern.places(sensors_m, self._pitch_m)
         self._cells = pattern.places(np.zeros((1, 2)), self._pitch_m)
@@ -115,7 +116,9 @@ class Leader:
         begins = (~old & settled) | (strange > _STRANGE_PERIODS)
         belief = self._begun(belief, sensors, np.flatnonzero(begins))
         doubt = np.where(old & ~begins & ~new, before["doubt"], 0)
-        belief, doubt = self._doubted(belief, sensors, doubt, np.flatnonzero(old & ~begins & (wrong > 0.0)))
+        if self._oblong:
+            contradicted = np.flatnonzero(old & ~begins & (wrong > 0.0))
+            belief, doubt = self._doubted(belief, sensors, doubt, contradicted)
         known = old | begins
 
         foot = footing(self._wheels(before, sensors), belief.pose, observer.half_m(n))

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final, final
+from typing import final
 
 import numpy as np
 
 from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorParameters
 from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outputs, State
-from cell_firmware.specs import NotNegative, Positive, Vector
-
-_CROOKED: Final = 0.25
-"""Sine of the angle off a quarter turn at which a parcel that is to be squared stops going anywhere."""
+from cell_firmware.specs import Positive, Vector
 
 
 class ParcelEstimateParameters(EstimatorParameters):
@@ -23,8 +20,6 @@ class ParcelEstimateParameters(EstimatorParameters):
     """Speed asked for per distance from there."""
     speed_m_s: Positive = 0.2
     """No parcel is asked to go faster."""
-    squaring_per_s: NotNegative = 0.0
-    """Angular velocity asked for per radian off the nearest quarter turn; 0 leaves the angle as it is."""
 
 
 @final
@@ -56,18 +51,10 @@ class ParcelEstimate(Firmware):
         place = state["position_m"]
         centre = np.where(estimate.known[:, None], estimate.centre_m, place)
         velocity, near = self._velocity(centre)
-        off = _off_square(estimate.direction)
-        spin = np.where(estimate.known, -self.parameters.squaring_per_s * off, 0.0)
-        if self.parameters.squaring_per_s:
-            velocity = (
-                velocity * np.where(estimate.known, np.maximum(1.0 - abs(off) / _CROOKED, 0.0), 1.0)[:, None]
-            )
         pull = self.parameters.gain_per_s * near * (centre + estimate.shift_m - place)
-        arm = place - centre
-        turn = spin[:, None] * np.stack((-arm[:, 1], arm[:, 0]), axis=1)
         drives = (estimate.known | estimate.covered)[:, None]
-        speed = np.where(drives, np.where(estimate.known[:, None], velocity + turn + pull, velocity), 0.0)
-        command = np.concatenate((velocity, spin[:, None]), axis=1)
+        speed = np.where(drives, np.where(estimate.known[:, None], velocity + pull, velocity), 0.0)
+        command = np.concatenate((velocity, np.zeros((len(place), 1))), axis=1)
         return {**after, "command": command}, Outputs(speed, outbox)
 
     def _velocity(self, centre: Floats) -> tuple[Floats, Floats]:
@@ -77,10 +64,3 @@ class ParcelEstimate(Firmware):
         limit = self.parameters.speed_m_s
         slower = np.where(length > limit, limit / np.maximum(length, limit), 1.0)
         return asked * slower, np.maximum(1.0 - length / limit, 0.0)
-
-
-def _off_square(direction: Floats) -> Floats:
-    """``(n,)``, sine of the angle from the nearest quarter turn, within a half turn's eighth either way."""
-    x, y = direction[:, 0], direction[:, 1]
-    level = abs(x) >= abs(y)
-    return np.where(level, np.where(x < 0.0, -y, y), np.where(y < 0.0, x, -x))

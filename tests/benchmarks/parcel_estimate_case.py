@@ -46,7 +46,6 @@ class Case:
         dead_percent: Share of the cells that are dead from the start.
         dying_percent: Share of the cells that die one by one, evenly over the run.
         sensors: How many a cell has.
-        crooked_deg: How far a parcel may start off a quarter turn.
         effects: Of the cells, as in a scene.
         wheel_m: Width of the wheels: over which a cell comes to carry; 0: points.
     """
@@ -55,14 +54,12 @@ class Case:
     dead_percent: float = 0.0
     dying_percent: float = 0.0
     sensors: int = 1
-    crooked_deg: float = 45.0
     seeds: int = 20
     seconds: float = 30.0
     period_ns: int = 16_384_000
     sample_s: float = 0.2
     speed_m_s: float = 0.2
     gain_per_s: float = 0.5
-    squaring_per_s: float = 0.0
     effects: Mapping[str, Any] = field(default_factory=dict[str, Any])
     wheel_m: float = 0.0
 
@@ -171,8 +168,7 @@ def _standing(case: Case, reach_m: float, chance: np.random.Generator) -> tuple[
     grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)
     while True:
         x, y = chance.uniform(-reach_m, reach_m, 2)
-        off = np.radians(case.crooked_deg)
-        angle = chance.integers(4) * np.pi / 2 + chance.uniform(-off, off)
+        angle = chance.uniform(0.0, np.pi)
         offsets = grid - (x, y)
         along = offsets @ (np.cos(angle), np.sin(angle))
         across = offsets @ (-np.sin(angle), np.cos(angle))
@@ -191,7 +187,6 @@ def _shard(case: Case, lattice: Lattice, lost: NDArray[np.int64], width: int) ->
             "target_m": (0.0, 0.0),
             "speed_m_s": case.speed_m_s,
             "gain_per_s": case.gain_per_s,
-            "squaring_per_s": case.squaring_per_s,
         },
     )
     firmware = load(spec)
