@@ -85,15 +85,17 @@ def run(case: Case) -> tuple[Floats, Floats]:
     lattice = plant.array.lattice
     dead = [(r, i * width + c) for i, start in enumerate(case.starts) for r, c in start.dead]
     plant.lose([lattice.index(cell) for cell in dead], "coast")
-    islands = [np.flatnonzero(lattice.columns // width == i) for i in range(count)]
-    partition = Partition(lattice, islands)
+    groups = _groups(case)
+    partition = Partition(
+        lattice, [np.flatnonzero(np.isin(lattice.columns // width, group)) for group in groups]
+    )
     effects = CellEffects.model_validate(case.effects)
     clocks = None
     if effects.clock is not None:
         clocks = effects.clock.clocks(lattice, PERIOD_NS, 1)
     tick_ns = PERIOD_NS if effects.clock is None else effects.clock.window_ns(PERIOD_NS)
     times = None if clocks is None else CellTimes(clocks.all)
-    shards = [_shard(case, i, partition, effects, clocks, width) for i in range(count)]
+    shards = [_shard(case, group[0], s, partition, effects, clocks, width) for s, group in enumerate(groups)]
     for shard in shards:
         shard.retire(dead)
     camera = None
@@ -106,13 +108,21 @@ def run(case: Case) -> tuple[Floats, Floats]:
         if tick % every == 0 or tick == ticks:
             seen.append(plant.state)
         shown = None if camera is None else camera.look(tick, plant.state, plant.there)
-        for i, shard in enumerate(shards):
-            own = None if shown is None else _own(shown, i, middle[i])
+        for group, shard in zip(groups, shards, strict=True):
+            own = None if shown is None else _own(shown, group[0], middle[group[0]])
             drives[shard.indices] = shard.step(tick, sense.presence[shard.indices], camera=own).drive
         sense, _ = plant.advance(drives, (tick + 1) * tick_ns, None if times is None else times(tick))
     states = np.array(seen)
     states[:, :, 0] -= middle
     return np.minimum(np.arange(len(states)) * every, ticks) * tick_ns * 1e-9, states
+
+
+def _groups(case: Case) -> list[list[int]]:
+    """Islands whose cells a shard steps at once: where parcels are alike, and no camera shows each its own."""
+    if case.camera is not None:
+        return [[i] for i in range(len(case.starts))]
+    sizes = [start.size_m for start in case.starts]
+    return [[i for i, size in enumerate(sizes) if size == one] for one in dict.fromkeys(sizes)]
 
 
 def _own(shown: Picture, island: int, middle_m: float) -> Picture:
@@ -149,11 +159,13 @@ def _spec(case: Case, middle: Floats, named: list[tuple[int, int]], columns: int
 def _shard(
     case: Case,
     island: int,
+    shard: int,
     partition: Partition,
     effects: CellEffects,
     clocks: ArrayClocks | None,
     width: int,
 ) -> Shard:
+    """A shard of islands like one of them."""
     lattice: Lattice = partition.lattice
     parameters = dict(case.parameters)
     if case.firmware == "align":
@@ -163,8 +175,8 @@ def _shard(
     controller: Controller = assemble(firmware, spec, effects, None, clocks)
     place = np.stack((lattice.columns % width, lattice.rows), axis=1) - CELLS // 2
     cells = Cells.of(lattice, place * PITCH_M, spec.period_s, SENSORS_M[case.sensors], pitch_m=PITCH_M)
-    site = Site(partition.cells(island), case.sensors, controller.message, 1)
-    return Shard(controller, cells, partition, island, effects.stages(site))
+    site = Site(partition.cells(shard), case.sensors, controller.message, 1)
+    return Shard(controller, cells, partition, shard, effects.stages(site))
 
 
 def starts(sizes_m: Sequence[tuple[float, float]], seed: int, dead_percent: float = 0.0) -> list[Start]:
@@ -179,7 +191,8 @@ def starts(sizes_m: Sequence[tuple[float, float]], seed: int, dead_percent: floa
     return found
 
 
-def off_deg(states: Floats, target_rad: float = 0.0) -> Floats:
-    """By how much each parcel is off the target's angle or half a turn from it, degrees."""
+def off_deg(states: Floats, begun: Sequence[Start], target_rad: float = 0.0) -> Floats:
+    """By how much each parcel is off the target's angle, degrees: half a turn looks alike, a square's quarter too."""
+    alike = np.array([np.pi / 2.0 if start.size_m[0] == start.size_m[1] else np.pi for start in begun])
     error = states[..., 2] - target_rad
-    return np.degrees(np.abs(error - np.pi * np.round(error / np.pi)))
+    return np.degrees(np.abs(error - alike * np.round(error / alike)))
