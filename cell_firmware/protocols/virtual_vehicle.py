@@ -115,8 +115,8 @@ class VirtualVehicle(Firmware):
     distance from the reference, ``e'' = -mu g (K e + e') - d/dt U``, K = R diag(kx, ky) R'.
 
     Vehicles whose circles, wider by ``ahead`` pitches, meet: cells that hear of both tell, and the word goes from
-    hop to hop. The one named later gives way, if it is on its way towards the other; the one named first
-    only where circles without that margin come within a pitch.
+    hop to hop. The one named later gives way, while going on as they do the two would pass within a pitch of each
+    other's circles; the one named first only where they have come that near. Nobody gives way to who is behind it.
 
     Source: the idea is the demonstration of Luntz, Messner and Choset (parcels moved and turned independently by the
     cells that happen to be under them); the protocol is ours.
@@ -132,6 +132,7 @@ class VirtualVehicle(Firmware):
         super().__init__(parameters)
         self._journeys = tuple(vehicle.journey() for vehicle in parameters.vehicles)
         self._radius_m: Floats = np.array([vehicle.radius_m for vehicle in parameters.vehicles])
+        self._margin = 2.0 * parameters.ahead - 1.0
         self._numbers: Integers = np.arange(1, len(self._journeys) + 1)
 
     def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
@@ -257,13 +258,18 @@ class VirtualVehicle(Firmware):
         here, there = mine.reference, words.reference
         way_x, way_y = there.x - here.x[:, None], there.y - here.y[:, None]
         apart = np.sqrt(way_x * way_x + way_y * way_y)
+        near = self._radius_m + self._radius_m[np.maximum(own - 1, 0)][:, None] + pitch_m[:, None]
         towards = here.vx[:, None] * way_x + here.vy[:, None] * way_y > 0.0
-        radii = self._radius_m + self._radius_m[np.maximum(own - 1, 0)][:, None]
-        margin = pitch_m[:, None] * np.array([1.0, 2.0 * self.parameters.ahead])
-        first = (self._numbers < own[:, None]) & ~words.halted
-        close = (apart < radii + margin[:, :1]) | (first & (apart < radii + margin[:, 1:]))
+
+        first = (self._numbers < own[:, None]) & (apart < near + self._margin * pitch_m[:, None])
+        pace_x = here.vx[:, None] - np.where(words.halted, 0.0, there.vx)
+        pace_y = here.vy[:, None] - np.where(words.halted, 0.0, there.vy)
+        closing, pace = pace_x * way_x + pace_y * way_y, pace_x * pace_x + pace_y * pace_y
+        # as both go on, they pass each other at sqrt(apart^2 - closing^2 / pace)
+        meet = (closing > 0.0) & ((apart * apart - near * near) * pace < closing * closing)
+
         others = (own > 0)[:, None] & (self._numbers != own[:, None]) & (words.heard > 0)
-        found: Bools = (others & towards & close).any(axis=1)
+        found: Bools = (others & towards & ((apart < near) | (first & meet))).any(axis=1)
         return found
 
     def _speed(self, mine: _Words, turns: Bools, goes: Bools) -> Floats:
