@@ -29,3 +29,8 @@ def leaders(lattice: Lattice, key: Ints) -> Ints:
         if leader[cell] < 0:
             leader[steps_from(lattice, np.array([cell])) >= 0] = cell
     return leader
+
+
+def parts(lattice: Lattice) -> Ints:
+    """``(n,)``: the number of the part of the array that a cell is in, from 0, of cells that can reach each other."""
+    return np.unique(leaders(lattice, np.arange(len(lattice))), return_inverse=True)[1]

@@ -175,6 +175,19 @@ def relaxed(spectrum: Spectrum, number: float) -> float | None:
     return max(abs(1.0 - number * spectrum.least), abs(1.0 - number * spectrum.greatest))
 
 
+def second_order(radius: float, relaxation: float) -> float:
+    """Factor of ``u[k] = u[k-2] + w (M u[k-1] - u[k-2])``: the greater root of ``z^2 - w rho z + w - 1``.
+
+    Args:
+        radius: rho, the spectral radius of M, which is symmetric.
+        relaxation: w, 1 to 2.
+    """
+    apart = relaxation * relaxation * radius * radius - 4.0 * (relaxation - 1.0)
+    if apart < 0.0:
+        return float(np.sqrt(relaxation - 1.0))
+    return float(relaxation * radius + np.sqrt(apart)) / 2.0
+
+
 def explicit_cautions(name: str, number: float, what: str, links: Callable[[], Links]) -> tuple[str, ...]:
     """What is to be said of ``u - number L u`` before it runs: 1/4 on four neighbours, ``2 / lambda_max`` on an array.
 

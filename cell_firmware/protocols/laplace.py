@@ -16,7 +16,7 @@ from cell_firmware.places import Value, lay, misplaced
 from cell_firmware.reach import steps_from
 from cell_firmware.recall import Patience, last_word, still_counts
 from cell_firmware.specs import Finite, NotNegative, Spec
-from cell_firmware.spectra import Links
+from cell_firmware.spectra import Links, second_order
 from cell_firmware.theory import Theory
 
 
@@ -96,11 +96,15 @@ class Laplace(Firmware):
         links = Links(lattice, held)
         degree = np.maximum((lattice.neighbours >= 0).sum(axis=1), 1)
         ends = Links(lattice, held | links.loose, of_cell=1.0 / np.sqrt(degree)).spectrum()
-        factor = None if ends.least is None else self._factor(max(1.0 - ends.least, ends.greatest - 1.0))
+        factor = (
+            None
+            if ends.least is None
+            else second_order(max(1.0 - ends.least, ends.greatest - 1.0), self.parameters.relaxation)
+        )
         return Theory(
             "relaxation: spectral radius of the mean over neighbours, second order if relaxation > 1"
             " (Golub & Varga 1961)",
-            factor=factor,
+            factor=None if radius is None else second_order(radius, self.parameters.relaxation),
             limit=links.at_rest(potential),
         )
 
@@ -159,9 +163,3 @@ class Laplace(Firmware):
         steep = np.sqrt(slope[:, 0] * slope[:, 0] + slope[:, 1] * slope[:, 1])
         runs = steep > 1e-9 * (highest - lowest) / pitch_m
         return np.where(runs[:, None], slope * (-speed / np.where(runs, steep, 1.0))[:, None], 0.0)
-
-    def _factor(self, radius: float) -> float:
-        """By which the slowest error shrinks: the greater root of ``z^2 - w rho z + w - 1``."""
-        w = self.parameters.relaxation
-        apart = w * w * radius * radius - 4.0 * (w - 1.0)
-        return float(np.sqrt(w - 1.0)) if apart < 0.0 else float(w * radius + np.sqrt(apart)) / 2.0

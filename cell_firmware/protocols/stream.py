@@ -1,0 +1,147 @@
+"""Wheels run as an incompressible fluid flows, from sources to sinks and round whatever is in the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bus.lattice import Lattice
+from cell_firmware.errors import ParametersError
+from cell_firmware.faces import across, gradient, total
+from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.places import Place, lay, misplaced
+from cell_firmware.reach import parts
+from cell_firmware.recall import Patience, last_word, still_counts
+from cell_firmware.specs import Finite, Spec
+from cell_firmware.spectra import Links, explicit_cautions, relaxed, second_order
+from cell_firmware.theory import Theory
+
+
+class Spring(Place):
+    """Cells, and how much springs up in each of them."""
+
+    flow_m2_s: Finite
+    """Per cell and unit of height: below 0 it sinks away."""
+
+    @property
+    def amount(self) -> float:
+        """What each of them gets."""
+        return self.flow_m2_s
+
+
+class StreamParameters(Spec):
+    """Where the fluid comes from and goes to, and how fast cells find its potential."""
+
+    springs: Annotated[tuple[Spring, ...], Field(min_length=1)]
+    """Sources and sinks; together they should be even."""
+    diffusion_number: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.2
+    """By which a cell levels its balance: at most 1/4, or potentials may alternate and grow."""
+    relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
+    """1 for explicit steps; more for the second-order method, which is faster where it suits the array."""
+    patience: Patience = 50
+    """For how many periods a neighbour's word counts; then it is taken for gone, and its side for a wall."""
+
+
+@final
+class Stream(Firmware):
+    """Potential flow: the flow through the face between two cells is the difference of their potentials.
+
+    A cell adds to its potential what its balance lacks, r being the diffusion number, s its spring, w the relaxation::
+
+        q_i[k] = q_i[k-2] + w (q_i[k-1] + r (s_i + sum over neighbours j of (q_j - q_i)[k-1]) - q_i[k-2])
+
+    At rest what flows out of every cell is its spring: net flow 0 through the faces of all others, to rounding, which
+    is what incompressible means on cells. A side without a neighbour, or with one that died and was silent for
+    ``patience`` periods, is a wall: nothing flows through it, and the stream goes round. Wheels run at the mean velocity
+    of opposite faces, flow over pitch. Potentials are known up to a constant, which matters to nobody.
+
+    Where springs are not even every cell of their part takes an equal share of what is too much, its potential rises
+    for ever, and the flow still settles. Lost and late messages cost time, and shift the constant; with w > 1 late ones
+    may make potentials grow without bound.
+
+    Source: Batchelor, *An Introduction to Fluid Dynamics*, Cambridge 1967, ch. 6 (irrotational flow); Patankar,
+    *Numerical Heat Transfer and Fluid Flow*, 1980, ch. 3 (finite volumes); Golub & Varga, Numer. Math. 3 (1961).
+    """
+
+    Parameters = StreamParameters
+    message = np.dtype([("potential_m2_s", "<f8")])
+    observed = "potential_m2_s"
+
+    def check(self, lattice: Lattice) -> None:
+        """Every place that is named must exist, and no cell be named twice."""
+        problems = misplaced(lattice, {"springs": self.parameters.springs})
+        if problems:
+            raise ParametersError("stream", problems)
+
+    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+        """The scheme's limit, and springs that are not even."""
+        number = self.parameters.diffusion_number
+        found = explicit_cautions("diffusion_number", number, "potentials", lambda: Links(lattice))
+        for cells, surplus in self._uneven(lattice):
+            part = f"springs of the {cells.sum()} cells about {list(lattice.cells[int(np.argmax(cells))])}"
+            share = f"every one of them takes in {surplus / cells.sum():.6g} m2/s, and the stream is none of a fluid"
+            found += (f"{part} are {surplus:.6g} m2/s out of balance: {share}",)
+        return found
+
+    def theory(self, lattice: Lattice) -> Theory:
+        """Factor from the Laplacian's spectrum; the limit balances every cell, with mean 0, if springs are even."""
+        p, links = self.parameters, Links(lattice)
+        radius = relaxed(links.spectrum(), p.diffusion_number)
+        even = not any(True for _ in self._uneven(lattice))
+        spring = self._spring(lattice.rows, lattice.columns)
+        return Theory(
+            "potential flow: slowest of |1 - r lambda| over the Laplacian's spectrum, second order if relaxation > 1"
+            " (Golub & Varga 1961)",
+            factor=None if radius is None else second_order(radius, p.relaxation),
+            limit=links.at_rest(np.zeros(len(lattice)), spring) if even else None,
+        )
+
+    def init(self, cells: Cells) -> State:
+        """Potentials ``(n,)`` m2/s now and a tick before, springs, what each side told, the pitch."""
+        sides = cells.has_neighbour.shape
+        return {
+            "potential_m2_s": np.zeros(len(cells)),
+            "before_m2_s": np.zeros(len(cells)),
+            "spring_m2_s": self._spring(cells.row, cells.column),
+            "told_m2_s": np.zeros(sides),
+            "counts": np.zeros(sides, dtype=np.int16),
+            "pitch_m": np.full(len(cells), cells.pitch_m),
+        }
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """One relaxation; wheels go by the differences between what cells had in the tick before."""
+        inbox = inputs.inbox
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        own, before = state["potential_m2_s"], state["before_m2_s"]
+        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
+        told = last_word(inbox.received, counts, inbox.message["potential_m2_s"], state["told_m2_s"])
+        faces = across(counts > 0, told, own)
+        levelled = own + self.parameters.diffusion_number * (state["spring_m2_s"] + total(faces))
+        potential = before + self.parameters.relaxation * (levelled - before)
+
+        after = {
+            **state,
+            "potential_m2_s": potential,
+            "before_m2_s": own,
+            "told_m2_s": told,
+            "counts": counts,
+        }
+        speed = -gradient(faces, state["pitch_m"])
+        return after, Outputs(speed, Outbox.to_all(self.message, potential_m2_s=potential))
+
+    def _spring(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> Floats:
+        spring = np.zeros(len(row))
+        lay(self.parameters.springs, row, column, spring)
+        return spring
+
+    def _uneven(self, lattice: Lattice) -> Iterator[tuple[Bools, float]]:
+        """Parts of the array whose springs are not even: their cells, and what is too much in all."""
+        spring, part = self._spring(lattice.rows, lattice.columns), parts(lattice)
+        for one in range(int(part.max()) + 1):
+            surplus = float(spring[part == one].sum())
+            if abs(surplus) > 1e-9 * float(abs(spring).sum()):
+                yield part == one, surplus
