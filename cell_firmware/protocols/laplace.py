@@ -96,11 +96,7 @@ class Laplace(Firmware):
         links = Links(lattice, held)
         degree = np.maximum((lattice.neighbours >= 0).sum(axis=1), 1)
         ends = Links(lattice, held | links.loose, of_cell=1.0 / np.sqrt(degree)).spectrum()
-        factor = (
-            None
-            if ends.least is None
-            else second_order(max(1.0 - ends.least, ends.greatest - 1.0), self.parameters.relaxation)
-        )
+        radius = None if ends.least is None else max(1.0 - ends.least, ends.greatest - 1.0)
         return Theory(
             "relaxation: spectral radius of the mean over neighbours, second order if relaxation > 1"
             " (Golub & Varga 1961)",

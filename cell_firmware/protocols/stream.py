@@ -56,8 +56,8 @@ class Stream(Firmware):
 
     At rest what flows out of every cell is its spring: net flow 0 through the faces of all others, to rounding, which
     is what incompressible means on cells. A side without a neighbour, or with one that died and was silent for
-    ``patience`` periods, is a wall: nothing flows through it, and the stream goes round. Wheels run at the mean velocity
-    of opposite faces, flow over pitch. Potentials are known up to a constant, which matters to nobody.
+    ``patience`` periods, is a wall: nothing flows through it, and the stream goes round. Wheels run at the mean
+    velocity of opposite faces, flow over pitch. Potentials are known up to a constant, which matters to nobody.
 
     Where springs are not even every cell of their part takes an equal share of what is too much, its potential rises
     for ever, and the flow still settles. Lost and late messages cost time, and shift the constant; with w > 1 late ones
