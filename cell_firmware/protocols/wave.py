@@ -40,8 +40,8 @@ class Wave(Firmware):
 
     A side without a message (no cell there, or a dead one) is a free end, which reflects; a held cell a fixed one.
     Without damping ``E = 1/2 |w[k]|^2 + 1/2 c2 sum over links of du[k] du[k-1]``, du being the difference of a link's
-    ends, stays what it was. A mode of eigenvalue lambda of the Laplacian swings at the angle t a tick with ``sin(t / 2)^2 =
-    c2 lambda / 4`` while that is at most 1: up to c2 = 1/2 on four neighbours.
+    ends, stays what it was. A mode of eigenvalue lambda of the Laplacian swings at the angle t a tick, with
+    ``sin(t / 2)^2 = c2 lambda / 4`` while that is at most 1: up to c2 = 1/2 on four neighbours.
 
     Nothing bounds it where links lose or delay messages: a word that is missing, or older than it seems, pushes out of
     step. Damping has to take out more than they put in (``docs/protocols/fields.md`` says how much was enough).
