@@ -45,13 +45,13 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "dead 10 %": {"dead": 0.1},
 }
 METHOD = f"""\
-Method. {{arrays}} arrays of {ROWS} x {COLUMNS} cells side by side, no link between them, each with losses, delays, clocks
-and deaths of its own by the seed; {TICKS} ticks. "dead 10 %": {{dead}} cells of every array die in tick {DIE}, drawn from
-those that hold or feed nothing (for max_consensus from all others, and the leader with them). The right answer is
-theory's limit on the cells that live. "error": the greatest distance of a living cell from it in the last {LAST} ticks,
-by the limit's range, in the median array and in the worst; "bias": the greatest of a cell's means, over arrays and
-those ticks, beside what the arrays' scatter alone makes of it (one standard deviation); "settled": the first tick from
-which the error stays below 1 %, in the median array and in the worst; - for never.
+Method. {{arrays}} arrays of {ROWS} x {COLUMNS} cells side by side, no link between them, each with losses, delays,
+clocks and deaths of its own by the seed; {TICKS} ticks. "dead 10 %": {{dead}} cells of every array die in tick {DIE},
+drawn from those that hold or feed nothing (for max_consensus from all others, and the leader with them). The right
+answer is theory's limit on the cells that live. "error": the greatest distance of a living cell from it in the last
+{LAST} ticks, by the limit's range, in the median array and in the worst; "bias": the greatest of a cell's means, over
+arrays and those ticks, beside what the arrays' scatter alone makes of it (one standard deviation); "settled": the first
+tick from which the error stays below 1 %, in the median array and in the worst; - for never.
 average_consensus: "error" is in units of what it averages, 1 in the left column and 0 elsewhere. max_consensus: "error"
 is the share of cells in those ticks that follow another than the leader. wave, undamped: "error" is the root mean
 square speed in those ticks by that on perfect links.
@@ -101,8 +101,8 @@ CASES: dict[str, Case] = {
     "heat_diffusion": Case("heat_diffusion", SPEEDS, edges),
     "heat_diffusion, patience 20": Case("heat_diffusion", {**SPEEDS, "patience": 20}, edges),
     "wave, damping 0": Case("wave", BUMP, nobody),
-    "wave, damping 0.2": Case("wave", {**SPEEDS, "damping": 0.2}, edges),
     "wave, damping 0.2, patience 20": Case("wave", {**SPEEDS, "damping": 0.2, "patience": 20}, edges),
+    "wave, damping 0.6, patience 20": Case("wave", {**SPEEDS, "damping": 0.6, "patience": 20}, edges),
     "laplace": Case("laplace", POTENTIALS, edges),
     "laplace, relaxation 1.4": Case("laplace", {**POTENTIALS, "relaxation": 1.4}, edges),
     "stream": Case("stream", SPRINGS, edges, flow),

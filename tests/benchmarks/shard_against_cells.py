@@ -24,8 +24,8 @@ from cell_firmware.protocols.heat_diffusion import HeatDiffusion, HeatDiffusionP
 from cell_firmware.shard import Links, Shard
 
 METHOD = """\
-Method. heat_diffusion on {side} x {side} cells, one corner hot; no bus, no plant, one process, processor time, in turns,
-the best of {turns}. "arrays": one shard of all cells. "cell by cell": the same firmware as one shard a cell, its
+Method. heat_diffusion on {side} x {side} cells, one corner hot; no bus, no plant, one process, processor time, in
+turns, the best of {turns}. "arrays": one shard of all cells. "cell by cell": the same firmware as one shard a cell, its
 messages carried over by a loop. "plain Python": the same update written as CellFirmware, all cells in one shard. All
 three must come to the same speeds, bit by bit.
 """

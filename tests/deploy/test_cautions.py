@@ -79,5 +79,5 @@ def test_a_firmware_that_can_not_say_is_bad_input_with_its_traceback(worried: st
 
 
 def test_bundled_scenes_have_nothing_to_be_careful_of() -> None:
-    for name in ("heat", "elliptic", "serial"):
+    for name in ("heat", "elliptic", "serial", "potential"):
         assert cautions_of(load_scene(name)) == ()
