@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.board import Board
+from cell_firmware.assembly import assemble
+from cell_firmware.clocks import ArrayClocks
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
+from deploy.cell_times import CellTimes
 from plant.loads import find_supports
 from plant.plant import Plant
 from plant.specs import PlantSpec
@@ -111,10 +113,14 @@ def run(case: Case) -> Course:
     plant, lattice = Plant(spec), spec.array.lattice()
     lost = np.array([lattice.index(cell) for cell in dead], dtype=np.int64)
     plant.lose(lost.tolist(), "coast")
-    shard = _shard(case, lattice, lost, width)
-    ticks = int(case.seconds * 1e9 / case.period_ns)
-    every = max(1, round(case.sample_s * 1e9 / case.period_ns))
-    times: list[float] = []
+    clock = CellEffects.model_validate(case.effects).clock
+    clocks = None if clock is None else clock.clocks(lattice, case.period_ns, 1)
+    times = None if clocks is None else CellTimes(clocks.all)
+    tick_ns = case.period_ns if clock is None else clock.window_ns(case.period_ns)
+    shard = _shard(case, lattice, lost, width, clocks)
+    ticks = int(case.seconds * 1e9 / tick_ns)
+    every = max(1, round(case.sample_s * 1e9 / tick_ns))
+    time_s: list[float] = []
     truths: list[NDArray[np.float64]] = []
     looks: list[tuple[NDArray[np.float64], NDArray[np.int64]]] = []
     drives, sense = np.zeros((len(lattice), 2)), plant.sense()
@@ -123,15 +129,15 @@ def run(case: Case) -> Course:
             shard.retire([cell])
             plant.lose([lattice.index(cell)], "coast")
         if tick % every == 0:
-            times.append(tick * case.period_ns * 1e-9)
+            time_s.append(tick * tick_ns * 1e-9)
             truths.append(plant.state)
             looks.append(_look(shard, case.seeds, width))
         drives[shard.indices] = shard.step(tick, sense.presence[shard.indices]).drive
-        sense, _ = plant.advance(drives, (tick + 1) * case.period_ns)
+        sense, _ = plant.advance(drives, (tick + 1) * tick_ns, None if times is None else times(tick))
     truth = np.array(truths)
     truth[:, :, 0] -= middle
     return Course(
-        np.array(times),
+        np.array(time_s),
         truth,
         np.array([found for found, _ in looks]),
         np.array([number for _, number in looks]),
@@ -177,7 +183,9 @@ def _standing(case: Case, reach_m: float, chance: np.random.Generator) -> tuple[
             return float(x), float(y), float(angle)
 
 
-def _shard(case: Case, lattice: Lattice, lost: NDArray[np.int64], width: int) -> Shard:
+def _shard(
+    case: Case, lattice: Lattice, lost: NDArray[np.int64], width: int, clocks: ArrayClocks | None
+) -> Shard:
     """The living cells; the dead ones are a shard that nobody steps."""
     spec = CellsSpec(
         firmware="parcel_estimate",
@@ -194,15 +202,16 @@ def _shard(case: Case, lattice: Lattice, lost: NDArray[np.int64], width: int) ->
     cells = Cells.of(lattice, place * PITCH_M, spec.period_s, SENSORS_M[case.sensors], pitch_m=PITCH_M)
     living = np.setdiff1d(np.arange(len(lattice)), lost)
     partition = Partition(lattice, [living, np.sort(lost)] if len(lost) else [living])
-    site = Site(partition.cells(0), case.sensors, firmware.message, 1)
-    stages = CellEffects.model_validate(case.effects).stages(site)
-    return Shard(Board(firmware), cells, partition, 0, stages)
+    effects = CellEffects.model_validate(case.effects)
+    controller = assemble(firmware, spec, effects, None, clocks)
+    site = Site(partition.cells(0), case.sensors, controller.message, 1)
+    return Shard(controller, cells, partition, 0, effects.stages(site))
 
 
 def _look(shard: Shard, seeds: int, width: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """What leaders believe: that of each island whose group is on its feet best, and how many there are."""
     cells, registers = shard.registers()
-    own = {name.partition(".")[2]: array for name, array in registers.items()}
+    own = {name.removeprefix("firmware."): array for name, array in registers.items()}
     found, number = np.full((seeds, 4), np.nan), np.zeros(seeds, dtype=np.int64)
     best = np.zeros(seeds)
     for i in np.flatnonzero(own["leads"] & (own["age"] < 255)):

@@ -79,7 +79,7 @@ def rows(seeds: int, seconds: float) -> Iterator[Row]:
     """The table, in two processes."""
     asked = [
         (size, wheels, dead, seeds, seconds)
-        for size, wheels in ((2, ""), (2, "w"), (3, ""), (4, ""), (5, ""))
+        for size, wheels in ((3, ""), (4, ""), (5, ""), (2, "w"), (2, ""))
         for dead in DEAD_PERCENT
     ]
     with get_context("spawn").Pool(2) as pool:
@@ -113,7 +113,7 @@ def picture(table: list[Row], place: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--seconds", type=float, default=18.0)
     parser.add_argument("--output", type=Path)
     asked = parser.parse_args()
     print(METHOD.format(seeds=asked.seeds, seconds=asked.seconds))
