@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import Annotated, Final, Literal, final
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from bus.lattice import Lattice
 from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorParameters
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outputs, State
 from cell_firmware.sighting import Sightings
 from cell_firmware.specs import Finite, Positive, Vector
+from cell_firmware.theory import Theory
 
 _AGAIN: Final = 2.0
 """How many times as far off as it may rest a parcel has to be for its cells to start anew."""
@@ -80,6 +83,33 @@ class Align(Firmware):
         """To the camera, where that is to tell the pose."""
         return self._sightings is not None
 
+    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+        """A gain with which parcels overshoot."""
+        del lattice
+        damping = self._damping()
+        if damping >= 1.0:
+            return ()
+        beyond = np.exp(-np.pi * damping / np.sqrt(1.0 - damping * damping))
+        product = self.parameters.gain_per_s * self.parameters.response_s
+        line = (
+            f"gain_per_s times response_s is {product:.3g}, above 1/4: parcels swing about the target, the first "
+            f"time by {beyond:.0%} of the way that they come at less than speed_m_s"
+        )
+        return (line,)
+
+    def theory(self, lattice: Lattice) -> Theory:
+        """The rate at which the slower of the two modes dies out."""
+        del lattice
+        damping, response_s = self._damping(), self.parameters.response_s
+        slower = 1.0 if damping <= 1.0 else 1.0 - np.sqrt(1.0 - 1.0 / (damping * damping))
+        return Theory(
+            f"X'' = mu g (gain (target - X) - X'): what is left dies out at {0.5 * slower / response_s:.3g} 1/s"
+        )
+
+    def _damping(self) -> float:
+        """Of the motion towards the target: 1 where it is critical."""
+        return float(0.5 / np.sqrt(self.parameters.gain_per_s * self.parameters.response_s))
+
     def init(self, cells: Cells) -> State:
         """What the source remembers; the motion asked for, ``(n, 3)``; distance, m, and sine of the angle left."""
         n = len(cells)
@@ -126,7 +156,7 @@ class Align(Firmware):
         across = direction[:, 0] * y - direction[:, 1] * x
         return error, np.where(along < 0.0, -across, across)
 
-    def _quiet(self, state: State, known: Bools, error: Floats, sine: Floats) -> np.ndarray:
+    def _quiet(self, state: State, known: Bools, error: Floats, sine: Floats) -> NDArray[np.int64]:
         """``(n,)``: for how many periods the parcel has been where it may rest."""
         p = self.parameters
         stands = state["quiet"] >= state["wait"]
