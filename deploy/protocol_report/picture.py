@@ -25,15 +25,17 @@ if TYPE_CHECKING:
 
 _MAPS: Final = 6
 _WIDTH, _LEFT, _RIGHT, _HEAD, _FOOT = 12.4, 0.75, 1.0, 0.95, 0.55
-_GAP, _TITLE, _BETWEEN, _CURVES = 0.14, 0.24, 0.4, 3.1
-_TALLEST: Final = 5.0
+_GAP, _TITLE, _BETWEEN, _CURVES = 0.14, 0.24, 0.45, 3.1
+_TALLEST: Final = 6.6
 """Of all maps together, inches."""
 _ARROWS: Final = 20
 """Across a map, at most."""
 _POINTS: Final = 4000
 _SHADES: Final = {CHANGE: "#8fa0b2", ERROR: "#b3541e", DISAGREEMENT: "#2f6f9f"}
 _THEORY, _INK, _LABEL = "#22272e", "#22272e", "#5b6570"
-_FLAT: Final = "viridis"
+_COLOURS, _BEYOND = "viridis", "#d7dce2"
+_FAR: Final = 3.0
+"""Times the greatest of the other numbers."""
 Floats = NDArray[np.float64]
 
 
@@ -75,7 +77,7 @@ def _figure(reporter: Reporter, report: ProtocolReport) -> Figure:
         size = down * (height + _TITLE + _GAP) - _TITLE - _GAP
         bar = figure.add_axes(
             (
-                (_WIDTH - _RIGHT + 0.12) / _WIDTH,
+                (_LEFT + across * (width + _GAP)) / _WIDTH,
                 (page - _HEAD - _TITLE - size) / page,
                 0.14 / _WIDTH,
                 size / page,
@@ -123,12 +125,19 @@ def _size(field: Floats) -> Floats:
 
 
 def _range(fields: list[Floats]) -> tuple[float, float]:
-    """The least and the greatest finite number that the maps show, never the same."""
+    """The least and the greatest finite number that the colours tell apart, never the same.
+
+    Of whole numbers one that is far above all others stands for "none" (a distance where no way leads): it is beyond
+    the colours.
+    """
     sizes = [_size(field) for field in fields]
     finite = np.concatenate([size[np.isfinite(size)] for size in sizes]) if sizes else np.zeros(0)
     if not len(finite):
         return 0.0, 1.0
     low, high = float(finite.min()), float(finite.max())
+    others = finite[finite < high]
+    if len(others) and high > _FAR * max(float(others.max()), 1.0) and np.all(finite == np.rint(finite)):
+        high = float(others.max())
     low = min(low, 0.0) if fields[0].shape[-1] > 1 else low
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
@@ -144,8 +153,15 @@ def _draw_map(axes: Axes, grid: Floats, low: float, high: float) -> ScalarMappab
     """A cell a pixel, row 0 at the bottom; arrows where a cell has two numbers."""
     axes.set_facecolor("#eef1f4")
     image = axes.imshow(
-        _size(grid), origin="lower", cmap=_FLAT, vmin=low, vmax=high, aspect="auto", interpolation="nearest"
+        _size(grid),
+        origin="lower",
+        cmap=_COLOURS,
+        vmin=low,
+        vmax=high,
+        aspect="auto",
+        interpolation="nearest",
     )
+    image.set_cmap(image.get_cmap().with_extremes(over=_BEYOND))
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
@@ -169,7 +185,7 @@ def _draw_arrows(axes: Axes, grid: Floats, high: float) -> None:
     axes.quiver(
         x[shown], y[shown], part[shown, 0], part[shown, 1],
         color=[str(one) for one in shade], pivot="mid", angles="xy", scale_units="xy", scale=high / (0.9 * stride),
-        width=0.012 / max(1.0, min(grid.shape[1] / stride / 8, 3.0)), headwidth=4.5, headlength=4.5, headaxislength=4,
+        width=0.012 / max(1.0, min(grid.shape[1] / stride / 8, 3.0)), headwidth=4, headlength=4, headaxislength=3.6,
     )  # fmt: skip
 
 
@@ -183,8 +199,9 @@ def _draw_curves(axes: Axes, reporter: Reporter, report: ProtocolReport) -> None
         rms = np.array(kept)[shown]
         there = np.isfinite(rms) & (rms > 0.0)
         positive |= bool(there.any())
+        width = 2.4 if name == ERROR else 1.3  # where errors are disagreement, both are seen
         axes.plot(
-            tick[shown][there], rms[there], color=_SHADES[name], lw=1.4, label=f"{name} (rms)", zorder=3
+            tick[shown][there], rms[there], color=_SHADES[name], lw=width, label=f"{name} (rms)", zorder=3
         )
     if positive:
         axes.set_yscale("log")
@@ -199,19 +216,26 @@ def _draw_curves(axes: Axes, reporter: Reporter, report: ProtocolReport) -> None
     axes.set_xlabel("tick")
     axes.set_ylabel(f"residual of {report.observed}")
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper right", frameon=False, fontsize=8.5)
+        axes.legend(
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=5,
+            frameon=False,
+            fontsize=8.5,
+            borderaxespad=0.1,
+        )
 
 
 def _draw_slopes(axes: Axes, reporter: Reporter, report: ProtocolReport) -> None:
     """The ticks that were fitted, and there theory's slope, beside the residual's."""
     rate, name = report.rate, report.rate_of
+    bound = report.predicted_ticks
+    if bound is not None:
+        label = f"theory: done after {bound:,} ticks"
+        axes.axvline(bound, color=_THEORY, lw=1.2, ls=(0, (5, 3)), zorder=2, label=label)
     if rate is None or name is None:
-        if report.predicted_ticks is not None:
-            _draw_bound(axes, report.predicted_ticks)
         return
     axes.axvspan(rate.from_tick, rate.to_tick, color=_SHADES[name], alpha=0.08, lw=0, zorder=0)
-    if report.predicted_ticks is not None:
-        _draw_bound(axes, report.predicted_ticks)
     if report.predicted_factor is None or report.predicted_factor <= 0.0:
         return
     tick = np.array(reporter.residuals.tick)
@@ -225,9 +249,3 @@ def _draw_slopes(axes: Axes, reporter: Reporter, report: ProtocolReport) -> None
         span, line, color=_THEORY, lw=1.3, ls=(0, (5, 3)), zorder=4,
         label=f"theory: {report.predicted_factor:.6g} a tick; measured {rate.factor:.6g}",
     )  # fmt: skip
-
-
-def _draw_bound(axes: Axes, ticks: int) -> None:
-    axes.axvline(
-        ticks, color=_THEORY, lw=1.2, ls=(0, (5, 3)), zorder=2, label=f"theory: done after {ticks:,} ticks"
-    )

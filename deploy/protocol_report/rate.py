@@ -38,7 +38,7 @@ class Rate:
         from_tick: First tick of the fit.
         to_tick: Its last.
         decades: By which the residual fell in between; negative if it rose.
-        floor: Where the residual stopped falling, by noise or rounding; None where it had not stopped.
+        floor: Where the residual stopped falling, above rounding; None where it had not stopped.
     """
 
     factor: float
@@ -72,7 +72,6 @@ def fitted(tick: Floats, residual: Floats, scale: Floats) -> Rate | None:
     """
     there = np.isfinite(residual) & (residual > _ROUNDING * scale)
     gone = np.flatnonzero(np.isfinite(residual) & ~there)
-    floor = float(_ROUNDING * scale[gone[0]]) if len(gone) else None
     # what comes after the residual was rounding for the first time is rounding too, unless it came back for good
     end = int(gone[0]) if len(gone) and np.mean(there[gone[0] :]) < 0.5 else len(residual)
     rows = np.flatnonzero(there[:end])
@@ -81,7 +80,6 @@ def fitted(tick: Floats, residual: Floats, scale: Floats) -> Rate | None:
     ticks, log = tick[rows].astype(np.float64), np.log10(residual[rows])
     level = _level(log)
     if level is not None:
-        floor = 10.0**level
         above = np.flatnonzero(log > level + np.log10(_ABOVE))
         if len(above) < _LEAST_POINTS:
             return None
@@ -98,7 +96,7 @@ def fitted(tick: Floats, residual: Floats, scale: Floats) -> Rate | None:
         from_tick=int(ticks[0]),
         to_tick=int(ticks[-1]),
         decades=float(-slope * (ticks[-1] - ticks[0])),
-        floor=floor,
+        floor=None if level is None else 10.0**level,
     )
 
 

@@ -66,7 +66,7 @@ class ProtocolReport:
         predicted_ticks: In which it is done, by theory.
         residuals: By name, ``change``, ``error``, ``disagreement``: what became of each.
         rate_of: Whose rate was fitted.
-        rate: The fit; None where there is too little to fit.
+        rate: The fit, up to the first death, or after the last where that is too little; None if there is no more.
         rate_ratio: The fitted rate (minus the factor's logarithm) by theory's; None without both, or if that stays.
         last_change_tick: In which the field last changed.
         verdict: In a sentence, whether it does what theory says.
@@ -173,7 +173,8 @@ def _measured(rate: Rate | None) -> str:
     spread = "" if f"{rate.low:.6g}" == f"{rate.high:.6g}" else f" ({rate.low:.6g} to {rate.high:.6g})"
     slow = rate.ticks_per_decade
     decade = f", a tenth every {slow:.4g} ticks" if slow is not None and isfinite(slow) and slow < 1e6 else ""
-    return f"A factor of {rate.factor:.6g}{spread} a tick was measured{decade}."
+    stops = "" if rate.floor is None else f", down to {rate.floor:.2g}, where it stops"
+    return f"A factor of {rate.factor:.6g}{spread} a tick was measured{decade}{stops}."
 
 
 def _compared(rate: Rate, predicted: float, reasons: Sequence[str]) -> str:
@@ -187,6 +188,8 @@ def _compared(rate: Rate, predicted: float, reasons: Sequence[str]) -> str:
         return f"{says}: the rates agree within {max(100 * abs(times - 1.0), 0.01):.2g} %."
     if predicted > 1.0:
         return f"{says}: it grows {times:.3g} times as fast{_but(reasons)}."
+    if times <= 0.0:
+        return f"{says}: it does not die out{_but(reasons)}."
     if times > 1.0:
         return f"{says} of the slowest error: {times:.3g} times as fast, as where a run has little of that error."
     return f"{says}: {times:.3g} times as fast as that{_but(reasons)}."

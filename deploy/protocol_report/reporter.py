@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from bus.registers import Shown, Wanted
 from deploy.errors import InputError
 from deploy.protocol_report.load import link_load
-from deploy.protocol_report.rate import fitted
+from deploy.protocol_report.rate import Rate, fitted
 from deploy.protocol_report.report import ProtocolReport, course, disturbances, ratio, told_by, verdict
-from deploy.protocol_report.residuals import Residuals, Snapshots
+from deploy.protocol_report.residuals import CHANGE, Residuals, Snapshots
 
 if TYPE_CHECKING:
     from bus.lattice import Lattice
@@ -102,19 +102,17 @@ class Reporter:
         residuals, theory = self.residuals, self.theory
         if not len(residuals.tick) and ticks:
             self.notes.append(f"no cell showed {self.observed}: it is no number, or of too many")
-        tick = np.array(residuals.tick)
         courses = {
             name: found
             for name, rms in residuals.rms.items()
             if (found := course(residuals.tick, rms, residuals.most[name])) is not None
         }
-        rate_of = told_by(residuals)
-        rate = fitted(tick, np.array(residuals.rms[rate_of]), np.array(residuals.scale))
+        rate_of, rate = self._told(ticks, dead)
         predicted = None if theory is None else theory.factor
         return ProtocolReport(
             observed=self.observed,
             every_ticks=self._every,
-            ticks=len(tick),
+            ticks=len(residuals.tick),
             cells=len(self.lattice),
             cells_dead=len(dead),
             law=None if theory is None else theory.law,
@@ -131,6 +129,23 @@ class Reporter:
             notes=tuple(self.notes),
             links=link_load(self.scene, self._message, tally, *self._lived(ticks, dead)),
         )
+
+    def _told(self, ticks: int, dead: Mapping[tuple[int, int], int]) -> tuple[str, Rate | None]:
+        """The residual that tells of a rate, and that rate."""
+        name = told_by(self.residuals)
+        if self.theory is not None and self.theory.ticks is not None:
+            return name, None  # it is done at once, not ever closer
+        rate = self._rate(name, 0, min(dead.values(), default=ticks))
+        if rate is None and dead:  # the limit is not what it was, but what comes to rest does so at some rate
+            return CHANGE, self._rate(CHANGE, max(dead.values()), ticks)
+        return name, rate
+
+    def _rate(self, name: str, first: int, end: int) -> Rate | None:
+        """The rate of a residual from a tick on, up to another."""
+        tick = np.array(self.residuals.tick)
+        part = (tick >= first) & (tick < end)
+        rms, scale = np.array(self.residuals.rms[name]), np.array(self.residuals.scale)
+        return fitted(tick[part], rms[part], scale[part])
 
     def _take(self, tick: int, field: NDArray[Any], live: NDArray[np.bool_]) -> None:
         rows = _rows(field)
