@@ -200,9 +200,8 @@ def _draw_curves(axes: Axes, reporter: Reporter, report: ProtocolReport) -> None
         there = np.isfinite(rms) & (rms > 0.0)
         positive |= bool(there.any())
         width = 2.4 if name == ERROR else 1.3  # where errors are disagreement, both are seen
-        axes.plot(
-            tick[shown][there], rms[there], color=_SHADES[name], lw=width, label=f"{name} (rms)", zorder=3
-        )
+        drawn = np.where(there, rms, np.nan)  # a residual of nothing leaves a gap
+        axes.plot(tick[shown], drawn, color=_SHADES[name], lw=width, label=f"{name} (rms)", zorder=3)
     if positive:
         axes.set_yscale("log")
         low, high = axes.get_ylim()
