@@ -7,6 +7,7 @@ from math import degrees, pi
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from deploy.errors import InputError
@@ -66,3 +67,16 @@ def test_18_cells_hand_a_box_on_and_turn_it(changes: dict[str, Any], ended: Call
     assert summary.status == "ok"
     assert parcel.position_m == pytest.approx((0.15, 0.05), abs=5e-3)
     assert abs(degrees(parcel.angle_rad - pi / 2)) < 16.0
+
+
+@pytest.mark.parametrize("at_s", [0.7, 2.0, 4.0])
+def test_behind_its_reference_a_parcel_is_the_damped_oscillator_that_started_late(
+    at_s: float, ended: Callable[..., Summary]
+) -> None:
+    """e'' = -mu g (k e + e') from e' = -U on, to the way of the few periods in which the core was handed on."""
+    pace, k, speed = 0.3 * 9.81, 0.7, 0.15
+    slow, fast = np.sort(abs(np.roots([1.0, pace, pace * k])))
+    behind = speed * (np.exp(-slow * at_s) - np.exp(-fast * at_s)) / (fast - slow)
+    (parcel,) = ended("vehicle_row", duration_s=at_s).parcels
+    handed_on = parcel.position_m[0] + 0.35 + behind - speed * at_s
+    assert -speed * 0.004096 * (2 + speed * at_s / 0.1) < handed_on <= 0.0
