@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bus.lattice import OPPOSITE, Lattice
 from bus.partition import Partition
+from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells, Inbox, Inputs
 from cell_firmware.protocols.wave import Wave, WaveParameters
 
@@ -128,3 +129,18 @@ def test_waves_are_the_same_to_the_last_bit_however_the_array_is_cut(
     for shards in (3, 28):
         cut = run(firmware, Partition.even(lattice, shards), 60, dead={20: [(3, 3)]}).drives
         assert cut.tobytes() == whole.tobytes()
+
+
+def test_on_bad_links_it_takes_damping_to_keep_a_wave_from_growing(
+    grid: Callable[..., Lattice], watch: Callable[..., Any]
+) -> None:
+    lattice = grid(5, 6)
+    late = CellEffects.model_validate({"link_delay": {"between_ticks": [0, 4]}})
+    lossy = CellEffects.model_validate({"link_loss": {"probability": 0.2}})
+    assert abs(watch(wave(), lattice, 600, effects=lossy)[-1]).max() > 10.0
+    assert abs(watch(wave(damping=0.2, patience=20), lattice, 600, effects=late)[-1]).max() > 10.0
+    ends = [*BUMP["held"], {"columns": [5, 5], "speed_m_s": [0.0, 0.0]}]
+    damped = wave(damping=0.6, patience=20, held=ends, initial=BUMP["initial"][:1])
+    for effects in (late, lossy):
+        end = watch(damped, lattice, 800, effects=effects)[-1]
+        np.testing.assert_allclose(end, damped.theory(lattice).limit, rtol=0, atol=1e-6)
