@@ -65,7 +65,18 @@ class Estimator:
         self._halo, self._patience, self._memory = halo, patience, memory
 
     def init(self, cells: Cells) -> State:
-        """What cells remember; nothing is known."""
+        """What cells remember; nothing is known.
+
+        Raises:
+            ValueError: Groups of cells under such parcels would be wider than the map of their sensors.
+        """
+        wide, high = self._parameters.size_m
+        across = np.sqrt(wide * wide + high * high) / cells.pitch_m + 1.0 + 2.0 * self._halo
+        if across > pattern.WINDOW:
+            raise ValueError(
+                f"size_m = [{wide:g}, {high:g}]: with {self._halo} around them up to {across:.1f} cells in a row would "
+                f"take part; at most {pattern.WINDOW} can, with a pitch of {cells.pitch_m:g} m"
+            )
         n, words = len(cells), (cells.sensors, pattern.WORDS)
         nothing, nobody = np.zeros(n, dtype=np.int64), np.full(n, group.NOBODY)
         site = np.concatenate(([cells.pitch_m, cells.period_s], cells.sensors_m.ravel()))
@@ -112,14 +123,16 @@ class Estimator:
         """
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
-        awake = inputs.presence.any(axis=1) | inbox.received.any(axis=1) | (state["counts"] > 0).any(axis=1)
+        presence = inputs.presence
+        awake = presence.any(axis=1) | inbox.received.any(axis=1) | (state["counts"] > 0).any(axis=1)
         awake = awake | (state["level"] > 0) | (state["age"] < UNKNOWN)
         outbox = Outbox.empty(len(awake), MESSAGE)
         rows = np.flatnonzero(awake)
         if not len(rows):
             return state, outbox
         some = {name: picked(array, rows) for name, array in state.items()}
-        changed, sent, message = self._step(some, inputs.take(rows), command[rows])
+        mail = Inbox(picked(inbox.received, rows), picked(inbox.message, rows))
+        changed, sent, message = self._step(some, picked(presence, rows), mail, command[rows])
         put(outbox.sent, rows, np.repeat(sent[:, None], 4, axis=1))
         put(outbox.message, rows, np.repeat(message[:, None], 4, axis=1))
         after = dict(state)
@@ -141,21 +154,19 @@ class Estimator:
         )
 
     def _step(
-        self, state: State, inputs: Inputs, command: Floats
+        self, state: State, presence: Bools, inbox: Inbox, command: Floats
     ) -> tuple[dict[str, NDArray[Any]], Bools, NDArray[Any]]:
         """The same, of cells that have something to do: what of their state changes, who tells something, and what."""
-        inbox = inputs.inbox
-        assert inbox is not None, "this is a bug: this firmware has messages"
         counts = np.where(inbox.received, self._patience, np.maximum(state["counts"], 1) - 1)
         heard, told = counts > 0, state["told"].copy()
         told[inbox.received] = inbox.message[list(_GROUP.names or ())][inbox.received]
-        covered: Bools = np.any(inputs.presence, axis=1)
+        covered: Bools = np.any(presence, axis=1)
         place = self._place(state, covered, told, heard)
 
         theirs = pattern.heard(
             pattern.Map(state["heard_known"], state["heard_covered"]), inbox.message, inbox.received, heard
         )
-        mine = pattern.own(state["row"], state["column"], inputs.presence, place.level > 0)
+        mine = pattern.own(state["row"], state["column"], presence, place.level > 0)
         whole = pattern.gathered(mine, theirs, group.children(place, told, heard))
         sent = pattern.Map(state["sent_known"], state["sent_covered"])
         turn = pattern.next_sensor(whole, sent, state["turn"])

@@ -6,9 +6,11 @@ from typing import final
 
 import numpy as np
 
+from bus.lattice import Lattice
 from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorParameters
 from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outputs, State
 from cell_firmware.specs import Positive, Vector
+from cell_firmware.theory import Theory
 
 
 class ParcelEstimateParameters(EstimatorParameters):
@@ -39,6 +41,17 @@ class ParcelEstimate(Firmware):
     def __init__(self, parameters: ParcelEstimateParameters) -> None:
         super().__init__(parameters)
         self._estimator = Estimator(parameters)
+
+    def theory(self, lattice: Lattice) -> Theory:
+        """How soon a pose is known, and how the parcel then comes to rest; in seconds, for it knows no period."""
+        del lattice
+        gain, response = self.parameters.gain_per_s, self.parameters.response_s
+        damping = 1.0 / (2.0 * float(np.sqrt(gain * response)))
+        return Theory(
+            "a pose is known 8 (1 + sensors) ticks after the election, which takes as many as the group is wide; near "
+            f"the target the centre is a damped oscillator, natural frequency sqrt(gain / response) = "
+            f"{float(np.sqrt(gain / response)):.3g} rad/s, damping ratio {damping:.3g}"
+        )
 
     def init(self, cells: Cells) -> State:
         """The estimator's state; the rigid motion ``(n, 3)`` that the cell asked for last."""
