@@ -31,12 +31,12 @@ CASES: dict[str, dict[str, Any]] = {
     "10 % die on the way": {"dying_percent": 10.0},
 }
 METHOD = f"""\
-Method. A parcel of {SIZE_M[0]} x {SIZE_M[1]} m on {CELLS} x {CELLS} cells, pitch {PITCH_M} m, starts anywhere, at any
-angle; parcel_estimate brings it to the middle in {SECONDS:g} s; control period 16.384 ms, one sensor a cell but where it
-says otherwise; {{seeds}} seeds. The estimate of the group that carries most beside the true pose, every 0.2 s, while
-"moving" (from 2 to 6 s) and at "rest" (the last 2 s): root mean square, mm and degrees, of all seeds. "none": share of
-those looks from 2 s on in which no leader knew a pose. "leaders": how many did, mean. "end": distance of the true
-centre from the middle at the end, mean and greatest, mm.
+Method. A parcel of {SIZE_M[0]} x {SIZE_M[1]} m on {CELLS} x {CELLS} cells, pitch {PITCH_M} m, starts anywhere, at
+any angle; parcel_estimate brings it to the middle in {SECONDS:g} s; control period 16.384 ms, one sensor a cell but
+where it says otherwise; {{seeds}} seeds. The estimate of the group that carries most beside the true pose, every 0.2 s,
+while "moving" (from 2 to 6 s) and at "rest" (the last 2 s): root mean square, mm and degrees, of all seeds. "none":
+share of those looks from 2 s on in which no leader knew a pose. "leaders": how many did, mean. "end": distance of the
+true centre from the middle at the end, mean and greatest, mm.
 """
 
 
