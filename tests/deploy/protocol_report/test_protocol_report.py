@@ -130,6 +130,30 @@ def test_a_report_changes_nothing_and_is_the_same_for_any_processes(tmp_path: Pa
     assert several == each == alone
 
 
+def test_where_cells_die_the_rate_is_that_before_or_of_the_change_after(tmp_path: Path) -> None:
+    late = [{"kind": "crash", "at_s": 0.6, "cell": [0, 2]}, {"kind": "crash", "at_s": 0.6, "cell": [1, 2]}]
+    report = reported(scene(faults=late), tmp_path).protocol
+    assert report is not None
+    assert report.rate is not None
+    assert (report.rate_of, report.rate.to_tick < 147) == ("error", True)
+    assert report.rate.factor == pytest.approx(slowest(), rel=1e-5)
+    early = [{**fault, "at_s": 0.012} for fault in late]
+    report = reported(scene(faults=early), tmp_path).protocol
+    assert report is not None
+    assert report.rate is not None
+    assert report.rate_of == "change"
+    # a cell between a held one and the dead: u += r (held - u)
+    assert report.rate.factor == pytest.approx(1 - NUMBER, rel=1e-5)
+
+
+def test_drives_of_the_dead_do_not_count(plain: str, tmp_path: Path) -> None:
+    dead = [{"kind": "crash", "at_s": 0.05, "cell": [0, 2]}]
+    held = scene(0.1, {}, cells__firmware=f"{plain}:Unnamed", faults=dead, stall__policy="hold")
+    with_one = reported(held, tmp_path).protocol
+    assert with_one is not None
+    assert (with_one.cells_dead, with_one.ticks, with_one.last_change_tick) == (1, 25, 0)
+
+
 def test_with_registers_the_recording_has_them_in_their_ticks_alone(tmp_path: Path) -> None:
     summary = reported(scene(0.1), tmp_path, registers=10)
     assert summary.protocol is not None

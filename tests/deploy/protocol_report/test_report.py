@@ -33,6 +33,7 @@ def test_rates_are_compared_by_their_logarithms() -> None:
         0.98**0.5, 0.98, "effect link_loss"
     )
     assert "0.5 times as fast as that." in said(0.98**0.5, 0.98)
+    assert "it does not die out." in said(1.01, 0.98)
     assert "2 times as fast, as where a run has little of that error" in said(0.98**2, 0.98)
     assert "it grows 1.5 times as fast" in said(1.02**1.5, 1.02)
 
