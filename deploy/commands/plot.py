@@ -13,6 +13,7 @@ class Kind(StrEnum):
     """The pictures there are."""
 
     overview = "overview"
+    protocol = "protocol"
 
 
 RecordingArgument = Annotated[
@@ -22,15 +23,28 @@ OutputOption = Annotated[
     Path | None,
     typer.Option("--output", metavar="FILE", help="The PNG to write; default: beside the recording."),
 ]
-KindOption = Annotated[Kind, typer.Option("--kind", help="Which picture.")]
+KindOption = Annotated[
+    Kind,
+    typer.Option(
+        "--kind",
+        help="Which picture: of the parcels, or of what the cells' protocol did (needs mdms run --registers).",
+    ),
+]
 
 
 def plot(recording: RecordingArgument, output: OutputOption = None, kind: KindOption = Kind.overview) -> None:
     """Draw a picture of a recording, whole or cut short."""
-    from deploy.overview.picture import draw_overview
     from deploy.recordings.replay import load
 
     run = load(recording)
     path = output or run.path.with_name(f"{kind.value}.png")
-    draw_overview(run, path)
+    if kind is Kind.protocol:
+        from deploy.protocol_report.picture import draw_protocol
+        from deploy.protocol_report.replayed import replayed
+
+        draw_protocol(*replayed(run), path)
+    else:
+        from deploy.overview.picture import draw_overview
+
+        draw_overview(run, path)
     print(path)

@@ -73,13 +73,16 @@ class Reporter:
     @property
     def wanted(self) -> tuple[Wanted, ...]:
         """The registers to have the cells show."""
-        if self.observed == DRIVE:
-            return ()
-        return (Wanted(self._every, frozenset({_PROGRAM + self.observed})),)
+        return () if self.observed == DRIVE else (Wanted(self._every, frozenset({self.register})),)
+
+    @property
+    def register(self) -> str:
+        """The register that is the field, where the program names one."""
+        return _PROGRAM + self.observed
 
     def take(self, shown: Shown) -> None:
         """Take what the cells showed of themselves in a tick."""
-        field = shown.registers.get(_PROGRAM + self.observed)
+        field = shown.registers.get(self.register)
         if field is not None and shown.tick % self._every == 0:
             self._take(shown.tick, field, shown.cells)
 
@@ -89,14 +92,14 @@ class Reporter:
             self._take(tick, drive.copy(), live)
 
     def report(
-        self, ticks: int, dead: Mapping[tuple[int, int], int], tally: Mapping[str, int]
+        self, ticks: int, dead: Mapping[tuple[int, int], int], tally: Mapping[str, int] | None
     ) -> ProtocolReport:
         """What the protocol did.
 
         Args:
             ticks: Of the run.
             dead: Of every cell that died, in which tick.
-            tally: What the cells counted.
+            tally: What the cells counted; None if that is not known.
         """
         self.deaths = dead
         residuals, theory = self.residuals, self.theory
@@ -127,7 +130,9 @@ class Reporter:
                 theory, residuals, rate, disturbances(self.scene, len(dead)), max(dead.values(), default=0)
             ),
             notes=tuple(self.notes),
-            links=link_load(self.scene, self._message, tally, *self._lived(ticks, dead)),
+            links=None
+            if tally is None
+            else link_load(self.scene, self._message, tally, *self._lived(ticks, dead)),
         )
 
     def _told(self, ticks: int, dead: Mapping[tuple[int, int], int]) -> tuple[str, Rate | None]:

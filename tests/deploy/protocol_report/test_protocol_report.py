@@ -15,6 +15,7 @@ from deploy.cli import main
 from deploy.errors import InputError
 from deploy.overrides import Override
 from deploy.processes.plan import RunOptions
+from deploy.protocol_report.replayed import replayed
 from deploy.recordings.replay import load
 from deploy.run import run
 from deploy.scene import Scene
@@ -169,6 +170,28 @@ def test_looking_now_and_then_finds_the_same_rate(tmp_path: Path) -> None:
     assert (report.every_ticks, report.ticks) == (5, 49)
     assert report.rate is not None
     assert report.rate.factor == pytest.approx(slowest(), rel=1e-6)
+
+
+def test_a_recording_with_registers_tells_the_same_but_of_messages(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dead = [{"kind": "crash", "at_s": 0.7, "cell": [0, 2]}]
+    live = without_times(reported(scene(faults=dead), tmp_path, registers=1))
+    _, report = replayed(load(tmp_path))
+    assert asdict(report) == {key: live[key] for key in asdict(report)} | {"links": None}
+    assert main(["plot", str(tmp_path), "--kind", "protocol"]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'protocol.png'}\n"
+    assert (tmp_path / "protocol.png").read_bytes().startswith(b"\x89PNG")
+    reported(scene(0.1), tmp_path)
+    assert main(["plot", str(tmp_path), "--kind", "protocol"]) == 2
+    assert "has no registers of speed_m_s: record them with mdms run --registers" in capsys.readouterr().err
+
+
+def test_a_recording_always_has_the_drives(plain: str, tmp_path: Path) -> None:
+    live = reported(scene(0.1, {}, cells__firmware=f"{plain}:Unnamed"), tmp_path).protocol
+    assert live is not None
+    _, report = replayed(load(tmp_path))
+    assert asdict(report) == asdict(live)
 
 
 PLAIN = """
