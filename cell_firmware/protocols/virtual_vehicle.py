@@ -81,7 +81,6 @@ class _Words:
         hops: What is told within the vehicle goes so far, at most.
         life: Hops within which the core is still believed to be; 0: it isn't.
         heard: For how many periods its cells next to this one count as there.
-        halted: Whether they say that it gives way.
     """
 
     periods: Integers
@@ -93,7 +92,6 @@ class _Words:
     hops: Integers
     life: Integers
     heard: Integers
-    halted: Bools
 
 
 @final
@@ -248,8 +246,7 @@ class VirtualVehicle(Firmware):
         nearest: Integers = np.where(says, told["told_life"][:, :, None], 0).max(axis=1)
         life = np.where(core, hops, np.maximum(nearest - 1, 0))
         still = np.where(says.any(axis=1), self.parameters.patience, np.maximum(state["heard"] - 1, 0))
-        halted = (says & (told["told_halt"] > 0)[:, :, None]).any(axis=1)
-        return _Words(periods, reference, dx, dy, outer_m - distance, core, hops, life, still, halted)
+        return _Words(periods, reference, dx, dy, outer_m - distance, core, hops, life, still)
 
     # --- what is done -----------------------------------------------------------------------------
 
@@ -262,8 +259,7 @@ class VirtualVehicle(Firmware):
         towards = here.vx[:, None] * way_x + here.vy[:, None] * way_y > 0.0
 
         first = (self._numbers < own[:, None]) & (apart < near + self._margin * pitch_m[:, None])
-        pace_x = here.vx[:, None] - np.where(words.halted, 0.0, there.vx)
-        pace_y = here.vy[:, None] - np.where(words.halted, 0.0, there.vy)
+        pace_x, pace_y = here.vx[:, None] - there.vx, here.vy[:, None] - there.vy
         closing, pace = pace_x * way_x + pace_y * way_y, pace_x * pace_x + pace_y * pace_y
         # as both go on, they pass each other at sqrt(apart^2 - closing^2 / pace)
         meet = (closing > 0.0) & ((apart * apart - near * near) * pace < closing * closing)

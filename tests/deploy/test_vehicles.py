@@ -61,7 +61,7 @@ def test_off_the_line_of_a_row_no_parcel_is_carried(ended: Callable[..., Summary
     ids=["ideal wheels", "hc11"],
 )
 def test_18_cells_hand_a_box_on_and_turn_it(changes: dict[str, Any], ended: Callable[..., Summary]) -> None:
-    """A box that is nearly square, on nine cells, is held to 12 degrees, and still swings."""
+    """So few cells hold a box that is nearly square to some 12 degrees, and it still swings at the end."""
     summary = ended("vehicle_prototype", duration_s=8.5, **changes)
     (parcel,) = summary.parcels
     assert summary.status == "ok"

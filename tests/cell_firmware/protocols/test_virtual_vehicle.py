@@ -117,6 +117,16 @@ def test_without_its_parcel_it_waits_says_so_and_goes_on_when_it_is_back():
     np.testing.assert_allclose(parcel.place, [1.2, 0.5], atol=1e-3)
 
 
+def test_it_does_not_leave_a_parcel_that_is_held_back():
+    """Only cells near the reference pace it: it stops when none of those is over the parcel any more."""
+    on = floor(EAST)
+    for _ in range(300):
+        on.step(1)
+        on.discs[0].place = np.array([0.4, 0.5])
+    assert reference(on)[0] - 0.4 <= 0.15 + 0.16  # ``hold_m``, and the parcel's radius
+    assert set(on.state["state"][members(on)]) == {WAITS}
+
+
 def test_cells_that_are_cut_off_from_the_core_stop_within_the_hops_across():
     """All cells that can pace it die: no one adds to the record, and nobody goes on believing in it."""
     on = floor(EAST)
