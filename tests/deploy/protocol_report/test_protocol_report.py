@@ -149,8 +149,8 @@ def test_where_cells_die_the_rate_is_that_before_or_of_the_change_after(tmp_path
 
 def test_drives_of_the_dead_do_not_count(plain: str, tmp_path: Path) -> None:
     dead = [{"kind": "crash", "at_s": 0.05, "cell": [0, 2]}]
-    held = scene(0.1, {}, cells__firmware=f"{plain}:Unnamed", faults=dead, stall__policy="hold")
-    with_one = reported(held, tmp_path).protocol
+    braked = scene(0.1, {}, cells__firmware=f"{plain}:Unnamed", faults=dead, stall__policy="brake")
+    with_one = reported(braked, tmp_path).protocol  # whose drive goes from 0.1 m/s to 0
     assert with_one is not None
     assert (with_one.cells_dead, with_one.ticks, with_one.last_change_tick) == (1, 25, 0)
 
@@ -206,7 +206,7 @@ class Counter(CellFirmware):
 
     def step(self, state, inputs):
         count = min(state["count"] + 1, state["column"])
-        return {**state, "count": count}, CellOutputs((0.0, 0.0))
+        return {**state, "count": count}, CellOutputs((0.1, 0.0))
 
     def theory(self, lattice):
         return Theory("a cell counts to its column", ticks=int(lattice.columns.max()), limit=lattice.columns)
