@@ -29,7 +29,7 @@ from plant.loads import find_supports
 from plant.plant import Plant
 from plant.specs import PlantSpec
 
-CELLS, GAP, PITCH_M = 25, 3, 0.1
+GAP, PITCH_M = 3, 0.1
 SENSORS_M: dict[int, tuple[tuple[float, float], ...]] = {
     1: ((0.0, 0.0),),
     3: ((0.0, 0.0), (0.03, 0.015), (-0.015, 0.03)),
@@ -45,6 +45,7 @@ class Case:
 
     Attributes:
         size_m: The parcels' sides.
+        cells: Rows, and columns, of an island.
         dead_percent: Share of the cells that are dead from the start.
         dying_percent: Share of the cells that die one by one, evenly over the run.
         sensors: How many a cell has.
@@ -53,6 +54,7 @@ class Case:
     """
 
     size_m: tuple[float, float]
+    cells: int = 25
     dead_percent: float = 0.0
     dying_percent: float = 0.0
     sensors: int = 1
@@ -88,9 +90,11 @@ class Course:
 
 def run(case: Case) -> Course:
     """The case, one parcel a seed."""
-    width, half = CELLS + GAP, CELLS // 2
+    width, half = case.cells + GAP, case.cells // 2
     columns = case.seeds * width
-    named = [(r, s * width + c) for s in range(case.seeds) for r in range(CELLS) for c in range(CELLS)]
+    named = [
+        (r, s * width + c) for s in range(case.seeds) for r in range(case.cells) for c in range(case.cells)
+    ]
     middle = (np.arange(case.seeds) * width + half - (columns - 1) / 2) * PITCH_M
     parcels, dead, dying = _chances(case, middle)
     wide = (
@@ -100,7 +104,7 @@ def run(case: Case) -> Course:
         {
             **wide,
             "array": {
-                "rows": CELLS,
+                "rows": case.cells,
                 "columns": columns,
                 "pitch_m": PITCH_M,
                 "cells": named,
@@ -149,8 +153,8 @@ def _chances(
     case: Case, middle: NDArray[np.float64]
 ) -> tuple[list[dict[str, Any]], list[tuple[int, int]], list[tuple[int, int]]]:
     """Where parcels begin, which cells are dead, and which will die in which order; by seed, whatever the case asks."""
-    width, radius = CELLS + GAP, 0.5 * float(np.hypot(*case.size_m))
-    reach = CELLS * PITCH_M / 2 - radius - PITCH_M
+    width, radius = case.cells + GAP, 0.5 * float(np.hypot(*case.size_m))
+    reach = case.cells * PITCH_M / 2 - radius - PITCH_M
     parcels: list[dict[str, Any]] = []
     dead: list[tuple[int, int]] = []
     dying: list[tuple[int, int]] = []
@@ -160,17 +164,20 @@ def _chances(
         parcels.append(
             {"size_m": case.size_m, "mass_kg": 1.0, "position_m": (middle[seed] + x, y), "angle_rad": angle}
         )
-        order = [(int(i) // CELLS, seed * width + int(i) % CELLS) for i in chance.permutation(CELLS * CELLS)]
-        first = round(CELLS * CELLS * case.dead_percent / 100)
+        order = [
+            (int(i) // case.cells, seed * width + int(i) % case.cells)
+            for i in chance.permutation(case.cells * case.cells)
+        ]
+        first = round(case.cells * case.cells * case.dead_percent / 100)
         dead += order[:first]
-        dying += order[first : first + round(CELLS * CELLS * case.dying_percent / 100)]
+        dying += order[first : first + round(case.cells * case.cells * case.dying_percent / 100)]
     turn = np.random.default_rng(case.seeds).permutation(len(dying))
     return parcels, dead, [dying[int(i)] for i in turn]
 
 
 def _standing(case: Case, reach_m: float, chance: np.random.Generator) -> tuple[float, float, float]:
     """A pose drawn evenly of those in which a parcel does not tip over at once."""
-    place = (np.arange(CELLS) - CELLS // 2) * PITCH_M
+    place = (np.arange(case.cells) - case.cells // 2) * PITCH_M
     grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)
     while True:
         x, y = chance.uniform(-reach_m, reach_m, 2)
@@ -198,7 +205,7 @@ def _shard(
         },
     )
     firmware = load(spec)
-    place = np.stack((lattice.columns % width, lattice.rows), axis=1) - CELLS // 2
+    place = np.stack((lattice.columns % width, lattice.rows), axis=1) - case.cells // 2
     cells = Cells.of(lattice, place * PITCH_M, spec.period_s, SENSORS_M[case.sensors], pitch_m=PITCH_M)
     living = np.setdiff1d(np.arange(len(lattice)), lost)
     partition = Partition(lattice, [living, np.sort(lost)] if len(lost) else [living])

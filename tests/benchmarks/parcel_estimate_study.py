@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from parcel_estimate_case import CELLS, PITCH_M, Case, run
+from parcel_estimate_case import PITCH_M, Case, run
 
 SIZES = (2, 3, 4, 5)
 DEAD_PERCENT = (0, 10, 30, 50, 70, 90)
@@ -31,7 +31,7 @@ THEIRS = {
 }
 """Mean position error, tiles, of their tables: by the share of dead tiles, for parcels 2 to 5 tiles large."""
 METHOD = f"""\
-Method. {CELLS} x {CELLS} cells, pitch {PITCH_M} m, one sensor a cell. A square parcel starts anywhere it stands, at any
+Method. 25 x 25 cells, pitch {PITCH_M} m, one sensor a cell. A square parcel starts anywhere it stands, at any
 angle; parcel_estimate brings it to the middle; {{seconds:g}} s, control period 16.384 ms, viscous friction 0.2 s/m, at
 most 0.2 m/s. Dead cells are drawn by the seed, dead from the start; their wheels coast and carry. {{seeds}} seeds.
 "error": distance of the parcel's true centre from the middle at the end, in cells: mean, and the error of the mean;
