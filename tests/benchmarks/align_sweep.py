@@ -41,7 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--sensors", type=int, default=1, choices=(1, 5))
+    parser.add_argument("--sensors", type=int, default=5, choices=(1, 5))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--output", type=Path)
     asked = parser.parse_args()
