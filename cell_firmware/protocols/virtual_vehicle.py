@@ -14,6 +14,7 @@ from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inbox, Inputs, Outbox, Outputs, State
 from cell_firmware.journey import Journey, Leg, Reference, at_all
+from cell_firmware.recall import Patience, last_word, still_counts
 from cell_firmware.rotation import direction
 from cell_firmware.specs import Finite, NotNegative, Positive, Spec, Vector
 from cell_firmware.theory import Theory
@@ -57,7 +58,7 @@ class VirtualVehicleParameters(Spec):
     ahead: Annotated[int, Field(ge=1, le=20)] = 1
     """How many cells from one that senses the parcel wheels turn too, and how many pitches wider than its radius a
     vehicle is."""
-    patience: Annotated[int, Field(ge=1, le=1_000)] = 4
+    patience: Patience = 4
     """For how many periods a neighbour's word counts."""
     centring_per_s: tuple[NotNegative, NotNegative] = (0.5, 1.5)
     """Speed towards the reference by distance from it, along its own axes: unequal, they turn a long parcel along the
@@ -175,7 +176,7 @@ class VirtualVehicle(Firmware):
             "periods": np.where(within, 0, -1),
             "heard": np.zeros((n, len(vehicles)), dtype=np.int64),
             **sides,
-            "counts": np.zeros((n, 4), dtype=np.int64),
+            "counts": np.zeros((n, 4), dtype=np.int16),
             "vehicle": np.zeros(n, dtype=np.int64),
             "advances": np.zeros(n, dtype=np.bool_),
             "idle": np.zeros(n, dtype=np.int64),
@@ -215,14 +216,12 @@ class VirtualVehicle(Firmware):
 
     # --- what is heard ----------------------------------------------------------------------------
 
-    def _told(self, state: State, inbox: Inbox) -> dict[str, Integers]:
+    def _told(self, state: State, inbox: Inbox) -> dict[str, NDArray[Any]]:
         """What each side told last, where that still counts; else nothing."""
-        counts = np.where(inbox.received, self.parameters.patience, np.maximum(state["counts"] - 1, 0))
+        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
         told = {
-            f"told_{name}": np.where(
-                inbox.received, inbox.message[name], np.where(counts > 0, state[f"told_{name}"], 0)
-            )
-            for name in ("vehicle", "level", "life", "halt")
+            name: last_word(inbox.received, counts, inbox.message[name.removeprefix("told_")], state[name])
+            for name in ("told_vehicle", "told_level", "told_life", "told_halt")
         }
         return {**told, "counts": counts}
 
