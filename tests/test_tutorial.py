@@ -52,7 +52,7 @@ def _written(number: int, folder: Path) -> Path:
 
 def test_the_page_writes_three_programs_and_runs_them() -> None:
     assert set(FILES[-1]) == {"turn.toml", "turn.py", "turn_arrays.py"}
-    assert len(RUNS) == 8
+    assert len(RUNS) == 9
 
 
 def test_an_empty_file_is_refused_as_the_page_says(tmp_path: Path) -> None:
