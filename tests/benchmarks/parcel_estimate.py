@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from parcel_estimate_case import PITCH_M, Case, run
 
-SIZE_M, CELLS, SECONDS = (0.5, 0.3), 14, 9.0
+SIZE_M, CELLS, SECONDS = (0.5, 0.3), 15, 9.0
 CASES: dict[str, dict[str, Any]] = {
     "1 sensor": {},
     "3 sensors": {"sensors": 3},

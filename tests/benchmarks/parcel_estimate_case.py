@@ -45,7 +45,7 @@ class Case:
 
     Attributes:
         size_m: The parcels' sides.
-        cells: Rows, and columns, of an island.
+        cells: Rows, and columns, of an island; odd, so that a cell is in its middle.
         dead_percent: Share of the cells that are dead from the start.
         dying_percent: Share of the cells that die one by one, evenly over the run.
         sensors: How many a cell has.
