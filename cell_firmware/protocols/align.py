@@ -73,7 +73,7 @@ class Align(Firmware):
             self.message = None  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
             self._sightings = Sightings(parameters.size_m, parameters.patience_s)
         self._target = np.array((np.cos(parameters.angle_rad), np.sin(parameters.angle_rad)))
-        self._corner_m = 0.5 * np.sqrt(parameters.size_m[0] ** 2 + parameters.size_m[1] ** 2)
+        self._corner_m = 0.5 * float(np.sqrt(parameters.size_m[0] ** 2 + parameters.size_m[1] ** 2))
 
     def needed(self) -> tuple[str, ...]:
         """A camera, where that is to tell the pose."""
@@ -151,7 +151,7 @@ class Align(Firmware):
         """``(n, 2)`` m to the target; ``(n,)`` sine of the angle to it, whichever way round is nearer."""
         target = self.parameters.target_m
         error = np.zeros_like(centre) if target is None else np.array(target) - centre
-        x, y = self._target
+        x, y = float(self._target[0]), float(self._target[1])
         along = direction[:, 0] * x + direction[:, 1] * y
         across = direction[:, 0] * y - direction[:, 1] * x
         return error, np.where(along < 0.0, -across, across)
@@ -172,7 +172,7 @@ class Align(Firmware):
         length = np.sqrt(asked[:, 0] * asked[:, 0] + asked[:, 1] * asked[:, 1])
         slower = np.where(length > limit, limit / np.maximum(length, limit), 1.0)
         fastest = limit / self._corner_m
-        spin = np.minimum(np.maximum(gain * sine, -fastest), fastest)
+        spin: Floats = np.clip(gain * sine, -fastest, fastest)
         return asked * slower[:, None], spin, np.maximum(1.0 - length / limit, 0.0)
 
     def _left(self, error: Floats, sine: Floats, known: Bools) -> Floats:
