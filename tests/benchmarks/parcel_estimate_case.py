@@ -205,7 +205,7 @@ def _shard(
         },
     )
     firmware = load(spec)
-    place = np.stack((lattice.columns % width, lattice.rows), axis=1) - case.cells // 2
+    place = (np.stack((lattice.columns % width, lattice.rows), axis=1) - case.cells // 2).astype(np.float64)
     cells = Cells.of(lattice, place * PITCH_M, spec.period_s, SENSORS_M[case.sensors], pitch_m=PITCH_M)
     living = np.setdiff1d(np.arange(len(lattice)), lost)
     partition = Partition(lattice, [living, np.sort(lost)] if len(lost) else [living])
