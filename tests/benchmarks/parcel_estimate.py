@@ -58,7 +58,7 @@ def line(asked: tuple[str, int]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=50)
     seeds = parser.parse_args().seeds
     print(METHOD.format(seeds=seeds))

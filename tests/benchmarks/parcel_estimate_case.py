@@ -95,7 +95,9 @@ def run(case: Case) -> Course:
     named = [
         (r, s * width + c) for s in range(case.seeds) for r in range(case.cells) for c in range(case.cells)
     ]
-    middle = (np.arange(case.seeds) * width + half - (columns - 1) / 2) * PITCH_M
+    middle: NDArray[np.float64] = np.array(
+        [(seed * width + half - (columns - 1) / 2) * PITCH_M for seed in range(case.seeds)]
+    )
     parcels, dead, dying = _chances(case, middle)
     wide = (
         {"effects": {"contact_width": {"width_m": case.wheel_m}}, "solver": _IMPLICIT} if case.wheel_m else {}
@@ -177,12 +179,12 @@ def _chances(
 
 def _standing(case: Case, reach_m: float, chance: np.random.Generator) -> tuple[float, float, float]:
     """A pose drawn evenly of those in which a parcel does not tip over at once."""
-    place = (np.arange(case.cells) - case.cells // 2) * PITCH_M
+    place = (np.arange(case.cells) - case.cells // 2).astype(np.float64) * PITCH_M
     grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)
     while True:
         x, y = chance.uniform(-reach_m, reach_m, 2)
         angle = chance.uniform(0.0, np.pi)
-        offsets = grid - (x, y)
+        offsets: NDArray[np.float64] = grid - np.array([x, y])
         along = offsets @ (np.cos(angle), np.sin(angle))
         across = offsets @ (-np.sin(angle), np.cos(angle))
         under = (abs(along) <= case.size_m[0] / 2) & (abs(across) <= case.size_m[1] / 2)

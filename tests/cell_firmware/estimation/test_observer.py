@@ -14,8 +14,10 @@ PITCH_M, HALF_M = 0.1, (0.24, 0.15)
 
 def around(pose: tuple[float, float, float], spacing_m: float = PITCH_M) -> Sensors:
     """What 16 x 16 sensors see of a rectangle."""
-    steps = (np.arange(16) - 8) * spacing_m
-    x, y = (grid.reshape(1, -1) for grid in np.meshgrid(steps, steps))
+    steps = (np.arange(16) - 8).astype(np.float64) * spacing_m
+    across_m, along_m = np.meshgrid(steps, steps)
+    x: NDArray[np.float64] = across_m.reshape(1, -1)
+    y: NDArray[np.float64] = along_m.reshape(1, -1)
     along = np.cos(pose[2]) * (x - pose[0]) + np.sin(pose[2]) * (y - pose[1])
     across = np.cos(pose[2]) * (y - pose[1]) - np.sin(pose[2]) * (x - pose[0])
     covered = (abs(along) <= HALF_M[0]) & (abs(across) <= HALF_M[1])
