@@ -46,10 +46,17 @@ class OverlapWatch:
             if found is not None:
                 yield i, j, found[0], (float(found[1][0]), float(found[1][1]))
 
-    def in_the_way(self, i: int, state: Floats, there: Indices) -> int | None:
-        """The first parcel, of those that are there, that parcel ``i`` would overlap at its pose."""
+    def in_the_way(self, i: int, state: Floats, there: Indices, clear_m: float = 0.0) -> int | None:
+        """The first parcel, of those that are there, that parcel ``i`` would overlap at its pose.
+
+        Or whose centre of mass is nearer to that of ``i`` than ``clear_m``.
+        """
         gap = state[there, :2] - state[i, :2]
-        near = np.hypot(gap[:, 0], gap[:, 1]) < self._radius[there] + self._radius[i]
+        apart = np.hypot(gap[:, 0], gap[:, 1])
+        close = there[apart < clear_m]
+        if len(close):
+            return int(close[0])
+        near = apart < self._radius[there] + self._radius[i]
         placed = self._placed(i, state[i])
         for j in there[near].tolist():
             if geometry.overlap(placed, self._placed(j, state[j])) is not None:

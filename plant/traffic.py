@@ -23,6 +23,7 @@ class _Queue:
 
     Attributes:
         due_ns: When each is due.
+        clear_m: How near no other's centre of mass may be.
         called_ns: When each was first due at a look, of those that were.
         fed: How many have been fed.
         held_back: How many found no room when they were due.
@@ -32,6 +33,7 @@ class _Queue:
     name: str
     first: int
     due_ns: list[int]
+    clear_m: float = 0.0
     called_ns: list[int] = field(default_factory=list[int])
     fed: int = 0
     held_back: int = 0
@@ -104,7 +106,7 @@ class Traffic:
         self._queues: list[_Queue] = []
         own = first = len(state) - spec.total
         for feed in spec.feed:
-            self._queues.append(_Queue(feed.name, first, feed.due_ns(seed)))
+            self._queues.append(_Queue(feed.name, first, feed.due_ns(seed), feed.clear_m))
             first += feed.total
         self._gates = [_Gate(exit_.name, *geometry.edges(exit_.corners())) for exit_ in spec.exits]
         self._since_ns: dict[int, int] = dict.fromkeys(range(own), 0)
@@ -129,7 +131,7 @@ class Traffic:
         for queue in self._queues:
             called = queue.call(time_ns)
             while queue.fed < len(queue.called_ns):
-                other = self._overlaps.in_the_way(queue.head, self._state, self.there)
+                other = self._overlaps.in_the_way(queue.head, self._state, self.there, queue.clear_m)
                 if other is not None:
                     events.extend(self._hold_back(queue, called, other))
                     break

@@ -40,6 +40,8 @@ class FeedSpec(ParcelSpec):
     mean_s: Interval | None = None
     """Or at random: the gaps between parcels, and from ``first_s`` to the first, are exponential with this mean."""
     first_s: Time = 0.0
+    clear_m: NotNegative = 0.0
+    """Held back, too, while another's centre of mass is nearer than this to where a parcel is to appear."""
     position_spread_m: tuple[NotNegative, NotNegative] = (0.0, 0.0)
     """Each parcel's place is off by up to this much along x and along y, either way, uniformly at random."""
     angle_spread_rad: NotNegative = 0.0

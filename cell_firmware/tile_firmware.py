@@ -1,0 +1,265 @@
+"""Firmware whose tiles pass parcels on, reserved before they carry: what ``reserve_path`` and ``route`` share."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated, Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bus.lattice import STEPS, Lattice
+from cell_firmware import tile_rounds
+from cell_firmware.errors import ParametersError
+from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.hops import hops_to
+from cell_firmware.recall import Patience, last_word, still_counts
+from cell_firmware.specs import NotNegative, Positive
+from cell_firmware.theory import Theory
+from cell_firmware.tile_leader import Around, decide, still_handing_over
+from cell_firmware.tile_words import (
+    MASK_16,
+    NEIGHBOURS,
+    OPPOSITES,
+    TALK,
+    Doing,
+    doing,
+    newest_words,
+    side,
+    version,
+    word,
+)
+from cell_firmware.tiles import TilesSpec, Tiling
+
+Ints = NDArray[np.int64]
+
+_AHEAD: Final = np.array([(column, row) for row, column in STEPS], dtype=np.float64)
+_AFRESH: Final = 16
+"""By so many versions a new leader's word is newer than the last it has heard: the dead one's may have got on."""
+
+
+class TileParameters(TilesSpec):
+    """Tiles and lanes, how parcels are carried, and when silence means death."""
+
+    speed_m_s: Positive = 0.5
+    """Of parcels that are passed on, and the most while they are centred."""
+    gain_per_s: tuple[Positive, Positive] = (5.0, 4.0)
+    """A tile that has a parcel drives the elliptic field with these rates, about its middle."""
+    settle_s: NotNegative = 0.3
+    """For how long a parcel is centred before it turns off."""
+    least_cells: Annotated[int, Field(ge=1)] | None = None
+    """A tile in which fewer cells live is closed; at least more than half. Left out: all but one row of it."""
+    waiting_hops: Annotated[int, Field(ge=0, le=1_000)] = 4
+    """A tile whose parcel waits counts as so many cells more: others go round it if that is nearer then."""
+    patience: Annotated[int, Field(ge=8, le=255)] = 40
+    """For how many ticks a tile's word is believed: longer than it takes from one tile's far end to the next's."""
+    recall: Patience = 4
+    """For how many periods a neighbour's word about distances counts."""
+    limit: Annotated[int, Field(ge=2, le=16_000)] = 250
+    """Distance in cells that means: no way leads there."""
+
+
+class TileFirmware(Firmware):
+    """See ``docs/protocols/routing.md``."""
+
+    Parameters = TileParameters
+    name: ClassVar[str]
+    """As scenes name it."""
+    message = np.dtype([*TALK, ("way_1", "<u2")])
+    observed = "distance"
+
+    def __init__(self, parameters: TileParameters) -> None:
+        super().__init__(parameters)
+        self.tiling = Tiling(parameters)
+        self._kinds = self.kinds(parameters)
+        self.ways = [f"way_{number}" for number in range(1, self._kinds + 1)]
+        self.message = np.dtype([*TALK, *((way, "<u2") for way in self.ways)])  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
+
+    @staticmethod
+    @abstractmethod
+    def kinds(parameters: TileParameters) -> int:
+        """How many kinds of exits parcels tell apart."""
+
+    @abstractmethod
+    def labels(self, inputs: Inputs) -> Ints:
+        """``(n,)``: what each cell knows of the parcel over it: the kind of its exit, or 0."""
+
+    def check(self, lattice: Lattice) -> None:
+        """Every cell of every tile must exist."""
+        problems = tuple(self.tiling.problems(lattice))
+        if problems:
+            raise ParametersError(self.name, problems)
+
+    def theory(self, lattice: Lattice) -> Theory:
+        """Cells' distances along the lanes, by exit; known one tick a cell from each, once its tile is open."""
+        cells = Cells.of(lattice, np.zeros((len(lattice), 2)), 1.0)
+        place = self.tiling.place(cells)
+        passes = place["mate"] | place["out"]
+        kind = np.minimum(place["exit"], self._kinds)
+        away = [
+            hops_to(lattice, np.flatnonzero(kind == number).tolist(), lambda i, s: bool(passes[i, s]))
+            for number in range(1, self._kinds + 1)
+        ]
+        far, limit = np.stack(away, axis=1), self.parameters.limit
+        return Theory(
+            "a cell knows its distance d along the lanes d ticks after the tiles on the way are open",
+            limit=np.where((far < 0) | (far > limit), limit, far),
+        )
+
+    def init(self, cells: Cells) -> State:
+        """Where each cell is in its tile; what it knows of its tile and those around it; distances; a leader's mind."""
+        place, n, sides = self.tiling.place(cells), len(cells), (len(cells), 4)
+        silence = np.full(
+            n, -self.parameters.patience
+        )  # a cell that starts first listens whether somebody leads
+        place["exit"] = np.minimum(place["exit"], self._kinds)
+        least = self.parameters.least_cells or self.tiling.side * (self.tiling.side - 1)
+        far = self.parameters.limit << 2
+        return {
+            **place,
+            **tile_rounds.begun(place, self.tiling.side),
+            "silence": silence,
+            "own": np.zeros(n, dtype=np.int64),
+            "last": np.zeros(n, dtype=np.int64),
+            "around": np.zeros(sides, dtype=np.int64),
+            "least": np.full(n, least),
+            "held": np.zeros(n, dtype=np.int64),
+            "came": np.full(n, 4),
+            "turn": np.full(n, 3),
+            "here": np.zeros(n, dtype=np.bool_),
+            "passed": np.zeros(n, dtype=np.bool_),
+            "grace": np.full(n, -1),
+            "told": np.full((*sides, self._kinds), far, dtype=np.uint16),
+            "counts": np.zeros(sides, dtype=np.int16),
+            "way": np.full((n, self._kinds), far),
+            "distance": np.full((n, self._kinds), self.parameters.limit),
+            "settle": np.full(n, round(self.parameters.settle_s / cells.period_s)),
+        }
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """Hear, learn the ways, decide where one leads, drive, tell."""
+        inbox, patience = inputs.inbox, self.parameters.patience
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        own, around = newest_words(state["own"], state["around"], inbox, state["mate"], state["used"])
+        here, passed = _under_its_parcel(state, inputs, own)
+        label = np.where(here, self.labels(inputs), 0)
+        told, counts = self._told(state, inputs)
+        way = self._ways(state, told)
+        after, leads, takes_over = tile_rounds.heard(state, inbox, here, label, patience)
+        own = self._lead(state, after, own, around, way, leads, takes_over, here, label)
+        speed = np.where(passed[:, None], 0.0, self._speed(state["offset_m"], own))
+        after["here"], after["passed"] = here, passed
+        outbox = self._tell(state, after, own, around, way)
+        del after["ended"]
+        learnt = {
+            "own": own,
+            "around": around,
+            "told": told,
+            "counts": counts,
+            "way": way,
+            "distance": way >> 2,
+        }
+        return {**state, **after, **learnt}, Outputs(speed, outbox)
+
+    def _told(self, state: State, inputs: Inputs) -> tuple[NDArray[np.uint16], NDArray[np.int16]]:
+        inbox = inputs.inbox
+        assert inbox is not None
+        counts = still_counts(inbox.received, state["counts"], self.parameters.recall)
+        news = np.stack([inbox.message[way] for way in self.ways], axis=2)
+        return last_word(
+            inbox.received, counts, news, state["told"], silence=self.parameters.limit << 2
+        ), counts
+
+    def _ways(self, state: State, told: NDArray[np.uint16]) -> Ints:
+        """``(n, kinds)``: four times the distance, one hop more than told, plus the side by which to leave the tile."""
+        far, hops = self.parameters.limit << 2, told.astype(np.int64)
+        out, mate = state["out"][:, :, None], state["mate"][:, :, None]
+        away = (hops & ~3) + 4 | np.arange(4)[:, None]
+        ahead = np.where(mate, hops + 4, np.where(out, away, far))
+        best = np.minimum(ahead.min(axis=1), far)
+        there = state["exit"][:, None] == np.arange(1, self._kinds + 1)
+        return np.where(there, state["exit_side"][:, None], best)
+
+    def _lead(
+        self,
+        state: State,
+        after: dict[str, NDArray[Any]],
+        own: Ints,
+        around: Ints,
+        way: Ints,
+        leads: Bools,
+        takes_over: Bools,
+        here: Bools,
+        label: Ints,
+    ) -> Ints:
+        """The word of the own tile from now on, where a cell leads; adds to ``after`` what it remembers of that."""
+        last = np.where(own > 0, own, state["last"])
+        after["last"] = last
+        own = np.where(takes_over, last + (_AFRESH << 40), own)
+        over = tile_rounds.ended(state, after, leads)
+        known = Around.of(around)
+        after["sure"] = np.where(takes_over, 0, after["sure"])
+        going_on = still_handing_over(own, known)
+        full = after["sure"] > state["sure"]
+        doubts = leads & (doing(own) == Doing.EXPECT) & ~going_on
+        after["grace"] = np.where(doubts, np.where(state["grace"] < 0, 0, state["grace"] + full), -1)
+        after["ended"], after["least"] = over, state["least"]
+        news = decide(state, after, own, known, way, self.parameters.limit)
+        was, now = doing(own) * 4 + side(own), news.code
+        changed = leads & ((now != was) | (news.exit != own >> 16 & 255) | (news.ticket != own & MASK_16))
+        word_ = word(version(own) + changed, self.parameters.patience, now, news.exit, news.ticket)
+        expects, has = Doing.EXPECT, now >> 2 >= Doing.HOLD
+        got = changed & (was >> 2 < Doing.HOLD) & has
+        after["came"] = np.where(got, np.where(was >> 2 == expects, was & 3, 4), state["came"])
+        after["held"] = np.where(has & ~got, np.minimum(state["held"] + 1, MASK_16), 0)
+        granted = changed & (now >> 2 == expects)
+        after["turn"] = np.where(granted, now & 3, state["turn"])
+        after["sure"] = np.where(changed, 0, after["sure"])
+        fresh_doubt = doubts & (state["grace"] < 0)
+        tile_rounds.begin(state, after, over | changed | fresh_doubt, here, label)
+        return np.where(leads, word_, own)
+
+    def _speed(self, offset_m: Floats, own: Ints) -> Floats:
+        """Centred where a tile has a parcel or expects one; at full speed over the side to which it passes one on."""
+        most = self.parameters.speed_m_s
+        does = doing(own)
+        centring = np.clip(-np.array(self.parameters.gain_per_s) * offset_m, -most, most)
+        ahead = _AHEAD[side(own)]
+        pushing = np.where(ahead != 0.0, most * ahead, centring)
+        carries = (does >= Doing.EXPECT)[:, None]
+        return np.where((does == Doing.PUSH)[:, None], pushing, np.where(carries, centring, 0.0))
+
+    def _tell(
+        self, state: State, after: dict[str, NDArray[Any]], own: Ints, around: Ints, way: Ints
+    ) -> Outbox:
+        n = len(own)
+        message = np.zeros((n, 4), dtype=self.message)
+        for name in ("pulse", "alive", "covered", "label", "passed"):
+            message[name] = after[name][:, None]
+        message["own"] = own[:, None]
+        for number, name in enumerate(NEIGHBOURS):
+            message[name] = around[:, number, None]
+        does = doing(own)
+        passes = (does != Doing.CLOSED) & (does != Doing.HOLD)
+        far = self.parameters.limit << 2
+        toll = np.where(does == Doing.WANT, self.parameters.waiting_hops << 2, 0)
+        for number, name in enumerate(self.ways):
+            known = way[:, number]
+            shown = np.where(passes, np.minimum(known + toll, far), far)
+            message[name] = np.where(state["mate"], known[:, None], shown[:, None])
+        return Outbox(np.repeat(state["used"][:, None], 4, axis=1), message)
+
+
+def _under_its_parcel(state: State, inputs: Inputs, own: Ints) -> tuple[Bools, Bools]:
+    """Which cells are under their tile's parcel; and which it has passed on its way out, or cells beside or ahead.
+
+    These stop, and take what they sense from then on for the next: it may be fed right behind.
+    """
+    inbox = inputs.inbox
+    assert inbox is not None
+    sensed = np.asarray(inputs.presence.any(axis=1))
+    told = inbox.message["passed"] & state["mate"] & (side(own)[:, None] != OPPOSITES)
+    gone = ~sensed & (state["here"] | told.any(axis=1))
+    passed = (doing(own) == Doing.PUSH) & (state["passed"] | gone)
+    return sensed & ~passed, passed

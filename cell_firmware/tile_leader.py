@@ -1,0 +1,157 @@
+"""What the leader of a tile decides: whose parcel it takes, when it passes its own on, and to whom.
+
+Two tiles pass a parcel on in four steps, each of which its tile tells until the other has heard: A *wants*, B *expects*
+(and names by its ticket which wish it grants), A *pushes*, and once no cell of A senses it, A is free; B, hearing that,
+has it. Words are told again and again and their versions only grow, so steps get lost or late, but not mixed up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.firmware import Bools
+from cell_firmware.tile_words import MASK_16, OPPOSITES, Doing, doing, exit_of, side, ticket, version
+
+Ints = NDArray[np.int64]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Around:
+    """What a leader knows of the tiles on its four sides, ``(n, 4)`` each.
+
+    Attributes:
+        doing: What each does.
+        faces: Is what it does about the side towards this tile?
+        exit: For which exit its parcel is.
+        version: Of its word.
+        ticket: Which wish it grants.
+    """
+
+    doing: Ints
+    faces: Bools
+    exit: Ints
+    version: Ints
+    ticket: Ints
+
+    @staticmethod
+    def of(words: Ints) -> Around:
+        """From the words of the four tiles."""
+        return Around(doing(words), side(words) == OPPOSITES, exit_of(words), version(words), ticket(words))
+
+    def on(self, sides: Ints) -> Around:
+        """Of one side each, ``(n,)``."""
+        row = np.arange(len(sides))
+        return Around(
+            self.doing[row, sides],
+            self.faces[row, sides],
+            self.exit[row, sides],
+            self.version[row, sides],
+            self.ticket[row, sides],
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What a tile does from now on, ``(n,)`` each: four times what it does plus its side; its exit; its ticket."""
+
+    code: Ints
+    exit: Ints
+    ticket: Ints
+
+    def where(self, condition: Bools, code: Ints, exit_: Ints, ticket_: Ints) -> Decision:
+        """Another one where a condition holds."""
+        return Decision(
+            np.where(condition, code, self.code),
+            np.where(condition, exit_, self.exit),
+            np.where(condition, ticket_, self.ticket),
+        )
+
+
+def with_parcel(state: Any, ways: Ints, limit: int, exit_: Ints) -> Ints:
+    """What a tile does that has a parcel for an exit: carry it out, ask for the way, or hold it."""
+    way = _way_to(ways, exit_[:, None])[:, 0]
+    known = (exit_ > 0) & (way >> 2 < limit)
+    onward = np.where(known, Doing.WANT * 4 + (way & 3), Doing.HOLD * 4)
+    return np.where(known & (state["exit"] == exit_), Doing.PUSH * 4 + state["exit_side"], onward)
+
+
+def decide(
+    state: Any, after: dict[str, NDArray[Any]], own: Ints, around: Around, ways: Ints, limit: int
+) -> Decision:
+    """What tiles do from now on, as their leaders see it.
+
+    Args:
+        state: Of the firmware.
+        after: What rounds have told.
+        own: ``(n,)``, the tile's word so far.
+        around: What is known of the tiles next to it.
+        ways: ``(n, exits)``, four times the distance to each exit, plus the side over which the way leads.
+        limit: Distance that means that there is none.
+    """
+    was, at, exit_, ticket_ = doing(own), side(own), exit_of(own), ticket(own)
+    partner = around.on(at)
+    sure, occupied, read = after["sure"] >= 1, after["occupied"], after["read"]
+    entry = ~state["into"].any(axis=1)
+    labelled = entry & sure & occupied & (read > 0)
+    nothing = np.zeros_like(own)
+    kept = Decision(was * 4 + at, exit_, ticket_)
+    mine = with_parcel(state, ways, limit, exit_)
+    news = kept.where(labelled & (was <= Doing.FREE), with_parcel(state, ways, limit, read), read, nothing)
+    vacant = sure & ~occupied
+    news = news.where((was == Doing.CLOSED) & vacant, nothing + Doing.FREE * 4, nothing, nothing)
+    news = news.where((was == Doing.CLOSED) & sure & occupied & (exit_ > 0), mine, exit_, nothing)
+    news = _granted(news, state, was == Doing.FREE, vacant, around, ways, limit)
+
+    lost = (was == Doing.EXPECT) & (after["grace"] >= 1)
+    news = news.where(lost & occupied, mine, exit_, nothing)
+    news = news.where(lost & ~occupied, nothing + Doing.FREE * 4, nothing, nothing)
+
+    news = news.where((was == Doing.HOLD) | (was == Doing.WANT) & after["ended"], mine, exit_, nothing)
+    steady = (state["held"] >= state["settle"]) | (state["came"] == OPPOSITES[at])
+    promised = (partner.doing == Doing.EXPECT) & partner.faces & (partner.ticket == version(own))
+    goes = (was == Doing.WANT) & promised & steady
+    news = news.where(goes, Doing.PUSH * 4 + at, exit_, nothing)
+
+    leaving = (was == Doing.PUSH) & (state["exit"] == exit_)
+    stopped = (was == Doing.PUSH) & ~leaving & (partner.doing == Doing.CLOSED)
+    news = news.where(stopped, mine, exit_, nothing)
+    news = news.where((was == Doing.PUSH) & vacant, nothing + Doing.FREE * 4, nothing, nothing)
+
+    open_ = np.bitwise_count(after["members"].astype(np.uint64)) >= after["least"]
+    keeps = (was == Doing.HOLD) | (was == Doing.WANT) | (was == Doing.PUSH) | (was == Doing.CLOSED)
+    return news.where(~open_, nothing, np.where(keeps, exit_, 0), nothing)
+
+
+def still_handing_over(own: Ints, around: Around) -> Bools:
+    """Of a tile that expects a parcel: is the other yet to go, or on its way?"""
+    partner, granted = around.on(side(own)), ticket(own)
+    wants = (partner.doing == Doing.WANT) & (partner.version == granted)
+    pushes = (partner.doing == Doing.PUSH) & (partner.version == (granted + 1 & MASK_16))
+    return partner.faces & (wants | pushes)
+
+
+def _granted(
+    news: Decision, state: Any, free: Bools, vacant: Bools, around: Around, ways: Ints, limit: int
+) -> Decision:
+    """A free tile's choice among those that ask it, each side having its turn; one that pushes already comes first."""
+    ours = around.faces & state["into"]
+    pushes = ours & (around.doing == Doing.PUSH)
+    leads_on = (around.exit > 0) & (_way_to(ways, around.exit) >> 2 < limit)
+    asks = ours & (around.doing == Doing.WANT) & leads_on & vacant[:, None]
+    late = (np.arange(4) - state["turn"][:, None] - 1) % 4
+    first = np.where(pushes, late - 8, np.where(asks, late, 9)).argmin(axis=1)
+    chosen = around.on(first)
+    found = free & (pushes | asks).any(axis=1)
+    wish = np.where(chosen.doing == Doing.PUSH, chosen.version - 1, chosen.version) & MASK_16
+    return news.where(found, Doing.EXPECT * 4 + first, chosen.exit, wish)
+
+
+def _way_to(ways: Ints, exits: Ints) -> Ints:
+    """``(n, k)`` ways to the exits ``(n, k)``, numbered from 1; for 0 whichever is first."""
+    return np.take_along_axis(ways, np.maximum(exits, 1) - 1, axis=1)

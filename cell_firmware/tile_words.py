@@ -1,0 +1,138 @@
+"""What cells of a tile tell each other, so that it acts as one: words in 64 bits of which the greater is the newer.
+
+A *word* is what a tile's leader has decided. From the highest bit down: version (16 bits: more is newer), freshness
+(8: for how many ticks it is still believed), what the tile does (8), for which exit its parcel is (8), ticket (16: the
+version of the wish that it grants). A *pulse* is the leader's sign of life: precedence (8), round (16), freshness (8).
+Both are told again and again, by all who have heard of them; whoever passes them on, or keeps them, takes one off the
+freshness. So of two the greater counts, a message that is lost changes nothing, and what nobody refreshes dies out
+in as many ticks as it was fresh, however it goes round.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.firmware import Bools, Inbox
+
+Ints = NDArray[np.int64]
+
+OPPOSITES: Final = np.array([2, 3, 0, 1])
+MASK_16: Final = 0xFFFF
+MASK_8: Final = 0xFF
+_FRESH: Final = 1 << 32
+NEIGHBOURS: Final = ("north", "east", "south", "west")
+TALK: Final = [
+    ("pulse", "<u4"),
+    ("alive", "<u2"),
+    ("covered", "<u2"),
+    ("label", "u1"),
+    ("passed", "?"),
+    ("own", "<i8"),
+    *((side, "<i8") for side in NEIGHBOURS),
+]
+"""Fields of a message: leader's pulse, who has answered it, over whom a parcel is, what the label reader has read,
+whether the parcel that leaves has passed the cell, and the words of the own tile and of the four around it."""
+
+
+class Doing(IntEnum):
+    """What a tile does."""
+
+    CLOSED = 0
+    """Takes no part: too few of its cells live, or it has yet to begin."""
+    FREE = 1
+    EXPECT = 2
+    """Is promised to the parcel of the tile on its side."""
+    HOLD = 3
+    """Has a parcel and knows no way for it."""
+    WANT = 4
+    """Has a parcel, and asks the tile on its side to take it."""
+    PUSH = 5
+    """Carries its parcel over its side."""
+
+
+def word(version: Ints, fresh: int, doing: Ints, exit_: Ints, ticket: Ints) -> Ints:
+    """Packs a word; ``doing`` is four times what the tile does, plus the side."""
+    return (version & MASK_16) << 40 | fresh << 32 | doing << 24 | exit_ << 16 | ticket & MASK_16
+
+
+def version(words: Ints) -> Ints:
+    """Version of each."""
+    return words >> 40
+
+
+def doing(words: Ints) -> Ints:
+    """What each tile does; ``CLOSED`` where nothing is known."""
+    return words >> 26 & 63
+
+
+def side(words: Ints) -> Ints:
+    """Over which side."""
+    return words >> 24 & 3
+
+
+def exit_of(words: Ints) -> Ints:
+    """For which exit its parcel is."""
+    return words >> 16 & MASK_8
+
+
+def ticket(words: Ints) -> Ints:
+    """Which wish it grants."""
+    return words & MASK_16
+
+
+def older(words: Ints) -> Ints:
+    """A tick later, or one cell farther on: 0 where a word is no longer fresh."""
+    return np.where(words >> 32 & MASK_8 > 1, words - _FRESH, 0)
+
+
+def older_pulse(pulses: Ints) -> Ints:
+    """The same of pulses."""
+    return np.where(pulses & MASK_8 > 1, pulses - 1, 0)
+
+
+def newest_words(own: Ints, around: Ints, inbox: Inbox, mate: Bools, used: Bools) -> tuple[Ints, Ints]:
+    """The newest that a cell has heard of its own tile and of the four around it.
+
+    Args:
+        own: ``(n,)``, of its own tile, as it knew it a tick ago.
+        around: ``(n, 4)``, of the tiles on each side, likewise.
+        inbox: What came.
+        mate: ``(n, 4)``: is the neighbour on that side in the same tile?
+        used: ``(n,)``: is the cell in a tile?
+
+    Returns:
+        Both from now on.
+    """
+    message = inbox.message
+    theirs = older(message["own"])
+    own = np.maximum(older(own), np.where(mate, theirs, 0).max(axis=1))
+    around = np.maximum(older(around), np.where(mate | ~used[:, None], 0, theirs))
+    told = np.stack([message[name] for name in NEIGHBOURS], axis=2)
+    return own, np.maximum(around, np.where(mate[:, :, None], older(told), 0).max(axis=1))
+
+
+def gathered(state: Any, inbox: Inbox) -> tuple[Ints, Ints, Ints, Ints]:
+    """The newest pulse that a cell has heard of its own tile, and what has been gathered in that round.
+
+    Returns:
+        Pulse; bits of the cells that have answered, and of those with a parcel over them; the label that was read.
+    """
+    mate, message = state["mate"], inbox.message
+    pulses = np.empty((len(mate), 5), dtype=np.int64)
+    pulses[:, 0] = state["pulse"]
+    pulses[:, 1:] = np.where(mate, message["pulse"], 0)
+    pulses = older_pulse(pulses)
+    rounds = pulses >> 8
+    newest = rounds.max(axis=1)
+    same = (rounds == newest[:, None]) & (newest > 0)[:, None]
+    pulse = np.where(same, pulses, 0).max(axis=1)
+    together: list[Ints] = []
+    for name in ("alive", "covered", "label"):
+        of_all = np.empty((len(mate), 5), dtype=np.int64)
+        of_all[:, 0], of_all[:, 1:] = state[name], message[name]
+        together.append(np.bitwise_or.reduce(np.where(same, of_all, 0), axis=1))
+    return pulse, together[0], together[1], together[2]
