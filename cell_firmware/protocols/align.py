@@ -11,7 +11,7 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorParameters
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outputs, State
-from cell_firmware.sighting import Sightings
+from cell_firmware.kit.sighting import Sightings
 from cell_firmware.specs import Finite, Positive, Vector
 from cell_firmware.theory import Theory
 

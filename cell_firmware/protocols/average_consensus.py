@@ -9,12 +9,12 @@ from pydantic import Field
 
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
-from cell_firmware.faces import total
 from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.places import Value, lay, misplaced
-from cell_firmware.recall import Patience, still_counts
+from cell_firmware.kit.faces import total
+from cell_firmware.kit.places import Value, lay, misplaced
+from cell_firmware.kit.recall import Patience, still_counts
+from cell_firmware.kit.spectra import Links, explicit_cautions, relaxed
 from cell_firmware.specs import Finite, Spec, Vector
-from cell_firmware.spectra import Links, explicit_cautions, relaxed
 from cell_firmware.theory import Theory
 
 

@@ -10,9 +10,9 @@ from pydantic import Field
 from bus.lattice import STEPS, Lattice
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.hops import hops_to
-from cell_firmware.places import Ints, Place, misplaced
-from cell_firmware.recall import Patience, last_word, still_counts
+from cell_firmware.kit.places import Ints, Place, misplaced
+from cell_firmware.kit.reach import steps_to
+from cell_firmware.kit.recall import Patience, last_word, still_counts
 from cell_firmware.specs import Positive, Spec
 from cell_firmware.theory import Theory
 
@@ -84,7 +84,7 @@ class HopGradient(Firmware):
         return found
 
     def _away(self, lattice: Lattice) -> Ints:
-        return hops_to(lattice, np.flatnonzero(self._is_goal(lattice.rows, lattice.columns)).tolist())
+        return steps_to(lattice, np.flatnonzero(self._is_goal(lattice.rows, lattice.columns)))
 
     def init(self, cells: Cells) -> State:
         """Who is a goal; each cell's distance; what each side told last, and for how long that counts."""

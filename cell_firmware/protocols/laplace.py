@@ -10,13 +10,13 @@ from pydantic import Field, model_validator
 
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
-from cell_firmware.faces import across, gradient, total
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.places import Value, lay, misplaced
-from cell_firmware.reach import steps_from
-from cell_firmware.recall import Patience, last_word, still_counts
+from cell_firmware.kit.faces import across, gradient, total
+from cell_firmware.kit.places import Value, lay, misplaced
+from cell_firmware.kit.reach import steps_to
+from cell_firmware.kit.recall import Patience, last_word, still_counts
+from cell_firmware.kit.spectra import Links, second_order
 from cell_firmware.specs import Finite, NotNegative, Spec
-from cell_firmware.spectra import Links, second_order
 from cell_firmware.theory import Theory
 
 
@@ -83,7 +83,7 @@ class Laplace(Firmware):
         potential, held = self._start(lattice.rows, lattice.columns)
         if np.ptp(potential[held]) == 0.0:
             found.append("all held cells have the same potential: it becomes flat, and wheels stand")
-        loose = int((steps_from(lattice, np.flatnonzero(held)) < 0).sum())
+        loose = int((steps_to(lattice, np.flatnonzero(held)) < 0).sum())
         if loose:
             found.append(
                 f"{loose} cells have no way to a held one: their potential stays 0, and their wheels stand"

@@ -11,8 +11,8 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.places import Place, lay, misplaced
-from cell_firmware.reach import leaders, steps_from
+from cell_firmware.kit.places import Place, lay, misplaced
+from cell_firmware.kit.reach import leaders, steps_to
 from cell_firmware.specs import Spec, Vector
 from cell_firmware.theory import Theory
 
@@ -80,7 +80,7 @@ class MaxConsensus(Firmware):
         lifetime = self.parameters.lifetime
         if lifetime >= len(lattice):
             return ()
-        steps = steps_from(lattice, self._leaders(lattice))
+        steps = steps_to(lattice, self._leaders(lattice))
         beyond = int((steps > lifetime).sum())
         if not beyond:
             return ()
@@ -92,7 +92,7 @@ class MaxConsensus(Firmware):
         leader = self._leaders(lattice)
         return Theory(
             "flooding: a cell knows the leader after as many ticks as it is steps away (Lynch 1996, ch. 4.1)",
-            ticks=int(steps_from(lattice, leader).max()),
+            ticks=int(steps_to(lattice, leader).max()),
             limit=np.stack((lattice.rows[leader], lattice.columns[leader]), axis=1),
         )
 

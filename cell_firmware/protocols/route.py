@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.firmware import Inputs
-from cell_firmware.tile_firmware import TileFirmware, TileParameters
+from cell_firmware.tiles.firmware import TileFirmware, TileParameters
 
 
 @final

@@ -11,13 +11,13 @@ from pydantic import Field
 
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
-from cell_firmware.faces import across, gradient, total
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.places import Place, lay, misplaced
-from cell_firmware.reach import parts
-from cell_firmware.recall import Patience, last_word, still_counts
+from cell_firmware.kit.faces import across, gradient, total
+from cell_firmware.kit.places import Place, lay, misplaced
+from cell_firmware.kit.reach import parts
+from cell_firmware.kit.recall import Patience, last_word, still_counts
+from cell_firmware.kit.spectra import Links, explicit_cautions, relaxed, second_order
 from cell_firmware.specs import Finite, Spec
-from cell_firmware.spectra import Links, explicit_cautions, relaxed, second_order
 from cell_firmware.theory import Theory
 
 

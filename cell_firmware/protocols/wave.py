@@ -10,8 +10,8 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.recall import Patience, last_word, still_counts
-from cell_firmware.spread import SpreadParameters, speeds_told
+from cell_firmware.kit.recall import Patience, last_word, still_counts
+from cell_firmware.kit.spread import SpreadParameters, speeds_told
 from cell_firmware.theory import Theory
 
 

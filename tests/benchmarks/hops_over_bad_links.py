@@ -24,7 +24,7 @@ from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
-from cell_firmware.hops import hops_to
+from cell_firmware.kit.reach import steps_to
 from cell_firmware.loader import load
 from cell_firmware.mailbox import Mailbox
 from cell_firmware.shard import Shard
@@ -73,7 +73,7 @@ def course(tables: dict[str, Any], patience: int, seed: int) -> tuple[NDArray[np
         for i in draw.choice(len(lattice) - 1, len(lattice) // 10, replace=False).tolist()
     }
     living = Lattice(set(lattice.cells) - dead)
-    right = hops_to(living, [living.index((0, 0))])
+    right = steps_to(living, np.array([living.index((0, 0))]))
     shard = shard_of(lattice, tables, patience, seed)
     nothing = np.zeros((len(lattice), 1), dtype=np.bool_)
     found: list[NDArray[np.int64]] = []

@@ -24,8 +24,8 @@ from cell_firmware.clocked import Clocked
 from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
-from cell_firmware.faces import across, gradient
 from cell_firmware.firmware import Cells, Firmware
+from cell_firmware.kit.faces import across, gradient
 from cell_firmware.loader import load
 from cell_firmware.mailbox import Mailbox
 from cell_firmware.shard import Shard

@@ -13,8 +13,8 @@ from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.protocols.reserve_path import ReservePath
 from cell_firmware.protocols.route import Route
-from cell_firmware.tile_firmware import TileFirmware
-from cell_firmware.tiles import Tile
+from cell_firmware.tiles.firmware import TileFirmware
+from cell_firmware.tiles.tiling import Tile
 from tests.cell_firmware.protocols.tile_world import PITCH_M, World
 
 BAD_LINKS = CellEffects(

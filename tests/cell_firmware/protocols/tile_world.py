@@ -16,8 +16,8 @@ from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
 from cell_firmware.shard import Shard
-from cell_firmware.tile_firmware import TileFirmware
-from cell_firmware.tiles import Tile
+from cell_firmware.tiles.firmware import TileFirmware
+from cell_firmware.tiles.tiling import Tile
 
 PERIOD_S, PITCH_M = 0.016, 0.1
 HALF_M = np.array([0.14, 0.11])

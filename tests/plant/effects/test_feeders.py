@@ -226,6 +226,19 @@ def test_who_finds_no_room_is_fed_in_order_at_the_first_tick_that_has_room() -> 
     assert count.longest_hold_s == pytest.approx(max(times[i] - held[i] for i in held) * 1e-9, abs=1e-12)
 
 
+def test_who_needs_more_room_waits_until_every_other_s_centre_of_mass_is_so_far_away() -> None:
+    plant = Plant(fed_plant(feed(every_s=0.2, count=3, clear_m=0.6)))
+    for _ in range(1500):
+        before = plant.state[:, :2].copy()
+        for parcel, _ in told(ticks(plant, eastward(plant), 1), "fed"):
+            gone = [i for i in range(parcel) if plant.status[i].rides]
+            apart = [float(np.hypot(*(plant.state[i, :2] - (-0.7, 0.0)))) for i in gone]
+            almost = [float(np.hypot(*(before[i] - (-0.7, 0.0)))) for i in gone]
+            assert all(distance >= 0.6 for distance in apart)
+            assert parcel == 0 or min(almost) < 0.6
+    assert plant.traffic().feed[0].fed == 3  # type: ignore[union-attr]
+
+
 def test_who_leaves_makes_room_at_the_same_tick() -> None:
     # the first parcel leaves while it still covers the place where the second is due
     near = {"name": "near", "size_m": (0.2, 0.8), "position_m": (-0.5, 0.0)}

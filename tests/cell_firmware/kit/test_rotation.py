@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 
-from cell_firmware.rotation import direction
+from cell_firmware.kit.rotation import direction
 
 
 def test_cosine_and_sine_are_those_of_the_angle_to_rounding():

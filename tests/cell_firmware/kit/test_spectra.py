@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from cell_firmware.errors import FirmwareError
-from cell_firmware.spectra import Links, explicit_cautions, relaxed
+from cell_firmware.kit.spectra import Links, explicit_cautions, relaxed
 
 
 def block(rows: int, columns: int, missing: tuple[tuple[int, int], ...] = ()) -> Lattice:
@@ -55,7 +55,7 @@ def test_without_scipy_cautions_say_what_they_can(monkeypatch: pytest.MonkeyPatc
     def nothing(name: str) -> None:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr("cell_firmware.spectra.import_module", nothing)
+    monkeypatch.setattr("cell_firmware.kit.spectra.import_module", nothing)
     with pytest.raises(FirmwareError, match="SciPy is not installed; it comes with the extra accuracy"):
         Links(block(2, 2))
     (line,) = explicit_cautions("number", 0.3, "values", lambda: Links(block(2, 2)))

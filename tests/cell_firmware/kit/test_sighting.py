@@ -5,7 +5,7 @@ import numpy as np
 from bus.lattice import Lattice
 from bus.readings import Picture
 from cell_firmware.firmware import Cells, Inputs
-from cell_firmware.sighting import Sightings
+from cell_firmware.kit.sighting import Sightings
 
 LATTICE = Lattice((0, column) for column in range(10))
 PLACES = np.stack((0.1 * LATTICE.columns, 0.1 * LATTICE.rows), axis=1)

@@ -9,8 +9,8 @@ from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Cells
 from cell_firmware.protocols.reserve_path import ReservePath
-from cell_firmware.tile_firmware import TileParameters
-from cell_firmware.tiles import Tiling
+from cell_firmware.tiles.firmware import TileParameters
+from cell_firmware.tiles.tiling import Tiling
 
 EXIT = {"tile": [0, 1], "side": "east"}
 
@@ -77,3 +77,10 @@ def test_cells_know_their_place_in_their_tile(
     assert place["mate"][corner].tolist() == [False, True, True, False]
     assert place["out"][lattice.index((2, 2))].tolist() == [False, True, False, False]
     assert sorted(place["rank"][lattice.columns < 3]) == list(range(9))
+
+
+@pytest.mark.parametrize("least", [1, 8, 17])
+def test_half_of_a_tile_can_not_go_on_alone(least: int) -> None:
+    parameters(["e ."], [EXIT], least_cells=9)
+    with pytest.raises(ValidationError, match="more than half of a tile's 16 cells"):
+        parameters(["e ."], [EXIT], least_cells=least)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from cell_firmware.journey import Journey, Leg, at_all
+from cell_firmware.kit.journey import Journey, Leg, at_all
 
 LEGS = (
     Leg(to_m=(0.3, 0.4)),

@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from bus.lattice import Lattice
-from cell_firmware.places import Place, Value, lay, misplaced
+from cell_firmware.kit.places import Place, Value, lay, misplaced
 
 GRID = Lattice((r, c) for r in range(4) for c in range(5) if (r, c) != (1, 1))
 

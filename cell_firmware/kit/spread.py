@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Floats, Inbox
-from cell_firmware.places import Velocity, lay, misplaced
+from cell_firmware.kit.places import Velocity, lay, misplaced
+from cell_firmware.kit.spectra import Links
 from cell_firmware.specs import Spec, Vector
-from cell_firmware.spectra import Links
 
 
 class SpreadParameters(Spec):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.firmware import Bools, Inbox
-from cell_firmware.tile_words import MASK_16, gathered
+from cell_firmware.tiles.words import MASK_16, gathered
 
 Ints = NDArray[np.int64]
 

@@ -7,18 +7,19 @@ from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bus.lattice import STEPS, Lattice
-from cell_firmware import tile_rounds
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.hops import hops_to
-from cell_firmware.recall import Patience, last_word, still_counts
+from cell_firmware.kit.reach import steps_to
+from cell_firmware.kit.recall import Patience, last_word, still_counts
 from cell_firmware.specs import NotNegative, Positive
 from cell_firmware.theory import Theory
-from cell_firmware.tile_leader import Around, decide, still_handing_over
-from cell_firmware.tile_words import (
+from cell_firmware.tiles import rounds
+from cell_firmware.tiles.leader import Around, decide, still_handing_over
+from cell_firmware.tiles.tiling import TilesSpec, Tiling
+from cell_firmware.tiles.words import (
     MASK_16,
     NEIGHBOURS,
     OPPOSITES,
@@ -30,7 +31,6 @@ from cell_firmware.tile_words import (
     version,
     word,
 )
-from cell_firmware.tiles import TilesSpec, Tiling
 
 Ints = NDArray[np.int64]
 
@@ -58,6 +58,14 @@ class TileParameters(TilesSpec):
     """For how many periods a neighbour's word about distances counts."""
     limit: Annotated[int, Field(ge=2, le=16_000)] = 250
     """Distance in cells that means: no way leads there."""
+
+    @model_validator(mode="after")
+    def _one_leader(self) -> TileParameters:
+        cells = self.tile_cells * self.tile_cells
+        if self.least_cells is not None and not cells < 2 * self.least_cells <= 2 * cells:
+            rule = f"must be more than half of a tile's {cells} cells and at most all"
+            raise ValueError(f"least_cells {rule}, not {self.least_cells}: halves could follow two leaders")
+        return self
 
 
 class TileFirmware(Firmware):
@@ -98,8 +106,7 @@ class TileFirmware(Firmware):
         passes = place["mate"] | place["out"]
         kind = np.minimum(place["exit"], self._kinds)
         away = [
-            hops_to(lattice, np.flatnonzero(kind == number).tolist(), lambda i, s: bool(passes[i, s]))
-            for number in range(1, self._kinds + 1)
+            steps_to(lattice, np.flatnonzero(kind == number), passes) for number in range(1, self._kinds + 1)
         ]
         far, limit = np.stack(away, axis=1), self.parameters.limit
         return Theory(
@@ -118,7 +125,7 @@ class TileFirmware(Firmware):
         far = self.parameters.limit << 2
         return {
             **place,
-            **tile_rounds.begun(place, self.tiling.side),
+            **rounds.begun(place, self.tiling.side),
             "silence": silence,
             "own": np.zeros(n, dtype=np.int64),
             "last": np.zeros(n, dtype=np.int64),
@@ -146,7 +153,7 @@ class TileFirmware(Firmware):
         label = np.where(here, self.labels(inputs), 0)
         told, counts = self._told(state, inputs)
         way = self._ways(state, told)
-        after, leads, takes_over = tile_rounds.heard(state, inbox, here, label, patience)
+        after, leads, takes_over = rounds.heard(state, inbox, here, label, patience)
         own = self._lead(state, after, own, around, way, leads, takes_over, here, label)
         speed = np.where(passed[:, None], 0.0, self._speed(state["offset_m"], own))
         after["here"], after["passed"] = here, passed
@@ -197,7 +204,7 @@ class TileFirmware(Firmware):
         last = np.where(own > 0, own, state["last"])
         after["last"] = last
         own = np.where(takes_over, last + (_AFRESH << 40), own)
-        over = tile_rounds.ended(state, after, leads)
+        over = rounds.ended(state, after, leads)
         known = Around.of(around)
         after["sure"] = np.where(takes_over, 0, after["sure"])
         going_on = still_handing_over(own, known)
@@ -217,7 +224,7 @@ class TileFirmware(Firmware):
         after["turn"] = np.where(granted, now & 3, state["turn"])
         after["sure"] = np.where(changed, 0, after["sure"])
         fresh_doubt = doubts & (state["grace"] < 0)
-        tile_rounds.begin(state, after, over | changed | fresh_doubt, here, label)
+        rounds.begin(state, after, over | changed | fresh_doubt, here, label)
         return np.where(leads, word_, own)
 
     def _speed(self, offset_m: Floats, own: Ints) -> Floats:

@@ -1,0 +1,29 @@
+"""The scene ``junction``, shortened: with the plant, cells and all messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deploy.overrides import Override
+from deploy.processes.plan import RunOptions
+from deploy.recordings.replay import load
+from deploy.run import run
+from deploy.scene_files import load_scene
+
+
+def test_parcels_are_sorted_to_their_exits_and_none_meets_another_though_cells_die(tmp_path: Path) -> None:
+    dying = [
+        {"kind": "crash", "at_s": 2.0 + 0.5 * i, "cell": cell}
+        for i, cell in enumerate([[5, 9], [2, 14], [10, 6], [13, 18]])
+    ]
+    scene = load_scene("junction", [Override(("duration_s",), 14.0, ""), Override(("faults",), dying, "")])
+    summary = run(scene, RunOptions(0, "memory", output=tmp_path, picture=False), quiet=True).summary
+    assert summary.status == "ok"
+    traffic = summary.feeders
+    assert traffic is not None
+    assert traffic.left >= 8
+    assert all(leaving.misrouted == 0 for leaving in traffic.exits)
+    assert traffic.waiting + traffic.there + traffic.left == 32
+    kinds = [event["kind"] for event in load(tmp_path).events]
+    assert kinds.count("left") == traffic.left
+    assert not {"overlap", "tipped"} & set(kinds)
