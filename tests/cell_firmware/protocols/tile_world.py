@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.board import Board
+from cell_firmware.assembly import assemble
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
 from cell_firmware.shard import Shard
+from cell_firmware.specs import CellsSpec
 from cell_firmware.tiles.firmware import TileFirmware
 from cell_firmware.tiles.tiling import Tile
 
@@ -67,9 +68,12 @@ class World:
         cells = Cells.of(self.lattice, self.place_m, PERIOD_S, pitch_m=PITCH_M)
         self.firmware.check(self.lattice)
         partition = Partition.even(self.lattice, 1)
-        board = Board(self.firmware)
-        stages = self.effects.stages(Site(partition.cells(0), 1, board.message, self.seed))
-        self.shard = Shard(board, cells, partition, 0, stages)
+        spec, clock = CellsSpec(period_s=PERIOD_S), self.effects.clock
+        clocks = None if clock is None else clock.clocks(self.lattice, spec.period_ns, self.seed)
+        controller = assemble(self.firmware, spec, self.effects, None, clocks)
+        self.tick_s = PERIOD_S if clocks is None else clocks.all.window_ns * 1e-9
+        stages = self.effects.stages(Site(partition.cells(0), 1, controller.message, self.seed))
+        self.shard = Shard(controller, cells, partition, 0, stages)
         self.living = np.ones(len(self.lattice), dtype=np.bool_)
 
     def middle_m(self, tile: Tile) -> NDArray[np.float64]:
@@ -106,7 +110,7 @@ class World:
         for parcel, under in zip(self.riding, over, strict=True):
             pulls = under & self.living
             if pulls.any():
-                parcel.centre_m = parcel.centre_m + PERIOD_S * drive[pulls].mean(axis=0)
+                parcel.centre_m = parcel.centre_m + self.tick_s * drive[pulls].mean(axis=0)
         self.met += sum(
             bool((np.abs(one.centre_m - other.centre_m) < 2 * HALF_M).all())
             for i, one in enumerate(self.riding)
