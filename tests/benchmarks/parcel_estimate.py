@@ -60,13 +60,14 @@ def line(asked: tuple[str, int]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=50)
-    seeds = parser.parse_args().seeds
-    print(METHOD.format(seeds=seeds))
+    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES), metavar="CASE")
+    asked = parser.parse_args()
+    print(METHOD.format(seeds=asked.seeds))
     print(
         f"{'':28}{'moving mm':>9}{'deg':>7}{'rest mm':>9}{'deg':>7}{'none':>8}{'leaders':>9}{'end mm':>8}{'max':>8}"
     )
     with get_context("spawn").Pool(2) as pool:
-        for text in pool.imap(line, [(name, seeds) for name in CASES]):
+        for text in pool.imap(line, [(name, asked.seeds) for name in asked.cases]):
             print(text, flush=True)
 
 
