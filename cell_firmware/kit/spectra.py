@@ -5,7 +5,6 @@ a held cell counts in the diagonal, and nowhere else.
 
 Source: Chung, *Spectral Graph Theory*, AMS 1997; Xiao & Boyd, "Fast linear iterations for distributed averaging",
 Systems & Control Letters 53 (2004).
-SciPy, where it is needed, comes with the extra ``accuracy``; without it ``Links`` raises ``FirmwareError``.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from cell_firmware.errors import FirmwareError
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -146,12 +144,8 @@ class Links:
 
 
 def _scipy(part: str) -> Any:
-    try:
-        return import_module(f"scipy.{part}")
-    except ModuleNotFoundError:
-        raise FirmwareError(
-            "theory: SciPy is not installed; it comes with the extra accuracy: pip install 'mdms-emulator[accuracy]'"
-        ) from None
+    """A part of SciPy, imported where it is needed: it takes longer than a small array's spectrum."""
+    return import_module(f"scipy.{part}")
 
 
 def _nearest(matrix: Any, point: float, skipped: int) -> float:
@@ -201,10 +195,7 @@ def explicit_cautions(name: str, number: float, what: str, links: Callable[[], L
         return ()
     beyond = f"{name} {number:g} is above 1/4, the bound on four neighbours"
     grow = f"{what} that alternate in sign from cell to cell and from tick to tick grow"
-    try:
-        greatest = links().spectrum().greatest
-    except FirmwareError:
-        return (f"{beyond}: {grow}, without bound, unless this array bears more (SciPy would tell)",)
+    greatest = links().spectrum().greatest
     if number * greatest <= 2.0:
         bears = (
             f"this array bears {2.0 / greatest:.6g}, but {what} may overshoot the range in which they began"

@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field
 
 from bus.lattice import Lattice
-from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.kit.recall import Patience, last_word, still_counts
 from cell_firmware.kit.spread import SpreadParameters, speeds_told
@@ -65,10 +64,7 @@ class Wave(Firmware):
             return ()
         beyond = f"courant_number_squared {number:g} is above 1/2, the bound on four neighbours"
         grow = "waves that alternate in sign from cell to cell and from tick to tick grow"
-        try:
-            greatest = self.parameters.links(lattice).spectrum().greatest
-        except FirmwareError:
-            return (f"{beyond}: {grow}, without bound, unless this array bears more (SciPy would tell)",)
+        greatest = self.parameters.links(lattice).spectrum().greatest
         if number * greatest <= 4.0:
             return (f"{beyond}; this array bears {4.0 / greatest:.6g}",)
         over = f"and above {4.0 / greatest:.6g}, what this array bears"

@@ -173,7 +173,7 @@ class Reporter:
         try:
             return firmware.theory(self.lattice)
         except ModuleNotFoundError as error:
-            self.notes.append(f"what theory says needs {error.name}: pip install 'mdms-emulator[accuracy]'")
+            self.notes.append(f"what theory says needs {error.name}, which is not installed")
             return None
         except Exception as error:
             trace = traceback.format_exc().rstrip()

@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from cell_firmware.errors import FirmwareError
-from cell_firmware.kit.spectra import Links, explicit_cautions, relaxed
+from cell_firmware.kit.spectra import Links, relaxed
 
 
 def block(rows: int, columns: int, missing: tuple[tuple[int, int], ...] = ()) -> Lattice:
@@ -49,19 +48,6 @@ def test_where_nothing_is_free_or_linked_nothing_is_left_to_change() -> None:
         found = Links(lattice, held).spectrum()
         assert (found.least, found.greatest) == (None, 0.0)
         assert relaxed(found, 0.2) is None
-
-
-def test_without_scipy_cautions_say_what_they_can(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(name: str) -> None:
-        raise ModuleNotFoundError(name)
-
-    monkeypatch.setattr("cell_firmware.kit.spectra.import_module", nothing)
-    with pytest.raises(FirmwareError, match="SciPy is not installed; it comes with the extra accuracy"):
-        Links(block(2, 2))
-    (line,) = explicit_cautions("number", 0.3, "values", lambda: Links(block(2, 2)))
-    assert line.startswith("number 0.3 is above 1/4")
-    assert line.endswith("without bound, unless this array bears more (SciPy would tell)")
-    assert explicit_cautions("number", 0.25, "values", lambda: Links(block(2, 2))) == ()
 
 
 def test_weights_and_scales_are_those_of_the_dense_matrix() -> None:
