@@ -17,7 +17,7 @@ from cell_firmware.kit.recall import Patience, last_word, still_counts
 from cell_firmware.specs import NotNegative, Positive
 from cell_firmware.theory import Theory
 from cell_firmware.tiles import rounds
-from cell_firmware.tiles.leader import Around, decide, still_handing_over
+from cell_firmware.tiles.leader import Around, decide, doubtful, refused
 from cell_firmware.tiles.tiling import TilesSpec, Tiling
 from cell_firmware.tiles.words import (
     MASK_16,
@@ -154,8 +154,9 @@ class TileFirmware(Firmware):
         told, counts = self._told(state, inputs)
         way = self._ways(state, told)
         after, leads, takes_over = rounds.heard(state, inbox, here, label, patience)
-        own = self._lead(state, after, own, around, way, leads, takes_over, here, label)
-        speed = np.where(passed[:, None], 0.0, self._speed(state["offset_m"], own))
+        known = Around.of(around)
+        own = self._lead(state, after, own, known, way, leads, takes_over, here, label)
+        speed = np.where(passed[:, None], 0.0, self._speed(state, own, known))
         after["here"], after["passed"] = here, passed
         outbox = self._tell(state, after, own, around, way)
         del after["ended"]
@@ -193,7 +194,7 @@ class TileFirmware(Firmware):
         state: State,
         after: dict[str, NDArray[Any]],
         own: Ints,
-        around: Ints,
+        around: Around,
         way: Ints,
         leads: Bools,
         takes_over: Bools,
@@ -205,14 +206,12 @@ class TileFirmware(Firmware):
         after["last"] = last
         own = np.where(takes_over, last + (_AFRESH << 40), own)
         over = rounds.ended(state, after, leads)
-        known = Around.of(around)
         after["sure"] = np.where(takes_over, 0, after["sure"])
-        going_on = still_handing_over(own, known)
         full = after["sure"] > state["sure"]
-        doubts = leads & (doing(own) == Doing.EXPECT) & ~going_on
+        doubts = leads & doubtful(state, own, around)
         after["grace"] = np.where(doubts, np.where(state["grace"] < 0, 0, state["grace"] + full), -1)
         after["ended"], after["least"] = over, state["least"]
-        news = decide(state, after, own, known, way, self.parameters.limit)
+        news = decide(state, after, own, around, way, self.parameters.limit)
         was, now = doing(own) * 4 + side(own), news.code
         changed = leads & ((now != was) | (news.exit != own >> 16 & 255) | (news.ticket != own & MASK_16))
         word_ = word(version(own) + changed, self.parameters.patience, now, news.exit, news.ticket)
@@ -227,15 +226,19 @@ class TileFirmware(Firmware):
         rounds.begin(state, after, over | changed | fresh_doubt, here, label)
         return np.where(leads, word_, own)
 
-    def _speed(self, offset_m: Floats, own: Ints) -> Floats:
-        """Centred where a tile has a parcel or expects one; at full speed over the side to which it passes one on."""
+    def _speed(self, state: State, own: Ints, around: Around) -> Floats:
+        """Centred where a tile has a parcel or expects one; at full speed over the side to which it passes one on.
+
+        Where the tile there has closed a parcel is pulled back at once: who has it the leader finds out later.
+        """
         most = self.parameters.speed_m_s
         does = doing(own)
-        centring = np.clip(-np.array(self.parameters.gain_per_s) * offset_m, -most, most)
+        centring = np.clip(-np.array(self.parameters.gain_per_s) * state["offset_m"], -most, most)
         ahead = _AHEAD[side(own)]
         pushing = np.where(ahead != 0.0, most * ahead, centring)
         carries = (does >= Doing.EXPECT)[:, None]
-        return np.where((does == Doing.PUSH)[:, None], pushing, np.where(carries, centring, 0.0))
+        pushes = (does == Doing.PUSH) & ~refused(state, own, around)
+        return np.where(pushes[:, None], pushing, np.where(carries, centring, 0.0))
 
     def _tell(
         self, state: State, after: dict[str, NDArray[Any]], own: Ints, around: Ints, way: Ints
@@ -261,11 +264,12 @@ class TileFirmware(Firmware):
 def _under_its_parcel(state: State, inputs: Inputs, own: Ints) -> tuple[Bools, Bools]:
     """Which cells are under their tile's parcel; and which it has passed on its way out, or cells beside or ahead.
 
-    These stop, and take what they sense from then on for the next: it may be fed right behind.
+    These stop, and take what they sense from then on for the next: it may be fed right behind. While a tile has no
+    word, its leader being dead, its last one counts: who leads next goes on from it.
     """
     inbox = inputs.inbox
     assert inbox is not None
-    sensed = np.asarray(inputs.presence.any(axis=1))
+    sensed, own = np.asarray(inputs.presence.any(axis=1)), np.where(own > 0, own, state["last"])
     told = inbox.message["passed"] & state["mate"] & (side(own)[:, None] != OPPOSITES)
     gone = ~sensed & (state["here"] | told.any(axis=1))
     passed = (doing(own) == Doing.PUSH) & (state["passed"] | gone)

@@ -118,8 +118,7 @@ def decide(
     goes = (was == Doing.WANT) & promised & steady
     news = news.where(goes, Doing.PUSH * 4 + at, exit_, nothing)
 
-    leaving = (was == Doing.PUSH) & (state["exit"] == exit_)
-    stopped = (was == Doing.PUSH) & ~leaving & (partner.doing == Doing.CLOSED)
+    stopped = (was == Doing.PUSH) & (after["grace"] >= 1) & occupied
     news = news.where(stopped, mine, exit_, nothing)
     news = news.where((was == Doing.PUSH) & vacant, nothing + Doing.FREE * 4, nothing, nothing)
 
@@ -128,12 +127,19 @@ def decide(
     return news.where(~open_, nothing, np.where(keeps, exit_, 0), nothing)
 
 
-def still_handing_over(own: Ints, around: Around) -> Bools:
-    """Of a tile that expects a parcel: is the other yet to go, or on its way?"""
+def refused(state: Any, own: Ints, around: Around) -> Bools:
+    """Of a tile that pushes a parcel on: has the other closed? Nobody can refuse what leaves by an exit."""
+    leaving = state["exit"] == exit_of(own)
+    return (doing(own) == Doing.PUSH) & ~leaving & (around.on(side(own)).doing == Doing.CLOSED)
+
+
+def doubtful(state: Any, own: Ints, around: Around) -> Bools:
+    """Whether only a new round can tell who has the parcel: the other has closed, or no longer hands it over."""
     partner, granted = around.on(side(own)), ticket(own)
     wants = (partner.doing == Doing.WANT) & (partner.version == granted)
     pushes = (partner.doing == Doing.PUSH) & (partner.version == (granted + 1 & MASK_16))
-    return partner.faces & (wants | pushes)
+    waits_in_vain = (doing(own) == Doing.EXPECT) & ~(partner.faces & (wants | pushes))
+    return waits_in_vain | refused(state, own, around)
 
 
 def _granted(

@@ -132,6 +132,33 @@ def test_a_tile_outlives_its_leader_and_keeps_its_parcel_s_exit() -> None:
     assert world.left == [(2, 2)]
 
 
+def test_a_tile_whose_leader_dies_while_it_pushes_takes_the_next_parcel_for_itself_and_not_for_the_last() -> (
+    None
+):
+    firmware = sorter(2, "n")
+    world = World(firmware, {(0, 0): [2, 1]})
+    world.run(50)
+    while not (world.riding and world.riding[0].centre_m[0] > 0.42):
+        world.run(1)
+    world.kill([(1, 1)])  # the first in rank of tile [0, 0]; the next parcel is fed before another one leads
+    world.run(2000)
+    assert world.met == 0
+    assert sorted(world.left) == [(1, 1), (2, 2)]
+
+
+def test_a_tile_that_pushed_into_one_that_died_takes_nothing_back_that_has_gone() -> None:
+    """Its own dead cell makes its rounds late, so it has yet to find out that it is empty when the other dies."""
+    firmware = sorter(2, "n")
+    world = World(firmware, {(0, 0): [1, 2]})
+    world.run(50)
+    while not (world.riding and world.riding[0].centre_m[0] > 0.3):
+        world.run(1)
+    world.kill([(0, 0), (1, 5)])  # the second is the first in rank of tile [0, 1]
+    world.run(2000)
+    assert world.met == 0
+    assert sorted(world.left) == [(1, 1), (2, 2)]
+
+
 def test_a_parcel_without_a_way_is_held_and_others_go_round_it() -> None:
     """Tile [1, 1] has the only lane to exit 2: once it is dead the parcel for it waits, and takes up one tile."""
     firmware = sorter(2, "n")
