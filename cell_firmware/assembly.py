@@ -17,15 +17,42 @@ from cell_firmware.parts import LinkPart, WheelPart
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec
 
 if TYPE_CHECKING:
+    from bus.fault import Injected
+    from bus.lattice import Lattice
     from cell_firmware.clocks import ArrayClocks
     from cell_firmware.effects.clock import ClockSpec
     from cell_firmware.effects.encoder import EncoderSpec
     from cell_firmware.effects.fixed_point import FixedPointSpec
     from cell_firmware.effects.pwm import PwmSpec
+    from cell_firmware.effects.stage import Site, Stage
+    from cell_firmware.faults.fault import CellFault
     from cell_firmware.serial.settings import LineSettings
     from cell_firmware.speed_loop.fixed_point import FixedPointLoop
     from cell_firmware.speed_loop.pwm import Pwm
     from cell_firmware.speed_loop.tachometer import Encoder
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class CellFaults:
+    """The faults of a run that cells carry out.
+
+    Attributes:
+        lattice: Of the array.
+        injected: All of them.
+    """
+
+    lattice: Lattice
+    injected: tuple[Injected[CellFault], ...]
+
+    @property
+    def of_programs(self) -> tuple[Injected[CellFault], ...]:
+        """Those that stop programs or let them begin anew."""
+        return tuple(one for one in self.injected if one.fault.pauses)
+
+    def stages(self, site: Site) -> tuple[Stage, ...]:
+        """What the inputs of a shard's cells have to pass after the effects, fault by fault."""
+        return tuple(stage for one in self.injected for stage in one.fault.stages(site, self.lattice, one))
 
 
 @final
@@ -51,6 +78,7 @@ def assemble(
     motors: Motors | None,
     clocks: ArrayClocks | None = None,
     *,
+    faults: CellFaults | None = None,
     metered: bool = False,
 ) -> Controller:
     """The controller that every cell has.
@@ -61,6 +89,7 @@ def assemble(
         effects: Of the cells.
         motors: None where the wheels run at the speed that they are told.
         clocks: None where all cells step at once, by the plant's clock.
+        faults: None where nothing happens to cells or their links.
         metered: Whether every cell counts its messages.
 
     Raises:
@@ -69,9 +98,15 @@ def assemble(
     controller: Controller = Board(
         firmware,
         wheels_of(spec, effects, motors),
-        _links(firmware, spec, effects, clocks),
+        _links(firmware, spec, effects, clocks, disturbed=faults is not None),
         MessageMeter() if metered else None,
     )
+    if faults is not None and faults.of_programs:
+        from cell_firmware.faults.outages import Outages
+
+        # inside the watchdog: it resets a program that hangs
+        lag = 0 if clocks is None else 1
+        controller = Outages(controller, faults.lattice, faults.of_programs, lag=lag)
     if effects.cop is not None:
         from cell_firmware.watchdog import Watchdog
 
@@ -156,13 +191,14 @@ def _fixed_point(
 
 
 def _links(
-    firmware: Firmware, spec: CellsSpec, effects: CellEffects, clocks: ArrayClocks | None
+    firmware: Firmware, spec: CellsSpec, effects: CellEffects, clocks: ArrayClocks | None, *, disturbed: bool
 ) -> LinkPart | None:
     """What messages have to pass."""
     if firmware.message is None:
         return None
     if effects.serial is not None:
-        return _serial(effects.serial.settings(spec.period_ns), firmware.message, effects, clocks)
+        settings = effects.serial.settings(spec.period_ns)
+        return _serial(settings, firmware.message, effects, clocks, disturbed=disturbed)
     if clocks is None:
         return None
     from cell_firmware.mailbox import Mailbox
@@ -171,7 +207,12 @@ def _links(
 
 
 def _serial(
-    settings: LineSettings, message: np.dtype[Any], effects: CellEffects, clocks: ArrayClocks | None
+    settings: LineSettings,
+    message: np.dtype[Any],
+    effects: CellEffects,
+    clocks: ArrayClocks | None,
+    *,
+    disturbed: bool,
 ) -> LinkPart:
     """Serial lines: byte by byte where something may happen to a byte."""
     from cell_firmware.serial.lines import SerialLines
@@ -181,6 +222,6 @@ def _serial(
     worst_ppb = 0 if clocks is None else int(np.abs(clocks.all.ppb).max(initial=0))
     # a cell that begins to talk as soon as it was reset runs into what it had not finished to say
     reboots = effects.cop is None or effects.cop.reboot_s * 1e9 >= 2 * settings.period_ns
-    safe = effects.link_loss is None and effects.link_delay is None and reboots
+    safe = effects.link_loss is None and effects.link_delay is None and reboots and not disturbed
     kind = WholeMessages if safe and undisturbed(settings, window_ns, worst_ppb) else SerialLines
     return kind(settings, message) if clocks is None else kind(settings, message, window_ns, clocks.ppb)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
+from bus.fault import turns
 from deploy.digest import Digest
 
 if TYPE_CHECKING:
     from bus.counts import Loss
+    from bus.fault import FaultSpec, Injected
     from bus.registers import Shown
     from bus.wire import Report
     from deploy.progress import Progress
@@ -31,11 +33,13 @@ class Ledger:
         progress: What shows how far the run has come.
         policy: What the wheels of a cell do that goes away.
         warn: Told of every loss, one line.
+        injected: Faults that begin and end on the way.
 
     Attributes:
         ticks: Ticks that are over.
         time_ns: Simulated time reached.
-        faults: Scheduled and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``.
+        faults: Injected and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``; of those that begin
+            and end, ``phase`` and all their ``cells``.
         cells_lost: ``(row, column)`` of each, in order.
         last: The last tick; None before the first is over.
     """
@@ -50,6 +54,7 @@ class Ledger:
         progress: Progress,
         policy: str,
         warn: Callable[[str], None],
+        injected: Sequence[Injected[FaultSpec]] = (),
     ) -> None:
         self._cells = cells
         self._period_ns = period_ns
@@ -63,10 +68,14 @@ class Ledger:
         self.faults: list[Mapping[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
         self._hung: set[str] = set()
+        self._injected = list(injected)
+        self._turns = turns(self._injected)
         self.last: TickRecord | None = None
 
     def tick(self, record: TickRecord) -> None:
         """Take in one tick, once it is over."""
+        if self._turns and record.tick >= self._turns[0]:
+            self._turned(record.tick)
         if record.died:
             self.died(record.tick, record.died)
         if record.losses:
@@ -86,6 +95,34 @@ class Ledger:
         self.ticks = record.tick + 1
         self.time_ns = record.until_ns
         self._progress.update(self.ticks, self.time_ns)
+
+    def inject(self, fault: Injected[FaultSpec], tick: int) -> None:
+        """One more fault; ``tick`` is the next that will be taken in."""
+        self._injected.append(fault)
+        self._turns = [turn for turn in turns(self._injected) if turn >= tick]
+
+    def _turned(self, tick: int) -> None:
+        """Note the faults that begin or end."""
+        self._turns.pop(0)
+        for one in self._injected:
+            if tick in (one.first, one.end):
+                begins = tick == one.first
+                self._told(tick, one, ("begins" if one.fault.lasts else "happens") if begins else "ends")
+
+    def _told(self, tick: int, one: Injected[FaultSpec], phase: str) -> None:
+        cells = [list(self._cells[int(cell)]) for cell in one.cells]
+        fault = {
+            "time_s": tick * self._period_ns * 1e-9,
+            "kind": one.fault.called,
+            "phase": phase,
+            "cell": cells[0] if len(cells) == 1 else None,
+            "cells": cells,
+            "tick": tick,
+            "detail": "live" if one.live else "scheduled",
+            "fault": one.fault.model_dump(mode="json", exclude_none=True),
+        }
+        self.faults.append(fault)
+        self._recorder.fault(fault)
 
     def registers(self, shown: Shown) -> None:
         """Record what the cells showed of themselves."""

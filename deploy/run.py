@@ -16,7 +16,7 @@ from deploy.cautions import cautions_of
 from deploy.cell_times import cell_times
 from deploy.digest import Digest
 from deploy.errors import DeployError, InputError
-from deploy.faults.schedule import crash_aborts, deaths
+from deploy.faults.schedule import active, crash_aborts, deaths, lasting
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
 from deploy.output import drawn, header, illustrate, output_folder, parcel_outcomes, run_name
@@ -128,6 +128,7 @@ class _Run:
                     progress=progress,
                     policy=self.scene.stall.policy,
                     warn=lambda line: self._warn(line, progress),
+                    injected=lasting(self.scene),
                 )
                 self._lockstep(system, plant, ledger, recorder)
                 recorder.close(self.status, self.digest.hexdigest)
@@ -202,6 +203,7 @@ class _Run:
             stall=self.scene.stall,
             timing=cell_times(self.scene),
             camera=camera_of(self.scene, readings),
+            faults=active(self.scene),
             observer=observe,
             pace=None if self.options.realtime is None else pacer(self.options.realtime),
         )

@@ -14,7 +14,7 @@ from bus.spec import Positive, Spec
 from bus.specs import StallSpec
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
 from deploy.effects.registry import EffectsSpec
-from deploy.faults import Fault
+from deploy.faults.registry import Fault
 from deploy.scene_checks import cross_problems, normal_parameters
 from deploy.scene_errors import CROSS
 from plant.friction.registry import FrictionSpec
@@ -164,6 +164,9 @@ class Scene(Spec):
             for key, silence in _UNSAID.items():
                 if parcel.get(key) == silence:
                     del parcel[key]
+        data["faults"] = [
+            {key: value for key, value in fault.items() if value is not None} for fault in data["faults"]
+        ]
         data["cells"]["firmware"] = self.cells.firmware.rpartition("/")[2]
         del data["cells"]["board"]  # its effects are written out
         data["cells"]["parameters"] = normal_parameters(self.cells)

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from cell_firmware.errors import FirmwareError, ParametersError, SettingError
 from cell_firmware.specs import CellsSpec
 from deploy.effects.registry import EffectsSpec
-from deploy.faults import Fault
+from deploy.faults.registry import Fault
 from deploy.scene_errors import Path, Problem, problems_of, strictly
 from plant.array import CellArray
 from plant.friction.registry import FrictionSpec
@@ -82,19 +82,11 @@ def _board_problems(cells: CellsSpec, effects: EffectsSpec) -> list[Problem]:
 
 def _fault_problems(array: ArraySpec, faults: Mapping[int, Fault]) -> list[Problem]:
     lattice = array.lattice()
-    problems: list[Problem] = []
-    for number, fault in faults.items():
-        row, column = fault.cell
-        if row >= array.rows:
-            rule = f"the array has rows 0..{array.rows - 1}"
-        elif column >= array.columns:
-            rule = f"the array has columns 0..{array.columns - 1}"
-        elif fault.cell not in lattice:
-            rule = "the array has no cell there"
-        else:
-            continue
-        problems.append(Problem(("faults", number, "cell"), rule, list(fault.cell)))
-    return problems
+    return [
+        Problem(("faults", number, *path), rule, value)
+        for number, fault in faults.items()
+        for path, value, rule in fault.misplaced(lattice)
+    ]
 
 
 def _firmware_problems(

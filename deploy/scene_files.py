@@ -15,7 +15,7 @@ from cell_firmware.boards import with_board
 from cell_firmware.specs import CellsSpec
 from deploy.effects.registry import EffectsSpec
 from deploy.errors import InputError
-from deploy.faults import Fault
+from deploy.faults.registry import Fault
 from deploy.overrides import Override, apply
 from deploy.scene import Scene
 from deploy.scene_checks import cross_problems

@@ -137,6 +137,11 @@ class Plant:
             self._moves.grip = self._moves.grip.copy()
             self._moves.grip[list(cells)] = 0.0
 
+    def regain(self, cells: Sequence[int]) -> None:
+        """Note that cells that were dead are so no longer: their wheels act on their drives."""
+        self._moves.grip = self._moves.grip.copy()
+        self._moves.grip[list(cells)] = 1.0
+
     def advance(
         self, drives: Floats, until_ns: int, timing: Timing | None = None
     ) -> tuple[Sense, list[Event]]:

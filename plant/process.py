@@ -16,6 +16,7 @@ from plant.timing import Timing
 if TYPE_CHECKING:
     from bus.specs import StallSpec
     from plant.camera import Camera
+    from plant.faults.active import ActiveFaults
     from plant.plant import LossPolicy, Plant
     from plant.reports import Event, Sense
 
@@ -52,7 +53,7 @@ class TickRecord(NamedTuple):
         drives: ``(n, 2)`` that acted during it, a dead cell's as the stall policy has it.
         after: ``(m, 6)`` parcel states at its end.
         events: Of the plant, during it.
-        died: Indices of the cells whose scheduled death was at its start.
+        died: Indices of the cells whose scheduled death for good was at its start.
         losses: Cells that were found lost in it.
     """
 
@@ -77,7 +78,7 @@ class Ended:
     Attributes:
         status: ``ok`` at the end of the duration; ``failed`` or ``stalled`` where the policy is ``abort``.
         losses: Cells found lost, for which it was aborted.
-        died: Cells whose scheduled death it was aborted for.
+        died: Cells whose scheduled death it was aborted for, for good or until they are repaired.
     """
 
     status: Status
@@ -100,7 +101,7 @@ class PlantProcess:
         host: Past its barrier.
         tick_ns: Of a tick: the cells' control period, or the window that an exchange serves.
         duration_ns: Of the run.
-        schedule: Indices of the cells that die at the start of a tick, by tick.
+        schedule: Indices of the cells that die for good at the start of a tick, by tick.
         stall: What happens when a cell goes unscheduled; the scheduled dead follow the same policy.
         observer: Told of every tick when it is over, before anything of the next is awaited; what it raises
             ends the run between two ticks.
@@ -108,13 +109,14 @@ class PlantProcess:
         timing: Where cells have instants of their own: asked in order of ticks when, in a tick, the drives that it
             brought act and when cells read what they are told in the next. An instant may lie beyond the run's end.
         camera: Whose pictures the cells are shown; None: none's.
+        faults: That begin and end on the way; None: none does.
 
     Attributes:
         tick: The tick that is under way, or the next.
         time_ns: Simulated time reached.
         waiting: Whether the process waits for the cells or the clock: an exception raised by a signal handler
             at such a time leaves the plant at ``time_ns``, with every tick before it reported.
-        lost: Whether each cell is dead, ``(n,)``.
+        lost: Whether each cell is dead for good, ``(n,)``.
     """
 
     def __init__(
@@ -130,6 +132,7 @@ class PlantProcess:
         pace: Callable[[int], None] | None = None,
         timing: Callable[[int], Timing] | None = None,
         camera: Camera | None = None,
+        faults: ActiveFaults | None = None,
     ) -> None:
         self._plant = plant
         self._host = host
@@ -147,7 +150,10 @@ class PlantProcess:
         n = len(self._sense.presence)
         self._drives: Floats = np.zeros((n, 2))
         self._held: Floats = np.zeros((n, 2))
-        self._any_lost = False
+        self._faults = faults
+        self._down: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
+        self._undriven: NDArray[np.bool_] | None = None
+        """``(n,)``: the dead, for good or until they are repaired; None: nobody ever was."""
         self._over: TickRecord | None = None
         self.tick = 0
         self.time_ns = 0
@@ -163,9 +169,9 @@ class PlantProcess:
         """
         abort = self._abort
         while self.time_ns < self._duration_ns:
-            if abort and self.tick in self._schedule:
+            if abort and (dying := self._dying()):
                 self._report()
-                return Ended("failed", died=self._schedule[self.tick])
+                return Ended("failed", died=dying)
             losses = self.step()
             if losses and abort:
                 stalled = all(loss.reason == "stalled" for loss in losses)
@@ -176,6 +182,8 @@ class PlantProcess:
     def step(self) -> Sequence[Loss]:
         """One tick. Returns the cells that were found lost in it; under ``abort`` the plant then stays."""
         tick, start_ns, sense, plant = self.tick, self.time_ns, self._sense, self._plant
+        if self._faults is not None and tick >= self._faults.next_turn:
+            self._turn(self._faults, tick)
         died = self._schedule.get(tick, ()) if self._schedule else ()
         if died:
             died = self._bury(died)
@@ -184,8 +192,8 @@ class PlantProcess:
             if self._abort:
                 return losses
             self._bury([loss.cell for loss in losses])
-        if self._any_lost:
-            drives = np.where(self.lost[:, None], self._held, drives)
+        if self._undriven is not None:
+            drives = np.where(self._undriven[:, None], self._held, drives)
         until_ns = min(start_ns + self._tick_ns, self._duration_ns)
         before, wheel_speed = self._state, plant.wheel_speed
         self._sense, events = self._advance(tick, drives, until_ns)
@@ -211,7 +219,8 @@ class PlantProcess:
             self._drives = drives
             return self._plant.advance(drives, until_ns)
         acts_ns, reads_ns = self._timing(tick)
-        acts_ns = np.where(self.lost, -1, acts_ns)
+        if self._undriven is not None:
+            acts_ns = np.where(self._undriven, -1, acts_ns)
         # The last tick may be over before a drive would have acted: its wheels go on as they were.
         late = acts_ns >= until_ns
         self._drives = np.where(late[:, None], self._drives, drives)
@@ -261,12 +270,35 @@ class PlantProcess:
         if not fresh:
             return fresh
         rows = list(fresh)
-        self._any_lost = True
         self.lost[rows] = True
-        if self._wheels == "hold":
-            self._held[rows] = self._drives[rows]
-        self._plant.lose(fresh, self._wheels)
+        self._leave(rows)
         return fresh
+
+    def _dying(self) -> tuple[int, ...]:
+        """Cells that die as the next tick begins."""
+        dying = set(self._schedule.get(self.tick, ()))
+        if self._faults is not None and self.tick >= self._faults.next_turn:
+            dying.update(np.flatnonzero(self._faults.harm(self.tick).dead & ~self._down).tolist())
+        return tuple(sorted(dying))
+
+    def _turn(self, faults: ActiveFaults, tick: int) -> None:
+        """Faults begin or end: put the plant in the state that they leave it in."""
+        harm = faults.turn(tick)
+        back = np.flatnonzero(self._down & ~harm.dead & ~self.lost)
+        gone = np.flatnonzero(harm.dead & ~self._down & ~self.lost)
+        self._down = harm.dead
+        if len(back):
+            self._plant.regain(back.tolist())
+            self._held[back] = 0.0
+        self._leave(gone.tolist())
+
+    def _leave(self, cells: list[int]) -> None:
+        """The wheels of these cells do what the stall policy says from now on."""
+        self._undriven = self.lost | self._down
+        if cells:
+            if self._wheels == "hold":
+                self._held[cells] = self._drives[cells]
+            self._plant.lose(cells, self._wheels)
 
     @property
     def sense(self) -> Sense:

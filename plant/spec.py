@@ -10,6 +10,16 @@ def tagged(key: str, default: str) -> Callable[[object], object]:
     """What a validator does to a table of a tagged union whose tag may be left out: fills in the default."""
 
     def fill(value: object) -> object:
-        return {key: default, **cast("dict[str, object]", value)} if isinstance(value, dict) else value
+        if not isinstance(value, dict):
+            return value
+        table = cast("dict[str, object]", value)
+        return {key: default, **{name: _as_tuples(item) for name, item in table.items()}}
 
     return fill
+
+
+def _as_tuples(value: object) -> object:
+    """Lists as tuples: behind a validator in Python a strict one takes the one for the other no longer."""
+    return (
+        tuple(_as_tuples(item) for item in cast("list[object]", value)) if isinstance(value, list) else value
+    )

@@ -14,7 +14,7 @@ from bus.errors import BusError
 from cell_firmware.effects.registry import CellEffects
 from deploy.cell_times import cell_times
 from deploy.errors import DeployError
-from deploy.faults.schedule import deaths
+from deploy.faults.schedule import active, deaths
 from deploy.output import run_name
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
@@ -138,6 +138,7 @@ def _process(scene: Scene, system: System, plant: Plant, events: list[Event]) ->
         stall=scene.stall,
         timing=cell_times(scene),
         camera=camera_of(scene, readings),
+        faults=active(scene),
         observer=observe,
     )
 

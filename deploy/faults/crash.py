@@ -1,24 +1,36 @@
-"""A cell's process dies: from one tick on it computes, drives and sends nothing."""
+"""A cell dies: from one tick on it computes, drives and sends nothing."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, final
+from typing import ClassVar, Literal, final
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
 
-from bus.spec import CellName, Spec
+from bus.fault import CellTarget, Injected
+from cell_firmware.faults.fault import CellFault, Pause
+from plant.faults.fault import Harm, PlantFault
 
 
 @final
-class CrashFault(Spec):
-    """A cell that dies for good at the first tick boundary not before ``at_s``.
+class CrashFault(CellTarget, CellFault, PlantFault):
+    """Cells that die. Repaired, they begin anew, as after power-on.
 
-    A worker process all of whose cells are dead ends itself by SIGKILL, as a real death does; in a shared
-    worker the cell's agent stops. Its wheels do what the scene's stall policy says.
+    One that is not repaired is gone from the lockstep too: a worker process all of whose cells are dead ends itself by
+    SIGKILL, as a real death does; in a shared worker the cell's agent stops. Dead wheels do what the scene's stall
+    policy says.
     """
 
+    called: ClassVar[str] = "crash"
+    pauses: ClassVar[bool] = True
     kind: Literal["crash"] = "crash"
-    at_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
-    """Simulated time."""
-    cell: CellName
-    """``[row, column]``."""
+
+    def pause(self, tick: int, injected: Injected[CellFault], pause: Pause) -> None:
+        """No program runs; after the repair it begins anew."""
+        if injected.acts(tick):
+            pause.stopped[injected.cells] = True
+        pause.reset[injected.cells] |= tick == injected.end
+
+    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+        """Nobody drives the wheels."""
+        harm.dead[cells] = True

@@ -1,23 +1,35 @@
-"""When the scheduled faults of a scene act."""
+"""When the scheduled faults of a scene act, and on whom."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
+from bus.fault import FaultSpec, Injected
 from bus.lattice import Lattice
-from deploy.faults import Fault
+from bus.lives import NEVER
+from cell_firmware.faults.fault import CellFault
+from deploy.faults.crash import CrashFault
+from plant.faults.fault import PlantFault
+
+if TYPE_CHECKING:
+    from plant.faults.active import ActiveFaults
 
 Deaths = dict[int, tuple[int, ...]]
-"""Indices of the cells that are dead from a tick on, by that tick, ascending."""
+"""Indices of the cells that are dead for good from a tick on, by that tick, ascending."""
 
 
 class Timetable(Protocol):
     """What the schedule needs of ``deploy.scene.Scene``, which is made of faults itself."""
 
     @property
-    def faults(self) -> Sequence[Fault]:
+    def faults(self) -> Sequence[FaultSpec]:
         """All of them, in the scene's order."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """Of everything that is left to chance."""
         ...
 
     def lattice(self) -> Lattice:
@@ -29,17 +41,72 @@ class Timetable(Protocol):
         ...
 
 
-def deaths(scene: Timetable) -> Deaths:
-    """When which cells crash. A cell that is to crash twice dies the first time."""
+def injected(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
+    """The scene's faults with the cells that they strike and their ticks, in the scene's order."""
+    if not scene.faults:
+        return ()
     lattice = scene.lattice()
+    return tuple(
+        Injected(
+            number,
+            fault,
+            fault.struck(lattice, scene.seed, number),
+            scene.tick_at(fault.at_s),
+            NEVER if fault.until_s is None else scene.tick_at(fault.until_s),
+        )
+        for number, fault in enumerate(scene.faults)
+    )
+
+
+def deaths(scene: Timetable) -> Deaths:
+    """When which cells crash for good. A cell that is to crash twice dies the first time."""
     first: dict[int, int] = {}
-    for fault in scene.faults:
-        cell, tick = lattice.index(fault.cell), scene.tick_at(fault.at_s)
-        first[cell] = min(tick, first.get(cell, tick))
+    for one in injected(scene):
+        if _for_good(one):
+            for cell in one.cells.tolist():
+                first[cell] = min(one.first, first.get(cell, one.first))
     by_tick: dict[int, list[int]] = {}
     for cell in sorted(first):
         by_tick.setdefault(first[cell], []).append(cell)
     return {tick: tuple(cells) for tick, cells in sorted(by_tick.items())}
+
+
+def lasting(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
+    """All but deaths: what happens to cells that stay in the lockstep."""
+    return tuple(one for one in injected(scene) if not _for_good(one))
+
+
+def of_cells(scene: Timetable) -> tuple[Injected[CellFault], ...]:
+    """What the cells carry out: all but deaths."""
+    return tuple(
+        Injected(one.number, one.fault, one.cells, one.first, one.end, one.live)
+        for one in lasting(scene)
+        if isinstance(one.fault, CellFault)
+    )
+
+
+def of_plant(scene: Timetable) -> tuple[Injected[PlantFault], ...]:
+    """What the plant carries out: likewise."""
+    return tuple(
+        Injected(one.number, one.fault, one.cells, one.first, one.end, one.live)
+        for one in lasting(scene)
+        if isinstance(one.fault, PlantFault)
+    )
+
+
+def active(scene: Timetable) -> ActiveFaults | None:
+    """What begins and ends in the plant; None where nothing does."""
+    faults = of_plant(scene)
+    if not faults:
+        return None
+    from plant.faults.active import ActiveFaults
+
+    return ActiveFaults(len(scene.lattice()), faults)
+
+
+def _for_good(one: Injected[FaultSpec]) -> bool:
+    """Whether its cells leave the lockstep, never to come back."""
+    return isinstance(one.fault, CrashFault) and one.end == NEVER and not one.live
 
 
 def crash_aborts(cell: tuple[int, int], at_s: float) -> str:

@@ -11,12 +11,13 @@ from bus.keys import plant_key
 from bus.partition import Partition
 from bus.transport import Alive, Endpoint, Received
 from bus.wire import decode_control
-from deploy.faults.schedule import Deaths, deaths
+from deploy.faults.schedule import Deaths, deaths, of_cells
 
 if TYPE_CHECKING:
     from bus.lockstep import FormName
     from bus.readings import Readings
     from bus.registers import Wanted
+    from cell_firmware.assembly import CellFaults
     from cell_firmware.controller import Controller
     from cell_firmware.shard import Shard
     from deploy.scene import Scene
@@ -107,7 +108,20 @@ def controller_of(scene: Scene, *, metered: bool = False) -> Controller:
 
     motors = told(scene.effects.motors)
     firmware = load(scene.cells)
-    return assemble(firmware, scene.cells, scene.effects, motors, scene.clocks(), metered=metered)
+    faults = faults_of(scene)
+    return assemble(
+        firmware, scene.cells, scene.effects, motors, scene.clocks(), faults=faults, metered=metered
+    )
+
+
+def faults_of(scene: Scene) -> CellFaults | None:
+    """The faults that the cells of a scene carry out; None where there are none."""
+    injected = of_cells(scene)
+    if not injected:
+        return None
+    from cell_firmware.assembly import CellFaults
+
+    return CellFaults(scene.lattice(), injected)
 
 
 def _shard(order: Order, shard: int) -> Shard:
@@ -124,6 +138,10 @@ def _shard(order: Order, shard: int) -> Shard:
         scene.seed,
         levels=readings.levels,
     )
+    stages = scene.effects.stages(site)
+    faults = faults_of(scene)
+    if faults is not None:
+        stages["faults"] = faults.stages(site)
     return Shard(
         controller,
         Cells.of(
@@ -135,7 +153,7 @@ def _shard(order: Order, shard: int) -> Shard:
         ),
         order.partition,
         shard,
-        scene.effects.stages(site),
+        stages,
     )
 
 

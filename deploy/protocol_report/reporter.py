@@ -183,8 +183,10 @@ class Reporter:
 
 
 def deaths_of(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], int]:
-    """Of every cell that died its tick, from a run's faults."""
-    return {(fault["cell"][0], fault["cell"][1]): int(fault["tick"]) for fault in faults}
+    """Of every cell that died for good its tick, from a run's faults."""
+    return {
+        (fault["cell"][0], fault["cell"][1]): int(fault["tick"]) for fault in faults if "phase" not in fault
+    }
 
 
 def _rows(field: NDArray[Any]) -> NDArray[np.float64]:

@@ -1,0 +1,205 @@
+"""What every injected fault has in common: when it acts, and on which cells or links."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Generic, Literal, Self, TypeVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from bus.chance import generator
+from bus.lattice import OPPOSITE, SIDES, Lattice
+from bus.lives import NEVER
+from bus.spec import CellName, Spec
+
+Index = NDArray[np.int64]
+Problem = tuple[tuple[str | int, ...], object, str]
+"""Path from the fault's table, value, and the rule that it breaks."""
+Time = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+
+
+class FaultSpec(Spec):
+    """A fault of a scene: one of its ``[[faults]]``, told apart by ``kind``.
+
+    It acts from the first tick boundary not before ``at_s`` to the first not before ``until_s``, simulated time.
+    """
+
+    called: ClassVar[str]
+    """Its ``kind``."""
+    lasts: ClassVar[bool] = True
+    """Whether it lasts, so that it may be repaired; else it happens once."""
+
+    at_s: Time = 0.0
+    """When it begins."""
+    until_s: Time | None = None
+    """When it is repaired; None: never."""
+
+    @model_validator(mode="after")
+    def _repaired_later(self) -> Self:
+        if self.until_s is not None and not self.lasts:
+            raise ValueError(f"{self.called} happens once: leave until_s out")
+        if self.until_s is not None and self.until_s <= self.at_s:
+            raise ValueError(f"until_s must be after at_s, {self.at_s:g}, not {self.until_s:g}")
+        return self
+
+    def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
+        """What of it does not fit the array."""
+        raise NotImplementedError
+
+    def struck(self, lattice: Lattice, seed: int, number: int) -> Index:
+        """Indices of the cells that it strikes, ascending.
+
+        Args:
+            lattice: Of the scene.
+            seed: Of the scene.
+            number: Of the fault in the scene, from 0.
+        """
+        raise NotImplementedError
+
+
+class CellTarget(FaultSpec):
+    """A fault that strikes cells: give one of ``cell``, ``cells``, ``rectangle`` and ``share``."""
+
+    cell: CellName | None = None
+    """``[row, column]``."""
+    cells: Annotated[tuple[CellName, ...], Field(min_length=1)] | None = None
+    """Several."""
+    rectangle: tuple[CellName, CellName] | None = None
+    """Two corners, ``[[row, column], [row, column]]``: all cells that exist from one to the other."""
+    share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] | None = None
+    """Of all cells, to the nearest whole number, drawn by the scene's seed. A greater share strikes those of a
+    smaller one, and more."""
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Self:
+        given = [name for name, value in self._targets().items() if value is not None]
+        if len(given) != 1:
+            told = ", ".join(given) or "none"
+            raise ValueError(f"give one of {', '.join(self._targets())}, not {told}")
+        return self
+
+    def _targets(self) -> dict[str, object]:
+        return {
+            "cell": self.cell,
+            "cells": self.cells,
+            "rectangle": self.rectangle,
+            "share": self.share,
+        }
+
+    def _named(self) -> Iterator[tuple[tuple[str | int, ...], CellName]]:
+        """Every cell that has to exist, and where it is named."""
+        if self.cell is not None:
+            yield ("cell",), self.cell
+        for number, cell in enumerate(self.cells or ()):
+            yield ("cells", number), cell
+
+    def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
+        """Cells that don't exist."""
+        for path, cell in self._named():
+            if cell not in lattice:
+                yield path, list(cell), _absent(cell, lattice)
+        if self.rectangle is not None and not len(self._inside(self.rectangle, lattice)):
+            yield (
+                ("rectangle",),
+                [list(corner) for corner in self.rectangle],
+                "the array has no cell in there",
+            )
+
+    def struck(self, lattice: Lattice, seed: int, number: int) -> Index:
+        """Indices of the cells that it strikes, ascending; see `FaultSpec.struck`."""
+        if self.share is not None:
+            order = generator(seed, f"faults.{number}.{self.called}").permutation(len(lattice))
+            return np.sort(order[: round(self.share * len(lattice))]).astype(np.int64)
+        if self.rectangle is not None:
+            return self._inside(self.rectangle, lattice)
+        return np.unique(np.array([lattice.index(cell) for _, cell in self._named()], dtype=np.int64))
+
+    @staticmethod
+    def _inside(corners: tuple[CellName, CellName], lattice: Lattice) -> Index:
+        (r0, c0), (r1, c1) = corners
+        rows, columns = lattice.rows, lattice.columns
+        within = (rows >= min(r0, r1)) & (rows <= max(r0, r1))
+        within &= (columns >= min(c0, c1)) & (columns <= max(c0, c1))
+        return np.flatnonzero(within)
+
+
+class LinkTarget(CellTarget):
+    """A fault that strikes links of cells: those on ``side``, or on every side."""
+
+    side: Literal["north", "east", "south", "west"] | None = None
+    """Of each cell; None: all four."""
+    direction: Literal["both", "out", "in"] = "both"
+    """What the cells say (``out``), what they hear (``in``), or both."""
+
+    def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
+        """Cells that don't exist, and one that has no neighbour on that side."""
+        found = list(super().misplaced(lattice))
+        yield from found
+        if found or self.side is None or self.cell is None:
+            return
+        if lattice.neighbours[lattice.index(self.cell), SIDES.index(self.side)] < 0:
+            row, column = self.cell
+            yield ("side",), self.side, f"cell {row},{column} has no neighbour there"
+
+    def heard(self, lattice: Lattice, seed: int, number: int) -> Index:
+        """Its links, as ``(m, 2)``: the cell that hears it, by index, and the side on which; ascending, each once."""
+        cells = self.struck(lattice, seed, number)
+        sides = range(len(SIDES)) if self.side is None else (SIDES.index(self.side),)
+        links: list[tuple[int, int]] = []
+        for cell in cells.tolist():
+            for side in sides:
+                other = int(lattice.neighbours[cell, side])
+                if other < 0:
+                    continue
+                if self.direction != "out":
+                    links.append((cell, side))
+                if self.direction != "in":
+                    links.append((other, OPPOSITE[side]))
+        return np.array(sorted(set(links)), dtype=np.int64).reshape(-1, 2)
+
+
+_Fault_co = TypeVar("_Fault_co", bound=FaultSpec, covariant=True)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Injected(Generic[_Fault_co]):
+    """A fault of a run, its times in ticks.
+
+    Attributes:
+        number: Among the faults of the run, from 0: what its draws are named after.
+        fault: What happens.
+        cells: Indices of the cells that it strikes, ascending.
+        first: The tick from which it acts.
+        end: The tick from which it doesn't any more; ``bus.lives.NEVER``: it is not repaired.
+        live: Whether somebody injected it while the run went on.
+    """
+
+    number: int
+    fault: _Fault_co
+    cells: Index
+    first: int
+    end: int = NEVER
+    live: bool = False
+
+    def acts(self, tick: int) -> bool:
+        """Whether it acts in a tick."""
+        return self.first <= tick < self.end
+
+
+def turns(faults: Sequence[Injected[FaultSpec]]) -> list[int]:
+    """Ticks in which one of them begins or ends, ascending."""
+    return sorted({tick for one in faults for tick in (one.first, one.end) if tick != NEVER})
+
+
+def _absent(cell: CellName, lattice: Lattice) -> str:
+    """Why a cell is none."""
+    rows, columns = int(lattice.rows.max()), int(lattice.columns.max())
+    if cell[0] > rows:
+        return f"the array has rows 0..{rows}"
+    if cell[1] > columns:
+        return f"the array has columns 0..{columns}"
+    return "the array has no cell there"

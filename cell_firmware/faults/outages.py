@@ -1,0 +1,115 @@
+"""Cells whose program stands still, or begins anew, because a fault says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+
+from bus.fault import Injected
+from bus.lattice import Lattice
+from cell_firmware.around import Around
+from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant
+from cell_firmware.faults.fault import CellFault, Pause
+from cell_firmware.firmware import Bools, Cells, Inputs
+
+
+@final
+class Outages(Around):
+    """Steps the cells whose programs no fault has stopped.
+
+    A program that stands still sends nothing; its parts go on as on a board without power for their program
+    (``Controller.idle``), and its wheels are commanded to 0 or to what they were. One that begins anew has forgotten
+    everything, as after power-on.
+
+    Args:
+        controller: Of the cells.
+        lattice: Of the array.
+        faults: Those that act on programs.
+        lag: By how many ticks an instant is older than the exchange in which its cells are stepped: 1 where cells have
+            clocks of their own.
+    """
+
+    part = "faults"
+    shown = ("stopped", "begun_anew")
+
+    def __init__(
+        self,
+        controller: Controller,
+        lattice: Lattice,
+        faults: Sequence[Injected[CellFault]] = (),
+        *,
+        lag: int = 0,
+    ) -> None:
+        super().__init__(controller)
+        self._lattice = lattice
+        self._faults = list(faults)
+        self._lag = lag
+
+    def add(self, fault: Injected[CellFault]) -> None:
+        """One more, from its first tick on."""
+        self._faults.append(fault)
+
+    def init(self, cells: Cells) -> ControllerState:
+        """The state before tick 0."""
+        return self.begin(self.controller.init(cells))
+
+    def begin(self, inner: ControllerState) -> ControllerState:
+        """The state of cells whose programs nothing has stopped so far."""
+        n = len(inner.cells)
+        own = {
+            "place": self._lattice.find(inner.cells.row, inner.cells.column),
+            "drive": np.zeros((n, 2)),
+            "stopped": np.zeros(n, dtype=np.bool_),
+            "begun_anew": np.zeros(n, dtype=np.int64),
+        }
+        return self.outer(inner, own)
+
+    def after_reset(self, state: ControllerState) -> ControllerState:
+        """What the cells' controller keeps of itself; faults know nothing of resets."""
+        own = state.parts[self.part]
+        return self.outer(self.controller.after_reset(self.inner(state)), own)
+
+    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+        """What came over the lines."""
+        inner, inputs = self.controller.listen(now, self.inner(state), inputs)
+        return self.outer(inner, state.parts[self.part]), inputs
+
+    def act(
+        self, now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """One control period of the programs that run."""
+        own, inner = state.parts[self.part], self.inner(state)
+        pause = Pause.none(len(self._lattice))
+        for injected in self._faults:
+            injected.fault.pause(now.tick + self._lag, injected, pause)
+        place = own["place"]
+        stopped, reset = pause.stopped[place], pause.reset[place]
+        if reset.any():
+            rows = np.flatnonzero(reset)
+            inner = inner.put(rows, self.controller.init(inner.cells.take(rows)))
+        if not stopped.any():
+            inner, outputs = self.controller.act(now, inner, inputs)
+            drive, served = outputs.drive, outputs.served
+        else:
+            waits = np.flatnonzero(stopped)
+            inner = inner.put(waits, self.controller.idle(now.take(waits), inner.take(waits)))
+            inner, outputs = self.controller.act_on(np.flatnonzero(~stopped), now, inner, inputs)
+            drive = np.where((stopped & pause.keeps[place])[:, None], own["drive"], outputs.drive)
+            served = _served(stopped, pause.unserved[place], outputs.served)
+        after = {
+            **own,
+            "drive": drive.copy(),
+            "stopped": stopped,
+            "begun_anew": own["begun_anew"] + reset,
+        }
+        return (
+            self.outer(inner, after),
+            ControllerOutputs(drive, outputs.outbox, outputs.failures, served, outputs.hung),
+        )
+
+
+def _served(stopped: Bools, unserved: Bools, told: Bools | None) -> Bools:
+    """Whose watchdog is served: of those that stand still, where the fault doesn't say otherwise."""
+    return np.where(stopped, ~unserved, True if told is None else told)
