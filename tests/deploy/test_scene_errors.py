@@ -85,15 +85,23 @@ def test_the_scene_these_tests_break_is_good() -> None:
             "parcels[0].size_m = [1, 2, 3]: must have at most 2 items, not 3",
         ),
         ("[0.54, 0.32]", "[0.5, -1]", "parcels[0].size_m[1] = -1: must be > 0"),
-        ("[stall]\n", "solver = 3\n[stall]\n", "faults[0].solver = 3: unknown key; known: at_s, cell, kind"),
+        (
+            "[stall]\n",
+            "solver = 3\n[stall]\n",
+            "faults[0].solver = 3: unknown key; known: at_s, cell, cells, kind, rectangle, share, until_s",
+        ),
         ("duration_s = 1.0", "duration_s = 1.0\nsolver = 3", "solver = 3: must be a table"),
         # keys
         ("duration_s = 1.0\n", "", "duration_s: required"),
         ("mass_kg = 2.0\n", "", "parcels[0].mass_kg: required"),
-        ("at_s = 0.5\n", "", "faults[0].at_s: required"),
+        (
+            "at_s = 0.5\n",
+            "at_s = 0.5\nuntil_s = 0.5\n",
+            "faults[0]: until_s must be after at_s, 0.5, not 0.5",
+        ),
         ("rows = 20", "rows = 20\npitch = 1", "array.pitch = 1: unknown key; nearest: pitch_m"),
         ("seed = 1", "seed = 1\nparcel = []", "parcel = []: unknown key; nearest: parcels"),
-        ("at_s = 0.5", "at_s = 0.5\ncells = []", "faults[0].cells = []: unknown key; nearest: cell"),
+        ("at_s = 0.5", "at_s = 0.5\ncells = []", "faults[0].cells = []: must have at least 1 item, not 0"),
         ("seed = 1", "seed = 1\n[effects]\nmotor = {}", "effects.motor: unknown key; nearest: motors"),
         (
             "seed = 1",
