@@ -165,7 +165,7 @@ _Fault_co = TypeVar("_Fault_co", bound=FaultSpec, covariant=True)
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Injected(Generic[_Fault_co]):
     """A fault of a run, its times in ticks.
 
@@ -174,7 +174,7 @@ class Injected(Generic[_Fault_co]):
         fault: What happens.
         cells: Indices of the cells that it strikes, ascending.
         first: The tick from which it acts.
-        end: The tick from which it doesn't any more; ``bus.lives.NEVER``: it is not repaired.
+        end: The tick from which it doesn't any more; ``bus.lives.NEVER``: it is not repaired. A live repair changes it.
         live: Whether somebody injected it while the run went on.
     """
 

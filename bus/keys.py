@@ -50,7 +50,7 @@ def shard_link_key(run: str, source: int, target: int) -> str:
     return f"mdms/{run}/shard/{source}/to/{target}"
 
 
-def plant_key(run: str, leaf: Literal["state", "control", "alive"]) -> str:
+def plant_key(run: str, leaf: Literal["state", "control", "alive", "operator"]) -> str:
     """Key of the plant."""
     return f"mdms/{run}/plant/{leaf}"
 

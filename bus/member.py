@@ -110,6 +110,7 @@ class Member:
         self._senses = Collector("sense", self._form.blank_senses, self._form.decode_sense, self.counts)
         self._links = Collector("link", self._form.blank_links, self._form.decode_link, self.counts)
         self._stop: Control | None = None
+        self._faults: list[Control] = []
         self._plant_seen = False
         self._plant_lost = False
         self._declared: list[str] = []
@@ -229,6 +230,13 @@ class Member:
         values = self._form.blank_links if tick == 0 else self._links.close(tick - 1).values
         return Gathered(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
 
+    def take_faults(self) -> list[Control]:
+        """Faults that somebody injected or repaired since the last call; they act from the tick gathered last on."""
+        if not self._faults:
+            return []
+        faults, self._faults = self._faults, []
+        return faults
+
     def publish(self, drive: DriveFrame, links: LinkFrame | None) -> None:
         """Sends a tick's messages, then its drives; before the last that any cell of the shard drives, the counts.
 
@@ -336,6 +344,8 @@ class Member:
         control = wire.decode_control(payload, len(self._lattice))
         if control.kind == "stop":
             self._stop = control
+        elif control.kind == "fault":
+            self._faults.append(control)
         elif control.kind == "lost":
             lattice = self._lattice
             if not all(cell in lattice for cell in control.cells):

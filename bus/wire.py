@@ -55,7 +55,7 @@ class LinkFrame(NamedTuple):
 class Control:
     """The plant's word to all: ``cells`` are ``(row, column)``."""
 
-    kind: Literal["start", "lost", "stop"]
+    kind: Literal["start", "lost", "fault", "stop"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -128,8 +128,8 @@ def decode_control(payload: bytes, cells: int) -> Control:
     """
     tick, fields = reader("control", _text_limit(cells), _CONTROL)(payload)
     kind = fields["kind"]
-    if kind not in ("start", "lost", "stop"):
-        raise WireError("control", "kind", "must be start, lost or stop")
+    if kind not in ("start", "lost", "fault", "stop"):
+        raise WireError("control", "kind", "must be start, lost, fault or stop")
     return Control(kind, tick, _places("control", fields["cells"], cells), _text("control", fields["detail"]))
 
 

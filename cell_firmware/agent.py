@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -33,7 +34,11 @@ class Ended:
     failures: tuple[FirmwareFailed, ...]
 
 
-async def run(shard: Shard, member: Member, endpoint: Endpoint) -> Ended:
+Inject = Callable[[Control], None]
+"""What carries out a control record of kind ``fault`` on the shard, before the tick in which it acts."""
+
+
+async def run(shard: Shard, member: Member, endpoint: Endpoint, inject: Inject | None = None) -> Ended:
     """Runs a shard tick by tick until it is told to stop.
 
     ``member.ready()`` comes before, closing the member and its endpoint after. Cells that the member was
@@ -44,6 +49,7 @@ async def run(shard: Shard, member: Member, endpoint: Endpoint) -> Ended:
         shard: The cells, before tick 0.
         member: Their side of the lockstep, ready.
         endpoint: The member's endpoint, to wake it by.
+        inject: What carries out faults that come while it runs; None: they are let be.
 
     Raises:
         HostLostError: The plant went away.
@@ -51,7 +57,7 @@ async def run(shard: Shard, member: Member, endpoint: Endpoint) -> Ended:
         BusError: Whatever else stops the member.
         asyncio.CancelledError: Cancelled; the gather thread has ended by then.
     """
-    agent = _Agent(shard, member, endpoint, asyncio.get_running_loop())
+    agent = _Agent(shard, member, endpoint, asyncio.get_running_loop(), inject)
     return await agent.run()
 
 
@@ -66,12 +72,18 @@ class _Agent:
     """
 
     def __init__(
-        self, shard: Shard, member: Member, endpoint: Endpoint, loop: asyncio.AbstractEventLoop
+        self,
+        shard: Shard,
+        member: Member,
+        endpoint: Endpoint,
+        loop: asyncio.AbstractEventLoop,
+        inject: Inject | None,
     ) -> None:
         self._shard: Final = shard
         self._member: Final = member
         self._endpoint: Final = endpoint
         self._loop: Final = loop
+        self._inject: Final = inject
         self._end: Final[asyncio.Future[str]] = loop.create_future()
         self._thread: Final = threading.Thread(target=self._gather, name="gather", daemon=True)
         self._stopping = False
@@ -106,6 +118,9 @@ class _Agent:
                 if isinstance(gathered, Control):
                     self._hop(self._finish, gathered.detail)
                     return
+                faults = self._member.take_faults()
+                if faults:
+                    self._hop(self._strike, faults)
                 live = self._member.live(tick)
                 changed = (live != before).any()
                 self._hop(self._step, tick, gathered, live if changed else None)
@@ -132,6 +147,15 @@ class _Agent:
         self._loop.call_soon_threadsafe(callback, *arguments)  # pyright: ignore[reportArgumentType]
 
     # --- in the event loop ------------------------------------------------------------------------
+
+    def _strike(self, faults: list[Control]) -> None:
+        if self._end.done() or self._inject is None:
+            return
+        try:
+            for fault in faults:
+                self._inject(fault)
+        except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
+            self._break(error)
 
     def _step(self, tick: int, gathered: Gathered, live: Mask | None) -> None:
         if self._end.done():

@@ -79,6 +79,7 @@ def assemble(
     clocks: ArrayClocks | None = None,
     *,
     faults: CellFaults | None = None,
+    live: bool = False,
     metered: bool = False,
 ) -> Controller:
     """The controller that every cell has.
@@ -90,6 +91,7 @@ def assemble(
         motors: None where the wheels run at the speed that they are told.
         clocks: None where all cells step at once, by the plant's clock.
         faults: None where nothing happens to cells or their links.
+        live: Whether more may happen to them that is not known yet.
         metered: Whether every cell counts its messages.
 
     Raises:
@@ -98,7 +100,7 @@ def assemble(
     controller: Controller = Board(
         firmware,
         wheels_of(spec, effects, motors),
-        _links(firmware, spec, effects, clocks, disturbed=faults is not None),
+        _links(firmware, spec, effects, clocks, disturbed=live or faults is not None),
         MessageMeter() if metered else None,
     )
     if faults is not None and faults.of_programs:

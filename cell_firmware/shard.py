@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,17 @@ from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, solid
 from cell_firmware.specs import nanoseconds
 
+if TYPE_CHECKING:
+    from bus.fault import Injected
+    from bus.lattice import Lattice
+    from cell_firmware.effects.stage import Site
+    from cell_firmware.faults.fault import CellFault
+
 Indices = NDArray[np.int64]
 
 _EVERY: Final = slice(None)
+FAULTS: Final = "faults"
+"""What stages of faults go by; they come after those of all effects."""
 
 
 @final
@@ -68,6 +76,7 @@ class Shard:
         partition: How the array is cut.
         shard: Which part of it this is.
         effects: By name, the stages that what the cells see has to pass before they see it, in order.
+        faults: Those whose stages are among them, or that the controller carries out.
 
     Attributes:
         indices: ``(n,)``, the cells of this shard, by index into the lattice.
@@ -84,6 +93,7 @@ class Shard:
         partition: Partition,
         shard: int,
         effects: Mapping[str, Sequence[Stage]] | None = None,
+        faults: Sequence[Injected[CellFault]] = (),
     ) -> None:
         self.indices: Indices = partition.cells(shard)
         self.names: tuple[tuple[int, int], ...] = tuple(
@@ -92,6 +102,7 @@ class Shard:
         self._n = len(self.indices)
         self._controller = controller
         self._effects = effects or {}
+        self._faults = {one.number: one for one in faults}
         self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
         self._message = controller.message
         self._state = controller.init(cells.take(self.indices))
@@ -227,6 +238,28 @@ class Shard:
         self._state = self._state.take(rows)
         before.subtract(self._controller.counted(self._state))
         self._retired.update(before)
+
+    def inject(self, fault: Injected[CellFault], site: Site, lattice: Lattice) -> None:
+        """One more fault, from the next tick on at the earliest.
+
+        Args:
+            fault: Which.
+            site: The shard's cells.
+            lattice: Of the array.
+        """
+        self._faults[fault.number] = fault
+        stages = tuple(fault.fault.stages(site, lattice, fault))
+        self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
+        self._stages += stages
+        if fault.fault.pauses:
+            from cell_firmware.faults.outages import interrupted
+
+            self._controller, self._state = interrupted(self._controller, self._state, lattice, fault)
+
+    def repair(self, number: int, tick: int) -> None:
+        """A fault doesn't act any more from ``tick`` on; one that the shard doesn't know changes nothing."""
+        if number in self._faults:
+            self._faults[number].end = tick
 
     def registers(self) -> tuple[Indices, dict[str, NDArray[Any]]]:
         """What can be read of the cells that still run.

@@ -15,6 +15,7 @@ COMMANDS = {
     "simulate": "The plant alone, wheel speeds straight from the scene's field.",
     "accuracy": "What accuracy costs in time: every solver against a reference.",
     "constants": "The constants of motion of a pose: equilibrium, loads, torque.",
+    "fault": "A fault injected into a running system, or repaired.",
     "effects": "Every effect: what it adds, costs and changes; a ladder of fidelity.",
     "orientations": "The angles at which a parcel comes to rest, exactly; maps over sizes.",
     "plot": "Pictures of a recording.",

@@ -41,6 +41,7 @@ class Ledger:
         faults: Injected and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``; of those that begin
             and end, ``phase`` and all their ``cells``.
         cells_lost: ``(row, column)`` of each, in order.
+        controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
         last: The last tick; None before the first is over.
     """
 
@@ -67,6 +68,7 @@ class Ledger:
         self.time_ns = 0
         self.faults: list[Mapping[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
+        self.controls: list[Mapping[str, Any]] = []
         self._hung: set[str] = set()
         self._injected = list(injected)
         self._turns = turns(self._injected)
@@ -96,10 +98,19 @@ class Ledger:
         self.time_ns = record.until_ns
         self._progress.update(self.ticks, self.time_ns)
 
-    def inject(self, fault: Injected[FaultSpec], tick: int) -> None:
-        """One more fault; ``tick`` is the next that will be taken in."""
+    def inject(self, fault: Injected[FaultSpec]) -> None:
+        """One more fault, from a tick on that has not been taken in yet."""
         self._injected.append(fault)
-        self._turns = [turn for turn in turns(self._injected) if turn >= tick]
+        self.replan()
+
+    def replan(self) -> None:
+        """The end of a fault has changed."""
+        self._turns = [turn for turn in turns(self._injected) if turn >= self.ticks]
+
+    def control(self, record: Mapping[str, Any]) -> None:
+        """Note a live command."""
+        self.controls.append(record)
+        self._recorder.control(record)
 
     def _turned(self, tick: int) -> None:
         """Note the faults that begin or end."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 from bus.errors import BusError
+from bus.keys import plant_key
 from bus.registers import Wanted
 from deploy.cautions import cautions_of
 from deploy.cell_times import cell_times
@@ -19,6 +22,7 @@ from deploy.errors import DeployError, InputError
 from deploy.faults.schedule import active, crash_aborts, deaths, lasting
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
+from deploy.live.address import Address
 from deploy.output import drawn, header, illustrate, output_folder, parcel_outcomes, run_name
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
@@ -29,9 +33,11 @@ from deploy.summary import Messages, Summary
 from plant.errors import PlantError, PlantUnstable
 
 if TYPE_CHECKING:
-    from bus.lockstep import Counts
+    from bus.lockstep import Counts, Host
+    from deploy.live.console import Console
     from deploy.protocol_report.report import ProtocolReport
     from deploy.protocol_report.reporter import Reporter
+    from deploy.recordings.replay import Recording
     from deploy.scene import Scene
     from plant.plant import Plant
     from plant.process import Ended, PlantProcess, TickRecord
@@ -91,6 +97,11 @@ class _Run:
         self.plan = plan(scene, options, run_name(scene, secrets.token_hex(4)))
         self.cautions: tuple[str, ...] = ()
         self.reporter: Reporter | None = None
+        self.lasting = lasting(scene)
+        # what keeps pace with a clock is what somebody watches, and has time for lines that carry bytes
+        self.live = options.realtime is not None or options.replay is not None
+        self.replayed: Recording | None = None
+        self.script: Sequence[Mapping[str, Any]] = ()
         self.digest = Digest(scene.canonical())
         self.status = "ok"
         self.reason: str | None = None
@@ -106,6 +117,11 @@ class _Run:
         with self.interruption.allowed():
             self.cautions = cautions_of(self.scene)
             self.reporter = self._reporter()
+            if self.options.replay is not None:
+                from deploy.live.script import script_of
+
+                self.replayed = load(self.options.replay)
+                self.script = script_of(self.replayed, self.scene)
         for line in self.cautions:
             self._warn(f"caution: {line}")
         with System(self.plan, self.scene, self.options.listen) as system:
@@ -128,10 +144,12 @@ class _Run:
                     progress=progress,
                     policy=self.scene.stall.policy,
                     warn=lambda line: self._warn(line, progress),
-                    injected=lasting(self.scene),
+                    injected=self.lasting,
                 )
-                self._lockstep(system, plant, ledger, recorder)
+                with self._announced(system, folder):
+                    self._lockstep(system, plant, ledger, recorder)
                 recorder.close(self.status, self.digest.hexdigest)
+        self._compare()
         summary = self._summary(plant, ledger, folder)
         summary.write(folder)
         if summary.protocol is not None:
@@ -139,6 +157,30 @@ class _Run:
         if self.options.picture and summary.status != "interrupted":
             summary = illustrate(summary, lambda: load(folder), folder, self.interruption)
         return Outcome(summary, self.detail)
+
+    def _compare(self) -> None:
+        """Say whether a run that was to repeat another came to the same."""
+        if self.replayed is None or self.status != self.replayed.status:
+            return
+        if self.digest.hexdigest == self.replayed.digest:
+            self._warn(f"the digest is that of {self.options.replay}")
+        else:
+            self._end(
+                "failed", f"the digest differs from that of {self.options.replay}, {self.replayed.digest}"
+            )
+
+    @contextmanager
+    def _announced(self, system: System, folder: Path) -> Generator[None]:
+        """Leave a note, while the run goes on, of where it can be spoken to."""
+        if not system.locator:
+            yield
+            return
+        address = Address(self.plan.run, system.locator, os.getpid())
+        address.write(folder)
+        try:
+            yield
+        finally:
+            address.remove(folder)
 
     # --- the run itself ---------------------------------------------------------------------------
 
@@ -187,14 +229,19 @@ class _Run:
             if self.interruption.requested:
                 raise Interrupted
 
+        def attend(tick: int) -> None:
+            assert console is not None
+            console.attend(tick)
+
         registers, watched = self.options.registers, self.scene.effects.cop is not None
         reporter = self.reporter
         wanted = () if registers is None else (Wanted(registers),)
         if reporter is not None:
             wanted = (*wanted, *reporter.wanted)
         readings = readings_of(self.scene, plant.sense())
-        host = system.start(plant.array, readings, wanted, metered=reporter is not None)
-        return PlantProcess(
+        host = system.start(plant.array, readings, wanted, metered=reporter is not None, live=self.live)
+        console = self._console(system, host, ledger)
+        process = PlantProcess(
             plant,
             host,
             tick_ns=self.scene.tick_ns,
@@ -203,9 +250,31 @@ class _Run:
             stall=self.scene.stall,
             timing=cell_times(self.scene),
             camera=camera_of(self.scene, readings),
-            faults=active(self.scene),
+            faults=active(self.scene, self.lasting),
             observer=observe,
             pace=None if self.options.realtime is None else pacer(self.options.realtime),
+            attend=None if console is None else attend,
+        )
+        if console is not None:
+            console.attach(process)
+        return process
+
+    def _console(self, system: System, host: Host, ledger: Ledger) -> Console | None:
+        """What takes requests while the run goes on; None where nobody can ask anything."""
+        questions = system.questions(plant_key(self.plan.run, "operator"))
+        if questions is None and self.replayed is None:
+            return None
+        from deploy.live.console import Console
+
+        return Console(
+            self.scene,
+            self.plan.run,
+            self.lasting,
+            host.control,
+            ledger,
+            questions,
+            self.script,
+            lines=self.live,
         )
 
     def _take(self, ended: Ended, ledger: Ledger) -> None:

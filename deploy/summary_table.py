@@ -132,7 +132,10 @@ def _faults(faults: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _fault(fault: Mapping[str, Any]) -> str:
-    """``3,4 crashed at 2.00294 s``."""
+    """``3,4 crashed at 2.00294 s``; of what begins and ends ``crash of 3 cells begins at 2.00294 s``."""
+    if "phase" in fault:
+        struck = counted(len(fault["cells"]), "cell")
+        return f"{fault['kind']} of {struck} {fault['phase']} at {fault['time_s']:g} s"
     row, column = fault["cell"]
     return f"{row},{column} {_DID.get(fault['kind'], fault['kind'])} at {fault['time_s']:g} s"
 

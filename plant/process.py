@@ -14,9 +14,11 @@ from bus.wire import DriveFrame, SenseFrame
 from plant.timing import Timing
 
 if TYPE_CHECKING:
+    from bus.fault import Injected
     from bus.specs import StallSpec
     from plant.camera import Camera
     from plant.faults.active import ActiveFaults
+    from plant.faults.fault import PlantFault
     from plant.plant import LossPolicy, Plant
     from plant.reports import Event, Sense
 
@@ -110,6 +112,7 @@ class PlantProcess:
             brought act and when cells read what they are told in the next. An instant may lie beyond the run's end.
         camera: Whose pictures the cells are shown; None: none's.
         faults: That begin and end on the way; None: none does.
+        attend: Called with the next tick before it begins: the time to inject faults.
 
     Attributes:
         tick: The tick that is under way, or the next.
@@ -133,6 +136,7 @@ class PlantProcess:
         timing: Callable[[int], Timing] | None = None,
         camera: Camera | None = None,
         faults: ActiveFaults | None = None,
+        attend: Callable[[int], None] | None = None,
     ) -> None:
         self._plant = plant
         self._host = host
@@ -151,6 +155,7 @@ class PlantProcess:
         self._drives: Floats = np.zeros((n, 2))
         self._held: Floats = np.zeros((n, 2))
         self._faults = faults
+        self._attend = attend
         self._down: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
         self._undriven: NDArray[np.bool_] | None = None
         """``(n,)``: the dead, for good or until they are repaired; None: nobody ever was."""
@@ -169,6 +174,8 @@ class PlantProcess:
         """
         abort = self._abort
         while self.time_ns < self._duration_ns:
+            if self._attend is not None:
+                self._attend(self.tick)
             if abort and (dying := self._dying()):
                 self._report()
                 return Ended("failed", died=dying)
@@ -178,6 +185,20 @@ class PlantProcess:
                 return Ended("stalled" if stalled else "failed", tuple(losses))
         self._report()
         return Ended("ok")
+
+    def inject(self, fault: Injected[PlantFault]) -> None:
+        """One more fault, from the next tick on at the earliest."""
+        if self._faults is None:
+            from plant.faults.active import ActiveFaults
+
+            self._faults = ActiveFaults(len(self.lost))
+        self._faults.add(fault)
+        self.replan()
+
+    def replan(self) -> None:
+        """Heed that the end of a fault has changed."""
+        if self._faults is not None:
+            self._faults.plan(self.tick)
 
     def step(self) -> Sequence[Loss]:
         """One tick. Returns the cells that were found lost in it; under ``abort`` the plant then stays."""

@@ -10,6 +10,7 @@ import numpy as np
 from bus.fault import Injected
 from bus.lattice import Lattice
 from cell_firmware.around import Around
+from cell_firmware.clocked import Clocked
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant
 from cell_firmware.faults.fault import CellFault, Pause
 from cell_firmware.firmware import Bools, Cells, Inputs
@@ -108,6 +109,33 @@ class Outages(Around):
             self.outer(inner, after),
             ControllerOutputs(drive, outputs.outbox, outputs.failures, served, outputs.hung),
         )
+
+
+def interrupted(
+    controller: Controller, state: ControllerState, lattice: Lattice, fault: Injected[CellFault]
+) -> tuple[Controller, ControllerState]:
+    """A controller of cells that run already, one more fault acting on their programs; and its state.
+
+    Args:
+        controller: It, or what is inside of it, is changed.
+        state: Of its cells.
+        lattice: Of the array.
+        fault: Which.
+    """
+    around: Around | None = None
+    inside, lag = controller, 0
+    while isinstance(inside, Around) and not isinstance(inside, Outages):
+        lag = 1 if isinstance(inside, Clocked) else lag
+        around, inside = inside, inside.controller
+    if isinstance(inside, Outages):
+        inside.add(fault)
+        return controller, state
+    outages = Outages(inside, lattice, (fault,), lag=lag)
+    if around is None:
+        controller = outages
+    else:
+        around.controller = outages
+    return controller, outages.begin(state)
 
 
 def _served(stopped: Bools, unserved: Bools, told: Bools | None) -> Bools:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -81,6 +82,16 @@ ProtocolReportOption = Annotated[
         "rate against theory's, the load on its links; with a table (protocol.csv) and a picture (protocol.png).",
     ),
 ]
+ReplayOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--replay",
+        rich_help_panel=HOW,
+        metavar="DIR",
+        help="Repeat what was done to a recorded run of this scene while it went on: its live faults, at their ticks, "
+        "and a crash of every cell that it lost. Says whether the digest is the same.",
+    ),
+]
 PlanOption = Annotated[
     bool, typer.Option("--plan", rich_help_panel=HOW, help="Print what would be started, and exit.")
 ]
@@ -97,6 +108,7 @@ def run(
     realtime: RealtimeOption = None,
     registers: RegistersOption = None,
     protocol_report: ProtocolReportOption = None,
+    replay: ReplayOption = None,
     show_plan: PlanOption = False,
 ) -> None:
     """Run a scene: every cell an agent with its own controller, the plant, and messages between them.
@@ -125,6 +137,7 @@ def run(
         picture=asked.picture,
         registers=registers,
         protocol_report=protocol_report,
+        replay=replay,
     )
     if show_plan:
         print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 from bus.fault import FaultSpec, Injected
 from bus.lattice import Lattice
@@ -62,7 +62,7 @@ def deaths(scene: Timetable) -> Deaths:
     """When which cells crash for good. A cell that is to crash twice dies the first time."""
     first: dict[int, int] = {}
     for one in injected(scene):
-        if _for_good(one):
+        if is_death(one):
             for cell in one.cells.tolist():
                 first[cell] = min(one.first, first.get(cell, one.first))
     by_tick: dict[int, list[int]] = {}
@@ -73,30 +73,27 @@ def deaths(scene: Timetable) -> Deaths:
 
 def lasting(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
     """All but deaths: what happens to cells that stay in the lockstep."""
-    return tuple(one for one in injected(scene) if not _for_good(one))
+    return tuple(one for one in injected(scene) if not is_death(one))
 
 
-def of_cells(scene: Timetable) -> tuple[Injected[CellFault], ...]:
-    """What the cells carry out: all but deaths."""
-    return tuple(
-        Injected(one.number, one.fault, one.cells, one.first, one.end, one.live)
-        for one in lasting(scene)
-        if isinstance(one.fault, CellFault)
-    )
+def of_cells(faults: Sequence[Injected[FaultSpec]]) -> tuple[Injected[CellFault], ...]:
+    """Those of the lasting ones that the cells carry out."""
+    return tuple(cast("Injected[CellFault]", one) for one in faults if isinstance(one.fault, CellFault))
 
 
-def of_plant(scene: Timetable) -> tuple[Injected[PlantFault], ...]:
-    """What the plant carries out: likewise."""
-    return tuple(
-        Injected(one.number, one.fault, one.cells, one.first, one.end, one.live)
-        for one in lasting(scene)
-        if isinstance(one.fault, PlantFault)
-    )
+def of_plant(faults: Sequence[Injected[FaultSpec]]) -> tuple[Injected[PlantFault], ...]:
+    """Those of the lasting ones that the plant carries out."""
+    return tuple(cast("Injected[PlantFault]", one) for one in faults if isinstance(one.fault, PlantFault))
 
 
-def active(scene: Timetable) -> ActiveFaults | None:
-    """What begins and ends in the plant; None where nothing does."""
-    faults = of_plant(scene)
+def active(scene: Timetable, lasts: Sequence[Injected[FaultSpec]] | None = None) -> ActiveFaults | None:
+    """What begins and ends in the plant; None where nothing does.
+
+    Args:
+        scene: What runs.
+        lasts: ``lasting(scene)``, where there is more to do with the same.
+    """
+    faults = of_plant(lasting(scene) if lasts is None else lasts)
     if not faults:
         return None
     from plant.faults.active import ActiveFaults
@@ -104,8 +101,8 @@ def active(scene: Timetable) -> ActiveFaults | None:
     return ActiveFaults(len(scene.lattice()), faults)
 
 
-def _for_good(one: Injected[FaultSpec]) -> bool:
-    """Whether its cells leave the lockstep, never to come back."""
+def is_death(one: Injected[FaultSpec]) -> bool:
+    """Whether its cells leave the lockstep, never to come back: a scheduled crash that is not repaired."""
     return isinstance(one.fault, CrashFault) and one.end == NEVER and not one.live
 
 

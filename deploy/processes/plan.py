@@ -43,6 +43,7 @@ class RunOptions:
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
         registers: Record the cells' registers every so many ticks; None: not.
+        replay: Folder of a recorded run of the scene: what was done to that one is done again; None: nothing is.
         protocol_report: Look at the protocol's field every so many ticks, and report; None: not.
     """
 
@@ -55,6 +56,7 @@ class RunOptions:
     picture: bool = True
     registers: int | None = None
     protocol_report: int | None = None
+    replay: Path | None = None
 
 
 @final

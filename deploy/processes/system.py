@@ -11,13 +11,14 @@ from bus.errors import BusError, TransportError
 from deploy.errors import InputError
 from deploy.processes.cells_side import CellsSide, WorkerProcesses, WorkerThread
 from deploy.processes.plan import Plan
-from deploy.processes.worker import Order, controller_of
+from deploy.processes.worker import Order, controller_of, faults_of
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts, Host
     from bus.readings import Readings
     from bus.registers import Wanted
     from bus.transport import Endpoint
+    from bus.transports.zenoh.questions import Questions
     from deploy.scene import Scene
     from plant.array import CellArray
 
@@ -39,6 +40,9 @@ class System:
         plan: What to start.
         scene: What runs.
         listen: Endpoint on which the plant listens; None: a free loopback port.
+
+    Attributes:
+        locator: Where it listens; empty before ``open`` and where it doesn't.
     """
 
     def __init__(self, plan: Plan, scene: Scene, listen: str | None) -> None:
@@ -47,7 +51,7 @@ class System:
         self._listen = listen
         self._endpoint: Endpoint | None = None
         self._cells: CellsSide | None = None
-        self._locator = ""
+        self.locator = ""
         self._host: Host | None = None
         self._running = False
         self._stopped = False
@@ -81,8 +85,8 @@ class System:
             self._endpoint = open_hub(self._listen)
         except TransportError as error:
             raise InputError(str(error)) from None
-        self._locator = self._endpoint.locator
-        self._cells = self._processes or WorkerThread(open_client(self._locator))
+        self.locator = self._endpoint.locator
+        self._cells = self._processes or WorkerThread(open_client(self.locator))
 
     def start(
         self,
@@ -91,6 +95,7 @@ class System:
         wanted: tuple[Wanted, ...] = (),
         *,
         metered: bool = False,
+        live: bool = False,
     ) -> Host:
         """Start the cells and wait until all of them are ready.
 
@@ -99,6 +104,7 @@ class System:
             readings: What they can read.
             wanted: Registers that the cells are to show.
             metered: Have the cells count their messages.
+            live: Let faults come while it runs, over serial lines too.
 
         Raises:
             DeployError: A worker failed on the way; says which and why.
@@ -115,10 +121,11 @@ class System:
             partition=plan.partition,
             wire=plan.wire,
             run=plan.run,
-            connect=self._locator,
+            connect=self.locator,
             readings=readings,
             wanted=wanted,
             metered=metered,
+            live=live,
             alone=plan.workers > 0,
         )
         host = self._host = Host(
@@ -127,7 +134,7 @@ class System:
             plan.wire,
             run=plan.run,
             readings=readings,
-            message=controller_of(scene).message,
+            message=controller_of(scene, faults_of(scene), live=live).message,
             wanted=wanted,
             stall=scene.stall,
         )
@@ -135,6 +142,16 @@ class System:
         self._barrier(host, self._endpoint, self._cells)
         self._running = True
         return host
+
+    def questions(self, key: str) -> Questions | None:
+        """Where others may ask something while the run goes on; None where nobody can."""
+        if self._plan.transport == "memory":
+            return None
+        from bus.transports.zenoh import ZenohEndpoint
+        from bus.transports.zenoh.questions import Questions
+
+        assert isinstance(self._endpoint, ZenohEndpoint)
+        return Questions(self._endpoint, key)
 
     def _barrier(self, host: Host, endpoint: Endpoint, cells: CellsSide) -> None:
         """The host's barrier, cut short by a worker that fails."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 from bus.keys import plant_key
 from bus.partition import Partition
 from bus.transport import Alive, Endpoint, Received
-from bus.wire import decode_control
-from deploy.faults.schedule import Deaths, deaths, of_cells
+from bus.wire import Control, decode_control
+from deploy.faults.schedule import Deaths, deaths, lasting, of_cells
 
 if TYPE_CHECKING:
     from bus.lockstep import FormName
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from bus.registers import Wanted
     from cell_firmware.assembly import CellFaults
     from cell_firmware.controller import Controller
+    from cell_firmware.effects.stage import Site
     from cell_firmware.shard import Shard
     from deploy.scene import Scene
     from plant.array import CellArray
@@ -39,6 +41,7 @@ class Order:
         readings: What the cells can read.
         wanted: Registers of the cells that the plant wants to see.
         metered: Whether cells count their messages.
+        live: Whether faults may come while it runs, over serial lines too.
         alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
     """
 
@@ -51,6 +54,7 @@ class Order:
     readings: Readings
     wanted: tuple[Wanted, ...]
     metered: bool
+    live: bool
     alone: bool
 
     def __call__(self, shard: int) -> None:
@@ -76,7 +80,7 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     from bus.lockstep import Member
     from cell_firmware import agent
 
-    cells = _shard(order, shard)
+    cells, site = _shard(order, shard)
     member = Member(
         endpoint,
         order.partition,
@@ -93,30 +97,45 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     for tick, dead in schedule.items():
         member.retire(dead, tick)
     member.ready()
-    ended = asyncio.run(agent.run(cells, member, endpoint))
+    ended = asyncio.run(agent.run(cells, member, endpoint, _injector(order, cells, site)))
     doomed = order.alone and _doomed(order, shard, schedule, ended.ticks)
     if doomed and _next_tick_came(order.run, len(order.array), endpoint):
         os.kill(os.getpid(), signal.SIGKILL)
     member.close()
 
 
-def controller_of(scene: Scene, *, metered: bool = False) -> Controller:
-    """The controller that a scene gives every cell; ``metered``: which counts the cell's messages."""
+def controller_of(
+    scene: Scene, faults: CellFaults | None = None, *, live: bool = False, metered: bool = False
+) -> Controller:
+    """The controller that a scene gives every cell.
+
+    Args:
+        scene: What runs.
+        faults: ``faults_of(scene)``.
+        live: Whether more faults may come while it runs.
+        metered: Whether it counts the cell's messages.
+    """
     from cell_firmware.assembly import assemble
     from cell_firmware.loader import load
     from deploy.motors import told
 
     motors = told(scene.effects.motors)
     firmware = load(scene.cells)
-    faults = faults_of(scene)
     return assemble(
-        firmware, scene.cells, scene.effects, motors, scene.clocks(), faults=faults, metered=metered
+        firmware,
+        scene.cells,
+        scene.effects,
+        motors,
+        scene.clocks(),
+        faults=faults,
+        live=live,
+        metered=metered,
     )
 
 
 def faults_of(scene: Scene) -> CellFaults | None:
     """The faults that the cells of a scene carry out; None where there are none."""
-    injected = of_cells(scene)
+    injected = of_cells(lasting(scene))
     if not injected:
         return None
     from cell_firmware.assembly import CellFaults
@@ -124,25 +143,26 @@ def faults_of(scene: Scene) -> CellFaults | None:
     return CellFaults(scene.lattice(), injected)
 
 
-def _shard(order: Order, shard: int) -> Shard:
+def _shard(order: Order, index: int) -> tuple[Shard, Site]:
+    """The cells of a shard, and where they are."""
     from cell_firmware.effects.stage import Site
     from cell_firmware.firmware import Cells
-    from cell_firmware.shard import Shard
+    from cell_firmware.shard import FAULTS, Shard
 
     scene, array, readings = order.scene, order.array, order.readings
-    controller = controller_of(scene, metered=order.metered)
+    faults = faults_of(scene)
+    controller = controller_of(scene, faults, live=order.live, metered=order.metered)
     site = Site(
-        order.partition.cells(shard),
+        order.partition.cells(index),
         readings.sensors,
         controller.message,
         scene.seed,
         levels=readings.levels,
     )
     stages = scene.effects.stages(site)
-    faults = faults_of(scene)
     if faults is not None:
-        stages["faults"] = faults.stages(site)
-    return Shard(
+        stages[FAULTS] = faults.stages(site)
+    shard = Shard(
         controller,
         Cells.of(
             array.lattice,
@@ -152,9 +172,22 @@ def _shard(order: Order, shard: int) -> Shard:
             pitch_m=array.pitch_m,
         ),
         order.partition,
-        shard,
+        index,
         stages,
+        () if faults is None else faults.injected,
     )
+    return shard, site
+
+
+def _injector(order: Order, shard: Shard, site: Site) -> Callable[[Control], None]:
+    """What carries out live faults on a shard."""
+
+    def inject(control: Control) -> None:
+        from deploy.live.told import carry_out
+
+        carry_out(control, order.scene, shard, site)
+
+    return inject
 
 
 def _doomed(order: Order, shard: int, schedule: Deaths, ticks: int) -> bool:

@@ -25,18 +25,21 @@ class ActiveFaults:
     def __init__(self, cells: int, faults: Sequence[Injected[PlantFault]] = ()) -> None:
         self._cells = cells
         self._faults = list(faults)
-        self._turns: list[int] = []
         self.next_turn = NEVER
-        self._plan(0)
+        self.plan(0)
 
-    def add(self, fault: Injected[PlantFault], tick: int) -> None:
-        """One more, from now on; ``tick`` is the next."""
+    def add(self, fault: Injected[PlantFault]) -> None:
+        """One more, which begins no earlier than the next tick."""
         self._faults.append(fault)
-        self._plan(tick)
+
+    def plan(self, tick: int) -> None:
+        """Look again at when they begin and end; ``tick`` is the next."""
+        turning = [turn for turn in turns(self._faults) if turn >= tick]
+        self.next_turn = turning[0] if turning else NEVER
 
     def turn(self, tick: int) -> Harm:
         """What is the matter from ``tick`` on, which is ``next_turn``."""
-        self._plan(tick + 1)
+        self.plan(tick + 1)
         return self.harm(tick)
 
     def harm(self, tick: int) -> Harm:
@@ -46,7 +49,3 @@ class ActiveFaults:
             if injected.acts(tick):
                 injected.fault.harm(injected.cells, harm)
         return harm
-
-    def _plan(self, tick: int) -> None:
-        self._turns = [turn for turn in turns(self._faults) if turn >= tick]
-        self.next_turn = self._turns[0] if self._turns else NEVER

@@ -1,0 +1,159 @@
+"""``mdms fault``: a fault injected into a running system."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deploy.commands.options import JsonOption
+from deploy.errors import InputError
+from deploy.overrides import Override, apply
+from deploy.words import counted
+
+_CELL = re.compile(r"(\d{1,9}),(\d{1,9})")
+_RECTANGLE = re.compile(r"(\d{1,9}),(\d{1,9})-(\d{1,9}),(\d{1,9})")
+_SHARE = re.compile(r"(\d+(?:\.\d+)?)%")
+
+KindArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="KIND",
+        help="Any kind that a scene may schedule; or list: which faults there are; or repair: of those by number.",
+    ),
+]
+TargetArgument = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[TARGET]...",
+        help="Cells as ROW,COLUMN; ROW,COLUMN-ROW,COLUMN: all from one corner to the other; 10%: a share of all cells.",
+    ),
+]
+SideOption = Annotated[
+    str | None, typer.Option("--side", help="Of links: north, east, south or west. Default: all.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the fault, in TOML. Repeatable."),
+]
+ForOption = Annotated[
+    float | None,
+    typer.Option("--for", metavar="SECONDS", help="Simulated time until it is repaired. Default: never."),
+]
+ConnectOption = Annotated[
+    str | None, typer.Option("--connect", metavar="ENDPOINT", help="Where the run's plant listens.")
+]
+RunOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--run",
+        metavar="DIR",
+        help="Or the folder that the run writes to. Default: the latest below runs/ that goes on.",
+    ),
+]
+TimeoutOption = Annotated[
+    float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for an answer.")
+]
+
+
+def fault(
+    kind: KindArgument,
+    target: TargetArgument = None,
+    *,
+    side: SideOption = None,
+    sets: SetOption = None,
+    for_s: ForOption = None,
+    connect: ConnectOption = None,
+    run: RunOption = None,
+    timeout: TimeoutOption = 5.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Inject a fault into a running system, or repair one.
+
+    It acts from the next tick on; the answer says which. The recording keeps it, so that mdms run --replay repeats the
+    run to the same digest.
+
+    In one terminal, and in another:
+
+      [cyan]mdms run heat --duration 60 --realtime[/cyan]
+      [cyan]mdms fault crash 3,4 --for 2[/cyan]
+      [cyan]mdms fault crash 0,0-2,2[/cyan]
+      [cyan]mdms fault list[/cyan]
+      [cyan]mdms fault repair 1[/cyan]
+    """
+    if not 0 < timeout < float("inf"):
+        raise InputError(f"--timeout {timeout:g}: must be greater than 0")
+    if connect is not None and run is not None:
+        raise InputError("--connect and --run: give one of the two")
+    requests = _requests(kind, target or [], side, sets or [], for_s)
+    if connect is None:
+        from deploy.live.address import find
+
+        connect = find(run).connect
+    from deploy.live.operator import ask_run
+
+    for request in requests:
+        answer = ask_run(connect, request, timeout)
+        if as_json:
+            print(json.dumps(answer))
+        else:
+            _print(request, answer)
+
+
+def _requests(
+    kind: str, target: list[str], side: str | None, sets: list[str], for_s: float | None
+) -> list[dict[str, Any]]:
+    if kind in ("list", "repair"):
+        if side is not None or sets or for_s is not None:
+            raise InputError(f"fault {kind}: takes no --side, --set or --for")
+        if kind == "list" and target:
+            raise InputError("fault list: takes no target")
+        if kind == "list":
+            return [{"do": "list"}]
+        if not target or not all(text.isascii() and text.isdigit() for text in target):
+            raise InputError("fault repair: must be followed by numbers of faults; see mdms fault list")
+        return [{"do": "repair", "number": int(text)} for text in target]
+    fault: dict[str, Any] = {"kind": kind, **_target(target)}
+    if side is not None:
+        fault["side"] = side
+    apply(fault, [Override.parse(text) for text in sets])
+    return [{"do": "inject", "fault": fault, "for_s": for_s}]
+
+
+def _target(texts: list[str]) -> dict[str, Any]:
+    """A fault's keys for what it strikes; none for a fault that says it otherwise."""
+    if not texts:
+        return {}
+    if all(_CELL.fullmatch(text) for text in texts):
+        cells = [[int(part) for part in text.split(",")] for text in texts]
+        return {"cell": cells[0]} if len(cells) == 1 else {"cells": cells}
+    if len(texts) == 1 and (match := _RECTANGLE.fullmatch(texts[0])):
+        r0, c0, r1, c1 = map(int, match.groups())
+        return {"rectangle": [[r0, c0], [r1, c1]]}
+    if len(texts) == 1 and (match := _SHARE.fullmatch(texts[0])):
+        return {"share": float(match[1]) / 100.0}
+    raise InputError(
+        f"{' '.join(texts)}: must be cells such as 3,4, or one rectangle such as 0,0-2,2, or one share such as 10%"
+    )
+
+
+def _print(request: dict[str, Any], answer: dict[str, Any]) -> None:
+    when = f"from tick {answer['tick']:,} ({answer['time_s']:g} s)"
+    if request["do"] == "inject":
+        named = ", ".join(f"{row},{column}" for row, column in answer["cells"][:6])
+        more = ", ..." if answer["struck"] > 6 else ""
+        what = f"{request['fault']['kind']} of {counted(answer['struck'], 'cell')} ({named}{more})"
+        print(f"{answer['run']}: fault {answer['number']}, {what}, {when}")
+    elif request["do"] == "repair":
+        print(f"{answer['run']}: fault {answer['number']} repaired, {when}")
+    elif not answer["faults"]:
+        print(f"{answer['run']}: no faults")
+    for one in answer.get("faults", ()):
+        end = "for good" if one["until_tick"] is None else f"until tick {one['until_tick']:,}"
+        print(
+            f"{one['number']:>4}  {one['kind']} of {counted(one['struck'], 'cell')}  "
+            f"from tick {one['from_tick']:,} {end}  {one['state']}"
+        )

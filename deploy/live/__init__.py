@@ -1,0 +1,1 @@
+"""A run that is spoken to while it goes on: what can be asked, who asks, who answers."""

@@ -1,0 +1,80 @@
+"""Where runs of this machine that go on can be spoken to: each leaves a note in its folder while it does."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+from deploy.errors import InputError
+from deploy.files import write_text
+
+FILE_NAME: Final = "live.json"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Address:
+    """How to reach a run.
+
+    Attributes:
+        run: Its name.
+        connect: Where its plant listens.
+        pid: Of the plant's process.
+    """
+
+    run: str
+    connect: str
+    pid: int
+
+    def write(self, folder: Path) -> None:
+        """Leave the note."""
+        write_text(folder / FILE_NAME, json.dumps(asdict(self)))
+
+    @staticmethod
+    def remove(folder: Path) -> None:
+        """Take the note away, where there is one."""
+        with suppress(OSError):
+            (folder / FILE_NAME).unlink()
+
+
+def find(folder: Path | None) -> Address:
+    """The run of a folder; None: the one below ``runs/`` that began last and still goes on.
+
+    Raises:
+        InputError: There is none.
+    """
+    if folder is not None:
+        address = _read(folder / FILE_NAME)
+        if address is None:
+            raise InputError(f"--run {folder}: no run goes on there")
+        return address
+    notes = sorted(Path("runs").glob(f"*/{FILE_NAME}"), key=_age)
+    for note in notes:
+        address = _read(note)
+        if address is not None:
+            return address
+    raise InputError(
+        "no run goes on below runs/: name its folder with --run, or where it listens with --connect"
+    )
+
+
+def _age(note: Path) -> float:
+    try:
+        return -note.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _read(note: Path) -> Address | None:
+    """What a note says; None where its run is over, however it ended."""
+    try:
+        data: dict[str, Any] = json.loads(note.read_bytes())
+        address = Address(str(data["run"]), str(data["connect"]), int(data["pid"]))
+        os.kill(address.pid, 0)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return address

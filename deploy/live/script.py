@@ -1,0 +1,57 @@
+"""What was done to a run while it went on, and whom it lost, from its recording: so that it can be repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from deploy.errors import InputError
+
+if TYPE_CHECKING:
+    from deploy.recordings.replay import Recording
+    from deploy.scene import Scene
+
+FOUND: Final = ("token_lost", "stalled")
+"""Losses that the run can't come to by itself when it is repeated."""
+_FIRST_NUMBER: Final = 1_000_000
+"""Of faults that stand for losses: beyond those of scenes and operators."""
+
+
+def script_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ...]:
+    """The live commands of a recorded run, and a crash for every cell that it lost, by tick.
+
+    Raises:
+        InputError: The recording is of another scene.
+    """
+    theirs, ours = dict(recording.header["scene"]), scene.model_dump(mode="json")
+    # words, and limits on the wall clock, may differ
+    for described in (theirs, ours):
+        described["stall"] = {"policy": described["stall"]["policy"]}
+    differs = [key for key in ours if key != "title" and theirs.get(key) != ours[key]]
+    if differs:
+        raise InputError(
+            f"--replay: the recording is of another scene than {scene.name}: {', '.join(differs)} differ; "
+            "give the scene as it was, with its --set, --seed and --duration"
+        )
+    return (*recording.control, *_losses(recording.faults))
+
+
+def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Cells that were lost in the same tick die of one fault."""
+    lost: dict[int, list[list[int]]] = {}
+    for fault in faults:
+        if fault["kind"] in FOUND:
+            lost.setdefault(int(fault["tick"]), []).append(fault["cell"])
+    return [
+        {
+            "kind": "fault",
+            "tick": tick,
+            "detail": {
+                "number": _FIRST_NUMBER + i,
+                "fault": {"kind": "crash", "cells": cells},
+                "first": tick,
+                "end": None,
+            },
+        }
+        for i, (tick, cells) in enumerate(sorted(lost.items()))
+    ]
