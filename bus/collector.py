@@ -43,7 +43,8 @@ class Collector:
 
     Attributes:
         now: The first tick that is not over.
-        until: For each part, the tick from which its sender is gone.
+        since: For each part, the tick from which its sender takes part.
+        until: For each part, the tick from which it is gone.
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class Collector:
         counts: Counts,
     ) -> None:
         self.now = 0
+        self.since = [0] * len(blank)
         self.until = [NEVER] * len(blank)
         self._deaths = False
         self._kind = kind
@@ -70,7 +72,7 @@ class Collector:
             WireError: Not such a payload, too far ahead, or the second of its tick.
         """
         tick, value = self._decode(part, payload)
-        if tick < self.now or self.until[part] <= tick:
+        if tick < self.now or not self.since[part] <= tick < self.until[part]:
             self._counts.late += 1
             return
         if tick > self.now + EARLY_TICKS:
@@ -95,16 +97,39 @@ class Collector:
         return slot
 
     def _begin(self, tick: int) -> Slot:
-        return Slot(self._blank.copy(), sum(until > tick for until in self.until))
+        lives = zip(self.since, self.until, strict=True)
+        return Slot(self._blank.copy(), sum(since <= tick < until for since, until in lives))
 
     def missing(self, tick: int) -> list[int]:
         """Live parts of ``tick`` that have not come."""
         have = self.slot(tick).have
-        return [part for part, until in enumerate(self.until) if until > tick and not have[part]]
+        lives = enumerate(zip(self.since, self.until, strict=True))
+        return [part for part, (since, until) in lives if since <= tick < until and not have[part]]
 
     def bury(self, until: list[int]) -> None:
         """Sets the ticks from which the senders are gone: nobody waits for them."""
         self.until = until
+        self._recount()
+
+    def admit(self, since: list[int], until: list[int]) -> None:
+        """Sets the ticks from which the senders take part, and from which they are gone."""
+        self.since, self.until = since, until
+        self._recount()
+
+    def begin(self, tick: int) -> None:
+        """``tick`` is the first; nothing has come yet."""
+        self.now = tick
+        self._early.clear()
+        self._current = self._begin(tick)
+
+    def void(self, parts: Sequence[int], tick: int) -> None:
+        """What has come from these for ``tick`` and later ones counts as not sent."""
+        for slot in [self.slot(t) for t in (self.now, *self._early) if t >= tick]:
+            for part in parts:
+                slot.values[part] = self._blank[part]
+                slot.have[part] = 0
+
+    def _recount(self) -> None:
         self._deaths = True
         for tick in (self.now, *self._early):
             self.slot(tick).missing = len(self.missing(tick))

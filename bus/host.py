@@ -22,6 +22,7 @@ from bus.lives import Lives
 from bus.partition import Partition
 from bus.readings import Readings
 from bus.registers import RegisterFrame, Shown, Wanted, decode_registers, due, joined
+from bus.returns import Returns
 from bus.roll import Roll
 from bus.specs import StallSpec
 from bus.transport import Endpoint
@@ -81,6 +82,9 @@ class Host:
         self._hung: list[Report] = []
         self._shard_counts: dict[int, Counts] = {}
         self._roll = Roll(self._form, partition.lattice)
+        shards = [partition.shard_of[cells[0]] for cells in self._form.unit_cells]
+        units = [[u for u, own in enumerate(shards) if own == s] for s in range(partition.count)]
+        self._returns = Returns(self._roll, units, lambda unit: self._sense[unit].matched())
         self._drives = Collector("drive", self._form.blank_drives, self._form.decode_drive, self.counts)
         self._inbox = Dispatcher(endpoint, self.counts, self._roll.take)
         for key, unit in self._form.drive_units.items():
@@ -191,6 +195,32 @@ class Host:
         """``(n,)``: the cells that take part in ``tick``."""
         return self._lives.live(tick)
 
+    def admit(self, tick: int) -> list[int]:
+        """Lets cells take part again whose process went and whose new one is ready; for between two ticks.
+
+        Args:
+            tick: The next.
+
+        Returns:
+            Their indices, ascending: they are waited for from ``tick`` on. All others have been told.
+        """
+        if not self._returns:
+            return []
+        names = self._lattice.cells
+        for absence in self._returns.to_ask():
+            self.control(Control("joining", tick, tuple(names[i] for i in absence.cells)))
+        others = np.unique(self._shard_of[self._lives.live(tick)]).tolist()
+        cells = self._returns.back(others)
+        if cells:
+            self._lives.admit(cells, tick)
+            units = self._form.unit_cells
+            self._drives.admit(self._lives.first(units), self._lives.last(units))
+            # whoever is new knows nobody who went before
+            gone = tuple(names[i] for i in np.flatnonzero(~self._lives.live(tick)).tolist())
+            self.control(Control("lost", 0, gone))
+            self.control(Control("joined", tick, tuple(names[i] for i in cells)))
+        return cells
+
     def take_hung(self) -> list[Report]:
         """Programs that have hung since the last call, and why; their cells still take part."""
         hung, self._hung = self._hung, []
@@ -246,10 +276,17 @@ class Host:
         if report.kind == "counts":
             self._shard_counts[shard] = Counts(*report.counts, tally=Counter(dict(report.tally)))
             return
+        if report.kind == "linked":
+            cells = [self._lattice.index(cell) for cell in report.cells if cell in self._lattice]
+            self._returns.linked(shard, cells)
+            return
         for cell in report.cells:
             if cell not in self._lattice or self._shard_of[self._lattice.index(cell)] != shard:
                 raise WireError("report", "cells", f"must be cells of shard {shard}")
-        (self._failed if report.kind == "failed" else self._hung).append(report)
+        if report.kind == "failed":
+            self._failed.append(report)
+        else:
+            self._hung.append(report)
 
     def _take_registers(self, shard: int, payload: bytes) -> None:
         cells = int(np.count_nonzero(self._shard_of == shard))
@@ -276,7 +313,10 @@ class Host:
 
     def _lose_units(self, units: list[int], reason: Reason) -> None:
         self.counts.lost += len(units)
+        before = len(self._losses)
         self._lose([int(i) for unit in units for i in self._form.unit_cells[unit]], reason)
+        for loss in self._losses[before:]:
+            self._returns.left(int(self._shard_of[loss.cell]), (loss.cell,))
 
     def _lose(self, cells: Iterable[int], reason: Reason, detail: str = "") -> None:
         lost = sorted(i for i in cells if self._lives.until[i] > self._tick)

@@ -111,6 +111,9 @@ class Member:
         self._links = Collector("link", self._form.blank_links, self._form.decode_link, self.counts)
         self._stop: Control | None = None
         self._faults: list[Control] = []
+        self._joining: list[Control] = []
+        self._joined: int | None = None
+        self._first = 0
         self._plant_seen = False
         self._plant_lost = False
         self._declared: list[str] = []
@@ -169,6 +172,31 @@ class Member:
                 raise HostLostError("the plant left before the run began")
         self._show(self._form.ready_keys)
 
+    def join(self, deadline_s: float | None = None) -> int | None:
+        """Waits, after ``ready``, for the tick from which the shard takes part in a run that goes on already.
+
+        Args:
+            deadline_s: Wall seconds from now; None: ``stall.start_s``.
+
+        Returns:
+            That tick; None: the run was stopped before.
+
+        Raises:
+            BarrierError: Nobody lets it take part in time.
+            HostLostError: The plant went away.
+            WokenError: ``endpoint.wake`` was called.
+        """
+        limit = self._stall.start_s if deadline_s is None else deadline_s
+        deadline = self._clock() + limit
+        while self._joined is None and self._stop is None:
+            left = deadline - self._clock()
+            if left <= 0:
+                raise BarrierError(f"shard {self._shard} was not let in within {limit:g} s")
+            self._inbox.read(left)
+            if self._plant_lost:
+                raise HostLostError("the plant left before the shard could take part")
+        return self._joined
+
     def _show(self, keys: Iterable[str]) -> None:
         for key in keys:
             self._endpoint.declare_alive(key)
@@ -192,9 +220,11 @@ class Member:
             WokenError: ``endpoint.wake`` was called; the call may be repeated.
         """
         self._tick = tick
+        if self._joining:
+            self._joining = [control for control in self._joining if not self._offer(control)]
         sense = self._senses.slot(tick)
-        # At tick 0 nobody has sent anything.
-        links = None if self._message is None or tick == 0 else self._links.slot(tick - 1)
+        # At its first tick nobody has sent it anything.
+        links = None if self._message is None or tick == self._first else self._links.slot(tick - 1)
         deadline = None if self._silence_s is None else self._clock() + self._silence_s
         read = self._inbox.read
         while True:
@@ -227,7 +257,7 @@ class Member:
         sense = SenseFrame(tick, *senses)
         if self._message is None:
             return Gathered(sense, None)
-        values = self._form.blank_links if tick == 0 else self._links.close(tick - 1).values
+        values = self._form.blank_links if tick == self._first else self._links.close(tick - 1).values
         return Gathered(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
 
     def take_faults(self) -> list[Control]:
@@ -236,6 +266,15 @@ class Member:
             return []
         faults, self._faults = self._faults, []
         return faults
+
+    def _offer(self, joining: Control) -> bool:
+        """Tells the plant that cells that come back can be sent to, if they can."""
+        cells = [self._lattice.index(cell) for cell in joining.cells]
+        if not all(publisher.matched() for publisher in self._outgoing.towards(cells)):
+            return False
+        self._report.put(wire.encode_report(Report("linked", self._tick, joining.cells)))
+        self.counts.sent += 1
+        return True
 
     def publish(self, drive: DriveFrame, links: LinkFrame | None) -> None:
         """Sends a tick's messages, then its drives; before the last that any cell of the shard drives, the counts.
@@ -286,9 +325,17 @@ class Member:
 
     # --- who takes part -------------------------------------------------------------------------
 
-    def retire(self, cells: Iterable[int], tick: int) -> None:
+    def plan(self, cells: Iterable[int], tick: int) -> None:
         """Nobody waits for ``cells`` (indices in the lattice) from ``tick`` on: a scheduled death."""
+        self._lives.plan(cells, tick)
+        self._bury()
+
+    def retire(self, cells: Iterable[int], tick: int) -> None:
+        """Nobody waits for ``cells`` (indices in the lattice) from ``tick`` on; their process may come back."""
         self._lives.retire(cells, tick)
+        self._bury()
+
+    def _bury(self) -> None:
         last, form = self._lives.last, self._form
         self._senses.bury(last(form.unit_cells))
         # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
@@ -332,6 +379,22 @@ class Member:
         report = Report("counts", self._tick, (), "", numbers, tuple(self._tally().items()))
         self._report.put(wire.encode_report(report))
 
+    def _admit(self, control: Control) -> None:
+        """Cells take part again from a tick on, which is the next; this shard's own, or others'."""
+        cells, tick = [self._lattice.index(cell) for cell in control.cells], control.tick
+        self._lives.admit(cells, tick)
+        if not set(cells).isdisjoint(self._cells.tolist()):
+            self._first = self._joined = tick
+            self._senses.begin(tick)
+            self._links.begin(tick - 1)
+        first, last, form = self._lives.first, self._lives.last, self._form
+        self._senses.admit(first(form.unit_cells), last(form.unit_cells))
+        sources, targets = form.in_sources, form.in_targets
+        since = [max(pair) for pair in zip(first(sources), first(targets), strict=True)]
+        until = [min(s, t - 1) for s, t in zip(last(sources), last(targets), strict=True)]
+        self._links.admit(since, until)
+        self._outgoing.bury()
+
     # --- events ---------------------------------------------------------------------------------
 
     def _take_token(self, event: Alive) -> None:
@@ -342,16 +405,25 @@ class Member:
 
     def _take_control(self, _: int, payload: bytes) -> None:
         control = wire.decode_control(payload, len(self._lattice))
+        if not all(cell in self._lattice for cell in control.cells):
+            raise WireError("control", "cells", "names a cell that is not in the array")
         if control.kind == "stop":
             self._stop = control
         elif control.kind == "fault":
-            self._faults.append(control)
+            own = {self._lattice.index(cell) for cell in control.cells}
+            if not own or not own.isdisjoint(self._cells.tolist()):
+                self._faults.append(control)
+        elif control.kind == "joining":
+            self._joining.append(control)
+        elif control.kind == "joined":
+            self._admit(control)
         elif control.kind == "lost":
-            lattice = self._lattice
-            if not all(cell in lattice for cell in control.cells):
-                raise WireError("control", "cells", "names a cell that is not in the array")
             # Not from the record's tick on but at once: what they sent before has arrived before this record.
-            waited = len(self._links.missing(self._tick - 1))
-            self.retire((lattice.index(cell) for cell in control.cells), 0)
-            self.counts.lost += waited - len(self._links.missing(self._tick - 1))
+            waited = len(self._links.missing(self._links.now))
+            lost = [self._lattice.index(cell) for cell in control.cells]
+            self.retire(lost, 0)
+            self.counts.lost += waited - len(self._links.missing(self._links.now))
+            # What they sent in the tick in which they were lost may have arrived, or not: it never was.
+            gone = [part for part, until in enumerate(self._links.until) if until <= 0]
+            self._links.void(gone, control.tick)
         self.counts.delivered += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, Final, final
 
 import numpy as np
@@ -55,6 +56,14 @@ class Outgoing:
         last, form = self._lives.last, self._form
         self._drive_until = last(form.unit_cells)
         self._out_until, self._target_until = last(form.out_sources), last(form.out_targets)
+
+    def towards(self, cells: Collection[int]) -> list[Publisher]:
+        """Publishers of messages to any of ``cells`` (indices)."""
+        return [
+            publisher
+            for publisher, targets in zip(self._out, self._form.out_targets, strict=True)
+            if not set(targets.tolist()).isdisjoint(cells)
+        ]
 
     def puts(self, drive: DriveFrame, links: LinkFrame | None) -> list[tuple[Publisher, bytes]]:
         """A tick's payloads, each with its publisher.

@@ -55,7 +55,7 @@ class LinkFrame(NamedTuple):
 class Control:
     """The plant's word to all: ``cells`` are ``(row, column)``."""
 
-    kind: Literal["start", "lost", "fault", "stop"]
+    kind: Literal["start", "lost", "joining", "joined", "fault", "stop"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -64,9 +64,13 @@ class Control:
 @final
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A shard's word to the plant: cells that ``failed``, whose program is ``hung``, or its final ``counts``."""
+    """A shard's word to the plant.
 
-    kind: Literal["failed", "hung", "counts"]
+    Cells that ``failed``, whose program is ``hung``, or that can be sent to again (``linked``); or its final
+    ``counts``.
+    """
+
+    kind: Literal["failed", "hung", "linked", "counts"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -116,6 +120,8 @@ def encode_control(control: Control) -> bytes:
     )
 
 
+_CONTROLS: Final = ("start", "lost", "joining", "joined", "fault", "stop")
+_REPORTS: Final = ("failed", "hung", "linked", "counts")
 _CONTROL: Final = layout("kind", "cells", "detail")
 _REPORT: Final = layout("kind", "cells", "detail", "counts", "tally")
 
@@ -128,8 +134,8 @@ def decode_control(payload: bytes, cells: int) -> Control:
     """
     tick, fields = reader("control", _text_limit(cells), _CONTROL)(payload)
     kind = fields["kind"]
-    if kind not in ("start", "lost", "fault", "stop"):
-        raise WireError("control", "kind", "must be start, lost, fault or stop")
+    if kind not in _CONTROLS:
+        raise WireError("control", "kind", f"must be one of {', '.join(_CONTROLS)}")
     return Control(kind, tick, _places("control", fields["cells"], cells), _text("control", fields["detail"]))
 
 
@@ -157,8 +163,8 @@ def decode_report(payload: bytes, cells: int) -> Report:
     limit = _text_limit(cells) + TALLY_LIMIT * (4 * TALLY_LIMIT + 16)
     tick, fields = reader("report", limit, _REPORT)(payload)
     kind = fields["kind"]
-    if kind not in ("failed", "hung", "counts"):
-        raise WireError("report", "kind", "must be failed, hung or counts")
+    if kind not in _REPORTS:
+        raise WireError("report", "kind", f"must be one of {', '.join(_REPORTS)}")
     counts = fields["counts"]
     if (
         type(counts) is not list

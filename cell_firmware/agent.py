@@ -38,7 +38,9 @@ Inject = Callable[[Control], None]
 """What carries out a control record of kind ``fault`` on the shard, before the tick in which it acts."""
 
 
-async def run(shard: Shard, member: Member, endpoint: Endpoint, inject: Inject | None = None) -> Ended:
+async def run(
+    shard: Shard, member: Member, endpoint: Endpoint, inject: Inject | None = None, first: int = 0
+) -> Ended:
     """Runs a shard tick by tick until it is told to stop.
 
     ``member.ready()`` comes before, closing the member and its endpoint after. Cells that the member was
@@ -50,6 +52,7 @@ async def run(shard: Shard, member: Member, endpoint: Endpoint, inject: Inject |
         member: Their side of the lockstep, ready.
         endpoint: The member's endpoint, to wake it by.
         inject: What carries out faults that come while it runs; None: they are let be.
+        first: The shard's first tick.
 
     Raises:
         HostLostError: The plant went away.
@@ -57,7 +60,7 @@ async def run(shard: Shard, member: Member, endpoint: Endpoint, inject: Inject |
         BusError: Whatever else stops the member.
         asyncio.CancelledError: Cancelled; the gather thread has ended by then.
     """
-    agent = _Agent(shard, member, endpoint, asyncio.get_running_loop(), inject)
+    agent = _Agent(shard, member, endpoint, asyncio.get_running_loop(), inject, first)
     return await agent.run()
 
 
@@ -78,12 +81,14 @@ class _Agent:
         endpoint: Endpoint,
         loop: asyncio.AbstractEventLoop,
         inject: Inject | None,
+        first: int,
     ) -> None:
         self._shard: Final = shard
         self._member: Final = member
         self._endpoint: Final = endpoint
         self._loop: Final = loop
         self._inject: Final = inject
+        self._first: Final = first
         self._end: Final[asyncio.Future[str]] = loop.create_future()
         self._thread: Final = threading.Thread(target=self._gather, name="gather", daemon=True)
         self._stopping = False
@@ -106,7 +111,7 @@ class _Agent:
     # --- in the gather thread ---------------------------------------------------------------------
 
     def _gather(self) -> None:
-        tick, before = 0, np.ones(len(self._shard), dtype=np.bool_)
+        tick, before = self._first, np.ones(len(self._shard), dtype=np.bool_)
         try:
             while not self._stopping:
                 try:

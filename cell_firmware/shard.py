@@ -239,6 +239,10 @@ class Shard:
         before.subtract(self._controller.counted(self._state))
         self._retired.update(before)
 
+    def begin(self, tick: int) -> None:
+        """The first tick is ``tick``: for cells that come into a run that goes on already."""
+        self._tick = tick - 1
+
     def inject(self, fault: Injected[CellFault], site: Site, lattice: Lattice) -> None:
         """One more fault, from the next tick on at the earliest.
 

@@ -41,6 +41,7 @@ class Ledger:
         faults: Injected and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``; of those that begin
             and end, ``phase`` and all their ``cells``.
         cells_lost: ``(row, column)`` of each, in order.
+        warn: As given.
         controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
         last: The last tick; None before the first is over.
     """
@@ -63,7 +64,7 @@ class Ledger:
         self._recorder = recorder
         self._progress = progress
         self._policy = policy
-        self._warn = warn
+        self.warn = warn
         self.ticks = 0
         self.time_ns = 0
         self.faults: list[Mapping[str, Any]] = []
@@ -155,7 +156,24 @@ class Ledger:
             self._fault(loss.tick, loss.reason.replace(" ", "_"), loss.cell, loss.detail)
         then = "the run ends" if self._policy == "abort" else f"wheels {self._policy}"
         for line in self._lines(losses):
-            self._warn(f"{line}; {then}")
+            self.warn(f"{line}; {then}")
+
+    def rejoined(self, tick: int, cells: Sequence[int]) -> None:
+        """Note that cells take part again from ``tick`` on."""
+        places = [self._cells[cell] for cell in cells]
+        fault = {
+            "time_s": tick * self._period_ns * 1e-9,
+            "kind": "respawn",
+            "phase": "happens",
+            "cell": list(places[0]) if len(places) == 1 else None,
+            "cells": [list(place) for place in places],
+            "tick": tick,
+            "detail": "as after power-on",
+        }
+        self.faults.append(fault)
+        self._recorder.fault(fault)
+        self.cells_lost = [place for place in self.cells_lost if place not in places]
+        self._progress.lost -= len(places)
 
     def hung(self, reports: Sequence[Report]) -> None:
         """Say which programs hang, once for those that do for the same reason."""
@@ -166,7 +184,7 @@ class Ledger:
             self._hung.add(problem)
             row, column = report.cells[0]
             since = f"tick {report.tick} ({report.tick * self._period_ns * 1e-9:g} s)"
-            self._warn(
+            self.warn(
                 f"the program of cell {row},{column} hangs from {since} until it is reset (others that hang for the "
                 f"same reason are counted, not told): {report.detail}"
             )

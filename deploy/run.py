@@ -17,6 +17,7 @@ from bus.keys import plant_key
 from bus.registers import Wanted
 from deploy.cautions import cautions_of
 from deploy.cell_times import cell_times
+from deploy.conduct import Conduct
 from deploy.digest import Digest
 from deploy.errors import DeployError, InputError
 from deploy.faults.schedule import active, crash_aborts, deaths, lasting
@@ -35,12 +36,13 @@ from plant.errors import PlantError, PlantUnstable
 if TYPE_CHECKING:
     from bus.lockstep import Counts, Host
     from deploy.live.console import Console
+    from deploy.processes.respawn import Respawn
     from deploy.protocol_report.report import ProtocolReport
     from deploy.protocol_report.reporter import Reporter
     from deploy.recordings.replay import Recording
     from deploy.scene import Scene
     from plant.plant import Plant
-    from plant.process import Ended, PlantProcess, TickRecord
+    from plant.process import Ended, PlantProcess
 
 
 @final
@@ -215,32 +217,22 @@ class _Run:
     def _process(self, system: System, plant: Plant, ledger: Ledger) -> PlantProcess:
         from plant.process import PlantProcess
 
-        def observe(record: TickRecord) -> None:
-            ledger.tick(record)
-            if watched:
-                ledger.hung(host.take_hung())
-            for shown in host.take_registers():
-                if registers is not None and shown.tick % registers == 0:
-                    ledger.registers(shown)
-                if reporter is not None:
-                    reporter.take(shown)
-            if reporter is not None:
-                reporter.take_drive(record.tick, record.drives, host.live(record.tick))
-            if self.interruption.requested:
-                raise Interrupted
-
-        def attend(tick: int) -> None:
-            assert console is not None
-            console.attend(tick)
-
-        registers, watched = self.options.registers, self.scene.effects.cop is not None
         reporter = self.reporter
-        wanted = () if registers is None else (Wanted(registers),)
+        wanted = () if self.options.registers is None else (Wanted(self.options.registers),)
         if reporter is not None:
             wanted = (*wanted, *reporter.wanted)
         readings = readings_of(self.scene, plant.sense())
         host = system.start(plant.array, readings, wanted, metered=reporter is not None, live=self.live)
-        console = self._console(system, host, ledger)
+        conduct = Conduct(
+            host,
+            ledger,
+            self.interruption,
+            self.scene.effects.cop is not None,
+            self.options.registers,
+            reporter,
+            self._console(system, host, ledger),
+            self._respawn(system, host, ledger),
+        )
         process = PlantProcess(
             plant,
             host,
@@ -251,13 +243,22 @@ class _Run:
             timing=cell_times(self.scene),
             camera=camera_of(self.scene, readings),
             faults=active(self.scene, self.lasting),
-            observer=observe,
+            observer=conduct.observe,
             pace=None if self.options.realtime is None else pacer(self.options.realtime),
-            attend=None if console is None else attend,
+            attend=conduct.attend if conduct.attends else None,
         )
-        if console is not None:
-            console.attach(process)
+        conduct.process = process
+        if conduct.console is not None:
+            conduct.console.attach(process)
         return process
+
+    def _respawn(self, system: System, host: Host, ledger: Ledger) -> Respawn | None:
+        """What starts lost workers anew; None where they are not to be."""
+        if not self.options.respawn:
+            return None
+        from deploy.processes.respawn import Respawn
+
+        return Respawn(system, host, self.plan.partition, self.options.respawn, ledger.warn)
 
     def _console(self, system: System, host: Host, ledger: Ledger) -> Console | None:
         """What takes requests while the run goes on; None where nobody can ask anything."""

@@ -186,6 +186,15 @@ class PlantProcess:
         self._report()
         return Ended("ok")
 
+    def revive(self, cells: Sequence[int]) -> None:
+        """Cells that were lost take part again from the next tick on."""
+        rows = list(cells)
+        self.lost[rows] = False
+        back = [cell for cell in rows if not self._down[cell]]
+        self._held[back] = 0.0
+        self._plant.regain(back)
+        self._leave([])
+
     def inject(self, fault: Injected[PlantFault]) -> None:
         """One more fault, from the next tick on at the earliest."""
         if self._faults is None:

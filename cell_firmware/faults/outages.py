@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus.fault import Injected
 from bus.lattice import Lattice
@@ -13,7 +15,7 @@ from cell_firmware.around import Around
 from cell_firmware.clocked import Clocked
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant
 from cell_firmware.faults.fault import CellFault, Pause
-from cell_firmware.firmware import Bools, Cells, Inputs
+from cell_firmware.firmware import Bools, Cells, Inbox, Inputs, solid
 
 
 @final
@@ -90,6 +92,7 @@ class Outages(Around):
         if reset.any():
             rows = np.flatnonzero(reset)
             inner = inner.put(rows, self.controller.init(inner.cells.take(rows)))
+            inputs = _unheard(inputs, rows)
         if not stopped.any():
             inner, outputs = self.controller.act(now, inner, inputs)
             drive, served = outputs.drive, outputs.served
@@ -136,6 +139,17 @@ def interrupted(
     else:
         around.controller = outages
     return controller, outages.begin(state)
+
+
+def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:
+    """The inputs, but these cells hear nothing: what was sent to them came before they began."""
+    if inputs.inbox is None:
+        return inputs
+    received, message = inputs.inbox.received.copy(), inputs.inbox.message.copy()
+    received[rows] = False
+    slots = solid(message)
+    slots[rows] = np.zeros((), dtype=slots.dtype)
+    return replace(inputs, inbox=Inbox(received, message))
 
 
 def _served(stopped: Bools, unserved: Bools, told: Bools | None) -> Bools:

@@ -82,6 +82,16 @@ ProtocolReportOption = Annotated[
         "rate against theory's, the load on its links; with a table (protocol.csv) and a picture (protocol.png).",
     ),
 ]
+RespawnOption = Annotated[
+    int,
+    typer.Option(
+        "--respawn",
+        rich_help_panel=HOW,
+        metavar="N",
+        help="Start worker processes anew that went or fell silent, N times in all: their cells begin as after "
+        "power-on, at a tick boundary.",
+    ),
+]
 ReplayOption = Annotated[
     Path | None,
     typer.Option(
@@ -108,6 +118,7 @@ def run(
     realtime: RealtimeOption = None,
     registers: RegistersOption = None,
     protocol_report: ProtocolReportOption = None,
+    respawn: RespawnOption = 0,
     replay: ReplayOption = None,
     show_plan: PlanOption = False,
 ) -> None:
@@ -137,6 +148,7 @@ def run(
         picture=asked.picture,
         registers=registers,
         protocol_report=protocol_report,
+        respawn=respawn,
         replay=replay,
     )
     if show_plan:

@@ -82,6 +82,7 @@ class Console:
         self._questions = questions
         self._script = sorted(script, key=lambda record: int(record["tick"]))
         self._deaf = scene.effects.serial is not None and not lines
+        self._repaired: set[int] = set()
         self._process: Process | None = None
 
     def attach(self, process: Process) -> None:
@@ -103,6 +104,16 @@ class Console:
             except RequestError as error:
                 answer = {"ok": False, "problems": error.problems}
             question.answer(json.dumps({"run": self._run, **answer}).encode())
+
+    def retell(self, cells: Sequence[int], tick: int) -> None:
+        """Tell cells that come anew, from ``tick`` on, what has been done to the run so far."""
+        names = tuple(self._lattice.cells[cell] for cell in cells)
+        for one in self._faults.values():
+            if one.live and isinstance(one.fault, CellFault):
+                self._tell(Control("fault", tick, names, _text(one)))
+        for number in self._repaired:
+            end = self._faults[number].end
+            self._tell(Control("fault", tick, names, json.dumps({"number": number, "end": end})))
 
     # --- what is asked ----------------------------------------------------------------------------
 
@@ -195,6 +206,7 @@ class Console:
             raise RequestError(f"number: fault {number} doesn't act now")
         one.end = tick
         assert self._process is not None, "this is a bug: a console without a process"
+        self._repaired.add(number)
         self._process.replan()
         self._ledger.replan()
         detail = {"number": number, "end": tick}

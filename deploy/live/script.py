@@ -38,10 +38,11 @@ def script_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ..
 
 def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Cells that were lost in the same tick die of one fault."""
-    lost: dict[int, list[list[int]]] = {}
-    for fault in faults:
+    lost: dict[tuple[int, int | None], list[list[int]]] = {}
+    for i, fault in enumerate(faults):
         if fault["kind"] in FOUND:
-            lost.setdefault(int(fault["tick"]), []).append(fault["cell"])
+            key = int(fault["tick"]), _back(fault["cell"], faults[i:])
+            lost.setdefault(key, []).append(fault["cell"])
     return [
         {
             "kind": "fault",
@@ -50,8 +51,13 @@ def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                 "number": _FIRST_NUMBER + i,
                 "fault": {"kind": "crash", "cells": cells},
                 "first": tick,
-                "end": None,
+                "end": end,
             },
         }
-        for i, (tick, cells) in enumerate(sorted(lost.items()))
+        for i, ((tick, end), cells) in enumerate(lost.items())
     ]
+
+
+def _back(cell: list[int], faults: Sequence[Mapping[str, Any]]) -> int | None:
+    """The tick from which a cell took part again; None: it never did."""
+    return next((int(f["tick"]) for f in faults if f["kind"] == "respawn" and cell in f["cells"]), None)

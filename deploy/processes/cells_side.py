@@ -40,6 +40,14 @@ class CellsSide(Protocol):
         """Start every agent; returns before they are ready."""
         ...
 
+    def restart(self, order: Order, shard: int) -> None:
+        """Start the agents of one shard anew, those that were there being ended first."""
+        ...
+
+    def ended(self, shard: int) -> bool:
+        """Whether the process of a shard has ended."""
+        ...
+
     def trouble(self, timeout_s: float) -> bool:
         """Whether anything has gone wrong, waiting up to ``timeout_s`` for it."""
         ...
@@ -73,6 +81,16 @@ class WorkerProcesses:
         """Fork the workers."""
         _allow_files(_FILES_A_WORKER * len(self._names))
         self._crew.start(order, self._names)
+
+    def restart(self, order: Order, shard: int) -> None:
+        """Fork one worker anew."""
+        self._crew.restart(order, shard)
+
+    def ended(self, shard: int) -> bool:
+        """Whether it has ended."""
+        while self._crew.poll():
+            pass
+        return shard in self._crew.ended
 
     def trouble(self, timeout_s: float) -> bool:
         """Whether a worker has failed or ended."""
@@ -121,6 +139,14 @@ class WorkerThread:
         # A firmware that never returns must not keep the process from ending.
         self._thread = threading.Thread(target=work, name="cells", daemon=True)
         self._thread.start()
+
+    def restart(self, order: Order, shard: int) -> None:  # noqa: ARG002
+        """A thread can't be killed, and need not be started anew."""
+        raise AssertionError("this is a bug: there is no process to start anew")
+
+    def ended(self, shard: int) -> bool:  # noqa: ARG002
+        """Whether the agents have ended."""
+        return self._over.is_set()
 
     def trouble(self, timeout_s: float) -> bool:
         """Whether the agents have ended, as they don't before they are told to."""

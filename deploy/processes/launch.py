@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -77,6 +78,8 @@ class Crew:
         self.ended: dict[int, int] = {}
         self.failures: list[Failure] = []
         self._names: dict[int, str] = {}
+        self._replaced: Counter[int] = Counter()
+        """Ends that are still to be told of workers that have been started anew."""
         self._unread = b""
         self.gone = False
         ours, theirs = socketpair()
@@ -128,6 +131,17 @@ class Crew:
                 f"the process that starts workers ended early, with status {self._nursery.poll()}"
             ) from error
 
+    def restart(self, order: Callable[[int], None], worker: int) -> None:
+        """Fork a worker anew, that which has its number being ended first."""
+        while self.poll():
+            pass
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            if self.ended.pop(worker, None) is None:
+                self._channel.send(("signal", (signal.SIGKILL, [worker])))
+                self._replaced[worker] += 1
+            self._channel.send(("order", order))
+            self._channel.send(("start", [(worker, self._names[worker])]))
+
     def name(self, worker: int) -> str:
         """The worker's name, as given to `start`."""
         return self._names[worker]
@@ -157,6 +171,8 @@ class Crew:
         match event["event"]:
             case "started":
                 self.pids[worker] = int(event["pid"])
+            case "ended" if self._replaced[worker]:
+                self._replaced[worker] -= 1  # the one before
             case "ended":
                 self.pids.pop(worker, None)
                 self.ended[worker] = int(event["status"])

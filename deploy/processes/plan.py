@@ -43,6 +43,7 @@ class RunOptions:
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
         registers: Record the cells' registers every so many ticks; None: not.
+        respawn: How often in all a worker that went is started anew.
         replay: Folder of a recorded run of the scene: what was done to that one is done again; None: nothing is.
         protocol_report: Look at the protocol's field every so many ticks, and report; None: not.
     """
@@ -56,6 +57,7 @@ class RunOptions:
     picture: bool = True
     registers: int | None = None
     protocol_report: int | None = None
+    respawn: int = 0
     replay: Path | None = None
 
 
@@ -147,6 +149,16 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
     for name, ticks in (("registers", options.registers), ("protocol-report", options.protocol_report)):
         if ticks is not None and ticks < 1:
             raise InputError(f"--{name} {ticks}: must be a number of ticks from 1")
+    if options.respawn < 0:
+        raise InputError(f"--respawn {options.respawn}: must be at least 0")
+    if options.respawn and not workers:
+        raise InputError(
+            "--respawn: there are no worker processes to start anew: it needs --processes N or each"
+        )
+    if options.respawn and scene.effects.clock is not None:
+        raise InputError(
+            "--respawn: doesn't go with effects.clock: a cell that begins anew has lost its instants"
+        )
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
         raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
     try:

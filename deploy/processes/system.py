@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
@@ -53,6 +54,7 @@ class System:
         self._cells: CellsSide | None = None
         self.locator = ""
         self._host: Host | None = None
+        self._order: Order | None = None
         self._running = False
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
@@ -126,6 +128,7 @@ class System:
             wanted=wanted,
             metered=metered,
             live=live,
+            joins=False,
             alone=plan.workers > 0,
         )
         host = self._host = Host(
@@ -138,10 +141,22 @@ class System:
             wanted=wanted,
             stall=scene.stall,
         )
+        self._order = order
         self._cells.start(order)
         self._barrier(host, self._endpoint, self._cells)
         self._running = True
         return host
+
+    def restart(self, shard: int) -> None:
+        """Start the process of a shard anew, to take part in the run that goes on."""
+        assert self._cells is not None
+        assert self._order is not None
+        self._cells.restart(replace(self._order, joins=True), shard)
+
+    def ended(self, shard: int) -> bool:
+        """Whether the process of a shard has ended."""
+        assert self._cells is not None
+        return self._cells.ended(shard)
 
     def questions(self, key: str) -> Questions | None:
         """Where others may ask something while the run goes on; None where nobody can."""

@@ -42,6 +42,7 @@ class Order:
         wanted: Registers of the cells that the plant wants to see.
         metered: Whether cells count their messages.
         live: Whether faults may come while it runs, over serial lines too.
+        joins: Whether it comes into a run that goes on already.
         alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
     """
 
@@ -55,6 +56,7 @@ class Order:
     wanted: tuple[Wanted, ...]
     metered: bool
     live: bool
+    joins: bool
     alone: bool
 
     def __call__(self, shard: int) -> None:
@@ -95,12 +97,16 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     )
     schedule = deaths(order.scene)
     for tick, dead in schedule.items():
-        member.retire(dead, tick)
+        member.plan(dead, tick)
     member.ready()
-    ended = asyncio.run(agent.run(cells, member, endpoint, _injector(order, cells, site)))
-    doomed = order.alone and _doomed(order, shard, schedule, ended.ticks)
-    if doomed and _next_tick_came(order.run, len(order.array), endpoint):
-        os.kill(os.getpid(), signal.SIGKILL)
+    first = member.join() if order.joins else 0
+    if first is not None:
+        cells.begin(first)
+        inject = _injector(order, cells, site)
+        ended = asyncio.run(agent.run(cells, member, endpoint, inject, first))
+        doomed = order.alone and _doomed(order, shard, schedule, first + ended.ticks)
+        if doomed and _next_tick_came(order.run, len(order.array), endpoint):
+            os.kill(os.getpid(), signal.SIGKILL)
     member.close()
 
 
