@@ -7,21 +7,24 @@ through the complete records only. It follows the format's specification, https:
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, cast
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata
-from mcap.stream_reader import get_chunk_data_stream
 
 from deploy.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # opcode, length
+_LZ4_RATIO = 256
+"""Bytes that one byte of lz4 can stand for."""
+_PIECE = 1 << 20
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
@@ -86,14 +89,50 @@ def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
 
 def _unpack(content: bytes) -> Iterator[tuple[int, bytes]]:
     """Opcode and content of each record in a chunk."""
-    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    data = stream.read(size)
+    data = _decompress(Chunk.read(ReadDataStream(BytesIO(content))))
     offset = 0
-    while offset < size:
+    while offset < len(data):
         opcode, length = _RECORD.unpack_from(data, offset)
         offset += _RECORD.size + length
         yield opcode, data[offset - length : offset]
+
+
+def _decompress(chunk: Chunk) -> bytes:
+    """What is in a chunk: never more than it says, nor more memory than its bytes can stand for."""
+    size, packed = chunk.uncompressed_size, chunk.data
+    if chunk.compression == "lz4":
+        data = _lz4(packed, size)
+    elif chunk.compression == "zstd":  # which the tools of the format write; the recorder never does
+        data = _zstd(packed, size)
+    elif chunk.compression == "":
+        data = packed
+    else:
+        raise ValueError(f"a chunk's compression is {chunk.compression!r}")
+    if len(data) != size:
+        raise ValueError(f"a chunk holds another number of bytes than {size}")
+    if chunk.uncompressed_crc != 0 and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("a chunk is not what its checksum says")
+    return data
+
+
+def _lz4(packed: bytes, size: int) -> bytes:
+    from lz4.frame import LZ4FrameDecompressor  # pyright: ignore[reportMissingTypeStubs]
+
+    if size > _LZ4_RATIO * len(packed):  # it takes the memory at once
+        raise ValueError(f"a chunk of {len(packed)} bytes can't hold {size}")
+    return cast("bytes", cast("Any", LZ4FrameDecompressor()).decompress(packed, max_length=size))
+
+
+def _zstd(packed: bytes, size: int) -> bytes:
+    from zstandard import ZstdDecompressor, ZstdError
+
+    reader, data = ZstdDecompressor().stream_reader(packed), bytearray()
+    try:
+        while len(data) <= size and (piece := reader.read(_PIECE)):
+            data += piece
+    except ZstdError as error:
+        raise ValueError(str(error)) from None
+    return bytes(data)
 
 
 def _messages(records: Iterable[tuple[int, bytes]], topics: dict[int, str]) -> Iterator[Message]:

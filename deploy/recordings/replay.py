@@ -162,55 +162,66 @@ def load(path: str | Path) -> Recording:
         return _load(path)
     except OSError as error:
         raise InputError(f"can't read the recording {path}: {error.strerror or error}") from error
-    except (ValueError, LookupError, TypeError) as error:
+    except (ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(f"{path} is corrupt: {error}") from error
 
 
 def _load(path: Path) -> Recording:
     import msgpack  # pyright: ignore[reportMissingTypeStubs]
 
+    from deploy.recordings.checks import check_comings, check_end, check_records
     from deploy.recordings.mcap_scan import Message, scan
 
-    unpack = cast(Callable[[bytes], dict[str, Any]], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
+    unpack = cast(Callable[[bytes], object], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
     header: Header | None = None
     rows = _Rows()
     shown: list[dict[str, Any]] = []
-    logs: dict[str, list[dict[str, Any]]] = {EVENTS: [], FAULTS: [], CONTROL: [], END: []}
+    logs: dict[str, list[object]] = {EVENTS: [], FAULTS: [], CONTROL: [], END: []}
     for record in scan(path, PROFILE):
         if isinstance(record, Message):
             if record.topic == TICK:
-                rows.add(record.time_ns, unpack(record.data))
+                rows.add(record.time_ns, _map(unpack(record.data)))
             elif record.topic == REGISTERS:
-                shown.append(unpack(record.data))
+                shown.append(_map(unpack(record.data)))
             elif record.topic in logs:
                 logs[record.topic].append(json.loads(record.data))
         elif record.name == HEADER_RECORD:
             header = _header(path, record.values)
     if header is None:
         raise InputError(f"can't read the recording {path}: it holds no complete header")
-    end = logs[END][-1] if logs[END] else {}
+    status, digest = check_end(logs[END][-1]) if logs[END] else (None, None)
+    events = check_records(logs[EVENTS])
+    check_comings(events, len(header["footprints_m"]))
     return Recording(
         path=path,
         header=header,
-        events=logs[EVENTS],
-        faults=logs[FAULTS],
-        control=logs[CONTROL],
-        status=end.get("status"),
-        digest=end.get("digest"),
+        events=events,
+        faults=check_records(logs[FAULTS]),
+        control=check_records(logs[CONTROL]),
+        status=status,
+        digest=digest,
         register_tick=np.array([message["tick"] for message in shown], dtype=np.int64),
         registers=_registers(shown),
         **rows.arrays(header),
     )
 
 
+def _map(value: object) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise TypeError(f"a message is a {type(value).__name__}, not a map")
+    return cast("dict[str, Any]", value)
+
+
 def _registers(shown: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
-    """What was recorded of registers, by name; zero where a register was not there at the time."""
+    """What was recorded of registers, by name; zero where a register was not there, or had another shape."""
     found: dict[str, NDArray[Any]] = {}
     for row, message in enumerate(shown):
-        for name, (code, shape, data) in message["registers"].items():
+        for name, (code, shape, data) in _map(message["registers"]).items():
+            values = np.frombuffer(data, np.dtype(code)).reshape(shape)
             if name not in found:
-                found[name] = np.zeros((len(shown), *shape), dtype=np.dtype(code))
-            found[name][row] = np.frombuffer(data, np.dtype(code)).reshape(shape)
+                found[name] = np.zeros((len(shown), *values.shape), dtype=values.dtype)
+            if found[name].shape[1:] == values.shape:
+                found[name][row] = values
     return found
 
 
@@ -227,11 +238,13 @@ def _header(path: Path, values: dict[str, str]) -> Header:
         raise InputError(
             f"{path} is a recording of format {values.get('format')}: this version reads format {FORMAT}"
         )
+    from deploy.recordings.checks import check_header
+
     header = cast(Header, json.loads(values["json"]))
     absent = sorted(Header.__required_keys__ - set(header))
     if absent:
         raise InputError(f"{path} is not a recording of mdms: its header has no {', '.join(absent)}")
-    return header
+    return check_header(header)
 
 
 _FIELDS = ("presence", "drives", "wheel_speeds", "parcels")
@@ -248,6 +261,8 @@ class _Rows:
         self._index: dict[str, list[int]] = {name: [] for name in _FIELDS}
 
     def add(self, time_ns: int, message: dict[str, Any]) -> None:
+        if type(message["tick"]) is not int:
+            raise TypeError("a tick must be an integer")
         self._ticks.append(message["tick"])
         self._times.append(time_ns)
         for name in _FIELDS:
@@ -282,9 +297,10 @@ class _Rows:
 
     def _joined(self, name: str, size: int) -> list[bytes]:
         """What was written; one zero value where a run of no ticks never wrote its drives."""
-        if self._ticks and not self._written[name]:
-            return [bytes(size)]
-        return self._written[name]
+        written = self._written[name]
+        if any(len(values) != size for values in written):
+            raise ValueError(f"{name} must be {size} bytes")
+        return [bytes(size)] if self._ticks and not written else written
 
     def _held(self, name: str, values: NDArray[Any]) -> Held:
         return Held(values, np.array(self._index[name], dtype=np.int64))

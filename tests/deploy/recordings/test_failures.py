@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import signal
+import struct
 import subprocess
 import sys
 import textwrap
@@ -13,9 +15,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import numpy as np
 import pytest
-from mcap.writer import Writer
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 from deploy.errors import DeployError, InputError
 from deploy.recordings.recorder import Recorder
@@ -89,6 +94,59 @@ def test_a_changed_byte_in_the_data_is_found(tmp_path: Path, made_up_run: Make) 
     recorder.path.write_bytes(data)
     with pytest.raises(InputError, match=r"is corrupt: record at byte \d+"):
         load(recorder.path)
+
+
+def _file_of_one_chunk(folder: Path, header: Any, *, compression: str, size: int, packed: bytes) -> Path:
+    """A recording of a chunk that a writer of ours would never have written."""
+    path = folder / "recording.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="mdms", library="other")
+        writer.add_metadata("mdms.header", {"format": "1", "json": json.dumps(header)})
+        stream.flush()
+        content = struct.pack("<QQQI", 0, 0, size, 0)
+        content += (
+            struct.pack("<I", len(compression))
+            + compression.encode()
+            + struct.pack("<Q", len(packed))
+            + packed
+        )
+        stream.write(struct.pack("<BQ", 0x06, len(content)) + content)
+    return path
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd", "", "other"])
+def test_a_chunk_that_says_it_is_huge_is_refused_before_memory_is_taken(
+    tmp_path: Path, made_up_run: Make, compression: str
+) -> None:
+    packed = {"lz4": lz4.frame.compress(b"short"), "zstd": zstandard.compress(b"short")}.get(
+        compression, b"short"
+    )
+    header = made_up_run().header
+    path = _file_of_one_chunk(tmp_path, header, compression=compression, size=2**40, packed=packed)
+    with pytest.raises(InputError, match="is corrupt: record at byte"):
+        load(path)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.NONE])
+def test_a_recording_that_another_tool_wrote_anew_is_read(
+    tmp_path: Path, made_up_run: Make, compression: CompressionType
+) -> None:
+    run = made_up_run()
+    original, copy = run.record(tmp_path), tmp_path / "copy.mcap"
+    with copy.open("wb") as stream, original.open("rb") as source:
+        writer = Writer(stream, compression=compression)
+        writer.start(profile="mdms", library="other")
+        reader = make_reader(source)
+        for note in reader.iter_metadata():
+            writer.add_metadata(note.name, note.metadata)
+        channels = dict[str, int]()
+        for _, channel, message in reader.iter_messages():
+            if channel.topic not in channels:
+                channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, 0)
+            writer.add_message(channels[channel.topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    np.testing.assert_array_equal(load(copy).parcels, load(original).parcels)
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:

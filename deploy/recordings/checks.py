@@ -1,0 +1,118 @@
+"""What must hold of a recording's parts before the rest of the program uses them, whoever wrote the file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, TypeVar, cast
+
+from pydantic import BaseModel, Field, ValidationError
+
+from deploy.recordings.format import Header
+
+_Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+_Place = Annotated[list[int], Field(min_length=2, max_length=2)]
+
+
+_Part = TypeVar("_Part", bound=BaseModel)
+
+
+class _Exit(BaseModel):
+    name: str
+    corners_m: list[_Point]
+
+
+class _Contact(BaseModel):
+    rails: list[list[_Point]] = []
+
+
+class _Effects(BaseModel):
+    parcel_contact: _Contact | None = None
+
+
+class _Scene(BaseModel):
+    effects: _Effects | None = None
+
+
+class _Header(BaseModel):
+    """Of the header, what this program uses."""
+
+    run: str
+    title: str
+    scene_name: str
+    scene: _Scene
+    period_ns: int
+    pitch_m: float
+    cells: list[_Place]
+    positions_m: list[_Point]
+    sensors_m: list[_Point]
+    footprints_m: list[list[_Point]]
+    own_parcels: int = 0
+    exits: list[_Exit] = []
+
+
+class _Record(BaseModel):
+    """Of an event, a fault or a command, what this program uses."""
+
+    time_s: float
+    kind: str
+
+
+class _End(BaseModel):
+    status: str
+    digest: str | None
+
+
+def check_header(header: object) -> Header:
+    """A header whose every field is of its type, as far as it is used.
+
+    Raises:
+        ValueError: Names the field and the rule.
+    """
+    _check("the header", _Header, header)
+    found = cast("Header", header)
+    if len(found["cells"]) != len(found["positions_m"]):
+        raise ValueError("the header must have a position for each cell")
+    return found
+
+
+def check_records(records: Sequence[object]) -> list[dict[str, Any]]:
+    """Events, faults or commands, each with its time and kind.
+
+    Raises:
+        ValueError: Names the field and the rule.
+    """
+    for record in records:
+        _check("a record", _Record, record)
+    return cast("list[dict[str, Any]]", records)
+
+
+def check_comings(events: Sequence[Mapping[str, Any]], parcels: int) -> None:
+    """Checks that whatever came or left is one of so many parcels.
+
+    Raises:
+        ValueError: It is not.
+    """
+    for event in events:
+        if event["kind"] in ("fed", "left"):
+            parcel = event.get("parcel")
+            if type(parcel) is not int or not 0 <= parcel < parcels:
+                raise ValueError(f"an event {event['kind']} must name one of {parcels} parcels")
+
+
+def check_end(record: object) -> tuple[str, str | None]:
+    """How a run ended: its status and digest.
+
+    Raises:
+        ValueError: Names the field and the rule.
+    """
+    end = _check("the end", _End, record)
+    return end.status, end.digest
+
+
+def _check(what: str, kind: type[_Part], value: object) -> _Part:
+    try:
+        return kind.model_validate(value, strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{what}{place and ': ' + place}: {first['msg']}") from None

@@ -1,0 +1,122 @@
+"""Spoilt recordings: a file's bytes changed or cut, or a whole file around spoilt messages."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+
+from deploy.errors import InputError
+from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, REGISTERS, TICK, Header
+from deploy.recordings.mcap_file import McapFile
+from deploy.recordings.recorder import Recorder
+from deploy.recordings.replay import Recording, load
+from tests.fuzz.mutator import Mutator
+
+CELLS = [[row, column] for row in range(2) for column in range(3)]
+HEADER = Header(
+    run="r1",
+    title="A made-up run",
+    scene_name="made_up",
+    scene={"duration_s": 1.0, "effects": {"parcel_contact": {"rails": [[[0.0, 0.0], [1.0, 0.0]]]}}},
+    versions={"python": "3.11"},
+    period_ns=4_096_000,
+    pitch_m=0.1,
+    cells=CELLS,
+    positions_m=[[0.1 * column, 0.1 * row] for row, column in CELLS],
+    sensors_m=[[0.0, 0.0], [0.0, 0.01]],
+    footprints_m=[[[-0.1, -0.1], [0.1, -0.1], [0.0, 0.1]], [[-0.1, -0.1], [0.1, -0.1], [0.0, 0.1]]],
+    own_parcels=1,
+    exits=[{"name": "out", "corners_m": [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]]}],
+)
+_JSON = (EVENTS, FAULTS, CONTROL, END)
+
+
+def record(folder: Path) -> bytes:
+    """A small recording with something of everything, as the recorder writes it."""
+    ones, n = np.ones((len(CELLS), 2)), len(CELLS)
+    with Recorder(folder, HEADER) as recorder:
+        for tick in range(4):
+            time_ns = tick * HEADER["period_ns"]
+            drives = ones * tick if tick < 3 else None
+            recorder.tick(tick, time_ns, ones > tick, drives, ones / 3.0, np.full((2, 6), tick / 7.0))
+            recorder.registers(tick, time_ns, {"u": np.arange(2.0 * n).reshape(n, 2), "led": ones[:, 0] > 0})
+            recorder.flush()
+        recorder.event({"time_s": 0.004096, "kind": "fed", "parcel": 1})
+        recorder.event({"time_s": 0.008192, "kind": "left", "parcel": 1, "detail": "out"})
+        recorder.fault({"time_s": 0.01, "kind": "crash", "cell": [1, 2], "detail": "scheduled"})
+        recorder.control({"time_s": 0.01, "kind": "pause"})
+        recorder.close("ok", "ab" * 32)
+    return recorder.path.read_bytes()
+
+
+def use(path: Path) -> Recording | None:
+    """Load a recording and make all that it offers; None where it is refused as bad input."""
+    try:
+        recording = load(path)
+    except InputError:
+        return None
+    found = (recording.presence, recording.drives, recording.wheel_speeds, recording.time_s)
+    assert all(len(values) == len(recording.tick) for values in found)
+    recording.track()
+    return recording
+
+
+class SpoiltMessages:
+    """Recordings that are whole as files, of messages of which one in a few is spoilt.
+
+    Args:
+        folder: Where a good recording is, and where the spoilt ones go.
+        purpose: The same words, the same recordings.
+    """
+
+    def __init__(self, folder: Path, purpose: str) -> None:
+        from deploy.recordings.mcap_scan import Message, scan
+
+        self._path = folder / "spoilt.mcap"
+        good = folder / "recording.mcap"
+        self._messages = [one for one in scan(good, "mdms") if isinstance(one, Message)]
+        self._mutators = {
+            topic: Mutator([_packed(topic, m.data) for m in self._messages if m.topic == topic], f"{purpose} {topic}")
+            for topic in (TICK, REGISTERS, *_JSON)
+        }  # fmt: skip
+        self._header = Mutator([msgpack.packb(dict(HEADER))], f"{purpose} header")
+        self._number = 0
+
+    def next(self) -> Path:
+        """One of them."""
+        self._number += 1
+        file = McapFile(self._path, self._spoilt_header() if self._number % 3 == 0 else HEADER, 1 << 18)
+        for i, (topic, time_ns, data) in enumerate(self._messages):
+            # Another message of each file is spoilt.
+            if topic in self._mutators and i % len(self._messages) == self._number % len(self._messages):
+                data = _plain(topic, self._mutators[topic].next())  # noqa: PLW2901
+            file.add(file.channels[topic], time_ns, data)
+        file.finish()
+        return self._path
+
+    def _spoilt_header(self) -> Any:
+        while True:
+            found = _json_of(self._header.next())
+            if found is not None:
+                return json.loads(found)
+
+
+def _packed(topic: str, data: bytes) -> bytes:
+    """JSON as MessagePack, for the mutator."""
+    return msgpack.packb(json.loads(data)) if topic in _JSON else data
+
+
+def _plain(topic: str, data: bytes) -> bytes:
+    """And back, where it can; else what it is."""
+    return (_json_of(data) or data) if topic in _JSON else data
+
+
+def _json_of(data: bytes) -> bytes | None:
+    try:
+        return json.dumps(msgpack.unpackb(data)).encode()
+    except (ValueError, TypeError, UnicodeEncodeError):
+        return None
