@@ -71,7 +71,7 @@ def reader(kind: str, limit: int, *layouts: frozenset[str]) -> Read:
             raise WireError(kind, "encoding", f"not MessagePack: {type(error).__name__}") from None
         if type(fields) is dict and fields.get("v") == VERSION and fields.keys() in layouts:
             tick = fields["tick"]
-            if type(tick) is int and 0 <= tick < TICK_LIMIT:
+            if type(tick) is int and type(fields["v"]) is int and 0 <= tick < TICK_LIMIT:
                 return tick, fields
         raise _wrong(kind, fields, layouts)
 
@@ -83,7 +83,8 @@ def _wrong(kind: str, found: object, layouts: tuple[frozenset[str], ...]) -> Wir
     if type(found) is not dict:
         return WireError(kind, "type", f"a {type(found).__name__}: must be a map")
     fields = cast("dict[Any, Any]", found)
-    if fields.get("v") != VERSION:
+    version = fields.get("v")
+    if type(version) is not int or version != VERSION:
         return WireError(kind, "version", f"must be {VERSION}")
     if fields.keys() not in layouts:
         allowed = " or ".join(", ".join(sorted(names)) for names in layouts)

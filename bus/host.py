@@ -11,7 +11,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from bus import wire
-from bus.collector import Collector
+from bus.collector import EARLY_TICKS, Collector
 from bus.counts import Counts, Loss, Reason
 from bus.dispatch import Dispatcher
 from bus.errors import BusError, WireError, WokenError
@@ -78,8 +78,9 @@ class Host:
         self._tick = 0
         self._lives = Lives(len(partition.lattice))
         self._losses: list[Loss] = []
-        self._failed: list[Report] = []
-        self._hung: list[Report] = []
+        # By cell, and the first of a cell stands: whoever sends them without end fills no memory.
+        self._failed: dict[tuple[int, int], Report] = {}
+        self._hung: dict[tuple[int, int], Report] = {}
         self._shard_counts: dict[int, Counts] = {}
         self._roll = Roll(self._form, partition.lattice)
         shards = [partition.shard_of[cells[0]] for cells in self._form.unit_cells]
@@ -91,7 +92,8 @@ class Host:
             self._inbox.routes[key] = (self._drives.take, unit)
         for shard in range(partition.count):
             self._inbox.routes[shard_key(run, shard, "report")] = (self._report, shard)
-        self._shown: list[RegisterFrame] = []
+        self._shown: dict[tuple[int, int], RegisterFrame] = {}
+        """By tick and shard."""
         self._wanted = tuple(wanted)
         if self._wanted:
             for shard in range(partition.count):
@@ -223,13 +225,13 @@ class Host:
 
     def take_hung(self) -> list[Report]:
         """Programs that have hung since the last call, and why; their cells still take part."""
-        hung, self._hung = self._hung, []
-        return hung
+        hung, self._hung = self._hung, {}
+        return list(dict.fromkeys(hung.values()))
 
     def take_registers(self) -> list[Shown]:
         """What cells have shown of themselves since the last call; a tick's is there when its drives are."""
-        frames, self._shown = self._shown, []
-        return joined(frames, self._lattice)
+        frames, self._shown = self._shown, {}
+        return joined(list(frames.values()), self._lattice)
 
     # --- to all ---------------------------------------------------------------------------------
 
@@ -280,13 +282,14 @@ class Host:
             cells = [self._lattice.index(cell) for cell in report.cells if cell in self._lattice]
             self._returns.linked(shard, cells)
             return
+        own = (c in self._lattice and self._shard_of[self._lattice.index(c)] == shard for c in report.cells)
+        if not report.cells or not all(own):
+            raise WireError("report", "cells", f"must be cells of shard {shard}")
+        if report.tick > self._tick + EARLY_TICKS:
+            raise WireError("report", "ahead", f"tick {report.tick}: must be at most {EARLY_TICKS} ahead")
+        kept = self._failed if report.kind == "failed" else self._hung
         for cell in report.cells:
-            if cell not in self._lattice or self._shard_of[self._lattice.index(cell)] != shard:
-                raise WireError("report", "cells", f"must be cells of shard {shard}")
-        if report.kind == "failed":
-            self._failed.append(report)
-        else:
-            self._hung.append(report)
+            kept.setdefault(cell, report)
 
     def _take_registers(self, shard: int, payload: bytes) -> None:
         cells = int(np.count_nonzero(self._shard_of == shard))
@@ -294,18 +297,29 @@ class Host:
         rows = self._lattice.find(*frame.cells.T.astype(np.int64))
         if (rows < 0).any() or (self._shard_of[rows] != shard).any():
             raise WireError("registers", "cells", f"must be cells of shard {shard}")
+        # They come between the senses of their tick and its drives.
+        if frame.tick > self._tick:
+            raise WireError("registers", "ahead", f"tick {frame.tick}: must be at most {self._tick}")
+        if frame.tick < self._tick:
+            self.counts.late += 1
+            return
+        if (frame.tick, shard) in self._shown:
+            raise WireError("registers", "duplicate", f"tick {frame.tick} came already")
         self.counts.delivered += 1
         if due(self._wanted, frame.tick) is not None:
-            self._shown.append(frame)  # others are for those who watch
+            self._shown[frame.tick, shard] = frame  # others are for those who watch
 
     # --- who is still there ---------------------------------------------------------------------
 
     def _bury(self, have: bytearray) -> None:
         """Gives up the cells whose token went or whose process said that they failed."""
         tick = self._tick
-        for report in [r for r in self._failed if r.tick <= tick]:
-            self._failed.remove(report)
-            self._lose([self._lattice.index(cell) for cell in report.cells], "failed", report.detail)
+        told = {cell: report for cell, report in self._failed.items() if report.tick <= tick}
+        for report in dict.fromkeys(told.values()):
+            cells = [cell for cell, one in told.items() if one is report]
+            self._lose(map(self._lattice.index, cells), "failed", report.detail)
+            for cell in cells:
+                del self._failed[cell]
         # A unit whose drive came before its token went is lost at the next tick.
         gone = [unit for unit in self._roll.gone if not have[unit]]
         self._roll.gone.difference_update(gone)

@@ -110,7 +110,8 @@ def shown(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     for name, array in list(arrays.items())[:NAMES_LIMIT]:
         numbers = array.astype(array.dtype.newbyteorder("<"), copy=False)
         wide = int(np.prod(array.shape[1:], dtype=np.int64))
-        if numbers.dtype.str in _TYPES and wide <= COLUMNS_LIMIT and len(name) <= NAMES_LIMIT:
+        named = len(name) <= NAMES_LIMIT and name.isprintable()
+        if numbers.dtype.str in _TYPES and wide <= COLUMNS_LIMIT and named:
             fit[name] = numbers
     return fit
 
@@ -150,8 +151,11 @@ def decode_registers(payload: bytes, cells: int) -> RegisterFrame:
 
 
 def _name(name: object) -> str:
-    if type(name) is not str or len(name) > NAMES_LIMIT:
-        raise WireError("registers", "type", f"a name must be text of at most {NAMES_LIMIT} characters")
+    # They are shown on terminals: nothing that moves the cursor, say.
+    if type(name) is not str or len(name) > NAMES_LIMIT or not name.isprintable():
+        raise WireError(
+            "registers", "type", f"a name must be text of at most {NAMES_LIMIT} printable characters"
+        )
     return name
 
 

@@ -75,6 +75,7 @@ def _print(seen: Seen) -> None:
     """A column a cell; of many cells the least, mean and greatest."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from deploy.watching import ranges
 
@@ -87,12 +88,12 @@ def _print(seen: Seen) -> None:
         for row, column in columns:
             table.add_column(f"{row},{column}", justify="right")
         for name in seen.cells[columns[0]]:
-            table.add_row(name, *(_text(seen.cells[cell].get(name)) for cell in columns))
+            table.add_row(Text(name), *(_text(seen.cells[cell].get(name)) for cell in columns))
     else:
         for word in ("least", "mean", "greatest"):
             table.add_column(word, justify="right")
         for name, values in ranges(seen.cells).items():
-            table.add_row(name, *(short(value) for value in values))
+            table.add_row(Text(name), *(short(value) for value in values))
     console.print(table)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
+from bus.errors import WireError
 from bus.keys import plant_key
 from bus.partition import Partition
 from bus.transport import Alive, Endpoint, Received
@@ -214,7 +215,14 @@ def _next_tick_came(run: str, cells: int, endpoint: Endpoint) -> bool:
         if isinstance(event, Received):
             if event.key.endswith("/sense"):
                 return True
-            if event.key == control and decode_control(event.payload, cells).kind == "stop":
+            if event.key == control and _says_stop(event.payload, cells):
                 return False
         elif isinstance(event, Alive) and event.key == plant_key(run, "alive") and not event.present:
             return False
+
+
+def _says_stop(payload: bytes, cells: int) -> bool:
+    try:
+        return decode_control(payload, cells).kind == "stop"
+    except WireError:
+        return False  # somebody else's

@@ -1,0 +1,172 @@
+"""Whatever a stranger puts on a run's keys, the run goes as it would have gone, and what came is counted."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bus.errors import WireError
+from bus.forms import FormName
+from bus.partition import Partition
+from bus.registers import RegisterFrame, Wanted, decode_registers, encode_registers
+from bus.transport import Endpoint, Received
+from bus.wire import Report, decode_control, decode_report, encode_report
+from tests.bus.support import EVERYTHING, MESSAGE, Network, System, both_forms, gathered, grid
+from tests.fuzz.mutator import Mutator
+
+TICKS, SPOILT = 5, 12
+Taken = list[Any]
+
+
+def _system(form: FormName) -> System:
+    system = System(
+        Network("memory"),
+        Partition.even(grid(2, 3), 2),
+        form,
+        message=MESSAGE,
+        readings=EVERYTHING,
+        wanted=(Wanted(1),),
+    )
+    return system.start()
+
+
+def _step(system: System, tick: int) -> Taken:
+    """One tick; returns all that any side took in."""
+    taken: Taken = []
+    system.host.publish(system.sense(tick))
+    for shard, member in enumerate(system.members):
+        sense, links = gathered(member.gather(tick))
+        taken.append([None if part is None else np.asarray(part).tolist() for part in sense[:5]])
+        taken.append(None if links is None else [part.tolist() for part in links[1:]])
+        lattice, cells = system.partition.lattice, system.partition.cells(shard)
+        places = np.stack((lattice.rows[cells], lattice.columns[cells]), axis=1)
+        member.show(tick, lambda places=places: (places, {"u": places * 0.5}))
+        member.publish(system.drive(shard, tick), system.links(shard, tick))
+    drive, losses = system.host.gather(tick)
+    shown = [(one.tick, one.registers["u"].tolist()) for one in system.host.take_registers()]
+    return [*taken, drive.drive.tolist(), losses, shown]
+
+
+def _decoders(system: System) -> dict[str, Callable[[bytes], Any]]:
+    """What reads the payloads of each key that anybody listens to."""
+    found: dict[str, Callable[[bytes], Any]] = {"mdms/test/plant/control": lambda p: decode_control(p, 6)}
+    host = system.host._form
+    for key, unit in host.drive_units.items():
+        found[key] = lambda p, unit=unit: host.decode_drive(unit, p)
+    for shard, member in enumerate(system.members):
+        form = member._form
+        found[f"mdms/test/shard/{shard}/report"] = lambda p: decode_report(p, 6)
+        found[f"mdms/test/shard/{shard}/registers"] = lambda p: decode_registers(p, 3)
+        for key, unit in form.sense_units.items():
+            found[key] = lambda p, form=form, unit=unit: form.decode_sense(unit, p)
+        for key, part in form.in_parts.items():
+            found[key] = lambda p, form=form, part=part: form.decode_link(part, p)
+    return found
+
+
+def _refusal(decode: Callable[[bytes], Any], payload: bytes) -> str | None:
+    try:
+        decode(payload)
+    except WireError as error:
+        return error.name
+    return None
+
+
+def _heard(ear: Endpoint, traffic: dict[str, list[bytes]]) -> None:
+    for event in ear.receive_all(0):
+        if isinstance(event, Received):
+            traffic[event.key].append(event.payload)
+
+
+@both_forms
+def test_spoilt_and_old_frames_on_every_key_change_nothing_and_are_all_counted(form: FormName) -> None:
+    quiet, system = _system(form), _system(form)
+    stranger, ear, traffic = (
+        system.network.endpoint(),
+        quiet.network.endpoint(),
+        defaultdict[str, list[bytes]](list),
+    )
+    ear.subscribe("mdms/test/**")
+    decoders, refused, old = _decoders(system), Counter[str](), 0
+    traffic["mdms/test/plant/control"].append(
+        b"\x85\xa1v\x01\xa4tick\x00\xa4kind\xa5start\xa5cells\x90\xa6detail\xa0"
+    )
+    for shard in range(2):
+        traffic[f"mdms/test/shard/{shard}/report"].append(
+            encode_report(Report("counts", 3, (), "", (1, 2, 3, 4)))
+        )
+    for tick in range(TICKS):
+        expected = _step(quiet, tick)
+        _heard(ear, traffic)
+        for key, decode in decoders.items():
+            put = stranger.publisher(key).put
+            listeners = 2 if key.endswith("control") else 1
+            mutator = Mutator(traffic[key], f"{form} {key} {tick}")
+            for payload in (mutator.next() for _ in range(SPOILT)):
+                if (name := _refusal(decode, payload)) is not None:
+                    put(payload)
+                    refused[name] += listeners
+            if tick > 2 and not key.endswith(("control", "report")):
+                put(traffic[key][0])
+                old += 1
+        assert _step(system, tick) == expected
+    sides = [system.host.counts, *(member.counts for member in system.members)]
+    assert sum((side.malformed for side in sides), Counter[str]()) == refused
+    assert sum(side.late for side in sides) == old
+    assert refused.total() > 40 * TICKS
+    assert {name.partition(":")[0] for name in refused} >= {
+        "sense",
+        "drive",
+        "link",
+        "control",
+        "report",
+        "registers",
+    }
+    assert [side.delivered for side in sides] == [
+        side.delivered for side in (quiet.host.counts, *(member.counts for member in quiet.members))
+    ]
+
+
+def test_reports_and_registers_without_end_fill_no_memory() -> None:
+    system = _system("packed")
+    stranger = system.network.endpoint()
+    report = stranger.publisher("mdms/test/shard/0/report").put
+    show = stranger.publisher("mdms/test/shard/0/registers").put
+    shown = encode_registers(RegisterFrame(0, np.array([[0, 0]]), {"u": np.zeros((1, 2))}))
+
+    def flood(rounds: int) -> int:
+        for number in range(200 * rounds):
+            report(encode_report(Report("hung", 0, ((0, 1),), f"reason {number}")))
+            report(encode_report(Report("failed", 5, ((0, 0), (0, 1)), f"reason {number}")))
+            report(encode_report(Report("failed", 2**60 + number, ((0, 0),), "far")))
+            show(shown)
+            if number % 200 == 199:
+                system.host._inbox.read(0)
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    before = flood(1)
+    grown = flood(3) - before
+    tracemalloc.stop()
+    assert grown < 20_000
+    assert system.host.counts.malformed == {"report: ahead": 800, "registers: duplicate": 799}
+    assert [one.detail for one in system.host.take_hung()] == ["reason 0"]
+
+
+def test_a_report_that_names_nobody_or_registers_of_a_tick_to_come_are_refused() -> None:
+    system = _system("packed")
+    report = system.member_endpoints[0].publisher("mdms/test/shard/0/report").put
+    for kind in ("hung", "failed"):
+        report(encode_report(Report(kind, 0, (), "")))
+    show = system.members[0].show
+    for tick in (0, 1, 2**61):
+        show(tick, lambda: (np.array([[0, 0]]), {"u": np.zeros(1)}))
+    system.host._inbox.read(0)
+    assert system.host.counts.malformed == {"report: cells": 2, "registers: ahead": 2}
+    assert [one.tick for one in system.host.take_registers()] == [0]
