@@ -10,7 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
-from bus.errors import WokenError
+from bus.errors import WireError, WokenError
 from bus.lockstep import Gathered, Member
 from bus.transport import Endpoint
 from bus.wire import TEXT_LIMIT, Control, DriveFrame, LinkFrame, Mask
@@ -35,7 +35,7 @@ class Ended:
 
 
 Inject = Callable[[Control], None]
-"""What carries out a control record of kind ``fault`` on the shard, before the tick in which it acts."""
+"""What carries out a control record of kind ``fault`` on the shard, before the tick in which it acts, or WireError."""
 
 
 async def run(
@@ -158,7 +158,10 @@ class _Agent:
             return
         try:
             for fault in faults:
-                self._inject(fault)
+                try:
+                    self._inject(fault)
+                except WireError as error:
+                    self._member.counts.refuse(error)
         except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
             self._break(error)
 

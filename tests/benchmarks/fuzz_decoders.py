@@ -60,7 +60,7 @@ def _memory() -> Memory:
 
 def fuzz(target: Target, frames: int, seed: int) -> list[Escape]:
     """Spoilt frames into one decoder; prints what became of them."""
-    mutator = Mutator(target.frames, f"fuzz {target.name} {seed}")
+    mutator = Mutator(target.frames, f"fuzz {target.name} {seed}", target.form)
     refused, accepted, slowest_s, escapes = Counter[str](), 0, 0.0, list[Escape]()
     memory = list[Memory]()
     looks = {max(frames // 50, 1) - 1, frames // 2, frames - 1}
@@ -96,7 +96,7 @@ def fuzz(target: Target, frames: int, seed: int) -> list[Escape]:
 
 def _peak(target: Target, seed: int) -> int:
     """The most bytes that one frame allocated while it was read."""
-    mutator, most = Mutator(target.frames, f"fuzz {target.name} {seed}"), 0
+    mutator, most = Mutator(target.frames, f"fuzz {target.name} {seed}", target.form), 0
     tracemalloc.start()
     for _ in range(_PEAK_FRAMES):
         payload = mutator.next()
@@ -117,7 +117,7 @@ def fuzz_files(files: int, seed: int) -> list[Escape]:
     """Spoilt recordings into the loader: half of them changed or cut as files, half whole with spoilt messages."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        changed = Mutator([record(folder)], f"fuzz file {seed}")
+        changed = Mutator([record(folder)], f"fuzz file {seed}", None)
         whole = SpoiltMessages(folder, f"fuzz messages {seed}")
 
         def change() -> Path:

@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bus.errors import HostLostError, WokenError
+from bus.errors import HostLostError, WireError, WokenError
 from bus.lattice import Lattice
 from bus.lockstep import Host, Loss, Member
 from bus.partition import Partition
 from bus.readings import Readings
 from bus.transports.memory import MemoryBus, MemoryEndpoint
-from bus.wire import SenseFrame
+from bus.wire import Control, SenseFrame
 from cell_firmware import agent
 from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
@@ -60,6 +61,7 @@ class System:
     everything: Callable[..., Cells]
     form: Any = "packed"
     deaths: dict[int, list[int]] = field(default_factory=dict)
+    inject: Callable[[Control], None] | None = None
 
     def __post_init__(self) -> None:
         self.bus = MemoryBus()
@@ -77,6 +79,7 @@ class System:
         self.ended: list[agent.Ended | BaseException | None] = [None] * count
         self.threads = [threading.Thread(target=self._cells, args=(s,)) for s in range(count)]
         self.losses: list[Loss] = []
+        self.malformed: Counter[str] = Counter()
         self.tick = 0
         for thread in self.threads:
             thread.start()
@@ -103,9 +106,10 @@ class System:
         shard = Shard(Board(self.firmware), self.everything(self.partition.lattice), self.partition, s)
         member.ready(10.0)
         try:
-            self.ended[s] = asyncio.run(agent.run(shard, member, self.endpoints[s]))
+            self.ended[s] = asyncio.run(agent.run(shard, member, self.endpoints[s], self.inject))
         except Exception as error:  # noqa: BLE001 - looked at by the test
             self.ended[s] = error
+        self.malformed += member.counts.malformed
         member.close()
 
     def run(self, ticks: int) -> NDArray[np.float64]:
@@ -305,3 +309,18 @@ def test_a_broken_step_ends_the_run_with_its_error(
         running.host.publish(SenseFrame(2, presence, None))
         running.join()
     assert str(running.ended[0]) == "this is a bug: a shard was given tick 3 after tick 1"
+
+
+def test_a_fault_that_can_not_be_read_is_counted_and_the_cells_go_on(
+    grid: Callable[..., Lattice], system: Callable[..., System], run: Callable[..., Any]
+):
+    def refuse(control: Control) -> None:
+        raise WireError("control", "fault", f"{control.detail}: is no fault")
+
+    partition = Partition.even(grid(3, 3), 3)
+    running = system(HEAT, partition, inject=refuse)
+    running.host.control(Control("fault", 0, (), "nonsense"))
+    assert running.run(5).tobytes() == run(HEAT, partition, 5).drives.tobytes()
+    running.stop()
+    assert running.ended == [agent.Ended(5, "enough", ())] * 3
+    assert running.malformed == {"control: fault": 3}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import json
 import random
 from collections.abc import Callable, Sequence
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import msgpack
 
@@ -19,6 +20,21 @@ _NUMBERS: Final = (
     2**64 - 1, -(2**63), 0.0, -0.0, 1.0, 0.5, 1e308, -1e-320, float("inf"), float("-inf"), float("nan"),
 )  # fmt: skip
 _MOST_EDITS: Final = 4
+
+
+class Form(NamedTuple):
+    """What payloads are written in."""
+
+    unpack: Callable[[bytes], Any]
+    pack: Callable[[Any], bytes]
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, default=repr, skipkeys=True).encode()
+
+
+MESSAGEPACK: Final = Form(msgpack.unpackb, msgpack.packb)
+JSON: Final = Form(json.loads, _json)
 
 
 def _deep(levels: int) -> Any:
@@ -41,13 +57,15 @@ class Mutator:
     """Makes spoilt payloads without end.
 
     Args:
-        frames: Valid payloads; where they are MessagePack, what is in them is spoilt too.
+        frames: Valid payloads.
         purpose: What for, and the seed: the same words, the same payloads.
+        form: What they are written in, so that what is in them is spoilt too; None: they are bytes.
     """
 
-    def __init__(self, frames: Sequence[bytes], purpose: str) -> None:
+    def __init__(self, frames: Sequence[bytes], purpose: str, form: Form | None = MESSAGEPACK) -> None:
         self._frames = frames
-        self._inside = [_unpacked(frame) for frame in frames]
+        self._inside = [None if form is None else form.unpack(frame) for frame in frames]
+        self._pack = MESSAGEPACK.pack if form is None else form.pack
         self._draw = random.Random(purpose)
         self._edits: tuple[Callable[[bytearray], None], ...] = (
             self._flip, self._mark, self._anything, self._insert, self._remove, self._repeat, self._cut, self._splice,
@@ -123,7 +141,7 @@ class Mutator:
         fields = copy.deepcopy(fields)
         for _ in range(self._draw.randint(1, 2)):
             self._spoil(fields)
-        return msgpack.packb(fields)
+        return self._pack(fields)
 
     def _spoil(self, fields: dict[Any, Any]) -> None:
         """Changes, takes away or adds one value, somewhere."""
@@ -160,11 +178,3 @@ def _add(node: Any, value: Any) -> None:
         node.append(value)
     else:
         node[f"more{len(node)}"] = value
-
-
-def _unpacked(frame: bytes) -> dict[Any, Any] | None:
-    try:
-        found = msgpack.unpackb(frame)
-    except ValueError:
-        return None
-    return found if isinstance(found, dict) else None

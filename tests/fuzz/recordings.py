@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import msgpack
 import numpy as np
 
 from deploy.errors import InputError
@@ -14,7 +13,7 @@ from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, REGISTERS, TI
 from deploy.recordings.mcap_file import McapFile
 from deploy.recordings.recorder import Recorder
 from deploy.recordings.replay import Recording, load
-from tests.fuzz.mutator import Mutator
+from tests.fuzz.mutator import JSON, MESSAGEPACK, Mutator
 
 CELLS = [[row, column] for row in range(2) for column in range(3)]
 HEADER = Header(
@@ -32,7 +31,9 @@ HEADER = Header(
     own_parcels=1,
     exits=[{"name": "out", "corners_m": [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]]}],
 )
-_JSON = (EVENTS, FAULTS, CONTROL, END)
+_FORMS = {
+    TICK: MESSAGEPACK, REGISTERS: MESSAGEPACK, EVENTS: JSON, FAULTS: JSON, CONTROL: JSON, END: JSON
+}  # fmt: skip
 
 
 def record(folder: Path) -> bytes:
@@ -80,10 +81,12 @@ class SpoiltMessages:
         good = folder / "recording.mcap"
         self._messages = [one for one in scan(good, "mdms") if isinstance(one, Message)]
         self._mutators = {
-            topic: Mutator([_packed(topic, m.data) for m in self._messages if m.topic == topic], f"{purpose} {topic}")
-            for topic in (TICK, REGISTERS, *_JSON)
-        }  # fmt: skip
-        self._header = Mutator([msgpack.packb(dict(HEADER))], f"{purpose} header")
+            topic: Mutator(
+                [m.data for m in self._messages if m.topic == topic], f"{purpose} {topic}", _FORMS[topic]
+            )
+            for topic in _FORMS
+        }
+        self._header = Mutator([JSON.pack(HEADER)], f"{purpose} header", JSON)
         self._number = 0
 
     def next(self) -> Path:
@@ -93,30 +96,14 @@ class SpoiltMessages:
         for i, (topic, time_ns, data) in enumerate(self._messages):
             # Another message of each file is spoilt.
             if topic in self._mutators and i % len(self._messages) == self._number % len(self._messages):
-                data = _plain(topic, self._mutators[topic].next())  # noqa: PLW2901
+                data = self._mutators[topic].next()  # noqa: PLW2901
             file.add(file.channels[topic], time_ns, data)
         file.finish()
         return self._path
 
     def _spoilt_header(self) -> Any:
         while True:
-            found = _json_of(self._header.next())
-            if found is not None:
-                return json.loads(found)
-
-
-def _packed(topic: str, data: bytes) -> bytes:
-    """JSON as MessagePack, for the mutator."""
-    return msgpack.packb(json.loads(data)) if topic in _JSON else data
-
-
-def _plain(topic: str, data: bytes) -> bytes:
-    """And back, where it can; else what it is."""
-    return (_json_of(data) or data) if topic in _JSON else data
-
-
-def _json_of(data: bytes) -> bytes | None:
-    try:
-        return json.dumps(msgpack.unpackb(data)).encode()
-    except (ValueError, TypeError, UnicodeEncodeError):
-        return None
+            try:
+                return json.loads(self._header.next())
+            except ValueError:
+                continue

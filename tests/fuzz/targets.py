@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from bus.codec import TICK_LIMIT
+from bus.errors import WireError
 from bus.forms import FormName
 from bus.forms.form import Senses
+from bus.lives import NEVER
 from bus.partition import Partition
 from bus.readings import Readings
 from bus.registers import NAMES_LIMIT, RegisterFrame, decode_registers, encode_registers, shown
@@ -25,7 +27,11 @@ from bus.wire import (
     encode_control,
     encode_report,
 )
+from deploy.live.request import InjectRequest, ListRequest, RepairRequest, RequestError, read_request
+from deploy.live.told import read
+from deploy.scene_files import load_scene
 from tests.bus.support import EVERYTHING, FORMS, PRESENCE, Network, System, grid
+from tests.fuzz.mutator import JSON, MESSAGEPACK, Form
 
 TICKS = (0, 1, 2, 3, 200, 70_000, TICK_LIMIT - 1)
 """Numbers of all widths that MessagePack has."""
@@ -47,17 +53,19 @@ class Target:
         frames: Valid payloads.
         decode: Any bytes to tick and value; WireError for all that are not valid.
         check: Fails for a value that its key does not promise.
+        form: What the payloads are written in.
     """
 
     name: str
     frames: tuple[bytes, ...]
     decode: Callable[[bytes], tuple[int, Any]]
     check: Callable[[Any], None]
+    form: Form = MESSAGEPACK
 
 
 def targets() -> list[Target]:
     """All of them."""
-    found = [_control(), _report(), _registers()]
+    found = [_control(), _report(), _registers(), _request(), _live_fault()]
     for form in FORMS:
         found += [_sense(form, "plain", PRESENCE), _sense(form, "with all readings", EVERYTHING)]
         found += [_drive(form), _link(form)]
@@ -221,3 +229,50 @@ def _registers() -> Target:
             assert array.dtype.kind in "biuf"
 
     return Target("registers", tuple(map(encode_registers, frames)), decode, check)
+
+
+def _request() -> Target:
+    requests: list[dict[str, Any]] = [
+        {"do": "list"},
+        {"do": "repair", "number": 3},
+        {"do": "inject", "fault": {"kind": "crash", "cell": [1, 2]}, "for_s": 0.5},
+        {"do": "inject", "fault": {"kind": "crash", "share": 0.25, "at_s": 0.0, "until_s": 2.0}},
+        {"do": "inject", "fault": {"kind": "crash", "rectangle": [[0, 0], [1, 1]]}},
+    ]
+
+    def decode(payload: bytes) -> tuple[int, Any]:
+        try:
+            return 0, read_request(payload)
+        except RequestError as error:
+            told = "; ".join(error.problems)
+            raise WireError(
+                "request", "refused" if told.encode("utf-8", "replace") else "unsaid", told
+            ) from None
+
+    def check(request: Any) -> None:
+        assert isinstance(request, InjectRequest | RepairRequest | ListRequest)
+
+    return Target("request of an operator", tuple(map(JSON.pack, requests)), decode, check, JSON)
+
+
+def _live_fault() -> Target:
+    scene = load_scene("prototype")
+    details: list[dict[str, Any]] = [
+        {"number": 0, "fault": {"kind": "crash", "cell": [1, 2]}, "first": 7, "end": None},
+        {"number": 2, "fault": {"kind": "crash", "share": 0.25}, "first": 7, "end": 70_000},
+        {"number": 2, "end": 200},
+    ]
+
+    def decode(payload: bytes) -> tuple[int, Any]:
+        control = Control("fault", 7, (), payload.decode("utf-8", "replace"))
+        return 7, read(control, scene)
+
+    def check(found: Any) -> None:
+        if isinstance(found, tuple):
+            assert all(0 <= number < TICK_LIMIT for number in found)
+        else:
+            assert ((found.cells >= 0) & (found.cells < len(scene.lattice()))).all()
+            assert 0 <= found.first < TICK_LIMIT
+            assert 0 <= found.end <= NEVER
+
+    return Target("live fault", tuple(map(JSON.pack, details)), decode, check, JSON)

@@ -49,10 +49,10 @@ def test_the_frames_that_are_spoilt_are_valid_before(target: Target) -> None:
 @settings(max_examples=50, deadline=None, database=None)
 @given(data=st.data())
 def test_anything_in_the_place_of_a_field_is_read_or_refused(target: Target, data: st.DataObject) -> None:
-    fields: dict[str, Any] = msgpack.unpackb(data.draw(st.sampled_from(target.frames)))
+    fields: dict[str, Any] = target.form.unpack(data.draw(st.sampled_from(target.frames)))
     for name in data.draw(st.sets(st.sampled_from(sorted(fields)), min_size=1, max_size=2)):
         fields[name] = data.draw(VALUES)
-    accepted(target, msgpack.packb(fields))
+    accepted(target, target.form.pack(fields))
 
 
 @every_decoder
@@ -64,7 +64,7 @@ def test_any_bytes_at_all_are_read_or_refused(target: Target, data: bytes) -> No
 
 @every_decoder
 def test_a_thousand_spoilt_frames_are_read_or_refused(target: Target) -> None:
-    mutator = Mutator(target.frames, f"tests {target.name}")
+    mutator = Mutator(target.frames, f"tests {target.name}", target.form)
     taken = sum(accepted(target, mutator.next()) for _ in range(1000))
     assert (
         0 < taken < 500

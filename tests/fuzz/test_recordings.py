@@ -25,7 +25,10 @@ def test_the_recording_that_is_spoilt_is_good_before(folder: Path) -> None:
 
 
 def test_a_file_of_which_bytes_are_changed_or_cut_is_loaded_or_refused(folder: Path) -> None:
-    mutator, path = Mutator([(folder / "recording.mcap").read_bytes()], "tests file"), folder / "changed.mcap"
+    mutator, path = (
+        Mutator([(folder / "recording.mcap").read_bytes()], "tests file", None),
+        folder / "changed.mcap",
+    )
     loaded = 0
     for _ in range(250):
         path.write_bytes(mutator.next())
