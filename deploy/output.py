@@ -6,6 +6,7 @@ import platform
 import re
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.errors import InputError
+from deploy.errors import DeployError, InputError
 from deploy.interruption import Interrupted, Interruption
 from deploy.overview.picture import FILE_NAME as PICTURE
 from deploy.overview.picture import draw_overview
@@ -123,6 +124,25 @@ def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
         ParcelOutcome.of(numbers, status.state, status.time_s, status.detail)
         for numbers, status in zip(plant.state, plant.status, strict=True)
     ]
+
+
+def left(
+    summary: Summary,
+    folder: Path,
+    leave: Callable[[Summary, Path], Summary],
+    warn: Callable[[str], None],
+) -> Summary:
+    """Leave something in a run's folder. What can't be left there is said, and fails a run that was ok."""
+    try:
+        return leave(summary, folder)
+    except DeployError as error:
+        reason = str(error)
+        warn(f"{reason}; what the run came to is printed all the same")
+    if summary.status == "ok":
+        summary = replace(summary, status="failed", reason=reason)
+        with suppress(DeployError):
+            summary.write(folder)
+    return summary
 
 
 def illustrate(

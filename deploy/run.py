@@ -24,7 +24,7 @@ from deploy.faults.schedule import active, crash_aborts, deaths, lasting
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
 from deploy.live.address import Address
-from deploy.output import drawn, header, illustrate, output_folder, parcel_outcomes, run_name
+from deploy.output import drawn, header, illustrate, left, output_folder, parcel_outcomes, run_name
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
 from deploy.progress import Progress
@@ -114,13 +114,12 @@ class _Run:
 
     def go(self) -> Outcome:
         """Everything; see `run`."""
-        from deploy.recordings.replay import load
-
         with self.interruption.allowed():
             self.cautions = cautions_of(self.scene)
             self.reporter = self._reporter()
             if self.options.replay is not None:
                 from deploy.live.script import script_of
+                from deploy.recordings.replay import load
 
                 self.replayed = load(self.options.replay)
                 self.script = script_of(self.replayed, self.scene)
@@ -150,14 +149,11 @@ class _Run:
                 )
                 with self._announced(system, folder):
                     self._lockstep(system, plant, ledger, recorder)
-                recorder.close(self.status, self.digest.hexdigest)
+                self._close(recorder)
         self._compare()
         summary = self._summary(plant, ledger, folder)
-        summary.write(folder)
-        if summary.protocol is not None:
-            summary = self._write_report(summary, summary.protocol, folder)
-        if self.options.picture and summary.status != "interrupted":
-            summary = illustrate(summary, lambda: load(folder), folder, self.interruption)
+        for leave in (self._write, self._write_report, self._illustrate):
+            summary = left(summary, folder, leave, self._warn)
         return Outcome(summary, self.detail)
 
     def _compare(self) -> None:
@@ -209,7 +205,7 @@ class _Run:
             if self.status == "failed" or ledger.cells_lost:
                 self.detail = "\n".join(text for text in (self.detail, system.explain()) if text)
             self.counts = system.stop(self.reason or "the run is over")
-        if process is not None and self.status != "unstable":
+        if process is not None and self.status != "unstable" and not recorder.broken:
             recorder.tick(
                 process.tick, process.time_ns, process.sense.presence, None, plant.wheel_speed, plant.state
             )
@@ -292,7 +288,28 @@ class _Run:
     def _end(self, status: str, reason: str) -> None:
         self.status, self.reason = status, reason
 
+    def _close(self, recorder: Recorder) -> None:
+        """End the recording; what can't be written of it fails the run."""
+        try:
+            recorder.close(self.status, self.digest.hexdigest)
+        except DeployError as error:
+            if self.status == "ok":
+                self._end("failed", str(error))
+            elif str(error) != self.reason:
+                self._warn(str(error))
+
     # --- what it leaves ---------------------------------------------------------------------------
+
+    def _write(self, summary: Summary, folder: Path) -> Summary:
+        summary.write(folder)
+        return summary
+
+    def _illustrate(self, summary: Summary, folder: Path) -> Summary:
+        if not self.options.picture or summary.status == "interrupted":
+            return summary
+        from deploy.recordings.replay import load
+
+        return illustrate(summary, lambda: load(folder), folder, self.interruption)
 
     def _summary(self, plant: Plant, ledger: Ledger, folder: Path) -> Summary:
         scene, counts = self.scene, self.counts
@@ -346,14 +363,16 @@ class _Run:
         tally = dict[str, int]() if self.counts is None else self.counts.tally
         return self.reporter.report(ledger.ticks, deaths_of(ledger.faults), tally)
 
-    def _write_report(self, summary: Summary, report: ProtocolReport, folder: Path) -> Summary:
-        """The report's table, and its picture unless there are to be none."""
+    def _write_report(self, summary: Summary, folder: Path) -> Summary:
+        """The report's table, and its picture unless there are to be none; nothing where none was asked for."""
+        if summary.protocol is None:
+            return summary
         from deploy.protocol_report.files import write_csv
         from deploy.protocol_report.picture import draw_protocol
         from deploy.protocol_report.report import CSV, PICTURE
 
         assert self.reporter is not None
-        reporter = self.reporter
+        reporter, report = self.reporter, summary.protocol
         write_csv(reporter.residuals, folder / CSV)
         if not self.options.picture or self.status == "interrupted":
             return summary

@@ -76,6 +76,11 @@ class Recorder:
         self._thread = threading.Thread(target=self._write, name="recorder", daemon=True)
         self._thread.start()
 
+    @property
+    def broken(self) -> bool:
+        """Whether the file can no longer be written: every method raises then."""
+        return self._error is not None
+
     def tick(
         self,
         tick: int,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 import time
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from deploy.commands.outcome import EXIT_STATUS
-from deploy.errors import DeployError, InputError
+from deploy.errors import InputError
 from deploy.overrides import Override
 from deploy.processes.plan import RunOptions
 from deploy.recordings.recorder import Recorder
@@ -104,18 +105,42 @@ def test_a_plant_that_refuses_the_scene_starts_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_recording_that_breaks_fails_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize(("full_at", "ticks"), [(15, 15), (24, 25)], ids=["midway", "at the end"])
+def test_a_disk_that_fills_up_fails_the_run_and_leaves_what_was_recorded_and_the_summary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full_at: int, ticks: int
+) -> None:
     tick = Recorder.tick
 
-    def full(recorder: Recorder, number: int, *more: Any) -> None:
-        if number == 5:
-            raise DeployError("can't write the recording: No space left on device")
+    def fill(recorder: Recorder, number: int, *more: Any) -> None:
+        if number == full_at:
+            recorder.flush()
+            full = os.open("/dev/full", os.O_WRONLY)
+            os.dup2(full, recorder._file._stream.fileno())
+            os.close(full)
         tick(recorder, number, *more)
+        if full_at < 24:
+            recorder.flush()
 
-    monkeypatch.setattr(Recorder, "tick", full)
+    monkeypatch.setattr(Recorder, "tick", fill)
     summary = _run(_scene(), tmp_path).summary
     assert summary.status == "failed"
-    assert summary.reason == "can't write the recording: No space left on device"
+    assert (
+        summary.reason == f"can't write the recording {tmp_path / 'recording.mcap'}: No space left on device"
+    )
+    assert summary.ticks == ticks
+    assert json.loads((tmp_path / "summary.json").read_text())["reason"] == summary.reason
+    recording = load(tmp_path)
+    assert not recording.complete
+    assert recording.tick.tolist() == list(range(full_at))
+
+
+def test_a_summary_that_can_not_be_written_fails_the_run_and_is_returned_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / ".summary.json.draft").mkdir()
+    summary = _run(_scene(), tmp_path).summary
+    assert (summary.status, summary.simulated_s) == ("failed", 0.1)
+    assert summary.reason == f"can't write {tmp_path / 'summary.json'}: Is a directory"
+    assert load(tmp_path).status == "ok"
 
 
 def test_an_unforeseen_error_still_ends_everything_and_closes_the_recording(

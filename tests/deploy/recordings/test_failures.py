@@ -23,6 +23,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from deploy.errors import DeployError, InputError
+from deploy.recordings.mcap_file import McapFile
 from deploy.recordings.recorder import Recorder
 from deploy.recordings.replay import load
 
@@ -217,6 +218,36 @@ def test_a_disk_that_fills_up_during_the_run_ends_it_with_the_file_and_the_cause
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not load(tmp_path).complete
+
+
+def test_a_disk_that_is_slow_holds_the_run_up_at_the_backlog_and_costs_nothing_else(
+    tmp_path: Path, made_up_run: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flush, most = McapFile.flush, 64_000
+
+    def slowly(file: McapFile) -> None:
+        time.sleep(0.1)  # of a real clock: a disk is slow by that
+        flush(file)
+
+    monkeypatch.setattr(McapFile, "flush", slowly)
+    monkeypatch.setattr("deploy.recordings.recorder.BACKLOG_BYTES", most)
+    monkeypatch.setattr("deploy.recordings.recorder.CHUNK_BYTES", 4_000)
+    run, backlogs, put = made_up_run(ticks=300, wheels_change=True), list[int](), Recorder._put
+
+    def watch(recorder: Recorder, *arguments: Any) -> None:
+        put(recorder, *arguments)
+        backlogs.append(recorder._queued - recorder._written)
+
+    monkeypatch.setattr(Recorder, "_put", watch)
+    begun = time.monotonic()
+    with Recorder(tmp_path, run.header) as recorder:
+        run.feed(recorder)
+        recorder.close("ok")
+    assert time.monotonic() - begun > 0.2
+    assert most / 2 < max(backlogs) < most
+    recording = load(tmp_path)
+    assert recording.complete
+    np.testing.assert_array_equal(recording.parcels, run.states)
 
 
 _ENDLESS = """
