@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from bus.lattice import Lattice
     from cell_firmware.clocks import ArrayClocks
 
-_ASIDE = {"title": True, "stall": {"deadline_s", "start_s"}}
+_ASIDE = {"title": True, "stall": {"deadline_s", "lease_s", "start_s"}}
 """What a run cannot show in what it does: words, and limits on the wall clock."""
 
 _UNSAID: dict[str, object] = {"destination": None, "to": [], "order": "turn"}

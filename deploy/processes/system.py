@@ -84,11 +84,13 @@ class System:
         from bus.transports.zenoh import open_client, open_hub
 
         try:
-            self._endpoint = open_hub(self._listen)
+            self._endpoint = open_hub(self._listen, lease_s=self._scene.stall.lease_s)
         except TransportError as error:
             raise InputError(str(error)) from None
         self.locator = self._endpoint.locator
-        self._cells = self._processes or WorkerThread(open_client(self.locator))
+        self._cells = self._processes or WorkerThread(
+            open_client(self.locator, lease_s=self._scene.stall.lease_s)
+        )
 
     def start(
         self,

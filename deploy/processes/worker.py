@@ -64,7 +64,8 @@ class Order:
         """Open a session of one's own, serve, and close it."""
         from bus.transports.zenoh import open_client
 
-        endpoint = open_client(self.connect, timeout_s=self.scene.stall.start_s)
+        stall = self.scene.stall
+        endpoint = open_client(self.connect, lease_s=stall.lease_s, timeout_s=stall.start_s)
         try:
             serve(self, shard, endpoint)
         finally:

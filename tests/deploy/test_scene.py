@@ -119,6 +119,7 @@ def test_the_canonical_description_does_not_depend_on_how_the_file_is_written() 
         rows = 2
         [stall]
         deadline_s = 60
+        lease_s = 10
     """
     assert parse_scene(other, "other").canonical() == parse_scene(SHORT, "short").canonical()
 
