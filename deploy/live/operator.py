@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, cast
 
 from bus.errors import TransportError
 from bus.keys import plant_key
@@ -36,11 +36,24 @@ def ask_run(connect: str, request: dict[str, Any], timeout_s: float) -> dict[str
         raise InputError(f"--connect {connect}: {error}") from None
     try:
         text = ask(endpoint, plant_key("*", "operator"), json.dumps(request).encode(), timeout_s)
-        answer: dict[str, Any] = json.loads(text)
+        answer = _answer(json.loads(text))
     except TransportError as error:
         raise DeployError(f"{connect}: {error}") from None
+    except (ValueError, RecursionError):
+        raise DeployError(f"{connect}: what answers there is no run") from None
     finally:
         endpoint.close()
     if not answer["ok"]:
         raise RequestError(*answer["problems"])
     return answer
+
+
+def _answer(found: object) -> dict[str, Any]:
+    """What is a run's answer, as far as every answer is alike."""
+    if isinstance(found, dict):
+        answer = cast("dict[str, Any]", found)
+        if answer.get("ok") is True or (
+            answer.get("ok") is False and isinstance(answer.get("problems"), list)
+        ):
+            return answer
+    raise ValueError("no answer")

@@ -21,7 +21,7 @@ def script_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ..
     """The live commands of a recorded run, and a crash for every cell that it lost, by tick.
 
     Raises:
-        InputError: The recording is of another scene.
+        InputError: The recording is of another scene, or has commands that no run carries out.
     """
     theirs, ours = dict(recording.header["scene"]), scene.model_dump(mode="json")
     # words, and limits on the wall clock, may differ
@@ -33,7 +33,26 @@ def script_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ..
             f"--replay: the recording is of another scene than {scene.name}: {', '.join(differs)} differ; "
             "give the scene as it was, with its --set, --seed and --duration"
         )
-    return (*recording.control, *_losses(recording.faults))
+    script = (*recording.control, *_losses(recording.faults))
+    for record in script:
+        try:
+            _check(record, scene)
+        except (LookupError, TypeError, ValueError) as error:
+            raise InputError(
+                f"--replay: the recording's command {record} can't be repeated: {error}"
+            ) from None
+    return script
+
+
+def _check(record: Mapping[str, Any], scene: Scene) -> None:
+    """Looks whether a command can be read; raises whatever error says that it can't."""
+    from deploy.live.told import heard
+
+    int(record["tick"])
+    if record["kind"] == "repair":
+        int(record["detail"]["number"])
+    else:
+        heard(record["detail"], scene)
 
 
 def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
