@@ -418,12 +418,12 @@ class Member:
         elif control.kind == "joined":
             self._admit(control)
         elif control.kind == "lost":
-            # Not from the record's tick on but at once: what they sent before has arrived before this record.
             waited = len(self._links.missing(self._links.now))
             lost = [self._lattice.index(cell) for cell in control.cells]
-            self.retire(lost, 0)
+            self.retire(lost, control.tick)
             self.counts.lost += waited - len(self._links.missing(self._links.now))
-            # What they sent in the tick in which they were lost may have arrived, or not: it never was.
-            gone = [part for part, until in enumerate(self._links.until) if until <= 0]
+            # What they sent before has arrived, or will; of the tick in which they were lost it may have, or not: it
+            # never was.
+            gone = [part for part, until in enumerate(self._links.until) if until <= control.tick]
             self._links.void(gone, control.tick)
         self.counts.delivered += 1
