@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Generic, Literal, Self, TypeVar, final
 
@@ -44,6 +44,14 @@ class FaultSpec(Spec):
         if self.until_s is not None and self.until_s <= self.at_s:
             raise ValueError(f"until_s must be after at_s, {self.at_s:g}, not {self.until_s:g}")
         return self
+
+    def ticks(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
+        """The tick from which it acts, and that from which it doesn't any more; ``bus.lives.NEVER``: it always will.
+
+        Args:
+            tick_at: The tick in which something scheduled acts, by its time in seconds.
+        """
+        return tick_at(self.at_s), NEVER if self.until_s is None else tick_at(self.until_s)
 
     def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
         """What of it does not fit the array."""

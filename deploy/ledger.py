@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from bus.fault import turns
 from deploy.digest import Digest
+from deploy.faults.telling import turned
 
 if TYPE_CHECKING:
     from bus.counts import Loss
@@ -39,7 +40,7 @@ class Ledger:
         ticks: Ticks that are over.
         time_ns: Simulated time reached.
         faults: Injected and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``; of those that begin
-            and end, ``phase`` and all their ``cells``.
+            and end, ``phase``, ``number`` and all their ``cells``.
         cells_lost: ``(row, column)`` of each, in order.
         warn: As given.
         controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
@@ -118,23 +119,9 @@ class Ledger:
         self._turns.pop(0)
         for one in self._injected:
             if tick in (one.first, one.end):
-                begins = tick == one.first
-                self._told(tick, one, ("begins" if one.fault.lasts else "happens") if begins else "ends")
-
-    def _told(self, tick: int, one: Injected[FaultSpec], phase: str) -> None:
-        cells = [list(self._cells[int(cell)]) for cell in one.cells]
-        fault = {
-            "time_s": tick * self._period_ns * 1e-9,
-            "kind": one.fault.called,
-            "phase": phase,
-            "cell": cells[0] if len(cells) == 1 else None,
-            "cells": cells,
-            "tick": tick,
-            "detail": "live" if one.live else "scheduled",
-            "fault": one.fault.model_dump(mode="json", exclude_none=True),
-        }
-        self.faults.append(fault)
-        self._recorder.fault(fault)
+                fault = turned(one, tick, self._period_ns, self._cells)
+                self.faults.append(fault)
+                self._recorder.fault(fault)
 
     def registers(self, shown: Shown) -> None:
         """Record what the cells showed of themselves."""

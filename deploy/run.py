@@ -20,7 +20,7 @@ from deploy.cell_times import cell_times
 from deploy.conduct import Conduct
 from deploy.digest import Digest
 from deploy.errors import DeployError, InputError
-from deploy.faults.schedule import active, crash_aborts, deaths, lasting
+from deploy.faults.schedule import active, crash_aborts, deaths, lasting, rests
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
 from deploy.live.address import Address
@@ -239,6 +239,7 @@ class _Run:
             timing=cell_times(self.scene),
             camera=camera_of(self.scene, readings),
             faults=active(self.scene, self.lasting),
+            rests=rests(self.scene),
             observer=conduct.observe,
             pace=None if self.options.realtime is None else pacer(self.options.realtime),
             attend=conduct.attend if conduct.attends else None,

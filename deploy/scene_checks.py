@@ -7,12 +7,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from bus.fault import FaultSpec
 from cell_firmware.errors import FirmwareError, ParametersError, SettingError
 from cell_firmware.specs import CellsSpec
 from deploy.effects.registry import EffectsSpec
 from deploy.faults.registry import Fault
 from deploy.scene_errors import Path, Problem, problems_of, strictly
 from plant.array import CellArray
+from plant.faults.fault import PlantFault
 from plant.friction.registry import FrictionSpec
 from plant.solver_specs import SolverSpec
 from plant.specs import ArraySpec, ParcelSpec, disagreements, misplaced, unknown_exits
@@ -44,6 +46,7 @@ def cross_problems(
     problems = [Problem(path, rule, value) for path, value, rule in disagreements(friction, effects, solver)]
     if effects is not None:
         problems += [Problem(path, rule, value) for path, value, rule in unknown_exits(parcels, effects)]
+        problems += _faults_at_odds(effects, faults)
     if array is not None:
         problems += _fault_problems(array, faults)
         if effects is not None:
@@ -86,6 +89,15 @@ def _fault_problems(array: ArraySpec, faults: Mapping[int, Fault]) -> list[Probl
         Problem(("faults", number, *path), rule, value)
         for number, fault in faults.items()
         for path, value, rule in fault.misplaced(lattice)
+    ]
+
+
+def _faults_at_odds(effects: EffectsSpec, faults: Mapping[int, FaultSpec]) -> list[Problem]:
+    return [
+        Problem(("faults", number, *path), rule, value)
+        for number, fault in faults.items()
+        if isinstance(fault, PlantFault)
+        for path, value, rule in fault.at_odds(effects)
     ]
 
 

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from deploy.digest import Digest
 from deploy.errors import InputError
-from deploy.faults.schedule import crash_aborts, deaths
+from deploy.faults.schedule import (
+    active,
+    crash_aborts,
+    deaths,
+    of_cells_alone,
+    of_plant,
+    on_ideal_wheels,
+    rests,
+)
+from deploy.faults.telling import turned
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import event_record
 from deploy.output import exits, illustrate, output_folder, parcel_outcomes
@@ -45,8 +54,9 @@ def simulate(
     """Simulate a scene without cells: every wheel runs at the field's speed from the start.
 
     Wheels are ideal: where the scene has motors they are left out, as the paper's simulator has none, and so are
-    effects of the cells; that is said. A cell that the scene lets crash does what the stall policy says. The motion
-    is sampled once a control period, and at the end.
+    effects and faults of the cells; that is said. What the scene lets happen to wheels and modules happens, and a cell
+    that it lets crash does what the fault or the stall policy says. The motion is sampled once a control period, and at
+    the end.
 
     Args:
         scene: What to simulate; its firmware must be ``velocity_field``.
@@ -88,41 +98,53 @@ def in_parts(
     speeds: Floats,
     *,
     check: Callable[[], None],
-    died: Callable[[Sequence[int], float], None] | None = None,
+    fell: Callable[[int, Sequence[int]], None] | None = None,
     samples: int = SLICE,
 ) -> Iterator[Trajectory]:
     """The course of a plant under the field, from the start to the end, a sample a control period.
 
-    Cells that the scene lets crash do what the stall policy says; under ``abort`` the course ends there.
+    What the scene lets happen to wheels and modules happens. Cells that crash do what the fault, or the stall policy
+    says; under ``abort`` the course ends there.
 
     Args:
         scene: What to simulate.
         plant: Its plant, at the start.
         speeds: ``(n, 2)`` of the wheels, m/s.
         check: Called before every part; may raise.
-        died: Told of cells that crash, and when (s).
+        fell: Told when faults begin or end: the tick, and who died in it for good or under ``abort``.
         samples: Of a part, at most.
 
     Raises:
         PlantUnstable: The motion of a parcel can't be followed.
     """
-    period_ns, end_ns, now_ns, drives = scene.tick_ns, scene.duration_ns, 0, speeds.copy()
-    for tick, cells in (*deaths(scene).items(), (scene.ticks, ())):
+    from plant.undriven import Undriven
+
+    period_ns, end_ns, now_ns = scene.tick_ns, scene.duration_ns, 0
+    schedule, faults, abort = deaths(scene), active(scene), scene.stall.policy == "abort"
+    policy = "coast" if scene.stall.policy == "abort" else scene.stall.policy
+    undriven = Undriven(plant, len(speeds), policy, rests(scene))
+    ticks = {*schedule, *(() if faults is None else faults.turns)}
+    for tick in (*sorted(ticks), scene.ticks):
         until_ns = min(tick * period_ns, end_ns)
         while now_ns < until_ns:
             check()
+            drives = undriven.instead(speeds)
             part = plant.trajectory(drives, min(now_ns + samples * period_ns, until_ns), period_ns)
             now_ns = int(part.time_ns[-1])
             yield part
         if now_ns >= end_ns:
             return
-        if died is not None:
-            died(cells, now_ns * 1e-9)
-        if scene.stall.policy == "abort":
+        dying = schedule.get(tick, ())
+        harm = None if faults is None or tick < faults.next_turn else faults.turn(tick)
+        if abort and harm is not None:
+            dying = tuple(sorted({*dying, *undriven.dying(harm)}))
+        if fell is not None:
+            fell(tick, dying)
+        if abort and dying:
             return
-        if scene.stall.policy != "hold":
-            drives[list(cells)] = 0.0
-        plant.lose(cells, scene.stall.policy)
+        if harm is not None:
+            undriven.turn(harm, speeds)
+        undriven.bury(dying, speeds)
 
 
 @final
@@ -142,6 +164,8 @@ class _Simulation:
         self.states: list[Floats] = []
         self.events: list[Event] = []
         self.faults: list[dict[str, Any]] = []
+        self.cells_lost: list[tuple[int, int]] = []
+        self.lasting = of_plant(self.scene)
         self.time_ns = 0
 
     def go(self, output: Path | None, *, picture: bool) -> Outcome:
@@ -157,6 +181,8 @@ class _Simulation:
             self._warn(f"effects.motors{left_out} left out: simulate has ideal wheels")
         for name, _ in self.named.effects.of_cells().asked():
             self._warn(f"effects.{name} is left out: simulate has no cells")
+        for fault in of_cells_alone(self.named):
+            self._warn(f"{fault} is left out: simulate has no cells")
         self.interruption.check()
         folder = output_folder(self.named, output)
         started = time.monotonic()
@@ -181,7 +207,7 @@ class _Simulation:
         """Run from death to death and to the end, in slices; sets samples, events and status."""
         self.times.append(np.zeros(1, dtype=np.int64))
         self.states.append(plant.state[None])
-        for part in in_parts(self.scene, plant, speeds, check=self.interruption.check, died=self._die):
+        for part in in_parts(self.scene, plant, speeds, check=self.interruption.check, fell=self._fall):
             self._take(part, progress)
 
     def _take(self, part: Trajectory, progress: Progress) -> None:
@@ -192,15 +218,19 @@ class _Simulation:
         progress.events = len(self.events)
         progress.update(sum(len(times) for times in self.times), self.time_ns)
 
-    def _die(self, cells: Sequence[int], at_s: float) -> None:
-        """Note that cells crash now, as the scene says."""
-        names = self.scene.lattice().cells
-        for cell in cells:
+    def _fall(self, tick: int, dead: Sequence[int]) -> None:
+        """Note what begins or ends now, as the scene says, and who dies."""
+        names, period_ns = self.scene.lattice().cells, self.scene.tick_ns
+        at_s, ended = tick * period_ns * 1e-9, bool(dead) and self.scene.stall.policy == "abort"
+        turning = () if ended else (one for one in self.lasting if tick in (one.first, one.end))
+        self.faults += [turned(one, tick, period_ns, names) for one in turning]
+        for cell in dead:
+            self.cells_lost.append(names[cell])
             self.faults.append(
                 {"time_s": at_s, "kind": "crash", "cell": list(names[cell]), "detail": "scheduled"}
             )
-        if self.scene.stall.policy == "abort":
-            self._end("failed", crash_aborts(names[cells[0]], at_s))
+        if ended:
+            self._end("failed", crash_aborts(names[dead[0]], at_s))
 
     def _end(self, status: str, reason: str) -> None:
         self.status, self.reason = status, reason
@@ -258,7 +288,7 @@ class _Simulation:
             parcels=parcel_outcomes(plant),
             support_changes=plant.support_changes,
             faults=self.faults,
-            cells_lost=[(fault["cell"][0], fault["cell"][1]) for fault in self.faults],
+            cells_lost=self.cells_lost,
             feeders=plant.traffic(),
             digest=self._digest(),
             output=str(folder),
@@ -273,6 +303,11 @@ class _Simulation:
 def ideal(scene: Scene) -> Scene:
     """The scene without cells, and with wheels that run at the commanded speed at once."""
     left_out = ["motors", "wheel_load", *(name for name, _ in scene.effects.of_cells().asked())]
-    effects = scene.effects.model_copy(update=dict.fromkeys(left_out))
-    cells = scene.cells.model_copy(update={"speed_loop": None})
-    return scene.model_copy(update={"effects": effects, "cells": cells})
+    motors = scene.effects.motors
+    changes: dict[str, Any] = {
+        "effects": scene.effects.model_copy(update=dict.fromkeys(left_out)),
+        "cells": scene.cells.model_copy(update={"speed_loop": None}),
+    }
+    if motors is not None:
+        changes["faults"] = on_ideal_wheels(scene, motors)
+    return scene.model_copy(update=changes)

@@ -8,6 +8,7 @@ from itertools import groupby
 from math import hypot
 from typing import TYPE_CHECKING, Any
 
+from deploy.faults.telling import lines as lines_of
 from deploy.words import counted
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ _FAULTS = 4
 """Faults named one by one."""
 _NOTHING = 1e-12
 """What rounding leaves of a parcel's turning, rad/s."""
-_DID = {"crash": "crashed", "token_lost": "went away"}
-"""What a cell did, by the fault's kind, where that is not the word for it."""
 
 
 def print_summary(summary: Summary, console: Console) -> None:
@@ -127,17 +126,9 @@ def _solver(summary: Summary) -> str:
 
 
 def _faults(faults: Sequence[Mapping[str, Any]]) -> str:
-    named = "; ".join(_fault(fault) for fault in faults[:_FAULTS])
-    return named if len(faults) <= _FAULTS else f"{named}; and {len(faults) - _FAULTS:,} more"
-
-
-def _fault(fault: Mapping[str, Any]) -> str:
-    """``3,4 crashed at 2.00294 s``; of what begins and ends ``crash of 3 cells begins at 2.00294 s``."""
-    if "phase" in fault:
-        struck = counted(len(fault["cells"]), "cell")
-        return f"{fault['kind']} of {struck} {fault['phase']} at {fault['time_s']:g} s"
-    row, column = fault["cell"]
-    return f"{row},{column} {_DID.get(fault['kind'], fault['kind'])} at {fault['time_s']:g} s"
+    told = lines_of(faults)
+    named = "; ".join(told[:_FAULTS])
+    return named if len(told) <= _FAULTS else f"{named}; and {len(told) - _FAULTS:,} more"
 
 
 def _cell_names(cells: Sequence[tuple[int, int]]) -> str:

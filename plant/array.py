@@ -20,7 +20,7 @@ class CellArray:
         lattice: which cells exist, in row-major order.
         pitch_m: distance of neighbouring cells.
         positions_m: ``(n, 2)`` cell centres.
-        grid: ``(rows, columns)`` int64, index of each cell or -1.
+        grid: ``(rows, columns)`` int64, index of each cell or -1; of those only that are there now.
         origin_m: centre of cell (0, 0), whether it exists or not.
         sensors_m: ``(s, 2)`` presence sensors relative to a cell's centre.
     """
@@ -54,6 +54,25 @@ class CellArray:
         """How far a presence sensor is from its cell's centre at most."""
         return float(np.max(np.hypot(self.sensors_m[:, 0], self.sensors_m[:, 1])))
 
+    def keep(self, there: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Take cells out of the array, or put them back: ``there`` ``(n,)`` says which have their place in it now.
+
+        The grid is changed as it stands: whoever looks cells up in it finds no others from now on.
+
+        Returns:
+            Those that have come or gone, ascending.
+        """
+        places = self.lattice.rows, self.lattice.columns
+        moved = np.flatnonzero((self.grid[places] >= 0) != there)
+        self.grid[places] = np.where(there, np.arange(len(self)), -1)
+        return moved
+
+    def near(self, centre_m: NDArray[np.float64], reach_m: float) -> NDArray[np.int64]:
+        """The cells less than ``reach_m`` from a point ``(2,)``, ascending."""
+        cells = self.within(centre_m, reach_m)
+        away = self.positions_m[cells] - centre_m
+        return cells[np.hypot(away[:, 0], away[:, 1]) < reach_m]
+
     def within(self, centre_m: NDArray[np.float64], reach_m: float) -> NDArray[np.int64]:
         """The cells less than ``reach_m`` from a point ``(2,)`` along x and along y, and a few more; ascending."""
         most = np.array(self.grid.shape[::-1])
@@ -80,7 +99,7 @@ class CellArray:
         outward = np.array([along[1], -along[0]])
         if outward @ (towards_m - p) < 0.0:
             outward = -outward
-        offset = self.positions_m - p
+        offset = self.positions_m[self.grid[self.grid >= 0]] - p
         beyond = offset @ outward > 1e-9 * self.pitch_m
         span = offset @ along
         beside = (span > -0.5 * self.pitch_m) & (span < length + 0.5 * self.pitch_m)

@@ -48,6 +48,8 @@ class Moves:
         self.there = there
         self.live = there
         self.grip: Floats = np.ones(len(array))
+        self._freed: NDArray[np.bool_] = np.zeros(len(array), dtype=np.bool_)
+        self._jammed = self._freed
         self.contact = make_mover(spec, solver)
         self._array, self._solver, self._chronicle = array, solver, chronicle
         self._legs = with_legs(spec, solver)
@@ -55,6 +57,23 @@ class Moves:
         self._never_s: Floats = np.full(len(array), np.inf)
         self._none: Floats = np.zeros(0)
         self._nothing: Floats = np.zeros((0, len(solver.bodies), 6))
+
+    def let_go(self, cells: Sequence[int]) -> None:
+        """The wheels of these cells turn freely from now on, but for those that are jammed."""
+        self._grip_again(cells, self._jammed, freed=True)
+
+    def take_hold(self, cells: Sequence[int]) -> None:
+        """The wheels of these cells are driven from now on."""
+        self._grip_again(cells, self._jammed, freed=False)
+
+    def jam(self, cells: NDArray[np.bool_]) -> None:
+        """Both wheels of these cells ``(n,)`` are jammed from now on, and of no others."""
+        self._grip_again((), cells, freed=False)
+
+    def _grip_again(self, cells: Sequence[int], jammed: NDArray[np.bool_], *, freed: bool) -> None:
+        self._freed, self._jammed = self._freed.copy(), jammed
+        self._freed[list(cells)] = freed
+        self.grip = np.where(self._freed & ~jammed, 0.0, 1.0)
 
     def through(
         self,

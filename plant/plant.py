@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,11 @@ from plant.solvers.solver import Solver
 from plant.specs import PlantSpec
 from plant.start import check_places, check_standing
 from plant.timing import Timing
-from plant.wheels import Floats, Wheels
+from plant.wheels import Floats, LossPolicy, Wheels
 
 if TYPE_CHECKING:
+    from plant.faults.fault import Harm
     from plant.traffic import Traffic
-
-LossPolicy = Literal["coast", "brake", "hold"]
 
 
 @final
@@ -48,9 +47,9 @@ class Plant:
     def __init__(self, spec: PlantSpec) -> None:
         self.array: CellArray = CellArray(spec.array)
         n = len(self.array)
-        motors = spec.effects.motors
+        self._motors = spec.effects.motors
         self._wheels: Wheels = make_wheels(spec, n)
-        rate = 0.0 if motors is None else 1.0 / motors.first_order.time_constant_s
+        rate = 0.0 if self._motors is None else 1.0 / self._motors.first_order.time_constant_s
         self._solver: Solver = make_solver(spec.with_fed(), self.array, rate)
         self._spots = make_spots(spec, self.array)
         self._scanners = make_scanners(spec, self.array)
@@ -73,6 +72,7 @@ class Plant:
         self._told: Sense | None = None
         """What each cell has read last."""
         self._untold = [] if self._traffic is None else self._look(self._traffic, 0)
+        """What has happened since the last call."""
 
     @property
     def footprints_m(self) -> list[Floats]:
@@ -134,13 +134,45 @@ class Plant:
         on the drive it is given: zero, or the last.
         """
         if policy == "coast":
-            self._moves.grip = self._moves.grip.copy()
-            self._moves.grip[list(cells)] = 0.0
+            self._moves.let_go(cells)
 
     def regain(self, cells: Sequence[int]) -> None:
         """Note that cells that were dead are so no longer: their wheels act on their drives."""
-        self._moves.grip = self._moves.grip.copy()
-        self._moves.grip[list(cells)] = 1.0
+        self._moves.take_hold(cells)
+
+    def suffer(self, harm: Harm, drives: Floats) -> None:
+        """Let faults do to wheels and cells, from now on, what they say; for dead cells see `lose`.
+
+        Parcels over a cell that has gone or come stand on others at once: the next call's events tell.
+
+        Args:
+            harm: all that is the matter.
+            drives: ``(n, 2)`` that stand until others take effect.
+        """
+        from plant.faults.wheels import HarmedWheels  # only where there are faults
+
+        if not isinstance(self._wheels, HarmedWheels):
+            self._wheels = HarmedWheels(self._wheels, self._motors, len(self.array))
+        self._wheels.suffer(harm, drives)
+        self._moves.jam(harm.stuck[:, 0] & harm.stuck[:, 1])
+        moved = self.array.keep(~harm.gone)
+        if len(moved):
+            self._rebuild(moved, harm.gone)
+
+    def _rebuild(self, cells: NDArray[np.int64], gone: NDArray[np.bool_]) -> None:
+        """Cells have come to the array, or gone from it."""
+        if self._scanners is not None:
+            self._scanners.keep(~gone)
+        for done in self._solver.rebuilt(cells):
+            if done.parcel in self._moves.live:
+                self._untold += self._chronicle.events(done, self._now_ns * 1e-9)
+        now = self.sense()
+        self._told = now if self._told is None else self._told.with_cells(cells, now)
+
+    @property
+    def told(self) -> Sense:
+        """What each cell has read last; all read at the start, and one that comes when it does."""
+        return self._told or self.sense()
 
     def advance(
         self, drives: Floats, until_ns: int, timing: Timing | None = None
@@ -162,7 +194,7 @@ class Plant:
         reading = None
         if timing is not None:
             timing.check(len(self.array), self._now_ns, until_ns)
-            reading = Reading(self._told or self.sense(), timing, self._now_ns, until_ns)
+            reading = Reading(self.told, timing, self._now_ns, until_ns)
             if reading.any_at_start:
                 reading.start(self.sense())
         acts_s = None if timing is None else timing.acts_s(self._now_ns)
@@ -179,9 +211,10 @@ class Plant:
         after = self.state
         if self._rest.may_change(after, self._moves.live):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
+        if self._untold:
+            events, self._untold = [*self._untold, *events], []
         if self._traffic is not None:
-            events = [*self._untold, *events, *self._look(self._traffic, until_ns)]
-            self._untold = []
+            events += self._look(self._traffic, until_ns)
         if self._contact is None:
             events.extend(self._meetings(after, until_ns * 1e-9))
         return events
@@ -212,7 +245,8 @@ class Plant:
         if self._traffic is not None or (self._contact is not None and self._contact.resolves):
             return Trajectory(times, state, self._step_by_step(drives, times, state))
         after_s: Floats = (times[1:] - start_ns).astype(np.float64) * 1e-9
-        events = self._move(drives, until_ns, after_s, state)
+        events = [*self._untold, *self._move(drives, until_ns, after_s, state)]
+        self._untold = []
         self._note_rest(state, times)
         if self._contact is None:
             for k in self._overlaps.close_calls(state):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bus.counts import Loss
 from bus.wire import DriveFrame, SenseFrame
 from plant.timing import Timing
+from plant.undriven import Undriven
 
 if TYPE_CHECKING:
     from bus.fault import Injected
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
     from plant.camera import Camera
     from plant.faults.active import ActiveFaults
     from plant.faults.fault import PlantFault
-    from plant.plant import LossPolicy, Plant
+    from plant.plant import Plant
     from plant.reports import Event, Sense
+    from plant.wheels import LossPolicy
 
 Floats = NDArray[np.float64]
 Status = Literal["ok", "failed", "stalled"]
@@ -113,13 +115,13 @@ class PlantProcess:
         camera: Whose pictures the cells are shown; None: none's.
         faults: That begin and end on the way; None: none does.
         attend: Called with the next tick before it begins: the time to inject faults.
+        rests: What the wheels of cells do that die for good as scheduled, by cell, where ``stall`` doesn't say it.
 
     Attributes:
         tick: The tick that is under way, or the next.
         time_ns: Simulated time reached.
         waiting: Whether the process waits for the cells or the clock: an exception raised by a signal handler
             at such a time leaves the plant at ``time_ns``, with every tick before it reported.
-        lost: Whether each cell is dead for good, ``(n,)``.
     """
 
     def __init__(
@@ -137,6 +139,7 @@ class PlantProcess:
         camera: Camera | None = None,
         faults: ActiveFaults | None = None,
         attend: Callable[[int], None] | None = None,
+        rests: Mapping[int, LossPolicy] | None = None,
     ) -> None:
         self._plant = plant
         self._host = host
@@ -146,24 +149,19 @@ class PlantProcess:
         self._duration_ns = duration_ns
         self._schedule = schedule
         self._abort = stall.policy == "abort"
-        self._wheels: LossPolicy = "coast" if stall.policy == "abort" else stall.policy
         self._observer = observer
         self._pace = pace
         self._sense = plant.sense()
         self._state = plant.state
         n = len(self._sense.presence)
         self._drives: Floats = np.zeros((n, 2))
-        self._held: Floats = np.zeros((n, 2))
         self._faults = faults
         self._attend = attend
-        self._down: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
-        self._undriven: NDArray[np.bool_] | None = None
-        """``(n,)``: the dead, for good or until they are repaired; None: nobody ever was."""
+        self._undriven = Undriven(plant, n, "coast" if stall.policy == "abort" else stall.policy, rests)
         self._over: TickRecord | None = None
         self.tick = 0
         self.time_ns = 0
         self.waiting = False
-        self.lost: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
 
     def run(self) -> Ended:
         """Run to the end of the duration, or to the first loss where the policy is ``abort``.
@@ -188,12 +186,7 @@ class PlantProcess:
 
     def revive(self, cells: Sequence[int]) -> None:
         """Cells that were lost take part again from the next tick on."""
-        rows = list(cells)
-        self.lost[rows] = False
-        back = [cell for cell in rows if not self._down[cell]]
-        self._held[back] = 0.0
-        self._plant.regain(back)
-        self._leave([])
+        self._undriven.revive(cells)
 
     def inject(self, fault: Injected[PlantFault]) -> None:
         """One more fault, from the next tick on at the earliest."""
@@ -214,16 +207,16 @@ class PlantProcess:
         tick, start_ns, sense, plant = self.tick, self.time_ns, self._sense, self._plant
         if self._faults is not None and tick >= self._faults.next_turn:
             self._turn(self._faults, tick)
+            sense = self._sense
         died = self._schedule.get(tick, ()) if self._schedule else ()
         if died:
-            died = self._bury(died)
+            died = self._undriven.bury(died, self._drives)
         drives, losses = self._exchange(tick, start_ns, sense, died)
         if losses:
             if self._abort:
                 return losses
-            self._bury([loss.cell for loss in losses])
-        if self._undriven is not None:
-            drives = np.where(self._undriven[:, None], self._held, drives)
+            self._undriven.bury([loss.cell for loss in losses], self._drives)
+        drives = self._undriven.instead(drives)
         until_ns = min(start_ns + self._tick_ns, self._duration_ns)
         before, wheel_speed = self._state, plant.wheel_speed
         self._sense, events = self._advance(tick, drives, until_ns)
@@ -249,8 +242,8 @@ class PlantProcess:
             self._drives = drives
             return self._plant.advance(drives, until_ns)
         acts_ns, reads_ns = self._timing(tick)
-        if self._undriven is not None:
-            acts_ns = np.where(self._undriven, -1, acts_ns)
+        if self._undriven.mask is not None:
+            acts_ns = np.where(self._undriven.mask, -1, acts_ns)
         # The last tick may be over before a drive would have acted: its wheels go on as they were.
         late = acts_ns >= until_ns
         self._drives = np.where(late[:, None], self._drives, drives)
@@ -294,41 +287,22 @@ class PlantProcess:
         if record is not None:
             self._observer(record)
 
-    def _bury(self, cells: Sequence[int]) -> tuple[int, ...]:
-        """Note that these cells are dead; returns those that were not before."""
-        fresh = tuple(cell for cell in cells if not self.lost[cell])
-        if not fresh:
-            return fresh
-        rows = list(fresh)
-        self.lost[rows] = True
-        self._leave(rows)
-        return fresh
-
     def _dying(self) -> tuple[int, ...]:
         """Cells that die as the next tick begins."""
         dying = set(self._schedule.get(self.tick, ()))
         if self._faults is not None and self.tick >= self._faults.next_turn:
-            dying.update(np.flatnonzero(self._faults.harm(self.tick).dead & ~self._down).tolist())
+            dying.update(self._undriven.dying(self._faults.harm(self.tick)))
         return tuple(sorted(dying))
 
     def _turn(self, faults: ActiveFaults, tick: int) -> None:
         """Faults begin or end: put the plant in the state that they leave it in."""
-        harm = faults.turn(tick)
-        back = np.flatnonzero(self._down & ~harm.dead & ~self.lost)
-        gone = np.flatnonzero(harm.dead & ~self._down & ~self.lost)
-        self._down = harm.dead
-        if len(back):
-            self._plant.regain(back.tolist())
-            self._held[back] = 0.0
-        self._leave(gone.tolist())
+        if self._undriven.turn(faults.turn(tick), self._drives):
+            self._sense = self._plant.told
 
-    def _leave(self, cells: list[int]) -> None:
-        """The wheels of these cells do what the stall policy says from now on."""
-        self._undriven = self.lost | self._down
-        if cells:
-            if self._wheels == "hold":
-                self._held[cells] = self._drives[cells]
-            self._plant.lose(cells, self._wheels)
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Whether each cell is dead for good, ``(n,)``."""
+        return self._undriven.lost
 
     @property
     def sense(self) -> Sense:

@@ -31,6 +31,18 @@ class Sense:
     level: Floats | None = None
     label: NDArray[np.int64] | None = None
 
+    def with_cells(self, cells: NDArray[np.int64], now: Sense) -> Sense:
+        """The same, but of some cells what ``now`` says; encoders stay."""
+        level = None if self.level is None or now.level is None else self.level.copy()
+        label = None if self.label is None or now.label is None else self.label.copy()
+        presence = self.presence.copy()
+        presence[cells] = now.presence[cells]
+        if level is not None and now.level is not None:
+            level[cells] = now.level[cells]
+        if label is not None and now.label is not None:
+            label[cells] = now.label[cells]
+        return Sense(presence, self.encoder_m, level, label)
+
 
 class Event(NamedTuple):
     """Something that happened in the plant.

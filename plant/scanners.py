@@ -34,9 +34,9 @@ class Scanners:
         self, spec: ScannersSpec, feeders: FeedersSpec, array: CellArray, parcels: tuple[ParcelSpec, ...]
     ) -> None:
         rows, columns = zip(*spec.cells, strict=True)
-        self._cells = array.grid[list(rows), list(columns)]
-        self._at_m = array.positions_m[self._cells]
-        self._all = len(array)
+        self._every = array.grid[list(rows), list(columns)]
+        self._array = array
+        self.keep(np.ones(len(array), dtype=np.bool_))
         self._label: Labels = np.array([feeders.number(parcel.destination) for parcel in parcels], np.int64)
         made = [make_parcel(parcel, array) for parcel in parcels]
         edges = max((len(parcel.offset) for parcel in made), default=0)
@@ -48,6 +48,11 @@ class Scanners:
             self._offset[i, : len(parcel.offset)] = parcel.offset
             self._slack[i] = EDGE_SLACK * parcel.par[layout.ON_SURFACE]
 
+    def keep(self, there: NDArray[np.bool_]) -> None:
+        """Only those of the cells read from now on that are ``there`` ``(n,)``."""
+        self._cells = self._every[there[self._every]]
+        self._at_m = self._array.positions_m[self._cells]
+
     def label(self, state: Floats, there: NDArray[np.int64]) -> Labels:
         """``(n,)``: number of the exit that the parcel over each scanner is meant for; 0 elsewhere, and for none.
 
@@ -55,7 +60,7 @@ class Scanners:
             state: ``(m, 6)`` of all parcels.
             there: which of them are on the surface; where two overlap, the first is read.
         """
-        found: Labels = np.zeros(self._all, dtype=np.int64)
+        found: Labels = np.zeros(len(self._array), dtype=np.int64)
         if not len(there):
             return found
         here = state[there]

@@ -17,6 +17,7 @@ from deploy.accuracy.report import Report, Row, Sampling
 from deploy.accuracy.sampling import price_of_sampling
 from deploy.accuracy.sweep import Trial, lines, refusal, with_solver
 from deploy.errors import InputError
+from deploy.faults.schedule import of_cells_alone
 from deploy.run import load_plant
 from deploy.simulate import field_speeds, ideal
 from plant.errors import PlantError
@@ -105,6 +106,10 @@ class _Study:
         plant = load_plant(scene, self._say)
         self._say("loading every solver (seconds each where a version's kernels are compiled first) ...")
         field_speeds(scene, plant.array.positions_m)
+        for fault in of_cells_alone(self._named):
+            self._say(
+                f"{fault} is left out of all but the price of sampling: solvers move parcels without cells"
+            )
         if not len(plant.state):
             raise InputError(f"scene {scene.name}: has no parcels: there is nothing to be accurate about")
         self._say("the reference ...")

@@ -14,7 +14,7 @@ from bus.errors import BusError
 from cell_firmware.effects.registry import CellEffects
 from deploy.cell_times import cell_times
 from deploy.errors import DeployError
-from deploy.faults.schedule import active, deaths
+from deploy.faults.schedule import active, deaths, rests
 from deploy.output import run_name
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
@@ -139,6 +139,7 @@ def _process(scene: Scene, system: System, plant: Plant, events: list[Event]) ->
         timing=cell_times(scene),
         camera=camera_of(scene, readings),
         faults=active(scene),
+        rests=rests(scene),
         observer=observe,
     )
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bus.fault import CellTarget, Injected
 from cell_firmware.faults.fault import CellFault, Pause
 from plant.faults.fault import Harm, PlantFault
+from plant.wheels import LossPolicy
 
 
 @final
@@ -17,13 +18,14 @@ class CrashFault(CellTarget, CellFault, PlantFault):
     """Cells that die. Repaired, they begin anew, as after power-on.
 
     One that is not repaired is gone from the lockstep too: a worker process all of whose cells are dead ends itself by
-    SIGKILL, as a real death does; in a shared worker the cell's agent stops. Dead wheels do what the scene's stall
-    policy says.
+    SIGKILL, as a real death does; in a shared worker the cell's agent stops.
     """
 
     called: ClassVar[str] = "crash"
     pauses: ClassVar[bool] = True
     kind: Literal["crash"] = "crash"
+    wheels: LossPolicy | None = None
+    """What the dead wheels do; None: what the scene's stall policy says."""
 
     def pause(self, tick: int, injected: Injected[CellFault], pause: Pause) -> None:
         """No program runs; after the repair it begins anew."""
@@ -34,3 +36,5 @@ class CrashFault(CellTarget, CellFault, PlantFault):
     def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
         """Nobody drives the wheels."""
         harm.dead[cells] = True
+        if self.wheels is not None:
+            harm.rests.update(dict.fromkeys(cells.tolist(), self.wheels))

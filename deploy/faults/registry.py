@@ -4,14 +4,39 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
+from deploy.faults.add import AddFault
 from deploy.faults.crash import CrashFault
+from deploy.faults.remove import RemoveFault
+from plant.faults.wheel_reversed import WheelReversedFault
+from plant.faults.wheel_runaway import WheelRunawayFault
+from plant.faults.wheel_stuck import WheelStuckFault
+from plant.faults.wheel_weak import WheelWeakFault
 from plant.spec import tagged
 
-AnyFault = CrashFault
+AnyFault = (
+    CrashFault  # the default
+    | RemoveFault
+    | AddFault
+    | WheelStuckFault
+    | WheelWeakFault
+    | WheelReversedFault
+    | WheelRunawayFault
+)
 
-Fault = Annotated[AnyFault, BeforeValidator(tagged("kind", "crash"))]
+Fault = Annotated[Annotated[AnyFault, Field(discriminator="kind")], BeforeValidator(tagged("kind", "crash"))]
 """A scene's ``[[faults]]`` are told apart by ``kind``."""
 
-KINDS: dict[str, type[AnyFault]] = {"crash": CrashFault}
+KINDS: dict[str, type[AnyFault]] = {
+    fault.called: fault
+    for fault in (
+        CrashFault,
+        RemoveFault,
+        AddFault,
+        WheelStuckFault,
+        WheelWeakFault,
+        WheelReversedFault,
+        WheelRunawayFault,
+    )
+}

@@ -13,7 +13,9 @@ from deploy.faults.crash import CrashFault
 from plant.faults.fault import PlantFault
 
 if TYPE_CHECKING:
+    from plant.effects.motors import MotorsSpec
     from plant.faults.active import ActiveFaults
+    from plant.wheels import LossPolicy
 
 Deaths = dict[int, tuple[int, ...]]
 """Indices of the cells that are dead for good from a tick on, by that tick, ascending."""
@@ -51,8 +53,7 @@ def injected(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
             number,
             fault,
             fault.struck(lattice, scene.seed, number),
-            scene.tick_at(fault.at_s),
-            NEVER if fault.until_s is None else scene.tick_at(fault.until_s),
+            *fault.ticks(scene.tick_at),
         )
         for number, fault in enumerate(scene.faults)
     )
@@ -71,6 +72,17 @@ def deaths(scene: Timetable) -> Deaths:
     return {tick: tuple(cells) for tick, cells in sorted(by_tick.items())}
 
 
+def rests(scene: Timetable) -> dict[int, LossPolicy]:
+    """What the wheels of cells do that crash for good, by cell, where the fault says it."""
+    found: dict[int, tuple[int, LossPolicy | None]] = {}
+    for one in injected(scene):
+        if isinstance(one.fault, CrashFault) and _for_good(one):
+            for cell in one.cells.tolist():
+                if cell not in found or one.first < found[cell][0]:
+                    found[cell] = one.first, one.fault.wheels
+    return {cell: wheels for cell, (_, wheels) in found.items() if wheels is not None}
+
+
 def lasting(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
     """All but deaths: what happens to cells that stay in the lockstep."""
     return tuple(one for one in injected(scene) if not is_death(one))
@@ -84,6 +96,22 @@ def of_cells(faults: Sequence[Injected[FaultSpec]]) -> tuple[Injected[CellFault]
 def of_plant(faults: Sequence[Injected[FaultSpec]]) -> tuple[Injected[PlantFault], ...]:
     """Those of the lasting ones that the plant carries out."""
     return tuple(cast("Injected[PlantFault]", one) for one in faults if isinstance(one.fault, PlantFault))
+
+
+def of_cells_alone(scene: Timetable) -> list[str]:
+    """What a plant without cells leaves out, ``faults[2] (hang)`` each."""
+    return [
+        f"faults[{number}] ({fault.called})"
+        for number, fault in enumerate(scene.faults)
+        if not isinstance(fault, PlantFault)
+    ]
+
+
+def on_ideal_wheels(scene: Timetable, motors: MotorsSpec) -> tuple[FaultSpec, ...]:
+    """The scene's faults, where its motors are left out."""
+    return tuple(
+        fault.on_ideal_wheels(motors) if isinstance(fault, PlantFault) else fault for fault in scene.faults
+    )
 
 
 def active(scene: Timetable, lasts: Sequence[Injected[FaultSpec]] | None = None) -> ActiveFaults | None:

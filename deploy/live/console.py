@@ -140,6 +140,11 @@ class Console:
         problems = [
             f"fault.{'.'.join(map(str, path))}: {rule}" for path, _, rule in fault.misplaced(self._lattice)
         ]
+        if isinstance(fault, PlantFault):
+            effects = self._scene.effects
+            problems += [
+                f"fault.{'.'.join(map(str, path))}: {rule}" for path, _, rule in fault.at_odds(effects)
+            ]
         if fault.at_s:
             problems.append("fault.at_s: a live fault begins now: leave it out")
         if request.for_s is not None and not fault.lasts:

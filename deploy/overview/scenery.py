@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.faults.telling import OUT, out_of_array
 from deploy.track import Track
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ _CELL = "#eceff3"
 _CELL_LARGE = "#f3f5f8"
 _ARROW = "#7d8a9a"
 _EXIT = "#4b7a3f"
+_PULLED = "#8a5a00"
 RAIL = "#3a424d"
 
 _SQUARES = 2500
@@ -70,7 +72,7 @@ def draw_map(axes: Axes, track: Track) -> None:
     axes.set_ylim(bottom, top)
     _draw_cells(axes, track)
     _draw_arrows(axes, track)
-    _draw_lost(axes, track)
+    _draw_faults(axes, track)
     _draw_exits(axes, track)
     for rail in track.rails_m:
         axes.fill(*np.array(rail).T, fc=RAIL, ec=RAIL, lw=2.4, joinstyle="round", zorder=2.8)
@@ -146,29 +148,63 @@ def _draw_arrows(axes: Axes, track: Track) -> None:
 
 
 def lost_cells(track: Track) -> dict[tuple[int, int], float]:
-    """Each cell that faults name, and when the first did."""
+    """Each cell that was lost, and when."""
     lost: dict[tuple[int, int], float] = {}
     for fault in track.faults:
-        if fault.get("cell") is not None:
+        if "phase" not in fault and fault.get("cell") is not None:
             row, column = fault["cell"]
             lost.setdefault((row, column), float(fault["time_s"]))
     return lost
 
 
-def _draw_lost(axes: Axes, track: Track) -> None:
-    from matplotlib.collections import LineCollection, PolyCollection
+def struck_cells(track: Track) -> set[tuple[int, int]]:
+    """Cells that a fault struck which begins and ends, and that were in the array all the time."""
+    return {
+        (row, column)
+        for fault in track.faults
+        if "phase" in fault and fault["kind"] not in OUT
+        for row, column in fault["cells"]
+    }
 
-    index = {(row, column): i for i, (row, column) in enumerate(track.cells)}
-    lost = [index[cell] for cell in lost_cells(track) if cell in index]
-    if not lost:
+
+def _draw_faults(axes: Axes, track: Track) -> None:
+    """Cells that were pulled, white and dashed; that a fault struck, with a red rim; that are lost, with a cross too.
+
+    One that was plugged in, or in again, has its arrow; one that isn't there at the end has none.
+    """
+    if not track.faults:
         return
-    centres = track.positions_m[lost]
-    squares = _squares(centres, 0.92 * track.pitch_m)
+    index = {(row, column): i for i, (row, column) in enumerate(track.cells)}
+    out = out_of_array(track.faults)
+    _draw_squares(axes, track, [index[cell] for cell in out], edgecolors=_PULLED, linestyles=(0, (2, 1.5)))
+    away = [index[cell] for cell, again_s in out.items() if again_s is None]
+    _draw_squares(axes, track, away, facecolors="white", edgecolors=_PULLED, linestyles=(0, (2, 1.5)))
+    struck = [index[cell] for cell in struck_cells(track)]
+    _draw_squares(axes, track, struck, edgecolors=LOST)
+    lost = [index[cell] for cell in lost_cells(track) if cell in index]
+    _draw_squares(axes, track, lost, facecolors="#fbd9d3", edgecolors=LOST)
+    _draw_crosses(axes, track, lost)
+
+
+def _draw_squares(
+    axes: Axes, track: Track, cells: list[int], *, facecolors: str = "none", **look: Any
+) -> None:
+    from matplotlib.collections import PolyCollection
+
+    if not cells:
+        return
+    squares = list(_squares(track.positions_m[sorted(cells)], 0.92 * track.pitch_m))
     axes.add_collection(
-        PolyCollection(list(squares), facecolors="#fbd9d3", edgecolors=LOST, linewidths=0.8, zorder=2.5),
-        autolim=False,
+        PolyCollection(squares, facecolors=facecolors, linewidths=0.8, zorder=2.5, **look), autolim=False
     )
-    crosses = _squares(centres, 0.5 * track.pitch_m)
+
+
+def _draw_crosses(axes: Axes, track: Track, cells: list[int]) -> None:
+    from matplotlib.collections import LineCollection
+
+    if not cells:
+        return
+    crosses = _squares(track.positions_m[cells], 0.5 * track.pitch_m)
     strokes = [crosses[:, [0, 2]], crosses[:, [1, 3]]]
     axes.add_collection(
         LineCollection(list(np.concatenate(strokes)), colors=LOST, linewidths=1.1, zorder=2.6), autolim=False

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deploy.faults.telling import marks as marks_of
 from deploy.overview.scenery import LABEL, LOST, colour, incidents, lost_cells
 from deploy.track import Track
 
@@ -67,6 +68,7 @@ def _mark(axes: Axes, track: Track, *, labelled: bool) -> None:
     """A dashed line at each outcome and each lost cell; words on the first few."""
     marks = [(time_s, words) for time_s, words, _ in incidents(track)]
     marks += [(time_s, f"cell {row},{column} lost") for (row, column), time_s in lost_cells(track).items()]
+    marks += marks_of(track.faults)
     begin, end = axes.get_xlim()
     for place, (time_s, words) in enumerate(sorted(marks)):
         axes.axvline(time_s, color=LOST, lw=0.9, ls=(0, (4, 3)), alpha=0.8)

@@ -19,12 +19,14 @@ class ActiveFaults:
         faults: Of the scene.
 
     Attributes:
-        next_turn: The tick in which a fault begins or ends next; ``NEVER``: none does.
+        turns: The ticks in which faults begin or end from now on, ascending.
+        next_turn: The first of them; ``NEVER``: none does.
     """
 
     def __init__(self, cells: int, faults: Sequence[Injected[PlantFault]] = ()) -> None:
         self._cells = cells
         self._faults = list(faults)
+        self.turns: list[int] = []
         self.next_turn = NEVER
         self.plan(0)
 
@@ -34,8 +36,8 @@ class ActiveFaults:
 
     def plan(self, tick: int) -> None:
         """Look again at when they begin and end; ``tick`` is the next."""
-        turning = [turn for turn in turns(self._faults) if turn >= tick]
-        self.next_turn = turning[0] if turning else NEVER
+        self.turns = [turn for turn in turns(self._faults) if turn >= tick]
+        self.next_turn = self.turns[0] if self.turns else NEVER
 
     def turn(self, tick: int) -> Harm:
         """What is the matter from ``tick`` on, which is ``next_turn``."""

@@ -80,15 +80,38 @@ def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:
 
 def find_members(parcel: Parcel, array: CellArray) -> None:
     """Find the cells under the parcel where it is, the boundary included; each carries load until found otherwise."""
+    under = cells_under(parcel, array)
+    parcel.mem[: len(under)] = 0
+    parcel.mem[: len(under), layout.CELL] = under
+    parcel.ctl[layout.N_MEMBERS] = len(under)
+
+
+def cells_under(parcel: Parcel, array: CellArray) -> NDArray[np.int64]:
+    """The cells under the parcel where it is, the boundary included; ascending."""
     near = array.within(parcel.y[:2], float(parcel.par[layout.RADIUS]))
     c, s = math.cos(parcel.y[layout.THETA]), math.sin(parcel.y[layout.THETA])
     offset = array.positions_m[near] - parcel.y[:2]
     body = np.stack([c * offset[:, 0] + s * offset[:, 1], -s * offset[:, 0] + c * offset[:, 1]], axis=1)
     depth = np.min(parcel.offset - body @ parcel.normal.T, axis=1)
-    under = near[depth >= -parcel.par[layout.ON_SURFACE]]
-    parcel.mem[: len(under)] = 0
-    parcel.mem[: len(under), layout.CELL] = under
-    parcel.ctl[layout.N_MEMBERS] = len(under)
+    return near[depth >= -parcel.par[layout.ON_SURFACE]]
+
+
+def cells_changed(
+    parcel: Parcel, under: NDArray[np.int64], cells: NDArray[np.int64], array: CellArray
+) -> list[SolverEvent]:
+    """Which of the cells that have come or gone were under a parcel, or are now, as events of this instant.
+
+    Args:
+        parcel: where it is.
+        under: cells known to be under it before.
+        cells: that have come or gone.
+        array: as it is now.
+    """
+    lost, gained = np.intersect1d(under, cells), np.intersect1d(cells_under(parcel, array), cells)
+    return [
+        *(SolverEvent(0.0, "support_lost", cell) for cell in lost.tolist()),
+        *(SolverEvent(0.0, "support_gained", cell) for cell in gained.tolist()),
+    ]
 
 
 def body_of(parcel: Parcel) -> Body:

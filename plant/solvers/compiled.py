@@ -13,7 +13,16 @@ from plant.array import CellArray
 from plant.kernels import layout
 from plant.kernels.parcels import Parcel, Parcels
 from plant.kernels.surface import Surface
-from plant.solvers.bodies import ENDINGS, SensorCover, body_of, find_members, make_parcel, members, pack
+from plant.solvers.bodies import (
+    ENDINGS,
+    SensorCover,
+    body_of,
+    cells_changed,
+    find_members,
+    make_parcel,
+    members,
+    pack,
+)
 from plant.solvers.solver import Advance, Body, Kept, Leg, SolverEvent
 from plant.specs import ParcelSpec
 from plant.wheels import Floats, WheelMotion
@@ -86,6 +95,20 @@ class CompiledSolver(ABC):
         """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
         parcel = self.parcels[index]
         parcel.y[:] = state
+        self._find_anew(parcel)
+
+    def rebuilt(self, cells: NDArray[np.int64]) -> list[Advance]:
+        """Look anew at what lies under parcels, where cells have come or gone; see ``plant.solvers.solver.Solver``."""
+        news: list[Advance] = []
+        for i, parcel in enumerate(self.parcels):
+            changes = cells_changed(parcel, members(parcel), cells, self._array)
+            if changes:
+                self._find_anew(parcel)
+                news.append(Advance(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
+        return news
+
+    def _find_anew(self, parcel: Parcel) -> None:
+        """Find the cells under a parcel, whatever was known of them."""
         parcel.ctl[[layout.N_GROUPS, layout.N_CROSSED]] = 0
         find_members(parcel, self._array)
 

@@ -194,7 +194,7 @@ class Course:
         """Begin at ``now_s`` from the parcel's place: watch the cells in reach of it."""
         y, pars, places = self.parcel.shape.y, self.integrator.pars, self._solver.array.positions_m
         self._origin_m = y[:2].copy()
-        self._near = np.flatnonzero(np.hypot(*(places - self._origin_m).T) < self._reach_m)
+        self._near = self._solver.array.near(self._origin_m, self._reach_m)
         slots: Floats = np.zeros((self._slots, 3))
         slots[: len(self._near), :2] = places[self._near] - self._origin_m
         slots[len(self._near) :, 2] = 10.0 * self._reach_m  # no cell: edges so far out that none is met

@@ -19,7 +19,7 @@ from plant.friction.law import Traction
 from plant.kernels import layout
 from plant.kernels.parcels import Parcel
 from plant.loads import Supports, farthest_edge, find_supports
-from plant.solvers.bodies import body_of, make_parcel, members
+from plant.solvers.bodies import body_of, cells_changed, find_members, make_parcel, members
 from plant.solvers.solver import Advance, Body, Ending, Leg, SolverEvent
 from plant.specs import ParcelSpec, PlantSpec
 from plant.wheels import Floats
@@ -109,7 +109,6 @@ class RestartedSolver(ABC):
             _moving(spec, array, self.state[i]) for i, spec in enumerate(scene.parcels)
         ]
         self.bodies: Sequence[Body] = [body_of(parcel.shape) for parcel in self._parcels]
-        self._sensors: Floats = (array.positions_m[:, None] + array.sensors_m).reshape(-1, 2)
 
     def weight_n(self, parcel: Moving) -> float:
         """What its supports carry in all."""
@@ -125,15 +124,27 @@ class RestartedSolver(ABC):
         parcel = self._parcels[index]
         return self._settle(parcel)
 
+    def rebuilt(self, cells: NDArray[np.int64]) -> list[Advance]:
+        """Look anew at what lies under parcels, where cells have come or gone; see ``plant.solvers.solver.Solver``."""
+        news: list[Advance] = []
+        for i, parcel in enumerate(self._parcels):
+            changes = cells_changed(parcel.shape, parcel.under, cells, self.array)
+            if changes:
+                find_members(parcel.shape, self.array)
+                parcel.under, parcel.supports = members(parcel.shape), None
+                news.append(Advance(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
+        return news
+
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under those parcels."""
         numbers: list[int] = indices.tolist()
         for parcel in (self._parcels[index] for index in numbers):
-            away = self._sensors - parcel.shape.y[:2]
-            near = np.flatnonzero(np.hypot(away[:, 0], away[:, 1]) < 1.01 * parcel.shape.par[layout.RADIUS])
+            reach = 1.01 * float(parcel.shape.par[layout.RADIUS]) + self.array.sensor_reach_m
+            near = self.array.near(parcel.shape.y[:2], reach)
+            sensors = self.array.positions_m[near, None] + self.array.sensors_m
             # a sensor exactly under the edge is covered: the edge of a parcel at rest must not flicker
-            covered = parcel.depth_m(self._sensors[near]) >= -4.0 * parcel.shape.par[layout.ON_SURFACE]
-            bits.reshape(-1)[near[covered]] = True
+            covered = parcel.depth_m(sensors.reshape(-1, 2)) >= -4.0 * parcel.shape.par[layout.ON_SURFACE]
+            bits[near] |= covered.reshape(sensors.shape[:2])
 
     def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
         """Move some parcels, one after another; see ``plant.solvers.solver.Solver``."""

@@ -179,8 +179,7 @@ class Signs:
         self._normal, self._reach = shape.normal.T, shape.offset
         self._start: Floats = shape.y[:2].copy()
         self._pitch = solver.array.pitch_m
-        away = np.hypot(*(solver.array.positions_m - self._start).T)
-        self.near: Cells = np.flatnonzero(away < shape.par[layout.RADIUS] + self._pitch)
+        self.near: Cells = solver.array.near(self._start, float(shape.par[layout.RADIUS]) + self._pitch)
         self._places = solver.array.positions_m[self.near]
         self._side = np.where(np.isin(self.near, parcel.under), 1.0, -1.0)
         self._pressed = np.where(supports.carrying, 1.0, -1.0)

@@ -170,6 +170,17 @@ class Solver(Protocol):
         """
         ...
 
+    def rebuilt(self, cells: NDArray[np.int64]) -> list[Advance]:
+        """Look anew at what lies under parcels: cells have come to the array, or gone from it.
+
+        Args:
+            cells: which.
+
+        Returns:
+            What that changed, for each parcel over one of them; which of its supports carry it is found as it moves.
+        """
+        ...
+
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under some of the parcels."""
         ...

@@ -88,7 +88,7 @@ def test_the_scene_these_tests_break_is_good() -> None:
         (
             "[stall]\n",
             "solver = 3\n[stall]\n",
-            "faults[0].solver = 3: unknown key; known: at_s, cell, cells, kind, rectangle, share, until_s",
+            "faults[0].solver = 3: unknown key; known: at_s, cell, cells, kind, rectangle, share, until_s, wheels",
         ),
         ("duration_s = 1.0", "duration_s = 1.0\nsolver = 3", "solver = 3: must be a table"),
         # keys
@@ -122,7 +122,43 @@ def test_the_scene_these_tests_break_is_good() -> None:
             "effects.feeders.exits[0].size = [1, 1]: unknown key; nearest: size_m",
         ),
         # choices
-        ('kind = "crash"', 'kind = "crush"', "faults[0].kind = \"crush\": must be 'crash'"),
+        ('kind = "crash"', 'kind = "crush"', 'faults[0].kind = "crush": unknown kind; nearest: crash'),
+        (
+            'kind = "crash"',
+            'kind = "crash"\nwheels = "abort"',
+            "faults[0].wheels = \"abort\": must be 'coast', 'brake' or 'hold'",
+        ),
+        (
+            'kind = "crash"',
+            'kind = "wheel_weak"\nstrength = 1.5',
+            "faults[0].strength = 1.5: must be <= 1",
+        ),
+        ('kind = "crash"', 'kind = "wheel_weak"', "faults[0]: give strength, most_m_s, or both"),
+        (
+            'kind = "crash"',
+            'kind = "wheel_stuck"\nstrength = 1',
+            "faults[0].strength = 1: unknown key; known: at_s, cell, cells, kind, rectangle, share, until_s, wheel",
+        ),
+        (
+            'kind = "crash"\nat_s = 0.5',
+            'kind = "add"\nat_s = 0',
+            "faults[0]: at_s must be > 0: what is added at the start is there",
+        ),
+        (
+            'kind = "crash"',
+            'kind = "add"\nuntil_s = 1',
+            "faults[0]: what is added stays: leave until_s out, and pull it by a fault of kind remove",
+        ),
+        (
+            'kind = "crash"',
+            'kind = "wheel_runaway"',
+            'faults[0].kind = "wheel_runaway": needs speed_m_s: without effects.motors there is no supply to run at',
+        ),
+        (
+            'kind = "crash"',
+            'kind = "remove"\nuntil_s = 0.2',
+            "faults[0]: until_s must be after at_s, 0.5, not 0.2",
+        ),
         (
             'policy = "coast"',
             'policy = "cost"',
