@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from bus.fault import CellTarget
+from cell_firmware.faults.fault import CellFault
 from deploy.errors import InputError
+from deploy.faults.schedule import active
 from deploy.overrides import Override
+from deploy.processes.plan import RunOptions
+from deploy.run import run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
-from deploy.simulate import field_speeds, simulate
+from deploy.simulate import field_speeds, ideal, simulate
 from plant.array import CellArray
 
 
@@ -89,6 +95,84 @@ def test_a_crash_under_abort_fails_the_simulation_there(tmp_path: Path) -> None:
     assert summary.status == "failed"
     assert summary.reason == "cell 3,4 crashed at 0.1024 s as scheduled; stall.policy is abort"
     assert summary.simulated_s == pytest.approx(0.1024)
+
+
+HARM = [
+    {"kind": "crash", "at_s": 0.1, "until_s": 0.3, "rectangle": [[13, 13], [15, 15]], "wheels": "hold"},
+    {"kind": "crash", "at_s": 0.15, "until_s": 0.25, "cell": [12, 14], "wheels": "brake"},
+    {"kind": "crash", "at_s": 0.2, "cell": [14, 12]},
+    {"kind": "remove", "at_s": 0.15, "until_s": 0.35, "cells": [[14, 14], [15, 14]]},
+    {"kind": "add", "at_s": 0.2, "cell": [12, 12]},
+    {"kind": "wheel_stuck", "at_s": 0.1, "until_s": 0.2, "cell": [13, 16], "wheel": "x"},
+    {"kind": "wheel_reversed", "at_s": 0.25, "share": 0.3},
+    {"kind": "wheel_weak", "at_s": 0.05, "until_s": 0.4, "share": 0.2, "strength": 0.5},
+    {"kind": "wheel_runaway", "at_s": 0.3, "cell": [13, 13], "way": -1, "speed_m_s": 0.8},
+]
+"""Of wheels and modules under the parcel of the scene ``elliptic``."""
+
+
+@pytest.mark.parametrize("policy", ["coast", "hold"])
+def test_faults_do_to_wheels_and_modules_what_they_do_in_a_run(policy: str, tmp_path: Path) -> None:
+    scene = _scene("elliptic", duration_s=0.45, faults=HARM, stall={"policy": policy})
+    options = RunOptions(0, "memory", output=tmp_path / "run", picture=False)
+    whole = run(scene, options, quiet=True).summary
+    alone = simulate(scene, output=tmp_path / "alone", picture=False, quiet=True).summary
+    plain = simulate(_scene("elliptic", duration_s=0.45), output=tmp_path, picture=False, quiet=True).summary
+    assert alone.parcels[0].position_m == pytest.approx(whole.parcels[0].position_m, abs=1e-8)
+    assert alone.parcels[0].angle_rad == pytest.approx(whole.parcels[0].angle_rad, abs=1e-8)
+    assert alone.support_changes == whole.support_changes
+    assert alone.parcels[0].angle_rad != pytest.approx(plain.parcels[0].angle_rad, abs=1e-3)
+    assert list(alone.cells_lost) == list(whole.cells_lost) == [(14, 12)]
+    told = [[(f["kind"], f["time_s"]) for f in summary.faults] for summary in (alone, whole)]
+    assert told[0] == told[1]
+
+
+def test_a_crash_that_would_be_repaired_ends_a_simulation_whose_policy_is_abort(tmp_path: Path) -> None:
+    faults = [{"at_s": 0.1, "until_s": 0.2, "cell": [3, 4]}, {"kind": "remove", "at_s": 0.05, "cell": [0, 0]}]
+    scene = _scene("elliptic", duration_s=0.5, faults=faults, stall={"policy": "abort"})
+    summary = simulate(scene, output=tmp_path, picture=False, quiet=True).summary
+    assert summary.reason == "cell 3,4 crashed at 0.1024 s as scheduled; stall.policy is abort"
+    assert summary.status == "failed"
+    assert [(fault["kind"], fault["cell"]) for fault in summary.faults] == [
+        ("remove", [0, 0]),
+        ("crash", [3, 4]),
+    ]
+
+
+def test_a_wheel_that_runs_away_does_so_at_the_speed_of_the_motors_that_are_left_out(tmp_path: Path) -> None:
+    motors = {"supply_v": 10.0, "speed_per_volt_m_s": 0.05, "coulomb_v": 1.0}
+    fault = {"kind": "wheel_runaway", "rectangle": [[0, 0], [19, 19]], "wheel": "x"}
+    scene = _scene("elliptic", duration_s=0.05, faults=[fault], effects={"motors": motors})
+    simulate(scene, output=tmp_path, picture=False, quiet=True)
+    (ideal_fault,) = ideal(scene).faults
+    assert ideal_fault.model_dump()["speed_m_s"] == pytest.approx(0.45)
+    ideal_one = _scene("elliptic", duration_s=0.05, faults=[{**fault, "speed_m_s": 0.45}])
+    courses = [
+        simulate(one, output=tmp_path, picture=False, quiet=True).summary for one in (scene, ideal_one)
+    ]
+    assert courses[0].parcels[0].position_m == courses[1].parcels[0].position_m
+    assert courses[0].parcels[0].position_m[0] > 0.55
+
+
+class Deaf(CellTarget, CellFault):
+    """A fault of cells alone."""
+
+    called: ClassVar[str] = "deaf"
+
+
+@pytest.mark.filterwarnings("ignore:Pydantic serializer warnings")
+def test_faults_of_the_cells_are_left_out_and_that_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain = _scene("elliptic", duration_s=0.02)
+    stuck = _scene("elliptic", duration_s=0.02, faults=[{"kind": "wheel_stuck", "cell": [0, 0]}])
+    deaf = stuck.model_copy(update={"faults": (*stuck.faults, Deaf(cell=(1, 1)))})
+    assert active(deaf) is not None
+    assert active(plain.model_copy(update={"faults": (Deaf(cell=(1, 1)),)})) is None
+    simulate(deaf, output=tmp_path, picture=False)
+    said = capsys.readouterr().err
+    assert said.count("mdms: faults[1] (deaf) is left out: simulate has no cells") == 1
+    assert "faults[0]" not in said
 
 
 def test_the_same_simulation_has_the_same_digest(tmp_path: Path) -> None:

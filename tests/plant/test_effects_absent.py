@@ -95,7 +95,11 @@ def test_every_kernel_module_of_an_effect_is_looked_at() -> None:
     assert answering == set(EFFECTS)
 
 
+OF_FAULTS = ("plant.faults.active", "plant.faults.wheels")
+"""The modules that only faults need."""
+
 OF_EFFECTS = (
+    *OF_FAULTS,
     "plant.spots",
     "plant.traffic",
     *(f"plant.contact.{path.stem}" for path in (ROOT / "plant" / "contact").glob("[!_]*.py")),
@@ -103,7 +107,7 @@ OF_EFFECTS = (
     *(f"plant.kernels.{name}" for name in ("spots", "spots_entry")),
     *(f"plant.kernels.{name}" for name in ("meetings", "polygons", "pressing", "touch", *EFFECTS)),
 )
-"""The modules that only effects need."""
+"""The modules that only effects need, or faults."""
 
 MOVE = """
 import gc, json, sys

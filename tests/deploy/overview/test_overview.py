@@ -16,7 +16,7 @@ from matplotlib.image import imread
 from deploy.errors import DeployError
 from deploy.interruption import Interrupted
 from deploy.overview.picture import draw_overview
-from deploy.overview.scenery import RAIL, colour, extent, incidents, lost_cells
+from deploy.overview.scenery import RAIL, colour, extent, incidents, lost_cells, struck_cells
 from deploy.overview.times import draw_times
 from deploy.recordings.replay import load
 from deploy.track import Track
@@ -93,6 +93,22 @@ def test_lost_cells_are_marked(track: Track, draw: Callable[[Any], np.ndarray]) 
     faulty = dataclasses.replace(track, faults=[{"time_s": 0.01, "kind": "crash", "cell": [2, 3]}])
     assert pixels(draw(faulty), red) > 100
     assert lost_cells(faulty) == {(2, 3): 0.01}
+
+
+def test_cells_that_were_pulled_or_struck_are_marked(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+    def with_fault(kind: str, *phases: str) -> Track:
+        fault = {"kind": kind, "cell": [2, 3], "cells": [[2, 3]], "number": 0, "fault": {}}
+        told = [{**fault, "phase": phase, "time_s": 0.01 * step} for step, phase in enumerate(phases, 1)]
+        return dataclasses.replace(track, faults=told, wheel_speeds=None)
+
+    away, back = (draw(with_fault("remove", *phases)) for phases in (("begins",), ("begins", "ends")))
+    assert pixels(away, "#8a5a00") > 20
+    assert pixels(back, "#8a5a00") > 20
+    assert pixels(away, "#ffffff") > pixels(back, "#ffffff") + 1_000
+    stuck = with_fault("wheel_stuck", "begins")
+    assert struck_cells(stuck) == {(2, 3)}
+    assert pixels(draw(stuck), "#c1121f") > 100
+    assert lost_cells(stuck) == {}
 
 
 def test_a_tipped_parcel_is_marked_and_changes_of_support_are_not(track: Track) -> None:
