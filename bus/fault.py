@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Generic, Literal, Self, TypeVar, final
 
@@ -45,7 +45,7 @@ class FaultSpec(Spec):
             raise ValueError(f"until_s must be after at_s, {self.at_s:g}, not {self.until_s:g}")
         return self
 
-    def ticks(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
+    def span(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
         """The tick from which it acts, and that from which it doesn't any more; ``bus.lives.NEVER``: it always will.
 
         Args:
@@ -156,17 +156,32 @@ class LinkTarget(CellTarget):
         """Its links, as ``(m, 2)``: the cell that hears it, by index, and the side on which; ascending, each once."""
         cells = self.struck(lattice, seed, number)
         sides = range(len(SIDES)) if self.side is None else (SIDES.index(self.side),)
-        links: list[tuple[int, int]] = []
-        for cell in cells.tolist():
-            for side in sides:
-                other = int(lattice.neighbours[cell, side])
-                if other < 0:
-                    continue
-                if self.direction != "out":
-                    links.append((cell, side))
-                if self.direction != "in":
-                    links.append((other, OPPOSITE[side]))
-        return np.array(sorted(set(links)), dtype=np.int64).reshape(-1, 2)
+        return links_of(lattice, cells, sides, heard=self.direction != "out", told=self.direction != "in")
+
+
+def links_of(
+    lattice: Lattice, cells: Index, sides: Iterable[int] = range(len(SIDES)), *, heard: bool, told: bool
+) -> Index:
+    """Links by who hears them, ``(m, 2)``: cell and side, ascending, each once.
+
+    Args:
+        lattice: The cells.
+        cells: Whose links.
+        sides: On which of their sides.
+        heard: Those on which they hear.
+        told: Those on which their neighbours hear them.
+    """
+    links: set[tuple[int, int]] = set()
+    for cell in cells.tolist():
+        for side in sides:
+            other = int(lattice.neighbours[cell, side])
+            if other < 0:
+                continue
+            if heard:
+                links.add((cell, side))
+            if told:
+                links.add((other, OPPOSITE[side]))
+    return np.array(sorted(links), dtype=np.int64).reshape(-1, 2)
 
 
 _Fault_co = TypeVar("_Fault_co", bound=FaultSpec, covariant=True)

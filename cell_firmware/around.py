@@ -32,6 +32,11 @@ class Around(Controller):
         return self.controller.message
 
     @property
+    def said(self) -> np.dtype[Any] | None:
+        """What programs say."""
+        return self.controller.said
+
+    @property
     def tentative(self) -> bool:
         """As the cells' controller has it."""
         return self.controller.tentative

@@ -40,15 +40,12 @@ class CellFaults:
     Attributes:
         lattice: Of the array.
         injected: All of them.
+        seed: The scene's.
     """
 
     lattice: Lattice
     injected: tuple[Injected[CellFault], ...]
-
-    @property
-    def of_programs(self) -> tuple[Injected[CellFault], ...]:
-        """Those that stop programs or let them begin anew."""
-        return tuple(one for one in self.injected if one.fault.pauses)
+    seed: int = 0
 
     def stages(self, site: Site) -> tuple[Stage, ...]:
         """What the inputs of a shard's cells have to pass after the effects, fault by fault."""
@@ -103,21 +100,20 @@ def assemble(
         _links(firmware, spec, effects, clocks, disturbed=live or faults is not None),
         MessageMeter() if metered else None,
     )
-    if faults is not None and faults.of_programs:
-        from cell_firmware.faults.outages import Outages
-
-        # inside the watchdog: it resets a program that hangs
-        lag = 0 if clocks is None else 1
-        controller = Outages(controller, faults.lattice, faults.of_programs, lag=lag)
     if effects.cop is not None:
         from cell_firmware.watchdog import Watchdog
 
         controller = Watchdog(controller, effects.cop, spec.period_ns)
-    if clocks is None:
-        return controller
-    from cell_firmware.clocked import Clocked
+    if clocks is not None:
+        from cell_firmware.clocked import Clocked
 
-    return Clocked(controller, clocks)
+        controller = Clocked(controller, clocks)
+    if faults is not None:
+        from cell_firmware.faults.around import joined
+
+        for injected in faults.injected:
+            controller = joined(controller, faults.lattice, faults.seed, injected)
+    return controller
 
 
 def wheels_of(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> WheelPart | None:

@@ -83,6 +83,11 @@ class Board(Controller):
         return self.firmware.message if self.links is None else self.links.line
 
     @property
+    def said(self) -> np.dtype[Any] | None:
+        """A message of the firmware's."""
+        return self.firmware.message
+
+    @property
     def tentative(self) -> bool:
         """As the firmware has it: the parts of a board are pure."""
         return self.firmware.tentative

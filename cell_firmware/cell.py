@@ -143,6 +143,10 @@ class PerCell(Firmware):
         """Asks the firmware."""
         return self.firmware.subscribes()
 
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """Asks the firmware."""
+        return self.firmware.plausible()
+
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """Asks the firmware."""
         return self.firmware.cautions(lattice)

@@ -139,6 +139,11 @@ class Controller(ABC):
         """Little-endian structured type of what a link carries in a tick; None if cells don't talk."""
 
     @property
+    def said(self) -> np.dtype[Any] | None:
+        """What programs say: a message's type, which may be another than that of what a link carries."""
+        return self.message
+
+    @property
     def tentative(self) -> bool:
         """Whether cells may be stepped that are not due, and that be undone."""
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -61,6 +62,14 @@ class Program:
     def subscribes(self) -> bool:
         """Whether cells with these parameters want to be shown a camera's pictures, where the scene has one."""
         return False
+
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """By field of its messages, the least and the greatest that a cell of this program ever tells with sound links.
+
+        A receiver on links that may damage messages refuses one with another value; a field that is not named may
+        have any.
+        """
+        return {}
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """What will go wrong on this array, though nothing forbids it: a line each, that says what will be seen."""

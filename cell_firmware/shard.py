@@ -255,10 +255,10 @@ class Shard:
         stages = tuple(fault.fault.stages(site, lattice, fault))
         self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
         self._stages += stages
-        if fault.fault.pauses:
-            from cell_firmware.faults.outages import interrupted
+        from cell_firmware.faults.around import begun, joined
 
-            self._controller, self._state = interrupted(self._controller, self._state, lattice, fault)
+        self._controller = joined(self._controller, lattice, site.seed, fault)
+        self._state = begun(self._controller, self._state)
 
     def repair(self, number: int, tick: int) -> None:
         """A fault doesn't act any more from ``tick`` on; one that the shard doesn't know changes nothing."""

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from bus.fault import FaultSpec
 from cell_firmware.errors import FirmwareError, ParametersError, SettingError
+from cell_firmware.faults.fault import CellFault
 from cell_firmware.specs import CellsSpec
 from deploy.effects.registry import EffectsSpec
 from deploy.faults.registry import Fault
@@ -66,6 +67,8 @@ def cross_problems(
                 Problem(("effects", *path), rule, value) for path, value, rule in effects.unfit(cells)
             ]
         problems += _firmware_problems(array, cells, effects)
+        if array is not None:
+            problems += _unfit_faults(array, cells, faults)
     return problems
 
 
@@ -98,6 +101,15 @@ def _faults_at_odds(effects: EffectsSpec, faults: Mapping[int, FaultSpec]) -> li
         for number, fault in faults.items()
         if isinstance(fault, PlantFault)
         for path, value, rule in fault.at_odds(effects)
+    ]
+
+
+def _unfit_faults(array: ArraySpec, cells: CellsSpec, faults: Mapping[int, FaultSpec]) -> list[Problem]:
+    return [
+        Problem(("faults", number, *path), rule, value)
+        for number, fault in faults.items()
+        if isinstance(fault, CellFault)
+        for path, value, rule in fault.unfit(cells, len(array.sensors_m))
     ]
 
 

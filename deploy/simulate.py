@@ -17,6 +17,7 @@ from deploy.faults.schedule import (
     active,
     crash_aborts,
     deaths,
+    lasting,
     of_cells_alone,
     of_plant,
     on_ideal_wheels,
@@ -165,7 +166,7 @@ class _Simulation:
         self.events: list[Event] = []
         self.faults: list[dict[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
-        self.lasting = of_plant(self.scene)
+        self.lasting = of_plant(lasting(self.scene))
         self.time_ns = 0
 
     def go(self, output: Path | None, *, picture: bool) -> Outcome:

@@ -71,6 +71,14 @@ class Undriven:
             self._mark()
         return fresh
 
+    def revive(self, cells: Sequence[int]) -> None:
+        """These are dead no longer; what faults say of them still holds."""
+        self.lost[list(cells)] = False
+        back = [cell for cell in cells if cell not in self._down]
+        self._plant.regain(back)
+        self._given[back] = 0.0
+        self._mark()
+
     def dying(self, harm: Harm) -> list[int]:
         """Those that ``harm`` kills, ascending, which live now."""
         return [cell for cell in np.flatnonzero(harm.dead & ~self.lost).tolist() if cell not in self._down]
@@ -78,7 +86,8 @@ class Undriven:
     def turn(self, harm: Harm, drives: Floats) -> bool:
         """Something else is the matter from now on, ``drives`` being the last; returns whether cells came or went."""
         dead: list[int] = np.flatnonzero(harm.dead).tolist()
-        before, self._down = self._down, {cell: harm.rests.get(cell, self._policy) for cell in dead}
+        before = self._down
+        self._down = {cell: harm.rests.get(cell, self._policy) for cell in dead}
         changed = [cell for cell in before if self._down.get(cell) != before[cell] and not self.lost[cell]]
         fresh = [cell for cell in dead if self._down[cell] != before.get(cell) and not self.lost[cell]]
         if changed:

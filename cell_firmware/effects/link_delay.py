@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from bus.chance import Draws
 from bus.lattice import SIDES
+from bus.spec import Spec
 from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
 from cell_firmware.firmware import Inbox, Inputs
 
@@ -19,17 +20,9 @@ LONGEST_TICKS: Final = 1_000
 Ticks = Annotated[int, Field(ge=0, le=LONGEST_TICKS)]
 
 
-@final
-class LinkDelaySpec(CellEffectSpec):
-    """Whole messages arrive some ticks later than without the effect, where the next tick is their time.
+class Delays(Spec):
+    """How much longer messages take."""
 
-    A cell reads one message a side and tick: of several that arrive at once the one sent last, and the others were
-    overtaken.
-    """
-
-    states: ClassVar[tuple[str, ...]] = ("messages under way",)
-    messages: ClassVar[tuple[str, ...]] = ("messages between neighbours take longer",)
-    rung: ClassVar[int | None] = 70
     ticks: Ticks | None = None
     """Delay of every message."""
     between_ticks: tuple[Ticks, Ticks] | None = None
@@ -37,13 +30,8 @@ class LinkDelaySpec(CellEffectSpec):
     ordered: bool = True
     """Whether a message waits for those sent before it on the same link; else it may arrive before them."""
 
-    @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
-        """Up to two ticks."""
-        return cls(between_ticks=(0, 2))
-
     @model_validator(mode="after")
-    def _one_of_two(self) -> LinkDelaySpec:
+    def _one_of_two(self) -> Self:
         if (self.ticks is None) == (self.between_ticks is None):
             raise ValueError("give ticks or between_ticks, one of the two")
         if self.between_ticks is not None and self.between_ticks[0] > self.between_ticks[1]:
@@ -58,15 +46,42 @@ class LinkDelaySpec(CellEffectSpec):
         ticks = self.ticks or 0
         return ticks, ticks
 
-    def stages(self, site: Site) -> Iterator[Stage]:
-        """One, where there are messages to delay."""
+    def delaying(self, site: Site, purpose: str) -> Iterator[Stage]:
+        """A stage that keeps what a shard's inbox has until it is due; none where there is nothing to delay.
+
+        Args:
+            site: The shard.
+            purpose: What its draws are named after.
+        """
         least, greatest = self.bounds_ticks
         if site.message is None or greatest == 0:
             return
         if least == greatest:
             yield _AllAlike(greatest, site, site.message)
         else:
-            yield _EachItsOwn(self, site, site.message)
+            yield _EachItsOwn(self, site, site.message, purpose)
+
+
+@final
+class LinkDelaySpec(Delays, CellEffectSpec):
+    """Whole messages arrive some ticks later than without the effect, where the next tick is their time.
+
+    A cell reads one message a side and tick: of several that arrive at once the one sent last, and the others were
+    overtaken.
+    """
+
+    states: ClassVar[tuple[str, ...]] = ("messages under way",)
+    messages: ClassVar[tuple[str, ...]] = ("messages between neighbours take longer",)
+    rung: ClassVar[int | None] = 70
+
+    @classmethod
+    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+        """Up to two ticks."""
+        return cls(between_ticks=(0, 2))
+
+    def stages(self, site: Site) -> Iterator[Stage]:
+        """One, where there are messages to delay."""
+        yield from self.delaying(site, "link_delay")
 
 
 @final
@@ -93,11 +108,11 @@ class _AllAlike(Stage):
 class _EachItsOwn(Stage):
     """Keeps every message at its receiver until it is due: one inbox a tick, as many as the greatest delay spans."""
 
-    def __init__(self, spec: LinkDelaySpec, site: Site, message: np.dtype[np.void]) -> None:
+    def __init__(self, spec: Delays, site: Site, message: np.dtype[np.void], purpose: str) -> None:
         super().__init__()
         self._least, greatest = spec.bounds_ticks
         self._choices = greatest - self._least + 1
-        self._draws = Draws(site.seed, "link_delay", site.link_places())
+        self._draws = Draws(site.seed, purpose, site.link_places())
         links = len(SIDES) * len(site.cells)
         self._last_due = np.zeros(links, dtype=np.int64) if spec.ordered else None
         self._received = np.zeros((greatest + 1, links), dtype=np.bool_)

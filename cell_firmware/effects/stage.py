@@ -28,6 +28,8 @@ class Site:
         message: Type of a message between neighbours; None if they don't talk.
         seed: The scene's.
         levels: Whether sensors have levels.
+        said: Type of what programs say, which ``message`` carries; None: that itself.
+        tick_ns: From one exchange to the next.
     """
 
     cells: NDArray[np.int64]
@@ -35,6 +37,8 @@ class Site:
     message: np.dtype[Any] | None
     seed: int
     levels: bool = False
+    said: np.dtype[Any] | None = None
+    tick_ns: int = 0
 
     def sensor_places(self) -> NDArray[np.int64]:
         """``(n sensors,)``: a number for every sensor that is its own in the whole array."""

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import FaultSpec, Injected
+from bus.fault import FaultSpec, Injected, Problem
 from bus.lattice import Lattice
 from cell_firmware.effects.stage import Site, Stage
 from cell_firmware.firmware import Bools, Inputs
+
+if TYPE_CHECKING:
+    from cell_firmware.faults.tamper import Tamper
+    from cell_firmware.parts import LinkPart
+    from cell_firmware.specs import CellsSpec
 
 
 @final
@@ -39,10 +44,14 @@ class Pause:
 
 
 class CellFault(FaultSpec):
-    """A fault of cells: it acts on what they see, as stages after those of the effects, or it stops their programs."""
+    """A fault of cells: it acts on what they see, as stages after those of the effects, or on their programs."""
 
     pauses: ClassVar[bool] = False
-    """Whether it acts on programs."""
+    """Whether it stops programs or lets them begin anew (``pause``)."""
+    slows: ClassVar[bool] = False
+    """Whether it keeps programs from running in some of their periods (``runs``)."""
+    damages: ClassVar[bool] = False
+    """Whether messages may come of it that no program sends, so that receivers have to look what they take."""
 
     def stages(self, site: Site, lattice: Lattice, injected: Injected[CellFault]) -> Iterator[FaultStage]:  # noqa: ARG002
         """What the inputs of a shard's cells have to pass; nothing where none of its cells is struck.
@@ -63,17 +72,51 @@ class CellFault(FaultSpec):
             pause: To be changed.
         """
 
+    def runs(self, period: NDArray[np.int64]) -> Bools:
+        """In which control periods, counted from when it began, a program runs that it slows."""
+        return np.ones(period.shape, dtype=np.bool_)
+
+    def tampers(
+        self,
+        lattice: Lattice,  # noqa: ARG002
+        seed: int,  # noqa: ARG002
+        injected: Injected[CellFault],  # noqa: ARG002
+        message: np.dtype[np.void],  # noqa: ARG002
+        links: LinkPart | None,  # noqa: ARG002
+    ) -> Tamper | None:
+        """What it does to whole messages, as they are heard or said; None: nothing.
+
+        Args:
+            lattice: Of the array.
+            seed: Of the scene.
+            injected: This fault, with its number, cells and times.
+            message: Type of what programs say.
+            links: What carries messages; None where they go over whole.
+        """
+        return None
+
+    def unfit(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:  # noqa: ARG002
+        """What of it does not fit the cells.
+
+        Args:
+            cells: What the scene says of them.
+            sensors: How many presence sensors each has.
+        """
+        yield from ()
+
 
 class FaultStage(Stage):
-    """A stage that acts while its fault does.
+    """A stage that acts while its fault does. What it counts is told by the fault's kind.
 
     Args:
         injected: The fault.
+        counts: Names of what it counts.
     """
 
-    def __init__(self, injected: Injected[CellFault]) -> None:
+    def __init__(self, injected: Injected[CellFault], *counts: str) -> None:
         super().__init__()
         self._injected = injected
+        self.counted.update(dict.fromkeys((self._named(name) for name in counts), 0))
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells see instead, while the fault acts."""
@@ -82,3 +125,15 @@ class FaultStage(Stage):
     def strike(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells see instead; see ``Stage.apply``."""
         raise NotImplementedError
+
+    def count(self, name: str, happened: Bools, alive: NDArray[np.int64] | slice) -> None:
+        """Counts what ``happened``, ``(n, ...)``, to cells that live."""
+        super().count(self._named(name), happened, alive)
+
+    def _named(self, name: str) -> str:
+        return f"{self._injected.fault.called}.{name}"
+
+
+def purpose(injected: Injected[CellFault], what: str = "") -> str:
+    """What a fault's draws are named after: no two faults of a scene draw the same numbers."""
+    return f"faults.{injected.number}.{injected.fault.called}{what}"

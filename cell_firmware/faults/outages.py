@@ -2,97 +2,89 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.fault import Injected
-from bus.lattice import Lattice
-from cell_firmware.around import Around
 from cell_firmware.clocked import Clocked
-from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant
+from cell_firmware.controller import ControllerOutputs, ControllerState, Instant
+from cell_firmware.faults.around import FaultAround
 from cell_firmware.faults.fault import CellFault, Pause
-from cell_firmware.firmware import Bools, Cells, Inbox, Inputs, solid
+from cell_firmware.faults.slowed import Slowed
+from cell_firmware.firmware import Bools, Inbox, Inputs, State, solid
+from cell_firmware.watchdog import Watchdog
 
 
 @final
-class Outages(Around):
+class Outages(FaultAround):
     """Steps the cells whose programs no fault has stopped.
 
     A program that stands still sends nothing; its parts go on as on a board without power for their program
     (``Controller.idle``), and its wheels are commanded to 0 or to what they were. One that begins anew has forgotten
-    everything, as after power-on.
+    everything but what the observer counted, and its wheels stand until it commands them.
 
-    Args:
-        controller: Of the cells.
-        lattice: Of the array.
-        faults: Those that act on programs.
-        lag: By how many ticks an instant is older than the exchange in which its cells are stepped: 1 where cells have
-            clocks of their own.
+    What faults say is noted in every exchange, of all cells, and carried out when the cell is stepped: with clocks of
+    their own cells are not stepped in every exchange, and one that is repaired meanwhile still begins anew.
+
+    It is inside of the watchdog, which resets a program that hangs.
     """
 
     part = "faults"
+    beneath = (Clocked, Slowed, Watchdog)
     shown = ("stopped", "begun_anew")
-
-    def __init__(
-        self,
-        controller: Controller,
-        lattice: Lattice,
-        faults: Sequence[Injected[CellFault]] = (),
-        *,
-        lag: int = 0,
-    ) -> None:
-        super().__init__(controller)
-        self._lattice = lattice
-        self._faults = list(faults)
-        self._lag = lag
-
-    def add(self, fault: Injected[CellFault]) -> None:
-        """One more, from its first tick on."""
-        self._faults.append(fault)
-
-    def init(self, cells: Cells) -> ControllerState:
-        """The state before tick 0."""
-        return self.begin(self.controller.init(cells))
 
     def begin(self, inner: ControllerState) -> ControllerState:
         """The state of cells whose programs nothing has stopped so far."""
         n = len(inner.cells)
         own = {
-            "place": self._lattice.find(inner.cells.row, inner.cells.column),
+            "place": self.lattice.find(inner.cells.row, inner.cells.column),
             "drive": np.zeros((n, 2)),
-            "stopped": np.zeros(n, dtype=np.bool_),
+            **{name: np.zeros(n, dtype=np.bool_) for name in ("stopped", "keeps", "unserved", "reset")},
             "begun_anew": np.zeros(n, dtype=np.int64),
+            **{_periods(one): np.zeros(n, dtype=np.int64) for one in self.faults},
         }
         return self.outer(inner, own)
 
     def after_reset(self, state: ControllerState) -> ControllerState:
-        """What the cells' controller keeps of itself; faults know nothing of resets."""
+        """What the cells' controller keeps of itself; pins are low, and what a reset was to do is done."""
         own = state.parts[self.part]
-        return self.outer(self.controller.after_reset(self.inner(state)), own)
+        after = {**own, "drive": np.zeros_like(own["drive"]), "reset": np.zeros_like(own["reset"])}
+        return self.outer(self.controller.after_reset(self.inner(state)), after)
 
     def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
-        """What came over the lines."""
+        """What came over the lines; and what faults say."""
         inner, inputs = self.controller.listen(now, self.inner(state), inputs)
-        return self.outer(inner, state.parts[self.part]), inputs
+        own = state.parts[self.part]
+        place, steps = own["place"], np.asarray(now.at_ns >= 0)
+        pause, periods = Pause.none(len(self.lattice)), dict[str, NDArray[Any]]()
+        for injected in self.faults:
+            before = pause.stopped.copy()
+            injected.fault.pause(now.tick + self.lag, injected, pause)
+            name = _periods(injected)
+            stands = (pause.stopped & ~before)[place] & steps
+            periods[name] = periods.get(name, own.get(name, 0)) + stands
+        noted = {
+            "stopped": pause.stopped[place],
+            "keeps": pause.keeps[place],
+            "unserved": pause.unserved[place],
+            "reset": own["reset"] | pause.reset[place],
+        }
+        return self.outer(inner, {**own, **noted, **periods}), inputs
 
     def act(
         self, now: Instant, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period of the programs that run."""
         own, inner = state.parts[self.part], self.inner(state)
-        pause = Pause.none(len(self._lattice))
-        for injected in self._faults:
-            injected.fault.pause(now.tick + self._lag, injected, pause)
-        place = own["place"]
-        stopped, reset = pause.stopped[place], pause.reset[place]
+        stopped, reset, before = own["stopped"], own["reset"], own["drive"]
         if reset.any():
             rows = np.flatnonzero(reset)
-            inner = inner.put(rows, self.controller.init(inner.cells.take(rows)))
+            inner = inner.put(rows, self.controller.after_reset(inner.take(rows)))
             inputs = _unheard(inputs, rows)
+            before = np.where(reset[:, None], 0.0, before)
         if not stopped.any():
             inner, outputs = self.controller.act(now, inner, inputs)
             drive, served = outputs.drive, outputs.served
@@ -100,45 +92,36 @@ class Outages(Around):
             waits = np.flatnonzero(stopped)
             inner = inner.put(waits, self.controller.idle(now.take(waits), inner.take(waits)))
             inner, outputs = self.controller.act_on(np.flatnonzero(~stopped), now, inner, inputs)
-            drive = np.where((stopped & pause.keeps[place])[:, None], own["drive"], outputs.drive)
-            served = _served(stopped, pause.unserved[place], outputs.served)
-        after = {
+            drive = np.where((stopped & own["keeps"])[:, None], before, outputs.drive)
+            served = _served(stopped, own["unserved"], outputs.served)
+        after: State = {
             **own,
             "drive": drive.copy(),
-            "stopped": stopped,
-            "begun_anew": own["begun_anew"] + reset,
+            "reset": np.zeros_like(reset),
+            "begun_anew": own["begun_anew"] + (reset & ~stopped),
         }
         return (
             self.outer(inner, after),
             ControllerOutputs(drive, outputs.outbox, outputs.failures, served, outputs.hung),
         )
 
+    def counted(self, state: ControllerState) -> dict[str, int]:
+        """Periods in which programs stood still, by what stopped them, and how often one began anew."""
+        own = state.parts[self.part]
+        told = {
+            f"{self.part}.{name.removeprefix(_PERIODS)}.periods": int(value.sum())
+            for name, value in own.items()
+            if name.startswith(_PERIODS)
+        }
+        return {**told, f"{self.part}.begun_anew": int(own["begun_anew"].sum()), **super().counted(state)}
 
-def interrupted(
-    controller: Controller, state: ControllerState, lattice: Lattice, fault: Injected[CellFault]
-) -> tuple[Controller, ControllerState]:
-    """A controller of cells that run already, one more fault acting on their programs; and its state.
 
-    Args:
-        controller: It, or what is inside of it, is changed.
-        state: Of its cells.
-        lattice: Of the array.
-        fault: Which.
-    """
-    around: Around | None = None
-    inside, lag = controller, 0
-    while isinstance(inside, Around) and not isinstance(inside, Outages):
-        lag = 1 if isinstance(inside, Clocked) else lag
-        around, inside = inside, inside.controller
-    if isinstance(inside, Outages):
-        inside.add(fault)
-        return controller, state
-    outages = Outages(inside, lattice, (fault,), lag=lag)
-    if around is None:
-        controller = outages
-    else:
-        around.controller = outages
-    return controller, outages.begin(state)
+_PERIODS = "periods_"
+
+
+def _periods(injected: Injected[CellFault]) -> str:
+    """Where it is counted for how many periods a fault's kind has stopped programs."""
+    return f"{_PERIODS}{injected.fault.called}"
 
 
 def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:

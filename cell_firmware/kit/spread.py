@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +32,12 @@ class SpreadParameters(Spec):
         lay(self.initial, row, column, speed)
         return speed, lay(self.held, row, column, speed)
 
+    def range_m_s(self) -> dict[str, tuple[float, float]]:
+        """The least and the greatest speed that any cell starts with, of each component by its field's name."""
+        speeds = [self.speed_m_s, *(place.speed_m_s for place in (*self.initial, *self.held))]
+        components = zip(("vx_m_s", "vy_m_s"), zip(*speeds, strict=True), strict=True)
+        return {name: (min(values), max(values)) for name, values in components}
+
     def links(self, lattice: Lattice) -> Links:
         """The array's links, with the cells that are held as their boundary."""
         return Links(lattice, self.start(lattice.rows, lattice.columns)[1])
@@ -43,6 +51,12 @@ class SpreadParameters(Spec):
         problems = misplaced(lattice, {"initial": self.initial, "held": self.held})
         if problems:
             raise ParametersError(firmware, problems)
+
+
+def widened(ranges: Mapping[str, tuple[float, float]], share: float) -> dict[str, tuple[float, float]]:
+    """Ranges with so many times the greatest amount in each more at either end."""
+    more = {name: share * max(abs(low), abs(high)) for name, (low, high) in ranges.items()}
+    return {name: (low - more[name], high + more[name]) for name, (low, high) in ranges.items()}
 
 
 def speeds_told(inbox: Inbox) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, final
 
 import numpy as np
@@ -11,7 +12,7 @@ from bus.lattice import Lattice
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.kit.recall import Patience, last_word, still_counts
 from cell_firmware.kit.spectra import explicit_cautions, relaxed
-from cell_firmware.kit.spread import SpreadParameters, speeds_told
+from cell_firmware.kit.spread import SpreadParameters, speeds_told, widened
 from cell_firmware.theory import Theory
 
 
@@ -54,6 +55,12 @@ class HeatDiffusion(Firmware):
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
         self.parameters.check("heat_diffusion", lattice)
+
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """The range in which all began, which no mean leaves; up to r = 1/4."""
+        if self.parameters.diffusion_number > 0.25:
+            return {}
+        return widened(self.parameters.range_m_s(), 1e-6)
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """The scheme's limit: 1/4 on four neighbours, ``2 / lambda_max`` on this array."""

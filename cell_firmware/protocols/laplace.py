@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Self, final
 
 import numpy as np
@@ -76,6 +77,10 @@ class Laplace(Firmware):
         problems = misplaced(lattice, {"held": self.parameters.held})
         if problems:
             raise ParametersError("laplace", problems)
+
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """The range of what is held, to which cells keep."""
+        return {"potential": self._range()}
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """Cells that no held one can reach, and a potential without a slope."""

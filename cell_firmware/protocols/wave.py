@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, final
 
 import numpy as np
@@ -10,7 +11,7 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.kit.recall import Patience, last_word, still_counts
-from cell_firmware.kit.spread import SpreadParameters, speeds_told
+from cell_firmware.kit.spread import SpreadParameters, speeds_told, widened
 from cell_firmware.theory import Theory
 
 
@@ -56,6 +57,12 @@ class Wave(Firmware):
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
         self.parameters.check("wave", lattice)
+
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """Ten times the range in which all began, to either side: waves meet, but not so many; up to a limit of 1/2."""
+        if self.parameters.courant_number_squared > 0.5:
+            return {}
+        return widened(self.parameters.range_m_s(), 10.0)
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """The limit of Courant, Friedrichs and Lewy: 1/2 on four neighbours, ``4 / lambda_max`` on this array."""

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from cell_firmware.controller import Instant
 from cell_firmware.errors import FirmwareError
-from cell_firmware.firmware import Cells, Inbox, Outbox, State
+from cell_firmware.firmware import Cells, Inbox, Messages, Outbox, State
 from cell_firmware.parts import LinkPart
 from cell_firmware.serial.bursts import BurstType
-from cell_firmware.serial.frames import Frame
+from cell_firmware.serial.frames import Bytes, Frame
 from cell_firmware.serial.look import COUNTERS
 from cell_firmware.serial.receiver import ErrorsOf, Receiver
 from cell_firmware.serial.sender import Sender
@@ -49,8 +49,9 @@ class SerialLines(LinkPart):
         frame = Frame(message)
         for problem in settings.problems(frame.length):
             raise FirmwareError(f"serial lines: {problem}")
-        burst = BurstType(settings.slots(frame.length))
-        window = settings.period_ns if window_ns is None else window_ns
+        self._slots = settings.slots(frame.length)
+        self._burst = burst = BurstType(self._slots)
+        self._window_ns = window = settings.period_ns if window_ns is None else window_ns
         self.settings = settings
         self.line = burst.wire
         self._errors_of = errors_of
@@ -91,6 +92,24 @@ class SerialLines(LinkPart):
             state, left = self._scan.turn(at_ns, state)
         ppb = state["ppb"][:, None] if "ppb" in state else None
         return self._sender.step(self._window(now), at_ns, ppb, state, outbox, left)
+
+    @property
+    def most_bytes(self) -> int:
+        """Bytes that fit on a line from one step of the cells' to the next, one right after another."""
+        return min(self.settings.period_ns // self.settings.byte_ns, self._slots)
+
+    def raw(self, now: Instant, data: Bytes) -> Messages:
+        """What lines carry on which nothing but bytes goes out, from the cells' step on, that no driver has framed.
+
+        Args:
+            now: When.
+            data: ``(n, 4, most_bytes)``.
+        """
+        burst = np.zeros(data.shape[:2], dtype=self._burst.parts)
+        burst["bytes_1"] = data.shape[2]
+        burst["start_1_ns"] = (now.at_ns - self._window(now) * self._window_ns)[..., None]
+        burst["byte"][..., : data.shape[2]] = data
+        return self._burst.to_wire(burst)
 
     def _window(self, now: Instant) -> int:
         """In which window the cells' instants lie: with clocks of their own that which the exchange follows."""

@@ -92,11 +92,13 @@ class Receiver:
             lines: ``(n, 4)`` bursts; empty where nothing was sent.
         """
         bursts = self._burst.from_wire(lines.message)
-        begins, first = (window - 1) * self._window_ns, bursts["bytes_1"].astype(np.int64)
+        begins, most = (window - 1) * self._window_ns, self._burst.width
+        # of more bytes than a window has room for nobody hears, whatever a sender claims
+        first = np.minimum(bursts["bytes_1"].astype(np.int64), most)
         data = np.zeros((*first.shape, self._burst.width + WORD), dtype=np.uint8)
         data[..., :-WORD] = bursts["byte"]
         new = {"data_0": data, "left_0": first, "place_0": np.zeros_like(first), "place_1": first}
-        new["left_1"] = bursts["bytes_2"].astype(np.int64)
+        new["left_1"] = np.minimum(bursts["bytes_2"].astype(np.int64), most - first)
         for run in (0, 1):
             new[f"start_{run}_ns"] = begins + bursts[f"start_{run + 1}_ns"].astype(np.int64)
         return _queued(state, new, self._bursts, None if self._keep_step else lines.received)

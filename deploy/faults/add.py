@@ -25,6 +25,6 @@ class AddFault(AbsentModules):
             raise ValueError("what is added stays: leave until_s out, and pull it by a fault of kind remove")
         return self
 
-    def ticks(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
+    def span(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
         """It acts until its cells are there."""
         return 0, tick_at(self.at_s)

@@ -53,7 +53,7 @@ def injected(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
             number,
             fault,
             fault.struck(lattice, scene.seed, number),
-            *fault.ticks(scene.tick_at),
+            *fault.span(scene.tick_at),
         )
         for number, fault in enumerate(scene.faults)
     )
@@ -76,7 +76,7 @@ def rests(scene: Timetable) -> dict[int, LossPolicy]:
     """What the wheels of cells do that crash for good, by cell, where the fault says it."""
     found: dict[int, tuple[int, LossPolicy | None]] = {}
     for one in injected(scene):
-        if isinstance(one.fault, CrashFault) and _for_good(one):
+        if isinstance(one.fault, CrashFault) and is_death(one):
             for cell in one.cells.tolist():
                 if cell not in found or one.first < found[cell][0]:
                     found[cell] = one.first, one.fault.wheels

@@ -156,9 +156,7 @@ class Console:
                 "fault.kind: this run's serial lines carry whole messages, as nothing was to happen to them: run it "
                 "with --realtime, or schedule the fault in the scene"
             )
-        end = NEVER if fault.until_s is None else self._scene.tick_at(fault.until_s)
-        if request.for_s is not None:
-            end = tick + math.ceil(request.for_s * 1e9 / self._scene.tick_ns)
+        end = self._end(fault, request.for_s, tick)
         if end <= tick:
             problems.append("fault.until_s: is over already")
         if problems:
@@ -169,6 +167,16 @@ class Console:
         if len(_text(one)) > TEXT_LIMIT:
             raise RequestError("fault.cells: are too many to be told at once: use rectangle or share")
         return one
+
+    def _end(self, fault: FaultSpec, for_s: float | None, tick: int) -> int:
+        """The tick from which a fault that begins at ``tick`` doesn't act any more."""
+
+        def from_now(span_s: float) -> int:
+            return tick + math.ceil(span_s * 1e9 / self._scene.tick_ns)
+
+        if for_s is not None:
+            return from_now(for_s)
+        return fault.span(from_now)[1] if fault.until_s is None else self._scene.tick_at(fault.until_s)
 
     def _listed(self, one: Injected[FaultSpec], tick: int) -> dict[str, Any]:
         state = "acts" if one.acts(tick) else "is to come" if tick < one.first else "is over"

@@ -148,7 +148,7 @@ def faults_of(scene: Scene) -> CellFaults | None:
         return None
     from cell_firmware.assembly import CellFaults
 
-    return CellFaults(scene.lattice(), injected)
+    return CellFaults(scene.lattice(), injected, scene.seed)
 
 
 def _shard(order: Order, index: int) -> tuple[Shard, Site]:
@@ -166,6 +166,8 @@ def _shard(order: Order, index: int) -> tuple[Shard, Site]:
         controller.message,
         scene.seed,
         levels=readings.levels,
+        said=controller.said,
+        tick_ns=scene.tick_ns,
     )
     stages = scene.effects.stages(site)
     if faults is not None:

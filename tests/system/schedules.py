@@ -1,7 +1,8 @@
-"""Random schedules of what may happen to the processes of a run: kills, stops, continuations; and what must hold after."""
+"""Random schedules of what may happen to the processes of a run: kills, stops; and what must hold after."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -239,10 +240,8 @@ def _family() -> dict[int, int]:
 
 
 def _signal(pid: int, number: int) -> None:
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.kill(pid, number)
-    except ProcessLookupError:
-        pass
 
 
 def _runs(pid: int) -> bool:
