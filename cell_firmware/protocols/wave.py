@@ -59,7 +59,7 @@ class Wave(Firmware):
         self.parameters.check("wave", lattice)
 
     def plausible(self) -> Mapping[str, tuple[float, float]]:
-        """Ten times the range in which all began, to either side: waves meet, but not so many; up to a limit of 1/2."""
+        """Ten times the greatest speed at the start beyond it: waves meet, but not so many; up to the limit of 1/2."""
         if self.parameters.courant_number_squared > 0.5:
             return {}
         return widened(self.parameters.range_m_s(), 10.0)

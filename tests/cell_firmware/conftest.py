@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bus.fault import Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
@@ -20,13 +21,16 @@ from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.errors import FirmwareFailed
+from cell_firmware.faults.around import joined
+from cell_firmware.faults.fault import CellFault
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.mailbox import Mailbox
 from cell_firmware.parts import LinkPart
 from cell_firmware.serial.lines import SerialLines
-from cell_firmware.shard import Links, Shard, ShardOutputs
+from cell_firmware.shard import FAULTS, Links, Shard, ShardOutputs
 from cell_firmware.specs import nanoseconds
 from cell_firmware.speed_loop import SpeedLoop
+from cell_firmware.watchdog import Watchdog
 
 PERIOD_S = 0.004096
 PITCH_M = 0.1
@@ -69,22 +73,30 @@ class Lockstep:
         effects: CellEffects | None = None,
         seed: int = 0,
         clocks: ArrayClocks | None = None,
+        faults: Sequence[Injected[CellFault]] = (),
     ) -> None:
         self.partition = partition
         self.lattice = partition.lattice
         asked = CellEffects() if effects is None else effects
         board = Board(firmware, loop, links_of(firmware, asked, clocks))
-        controller: Controller = board if clocks is None else Clocked(board, clocks)
-        self.shards = [
-            Shard(
-                controller,
-                cells_of(self.lattice),
-                partition,
-                s,
-                asked.stages(Site(partition.cells(s), 1, controller.message, seed)),
+        controller: Controller = board
+        if asked.cop is not None:
+            controller = Watchdog(controller, asked.cop, nanoseconds(PERIOD_S))
+        if clocks is not None:
+            controller = Clocked(controller, clocks)
+        for fault in faults:
+            controller = joined(controller, self.lattice, seed, fault)
+        tick_ns = nanoseconds(PERIOD_S) if clocks is None else clocks.all.window_ns
+        self.shards: list[Shard] = []
+        for s in range(partition.count):
+            site = Site(
+                partition.cells(s), 1, controller.message, seed, said=controller.said, tick_ns=tick_ns
             )
-            for s in range(partition.count)
-        ]
+            stages = asked.stages(site)
+            stages[FAULTS] = tuple(
+                stage for one in faults for stage in one.fault.stages(site, self.lattice, one)
+            )
+            self.shards.append(Shard(controller, cells_of(self.lattice), partition, s, stages, faults))
         self.links: list[Links | None] = [None] * partition.count
         self.tick = 0
         self.failures: list[FirmwareFailed] = []
@@ -164,8 +176,9 @@ def run() -> Callable[..., Run]:
         effects: CellEffects | None = None,
         seed: int = 0,
         clocks: ArrayClocks | None = None,
+        faults: Sequence[Injected[CellFault]] = (),
     ) -> Run:
-        steps = Lockstep(firmware, partition, loop, effects, seed, clocks)
+        steps = Lockstep(firmware, partition, loop, effects, seed, clocks, faults)
         drives: list[NDArray[np.float64]] = []
         for k in range(ticks):
             steps.retire((dead or {}).get(k, ()))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.fault import Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.effects.registry import CellEffects
+from cell_firmware.faults.fault import CellFault
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 
@@ -50,10 +53,18 @@ class Stamper(Firmware):
 
 
 def heard_on(
-    lattice: Lattice, run: Any, ticks: int, effects: CellEffects, every: int = 1, seed: int = 0
+    lattice: Lattice,
+    run: Any,
+    ticks: int,
+    effects: CellEffects | None = None,
+    every: int = 1,
+    seed: int = 0,
+    faults: Sequence[Injected[CellFault]] = (),
+    shards: int = 1,
 ) -> tuple[Ints, Counter[str]]:
     """The tick of what each link brought, ``(ticks, links)``, −1 for nothing; and what effects counted."""
     firmware = Stamper(every)
-    counted = run(firmware, Partition.even(lattice, 1), ticks, effects=effects, seed=seed).counted
+    partition = Partition.even(lattice, shards)
+    counted = run(firmware, partition, ticks, effects=effects, seed=seed, faults=faults).counted
     heard = [[firmware.heard[tick, *cell] for cell in lattice.cells] for tick in range(ticks)]
     return np.array(heard)[:, lattice.neighbours >= 0], counted
