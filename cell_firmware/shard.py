@@ -110,6 +110,7 @@ class Shard:
         self._retired = Counter[str]()  # what the others' boards had counted
         self._period_ns = nanoseconds(cells.period_s)
         self._tick = -1
+        self._drive = np.zeros((self._n, 2))
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         self._outgoing = np.zeros(self._n * 4, dtype=self._message or np.bool_)
 
@@ -184,6 +185,7 @@ class Shard:
                 failures = tuple(outputs.failures[i] for i in sorted(outputs.failures))
                 self.retire(failure.cell for failure in failures)
             hung = tuple(outputs.hung[i] for i in sorted(outputs.hung))
+        self._drive = drive
         out = None
         if self._message is not None:
             out = _links(self._sent[self._out_from], self._outgoing[self._out_from])
@@ -258,7 +260,8 @@ class Shard:
         from cell_firmware.faults.around import begun, joined
 
         self._controller = joined(self._controller, lattice, site.seed, fault)
-        self._state = begun(self._controller, self._state)
+        drive = self._drive if self._active is None else self._drive[self._active]
+        self._state = begun(self._controller, self._state, drive)
 
     def repair(self, number: int, tick: int) -> None:
         """A fault doesn't act any more from ``tick`` on; one that the shard doesn't know changes nothing."""

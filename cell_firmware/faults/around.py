@@ -10,7 +10,7 @@ from cell_firmware.around import Around
 from cell_firmware.clocked import Clocked
 from cell_firmware.controller import Controller, ControllerState
 from cell_firmware.faults.fault import CellFault
-from cell_firmware.firmware import Cells
+from cell_firmware.firmware import Cells, Floats
 
 
 class FaultAround(Around):
@@ -45,8 +45,13 @@ class FaultAround(Around):
         """The state before tick 0."""
         return self.begin(self.controller.init(cells))
 
-    def begin(self, inner: ControllerState) -> ControllerState:
-        """The state of cells that no fault has struck so far, whose other parts are these."""
+    def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
+        """The state of cells that no fault has struck so far.
+
+        Args:
+            inner: Their other parts.
+            drive: ``(n, 2)``, what they drive; None: nothing yet.
+        """
         raise NotImplementedError
 
 
@@ -68,12 +73,18 @@ def joined(controller: Controller, lattice: Lattice, seed: int, fault: Injected[
     return controller
 
 
-def begun(controller: Controller, state: ControllerState) -> ControllerState:
-    """The state of a running controller's cells, with what it does not have yet of what was ``joined`` to it."""
+def begun(controller: Controller, state: ControllerState, drive: Floats) -> ControllerState:
+    """The state of a running controller's cells, with what it does not have yet of what was ``joined`` to it.
+
+    Args:
+        controller: It.
+        state: Of n cells.
+        drive: ``(n, 2)``, what they drive.
+    """
     inside = controller
     while isinstance(inside, Around):
         if inside.part not in state.parts and isinstance(inside, FaultAround):
-            state = inside.begin(state)
+            state = inside.begin(state, drive)
         inside = inside.controller
     return state
 

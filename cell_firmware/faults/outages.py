@@ -36,12 +36,12 @@ class Outages(FaultAround):
     beneath = (Clocked, Slowed, Watchdog)
     shown = ("stopped", "begun_anew")
 
-    def begin(self, inner: ControllerState) -> ControllerState:
+    def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
         """The state of cells whose programs nothing has stopped so far."""
         n = len(inner.cells)
         own = {
             "place": self.lattice.find(inner.cells.row, inner.cells.column),
-            "drive": np.zeros((n, 2)),
+            "drive": np.zeros((n, 2)) if drive is None else drive.copy(),
             **{name: np.zeros(n, dtype=np.bool_) for name in ("stopped", "keeps", "unserved", "reset")},
             "begun_anew": np.zeros(n, dtype=np.int64),
             **{_periods(one): np.zeros(n, dtype=np.int64) for one in self.faults},

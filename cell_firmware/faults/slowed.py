@@ -10,7 +10,7 @@ from cell_firmware.clocked import Clocked
 from cell_firmware.clocks import NEVER
 from cell_firmware.controller import ControllerOutputs, ControllerState, Instant
 from cell_firmware.faults.around import FaultAround
-from cell_firmware.firmware import Inputs, State
+from cell_firmware.firmware import Floats, Inputs, State
 
 
 @final
@@ -27,12 +27,12 @@ class Slowed(FaultAround):
     beneath = (Clocked,)
     shown = ("skipped",)
 
-    def begin(self, inner: ControllerState) -> ControllerState:
+    def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
         """The state of cells none of whose periods was counted so far."""
         n = len(inner.cells)
         own: State = {
             "place": self.lattice.find(inner.cells.row, inner.cells.column),
-            "drive": np.zeros((n, 2)),
+            "drive": np.zeros((n, 2)) if drive is None else drive.copy(),
             "runs": np.ones(n, dtype=np.bool_),
             "skipped": np.zeros(n, dtype=np.int64),
             **{str(one.number): np.zeros(n, dtype=np.int64) for one in self.faults},

@@ -20,7 +20,7 @@ from cell_firmware.faults.fault import CellFault
 from cell_firmware.faults.outages import Outages
 from cell_firmware.faults.slowed import Slowed
 from cell_firmware.faults.tamper import Tamper
-from cell_firmware.firmware import Inbox, Inputs, solid
+from cell_firmware.firmware import Floats, Inbox, Inputs, solid
 from cell_firmware.watchdog import Watchdog
 
 Ints = NDArray[np.int64]
@@ -58,8 +58,9 @@ class Words(FaultAround):
         if tamper is not None:
             self._tampers.append(tamper)
 
-    def begin(self, inner: ControllerState) -> ControllerState:
+    def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
         """The state of cells that have heard nothing so far."""
+        del drive
         n = len(inner.cells)
         own: dict[str, NDArray[np.generic]] = {
             "place": self.lattice.find(inner.cells.row, inner.cells.column),

@@ -88,10 +88,12 @@ class Lockstep:
             controller = joined(controller, self.lattice, seed, fault)
         tick_ns = nanoseconds(PERIOD_S) if clocks is None else clocks.all.window_ns
         self.shards: list[Shard] = []
+        self.sites: list[Site] = []
         for s in range(partition.count):
             site = Site(
                 partition.cells(s), 1, controller.message, seed, said=controller.said, tick_ns=tick_ns
             )
+            self.sites.append(site)
             stages = asked.stages(site)
             stages[FAULTS] = tuple(
                 stage for one in faults for stage in one.fault.stages(site, self.lattice, one)

@@ -1,0 +1,183 @@
+"""Programs that hang, reboot, or run too slowly: what becomes of pins, messages, watchdog and memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from bus.fault import Injected
+from bus.lattice import Lattice
+from bus.partition import Partition
+from cell_firmware.clocks import ArrayClocks, Clocks
+from cell_firmware.effects.cop import CopSpec
+from cell_firmware.effects.registry import CellEffects
+from cell_firmware.faults.fault import CellFault
+from cell_firmware.faults.slow_clock import SlowClockFault
+from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.program import NoParameters
+from tests.cell_firmware.faults.struck import struck
+
+Grid = Callable[..., Lattice]
+PERIOD_NS = 4_096_000
+NOTHING = 0.0
+
+
+class Counting(Firmware):
+    """Drives how often it has run since it began, along x, and what its western neighbour told last, along y."""
+
+    message = np.dtype([("count", "<i8")])
+
+    def __init__(self) -> None:
+        super().__init__(NoParameters())
+
+    def init(self, cells: Cells) -> State:
+        return {"count": np.zeros(len(cells), dtype=np.int64)}
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        count = state["count"] + 1
+        assert inputs.inbox is not None
+        speed = np.stack((count, inputs.inbox.message["count"][:, 3]), axis=1).astype(np.float64)
+        return {"count": count}, Outputs(speed, Outbox.to_all(self.message, count=count))
+
+
+def driven(
+    grid: Grid,
+    lockstep: Any,
+    ticks: int,
+    *faults: dict[str, Any],
+    shards: int = 1,
+    effects: CellEffects | None = None,
+    clocks: ArrayClocks | None = None,
+    **times: int,
+) -> tuple[NDArray[np.float64], dict[str, int]]:
+    """Drives of 0,0 and 0,1, ``(ticks, 2, 2)``; faults strike 0,0. And what was counted."""
+    lattice = grid(1, 2)
+    here = struck(lattice, *({"cell": (0, 0), **fault} for fault in faults), **times)
+    steps = lockstep(Counting(), Partition.even(lattice, shards), None, effects, 0, clocks, here)
+    found = np.array([steps.step() for _ in range(ticks)])
+    assert not steps.failures
+    return found, dict(sum((shard.counted() for shard in steps.shards[1:]), steps.shards[0].counted()))
+
+
+@pytest.mark.parametrize("shards", [1, 2])
+def test_a_program_that_hangs_keeps_its_pins_and_says_nothing_until_it_is_repaired_and_begins_anew(
+    shards: int, grid: Grid, lockstep: Any
+) -> None:
+    found, counted = driven(grid, lockstep, 10, {"kind": "hang"}, first=3, end=6, shards=shards)
+    assert found[:, 0, 0].tolist() == [1, 2, 3, 3, 3, 3, 1, 2, 3, 4]
+    assert found[:, 1, 1].tolist() == [0, 1, 2, 3, 0, 0, 0, 1, 2, 3]
+    assert found[:, 1, 0].tolist() == list(range(1, 11)), "nobody else notices"
+    assert counted == {"faults.hang.periods": 3, "faults.begun_anew": 1}
+
+
+def test_a_watchdog_resets_a_program_that_hangs_which_hangs_again_while_the_fault_acts(
+    grid: Grid, lockstep: Any
+) -> None:
+    effects = CellEffects(cop=CopSpec(timeout_s=0.065536, reboot_s=0.02))
+    found, counted = driven(grid, lockstep, 60, {"kind": "hang"}, first=5, end=48, effects=effects)
+    x = found[:, 0, 0]
+    # last served in tick 4, at 16.4 ms: reset by the divider's boundary at 81.9 ms, tick 20; next at 167.8 ms, tick 44
+    assert x[:5].tolist() == [1, 2, 3, 4, 5]
+    assert (x[5:20] == 5).all()
+    assert (x[20:48] == NOTHING).all(), (
+        "after a reset the pins are low, and what hangs at once leaves them so"
+    )
+    running = np.flatnonzero(x[48:] > 0)[0] + 48
+    assert x[running:].tolist() == list(range(1, 61 - running))
+    assert counted["cop.resets"] == 2
+    assert running == 49, "the second reset's 20 ms, to the boundary"
+
+
+def test_a_rebooted_cell_forgets_stands_and_begins_anew_after_its_delay(grid: Grid, lockstep: Any) -> None:
+    found, counted = driven(grid, lockstep, 9, {"kind": "reboot"}, first=3, end=6)
+    assert found[:, 0, 0].tolist() == [1, 2, 3, 0, 0, 0, 1, 2, 3]
+    assert found[:, 1, 1].tolist() == [0, 1, 2, 3, 0, 0, 0, 1, 2]
+    assert counted == {"faults.reboot.periods": 3, "faults.begun_anew": 1}
+    at_once, counted = driven(grid, lockstep, 6, {"kind": "reboot"}, first=3, end=3)
+    assert at_once[:, 0, 0].tolist() == [1, 2, 3, 1, 2, 3]
+    assert counted == {"faults.reboot.periods": 0, "faults.begun_anew": 1}
+
+
+@pytest.mark.parametrize("factor", ["0.5", "0.3", "0.999999", "0.142857", "0.01"])
+def test_a_slow_clock_runs_its_program_in_exactly_that_share_of_its_periods(
+    factor: str, grid: Grid, lockstep: Any
+) -> None:
+    found, counted = driven(grid, lockstep, 307, {"kind": "slow_clock", "factor": float(factor)}, first=2)
+    runs = [2 + int(Fraction(factor) * periods) for periods in range(1, 306)]
+    assert found[2:, 0, 0].tolist() == runs
+    assert counted == {"faults.slow_clock.periods": 305 - (runs[-1] - 2)}
+
+
+def clocks(lattice: Lattice, *ppb: int, windows: int) -> ArrayClocks:
+    window_ns = PERIOD_NS * 94 // 100 // windows
+    phases = np.zeros(len(lattice), dtype=np.int64)
+    return ArrayClocks(lattice, Clocks(PERIOD_NS, window_ns, np.array(ppb), phases))
+
+
+@pytest.mark.parametrize("windows", [1, 2, 3])
+def test_with_clocks_of_their_own_it_is_the_share_of_the_cell_s_own_periods(
+    windows: int, grid: Grid, lockstep: Any
+) -> None:
+    own = clocks(grid(1, 2), 30_000_000, -20_000_000, windows=windows)
+    ticks = 100 * windows
+    found, counted = driven(grid, lockstep, ticks, {"kind": "slow_clock", "factor": 0.5}, clocks=own)
+    free, _ = driven(grid, lockstep, ticks, clocks=own)
+    assert (found[:, 0, 0] == free[:, 0, 0] // 2).all()
+    assert counted["faults.slow_clock.periods"] == free[-1, 0, 0] - found[-1, 0, 0]
+
+
+@pytest.mark.parametrize("end", range(20, 26))
+def test_a_repair_reaches_a_cell_that_has_no_instant_in_its_window(
+    end: int, grid: Grid, lockstep: Any
+) -> None:
+    own = clocks(grid(1, 2), 0, 0, windows=3)
+    found, counted = driven(grid, lockstep, 60, {"kind": "hang"}, first=10, end=end, clocks=own)
+    assert counted["faults.begun_anew"] == 1
+    after = found[end:, 0, 0]
+    told = after[np.flatnonzero(np.diff(after, prepend=-1.0))].tolist()
+    begins = told.index(1.0)
+    assert begins <= 1, "what it had holds until its next instant"
+    assert told[begins:] == list(range(1, len(told) - begins + 1))
+
+
+def test_the_watchdog_of_a_slow_cell_is_as_slow(grid: Grid, lockstep: Any) -> None:
+    effects = CellEffects(cop=CopSpec(timeout_s=0.016384, reboot_s=0.0))
+    slow = {"kind": "slow_clock", "factor": 0.1}
+    _, counted = driven(grid, lockstep, 200, slow, effects=effects)
+    assert counted["cop.resets"] == 0, "every tenth period is four times the timeout"
+    _, fast = driven(grid, lockstep, 400, {"kind": "hang"}, effects=effects)
+    _, both = driven(grid, lockstep, 400, {"kind": "hang"}, slow, effects=effects)
+    assert both["cop.resets"] == fast["cop.resets"] // 10 > 0
+
+
+def test_a_fault_of_one_cell_is_joined_to_a_running_array_to_the_same_effect(
+    grid: Grid, lockstep: Any
+) -> None:
+    lattice = grid(1, 2)
+    tables = (
+        {"kind": "slow_clock", "factor": 0.3},
+        {"kind": "hang"},
+        {"kind": "lie", "mode": "factor", "by": 3},
+    )
+    faults: list[Injected[CellFault]] = struck(
+        lattice, *({"cell": (0, 0), **table} for table in tables), first=7, end=11
+    )
+    scheduled = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, None, faults)
+    live = lockstep(Counting(), Partition.even(lattice, 1))
+    for tick in range(20):
+        if tick == 7:
+            for fault in faults:
+                live.shards[0].inject(fault, live.sites[0], lattice)
+        assert (scheduled.step() == live.step()).all(), tick
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.0, 0.1234567])
+def test_factors_that_are_none_or_have_too_many_places_are_refused(factor: float) -> None:
+    with pytest.raises(ValidationError, match="factor"):
+        SlowClockFault.model_validate({"cell": (0, 0), "factor": factor})
