@@ -13,6 +13,7 @@ import numpy as np
 from bus.lattice import SIDES, Lattice
 from bus.readings import Picture
 from cell_firmware.firmware import (
+    Bools,
     Cells,
     Firmware,
     Floats,
@@ -146,6 +147,10 @@ class PerCell(Firmware):
     def plausible(self) -> Mapping[str, tuple[float, float]]:
         """Asks the firmware."""
         return self.firmware.plausible()
+
+    def credible(self, messages: Messages) -> Bools:
+        """Asks the firmware."""
+        return self.firmware.credible(messages)
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """Asks the firmware."""

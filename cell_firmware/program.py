@@ -66,10 +66,24 @@ class Program:
     def plausible(self) -> Mapping[str, tuple[float, float]]:
         """By field of its messages, the least and the greatest that a cell of this program ever tells with sound links.
 
-        A receiver on links that may damage messages refuses one with another value; a field that is not named may
-        have any.
+        A field that is not named may have any.
         """
         return {}
+
+    def credible(self, messages: NDArray[Any]) -> NDArray[np.bool_]:
+        """Which messages, of any shape, a cell of this program could have told: floats are numbers, all is plausible.
+
+        It is asked where faults may damage messages; what is not credible is not handed over.
+        """
+        plausible, good = self.plausible(), np.ones(messages.shape, dtype=np.bool_)
+        for name in messages.dtype.names or ():
+            value = messages[name]
+            if name in plausible:
+                low, high = plausible[name]
+                good &= (value >= low) & (value <= high)
+            elif value.dtype.kind == "f":
+                good &= np.isfinite(value)
+        return good
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """What will go wrong on this array, though nothing forbids it: a line each, that says what will be seen."""

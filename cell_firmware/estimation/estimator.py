@@ -141,6 +141,10 @@ class Estimator:
             put(after[name], rows, new.astype(state[name].dtype, copy=False))
         return after, outbox
 
+    def plausible(self) -> dict[str, tuple[float, float]]:
+        """Of what neighbours tell of a pose: no array is a kilometre wide, and nothing on it so fast."""
+        return dict.fromkeys(SHOWN, (-1000.0, 1000.0))
+
     def estimate(self, state: State) -> Estimate:
         """What cells know now."""
         return Estimate(

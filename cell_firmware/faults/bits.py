@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from typing import Any, Final, final
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from bus.chance import Draws
 from bus.wire import check_message
-from cell_firmware.firmware import Bools, Messages
+from cell_firmware.firmware import Messages
 from cell_firmware.serial.bursts import BurstType
 from cell_firmware.serial.words import WORD
 
@@ -134,21 +133,3 @@ def drawn(draws: Draws, tick: int, rows: int, width: int) -> Bytes:
 def drawn_each(width: int) -> int:
     """Draws for so many bytes."""
     return -(-width // _DRAWN)
-
-
-def credible(messages: Messages, plausible: Mapping[str, tuple[float, float]]) -> Bools:
-    """Which messages could have been sent: no program may send a float that is no number, or infinite.
-
-    Args:
-        messages: Of a program.
-        plausible: What else it says of its fields; see ``Program.plausible``.
-    """
-    good = np.ones(messages.shape, dtype=np.bool_)
-    for name in messages.dtype.names or ():
-        value = messages[name]
-        if name in plausible:
-            low, high = plausible[name]
-            good &= (value >= low) & (value <= high)
-        elif value.dtype.kind == "f":
-            good &= np.isfinite(value)
-    return good

@@ -120,18 +120,22 @@ class _Lies(Tamper):
         if own:
             own = self._learnt(own, lies, inbox.message)
         chance = self._chance(tick, place)[lies]
-        for name in self._fields:
-            told = message[name][lies]
-            if self._mode == "stuck":
-                message[name][lies] = own["least"][name][lies]
-            elif self._mode == "random":
-                least, greatest = own["least"][name][lies], own["greatest"][name][lies]
-                message[name][lies] = _between(least, greatest, chance)
-            else:
-                message[name][lies] = (
-                    _shifted(told, self._by) if self._mode == "offset" else _times(told, self._by)
-                )
+        with np.errstate(over="ignore", invalid="ignore"):  # what is no number any more is refused
+            for name in self._fields:
+                message[name][lies] = self._instead(name, own, message[name][lies], lies, chance)
         return own, Inbox(inbox.received, message), lies.sum(axis=1)
+
+    def _instead(
+        self, name: str, own: State, told: Values, lies: Bools, chance: NDArray[np.float64]
+    ) -> Values:
+        """What is heard of a field."""
+        if self._mode == "offset":
+            return _shifted(told, self._by)
+        if self._mode == "factor":
+            return _times(told, self._by)
+        if self._mode == "stuck":
+            return own["least"][name][lies]
+        return _between(own["least"][name][lies], own["greatest"][name][lies], chance)
 
     def _chance(self, tick: int, place: Ints) -> NDArray[np.float64]:
         """``(n, 4)``: a number for each link."""

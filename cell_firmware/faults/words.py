@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import final
 
@@ -15,7 +14,6 @@ from cell_firmware.board import Board
 from cell_firmware.clocked import Clocked
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant
 from cell_firmware.faults.around import FaultAround
-from cell_firmware.faults.bits import credible
 from cell_firmware.faults.fault import CellFault
 from cell_firmware.faults.outages import Outages
 from cell_firmware.faults.slowed import Slowed
@@ -31,7 +29,7 @@ class Words(FaultAround):
     """Lets faults change what cells hear and say; and has receivers refuse what no program says.
 
     A float that is no number, or infinite, is damage, and not handed over: a serial line's driver refuses it too. So is
-    what the program says that no cell of it ever tells (``Program.plausible``).
+    what the program says that no cell of it ever tells (``Program.credible``).
 
     It is inside of all else: what does not run neither hears nor says anything.
     """
@@ -45,9 +43,7 @@ class Words(FaultAround):
         self._tampers: list[Tamper] = []
         board = controller if isinstance(controller, Board) else None
         self._links = None if board is None else board.links
-        self._plausible: Mapping[str, tuple[float, float]] = {}
-        if board is not None:
-            self._plausible = board.firmware.plausible()
+        self._program = None if board is None else board.firmware
 
     def add(self, fault: Injected[CellFault]) -> None:
         """One more, from its first tick on."""
@@ -112,7 +108,8 @@ class Words(FaultAround):
 
     def _checked(self, inbox: Inbox) -> tuple[Inbox, Ints]:
         """What receivers take, and how many messages each refuses."""
-        refused = inbox.received & ~credible(inbox.message, self._plausible)
+        assert self._program is not None, "this is a bug: words of no program"
+        refused = inbox.received & ~self._program.credible(inbox.message)
         if not refused.any():
             return inbox, np.zeros(len(refused), dtype=np.int64)
         message = np.array(inbox.message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Final, Literal, final
 
 import numpy as np
@@ -96,6 +97,10 @@ class Align(Firmware):
             f"time by {beyond:.0%} of the way that they come at less than speed_m_s"
         )
         return (line,)
+
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """What the estimator says of its words."""
+        return {} if self._estimator is None else self._estimator.plausible()
 
     def theory(self, lattice: Lattice) -> Theory:
         """The rate at which the slower of the two modes dies out."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal, final
 
 import numpy as np
@@ -65,6 +66,13 @@ class AverageConsensus(Firmware):
         problems = misplaced(lattice, {"values": self.parameters.values})
         if problems:
             raise ParametersError("average_consensus", problems)
+
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """Ten times what cells have, for estimates on their way; a thousand times for what flows over a link."""
+        parameters: AverageConsensusParameters = self.parameters
+        values = [parameters.value, *(place.value for place in parameters.values)]
+        most = 1.0 if parameters.source == "presence" else max(abs(value) for value in values)
+        return {"value": (-10.0 * most, 10.0 * most), "flow": (-1e3 * most, 1e3 * most)}
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """A constant weight's limit; Metropolis weights have none."""

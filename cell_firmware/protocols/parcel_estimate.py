@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import final
 
 import numpy as np
@@ -41,6 +42,10 @@ class ParcelEstimate(Firmware):
     def __init__(self, parameters: ParcelEstimateParameters) -> None:
         super().__init__(parameters)
         self._estimator = Estimator(parameters)
+
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """What the estimator says of its words."""
+        return self._estimator.plausible()
 
     def theory(self, lattice: Lattice) -> Theory:
         """How soon a pose is known, and how the parcel then comes to rest; in seconds, for it knows no period."""

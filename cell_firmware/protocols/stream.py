@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, final
 
 import numpy as np
@@ -76,6 +76,11 @@ class Stream(Firmware):
         problems = misplaced(lattice, {"springs": self.parameters.springs})
         if problems:
             raise ParametersError("stream", problems)
+
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """As much as the strongest spring drives through a million cells in a row."""
+        most = 1e6 * max(abs(spring.flow_m2_s) for spring in self.parameters.springs)
+        return {"potential_m2_s": (-most, most)}
 
     def cautions(self, lattice: Lattice) -> tuple[str, ...]:
         """The scheme's limit, and springs that are not even."""

@@ -152,6 +152,10 @@ class VirtualVehicle(Firmware):
         if problems:
             raise ParametersError("virtual_vehicle", tuple(problems))
 
+    def plausible(self) -> Mapping[str, tuple[float, float]]:
+        """Numbers of vehicles that there are, 0 for none."""
+        return {"vehicle": (0, len(self._journeys))}
+
     def theory(self, lattice: Lattice) -> Theory | None:
         """How long the journeys are, where nothing holds them up."""
         del lattice

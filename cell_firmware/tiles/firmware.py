@@ -26,6 +26,7 @@ from cell_firmware.tiles.words import (
     TALK,
     Doing,
     doing,
+    exit_of,
     newest_words,
     side,
     version,
@@ -98,6 +99,14 @@ class TileFirmware(Firmware):
         problems = tuple(self.tiling.problems(lattice))
         if problems:
             raise ParametersError(self.name, problems)
+
+    def credible(self, messages: NDArray[Any]) -> Bools:
+        """Words of what tiles do, for exits that there are."""
+        good = super().credible(messages)
+        for name in ("own", *NEIGHBOURS):
+            told = messages[name].astype(np.int64)
+            good &= (doing(told) <= Doing.PUSH) & (exit_of(told) <= self._kinds)
+        return good & (messages["label"] <= self._kinds)
 
     def theory(self, lattice: Lattice) -> Theory:
         """Cells' distances along the lanes, by exit; known one tick a cell from each, once its tile is open."""
