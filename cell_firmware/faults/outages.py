@@ -14,7 +14,7 @@ from cell_firmware.controller import ControllerOutputs, ControllerState, Instant
 from cell_firmware.faults.around import FaultAround
 from cell_firmware.faults.fault import CellFault, Pause
 from cell_firmware.faults.slowed import Slowed
-from cell_firmware.firmware import Bools, Inbox, Inputs, State, solid
+from cell_firmware.firmware import Bools, Floats, Inbox, Inputs, State, solid
 from cell_firmware.watchdog import Watchdog
 
 
