@@ -31,6 +31,7 @@ RUN_S = 0.6
 DEADLINE_S, LEASE_S = 0.4, 0.3
 
 Action = Literal["kill", "stop", "stop the plant"]
+_ACTIONS: tuple[Action, ...] = ("kill", "stop", "stop the plant")
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Schedule:
         blows = [
             Blow(
                 float(draw.uniform(0.0, RUN_S)),
-                draw.choice(["kill", "stop", "stop the plant"], p=[0.55, 0.35, 0.1]),
+                _ACTIONS[int(draw.choice(3, p=[0.55, 0.35, 0.1]))],
                 int(draw.integers(CELLS)),
                 float(draw.choice([0.03, 0.1, 0.2, 0.7])),
             )
