@@ -24,8 +24,8 @@ class WheelRunawayFault(WheelFault):
 
     called: ClassVar[str] = "wheel_runaway"
     kind: Literal["wheel_runaway"]
-    way: Literal[1, -1] = 1
-    """Towards positive coordinates, or negative ones."""
+    way: Literal["positive", "negative"] = "positive"
+    """Towards greater coordinates, or smaller ones."""
     speed_m_s: Positive | None = None
     """On ideal wheels: how fast."""
 
@@ -45,4 +45,5 @@ class WheelRunawayFault(WheelFault):
 
     def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
         """Drives aren't heeded; of several that run away with a wheel the scene's last does."""
-        harm.runs_m_s[self.wheels(cells)] = self.way * (np.inf if self.speed_m_s is None else self.speed_m_s)
+        speed_m_s = np.inf if self.speed_m_s is None else self.speed_m_s
+        harm.runs_m_s[self.wheels(cells)] = speed_m_s if self.way == "positive" else -speed_m_s

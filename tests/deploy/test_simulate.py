@@ -106,7 +106,7 @@ HARM = [
     {"kind": "wheel_stuck", "at_s": 0.1, "until_s": 0.2, "cell": [13, 16], "wheel": "x"},
     {"kind": "wheel_reversed", "at_s": 0.25, "share": 0.3},
     {"kind": "wheel_weak", "at_s": 0.05, "until_s": 0.4, "share": 0.2, "strength": 0.5},
-    {"kind": "wheel_runaway", "at_s": 0.3, "cell": [13, 13], "way": -1, "speed_m_s": 0.8},
+    {"kind": "wheel_runaway", "at_s": 0.3, "cell": [13, 13], "way": "negative", "speed_m_s": 0.8},
 ]
 """Of wheels and modules under the parcel of the scene ``elliptic``."""
 

@@ -46,7 +46,14 @@ FAULTS: list[dict[str, Any]] = [
     {"kind": "wheel_stuck", "at_s": 0.015, "until_s": 0.07, "rectangle": [[2, 1], [2, 2]], "wheel": "x"},
     {"kind": "wheel_weak", "at_s": 0.02, "strength": 0.3, "most_m_s": 0.5, "share": 0.5},
     {"kind": "wheel_reversed", "at_s": 0.01, "until_s": 0.03, "cell": [0, 0]},
-    {"kind": "wheel_runaway", "at_s": 0.03, "way": -1, "speed_m_s": 0.2, "cell": [1, 2], "wheel": "y"},
+    {
+        "kind": "wheel_runaway",
+        "at_s": 0.03,
+        "way": "negative",
+        "speed_m_s": 0.2,
+        "cell": [1, 2],
+        "wheel": "y",
+    },
 ]
 
 

@@ -29,7 +29,7 @@ WEAK = WheelWeakFault.model_validate({"kind": "wheel_weak", "cell": (0, 0), "str
 SLOW = WheelWeakFault.model_validate({"kind": "wheel_weak", "cell": (0, 0), "most_m_s": 0.005})
 REVERSED = WheelReversedFault.model_validate({"kind": "wheel_reversed", "cell": (0, 0)})
 RUNAWAY = WheelRunawayFault.model_validate(
-    {"kind": "wheel_runaway", "cell": (0, 0), "way": -1, "speed_m_s": 0.03}
+    {"kind": "wheel_runaway", "cell": (0, 0), "way": "negative", "speed_m_s": 0.03}
 )
 
 SOLVERS: dict[str, tuple[dict[str, object], float]] = {
