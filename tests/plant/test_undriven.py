@@ -108,3 +108,15 @@ def test_the_dead_for_good_stay_dead_whatever_faults_end(plant: BookPlant) -> No
     undriven.turn(harm(), DRIVES)
     assert given(undriven)[0] == 0.0
     assert ("regain", (0,)) not in plant.log
+
+
+def test_a_cell_that_comes_back_is_driven_again_unless_a_fault_kills_it(plant: BookPlant) -> None:
+    undriven = Undriven(plant, 4, "hold")
+    undriven.bury([0, 1], DRIVES)
+    undriven.turn(harm(1, gone=[2]), DRIVES)
+    undriven.revive([0, 1])
+    assert not undriven.lost.any()
+    assert given(undriven) == [9.0, 3.0, 0.0, 9.0]
+    assert plant.log[-1] == ("regain", (0,))
+    undriven.turn(harm(), DRIVES)
+    assert given(undriven) == [9.0] * 4
