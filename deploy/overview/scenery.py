@@ -176,10 +176,16 @@ def _draw_faults(axes: Axes, track: Track) -> None:
         return
     index = {(row, column): i for i, (row, column) in enumerate(track.cells)}
     out = out_of_array(track.faults)
-    _draw_squares(axes, track, [index[cell] for cell in out], edgecolors=_PULLED, linestyles=(0, (2, 1.5)))
-    away = [index[cell] for cell, again_s in out.items() if again_s is None]
+    _draw_squares(
+        axes,
+        track,
+        [index[cell] for cell in out if cell in index],
+        edgecolors=_PULLED,
+        linestyles=(0, (2, 1.5)),
+    )
+    away = [index[cell] for cell, again_s in out.items() if again_s is None and cell in index]
     _draw_squares(axes, track, away, facecolors="white", edgecolors=_PULLED, linestyles=(0, (2, 1.5)))
-    struck = [index[cell] for cell in struck_cells(track)]
+    struck = [index[cell] for cell in struck_cells(track) if cell in index]
     _draw_squares(axes, track, struck, edgecolors=LOST)
     lost = [index[cell] for cell in lost_cells(track) if cell in index]
     _draw_squares(axes, track, lost, facecolors="#fbd9d3", edgecolors=LOST)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import BaseModel, Field, ValidationError
 
@@ -57,6 +57,19 @@ class _Record(BaseModel):
     kind: str
 
 
+class _Lost(_Record):
+    """A cell that died or was lost."""
+
+    cell: _Place | None = None
+
+
+class _Turning(_Record):
+    """A fault that begins or ends."""
+
+    phase: Literal["begins", "happens", "ends"]
+    cells: list[_Place]
+
+
 class _End(BaseModel):
     status: str
     digest: str | None
@@ -83,6 +96,18 @@ def check_records(records: Sequence[object]) -> list[dict[str, Any]]:
     """
     for record in records:
         _check("a record", _Record, record)
+    return cast("list[dict[str, Any]]", records)
+
+
+def check_faults(records: Sequence[object]) -> list[dict[str, Any]]:
+    """Faults, each with its time, its kind, and whom it strikes.
+
+    Raises:
+        ValueError: Names the field and the rule.
+    """
+    for record in records:
+        turns = isinstance(record, dict) and "phase" in record
+        _check("a fault", _Turning if turns else _Lost, record)
     return cast("list[dict[str, Any]]", records)
 
 

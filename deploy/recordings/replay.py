@@ -169,7 +169,7 @@ def load(path: str | Path) -> Recording:
 def _load(path: Path) -> Recording:
     import msgpack  # pyright: ignore[reportMissingTypeStubs]
 
-    from deploy.recordings.checks import check_comings, check_end, check_records
+    from deploy.recordings.checks import check_comings, check_end, check_faults, check_records
     from deploy.recordings.mcap_scan import Message, scan
 
     unpack = cast(Callable[[bytes], object], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
@@ -196,7 +196,7 @@ def _load(path: Path) -> Recording:
         path=path,
         header=header,
         events=events,
-        faults=check_records(logs[FAULTS]),
+        faults=check_faults(logs[FAULTS]),
         control=check_records(logs[CONTROL]),
         status=status,
         digest=digest,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -211,3 +212,20 @@ def test_the_header_must_name_all_its_keys(tmp_path: Path, made_up_run: Make) ->
     Recorder(tmp_path, Header(**header)).close("ok")  # type: ignore[typeddict-item]
     with pytest.raises(InputError, match="its header has no pitch_m"):
         load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("fault", "place"),
+    [
+        ({"phase": "begins"}, "cells"),
+        ({"phase": "begins", "cells": [[0]]}, "cells.0"),
+        ({"phase": "pauses", "cells": [[0, 0]]}, "phase"),
+        ({"cell": [0, 0, 0]}, "cell"),
+    ],
+)
+def test_a_fault_that_does_not_say_whom_it_strikes_is_refused(
+    fault: dict[str, Any], place: str, tmp_path: Path, made_up_run: Make
+) -> None:
+    path = made_up_run(faults=[{"time_s": 0.0, "kind": "crash", **fault}]).record(tmp_path)
+    with pytest.raises(InputError, match=f"a fault: {re.escape(place)}: "):
+        load(path)

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from plant.effects.analogue_sensors import AnalogueSensorsSpec
+from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.motors import MotorsSpec
+from plant.effects.parcel_contact import ParcelContactSpec
 from plant.effects.registry import PlantEffects
 from plant.faults.fault import Harm
 from plant.friction.coulomb_sliding import CoulombSliding
 from plant.plant import Plant
 from plant.reports import Event
+from plant.solver_specs import ImplicitSpec
 from plant.specs import PlantSpec
 from plant.timing import Timing
 from tests.plant.scenes import (
@@ -187,3 +190,25 @@ def test_a_law_of_sliding_wheels_takes_pulled_cells_for_missing_ones() -> None:
     for plant in (pulled, never):
         plant.advance(elliptic(plant), SECOND // 4)
     assert pulled.state == pytest.approx(never.state, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        PlantEffects(contact_width=ContactWidthSpec(width_m=0.03)),
+        PlantEffects(parcel_contact=ParcelContactSpec(mode="resolved")),
+    ],
+    ids=["contact_width", "parcel_contact"],
+)
+def test_with_effects_too_pulled_cells_are_as_missing_ones(effects: PlantEffects) -> None:
+    bodies = parcel(), parcel(position_m=(-0.2, 0.5), angle_rad=0.2)
+    still: list[Floats] = []
+    for missing in ([], HOLES):
+        base = spec(*bodies, missing=missing)
+        solver = ImplicitSpec(name="implicit", step_s=1e-3)
+        plant = Plant(PlantSpec.model_validate(dict(base) | {"effects": effects, "solver": solver}))
+        if not missing:
+            pull(plant, HOLES)
+        plant.advance(elliptic(plant), SECOND // 4)
+        still.append(plant.state)
+    assert still[0] == pytest.approx(still[1], abs=1e-12)
