@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from bus.fault import CellTarget
-from cell_firmware.faults.fault import CellFault
 from deploy.errors import InputError
 from deploy.faults.schedule import active
 from deploy.overrides import Override
@@ -154,25 +151,18 @@ def test_a_wheel_that_runs_away_does_so_at_the_speed_of_the_motors_that_are_left
     assert courses[0].parcels[0].position_m[0] > 0.55
 
 
-class Deaf(CellTarget, CellFault):
-    """A fault of cells alone."""
-
-    called: ClassVar[str] = "deaf"
-
-
-@pytest.mark.filterwarnings("ignore:Pydantic serializer warnings")
 def test_faults_of_the_cells_are_left_out_and_that_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plain = _scene("elliptic", duration_s=0.02)
-    stuck = _scene("elliptic", duration_s=0.02, faults=[{"kind": "wheel_stuck", "cell": [0, 0]}])
-    deaf = stuck.model_copy(update={"faults": (*stuck.faults, Deaf(cell=(1, 1)))})
-    assert active(deaf) is not None
-    assert active(plain.model_copy(update={"faults": (Deaf(cell=(1, 1)),)})) is None
-    simulate(deaf, output=tmp_path, picture=False)
+    stuck, hangs = {"kind": "wheel_stuck", "cell": [0, 0]}, {"kind": "hang", "cell": [1, 1]}
+    summary = simulate(
+        _scene("elliptic", duration_s=0.02, faults=[stuck, hangs]), output=tmp_path, picture=False
+    ).summary
     said = capsys.readouterr().err
-    assert said.count("mdms: faults[1] (deaf) is left out: simulate has no cells") == 1
+    assert said.count("mdms: faults[1] (hang) is left out: simulate has no cells") == 1
     assert "faults[0]" not in said
+    assert [fault["kind"] for fault in summary.faults] == ["wheel_stuck"]
+    assert active(_scene("elliptic", faults=[hangs])) is None
 
 
 def test_the_same_simulation_has_the_same_digest(tmp_path: Path) -> None:
