@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from plant.array import CellArray
 from plant.effects.feeders import FeedersSpec, FeedSpec
 from plant.effects.registry import PlantEffects
+from plant.faults.fault import Harm
 from plant.plant import Plant
 from plant.scanners import Scanners
 from plant.specs import ParcelSpec, PlantSpec
@@ -174,3 +175,36 @@ def test_scanners_need_cells_that_exist_and_feeders() -> None:
     with pytest.raises(ValidationError):
         PlantEffects.model_validate({"scanners": {"cells": []}, "feeders": {}})
     assert FeedersSpec.model_validate({"exits": EXITS}).number("south") == 2
+
+
+def test_the_scanner_of_a_cell_that_is_pulled_reads_nothing_and_reads_again_when_it_is_back() -> None:
+    plant = Plant(scanning({"position_m": (-0.5, 0.0), "destination": "south"}, cells=everywhere()))
+    before = plant.sense().label
+    assert before is not None
+    read = np.flatnonzero(before)
+    harm, drives = Harm.none(160), np.zeros((160, 2))
+    harm.gone[read[0]] = True
+    plant.suffer(harm, drives)
+    for label in (plant.told.label, plant.sense().label):
+        assert label is not None
+        assert np.flatnonzero(label).tolist() == read[1:].tolist()
+    plant.suffer(Harm.none(160), drives)
+    assert np.array_equal(plant.told.label, before)
+
+
+def test_a_parcel_is_fed_onto_the_cells_that_are_there_when_it_comes() -> None:
+    feed = {
+        "name": "west",
+        "position_m": (-0.5, 0.0),
+        "times_s": (0.01,),
+        "size_m": (0.25, 0.25),
+        "mass_kg": 1.0,
+    }
+    plant = Plant(scanning(cells=[(0, 0)], feed=[feed]))
+    under = plant._solver.under(0)
+    harm, drives = Harm.none(160), np.zeros((160, 2))
+    harm.gone[under[:1]] = True
+    plant.suffer(harm, drives)
+    _, events = plant.advance(drives, 10 * TICK_NS)
+    assert [event.kind for event in events] == ["fed"]
+    assert set(plant._solver.under(0)) == set(under[1:])
