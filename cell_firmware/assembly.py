@@ -109,7 +109,7 @@ def assemble(
 
         controller = Clocked(controller, clocks)
     if faults is not None:
-        from cell_firmware.faults.around import joined
+        from cell_firmware.faults.joining import joined
 
         for injected in faults.injected:
             controller = joined(controller, faults.lattice, faults.seed, injected)

@@ -257,7 +257,7 @@ class Shard:
         stages = tuple(fault.fault.stages(site, lattice, fault))
         self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
         self._stages += stages
-        from cell_firmware.faults.around import begun, joined
+        from cell_firmware.faults.joining import begun, joined
 
         self._controller = joined(self._controller, lattice, site.seed, fault)
         drive = self._drive if self._active is None else self._drive[self._active]

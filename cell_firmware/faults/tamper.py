@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import Injected
-from cell_firmware.faults.fault import CellFault
+from bus.fault import FaultSpec, Injected
 from cell_firmware.firmware import Inbox, Outbox, State
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ class Tamper(ABC):
     counts: ClassVar[str]
     """What it counts of each cell."""
 
-    def __init__(self, injected: Injected[CellFault]) -> None:
+    def __init__(self, injected: Injected[FaultSpec]) -> None:
         self.injected = injected
 
     def begin(self, cells: int) -> State:  # noqa: ARG002

@@ -21,8 +21,8 @@ from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.faults.around import joined
 from cell_firmware.faults.fault import CellFault
+from cell_firmware.faults.joining import joined
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.mailbox import Mailbox
 from cell_firmware.parts import LinkPart
