@@ -21,7 +21,7 @@ from bus.partition import Partition
 from bus.specs import StallSpec
 from bus.transport import Alive, Received
 from bus.transports.zenoh import client_config, hub_config, open_client, open_hub
-from tests.bus.support import Network, System, drain, grid, settle, tokens
+from tests.bus.support import Network, System, drain, grid, payloads, settle, tokens
 
 ROOT = str(Path(__file__).resolve().parents[2])
 _CELL = """
@@ -100,6 +100,25 @@ def test_a_killed_process_loses_its_token_at_once_and_a_stopped_one_with_its_lea
     finally:
         cell.kill()
         cell.wait()
+        hub.close()
+
+
+def test_a_payload_that_is_too_large_is_dropped_as_it_comes_in_and_the_next_arrives(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("bus.transports.zenoh.config.LARGEST", 1_000_000)
+    hub = open_hub()
+    stranger = open_client(hub.locator)
+    try:
+        hub.subscribe("t/flood")
+        flood = stranger.publisher("t/flood")
+        settle(flood, hub)
+        for payload in (b"a" * 900_000, b"b" * 4_000_000, b"c"):
+            flood.put(payload)
+        sizes = [len(payload) for payload in payloads(drain(hub, lambda events: b"c" in payloads(events)))]
+        assert sizes == [900_000, 1]
+    finally:
+        stranger.close()
         hub.close()
 
 

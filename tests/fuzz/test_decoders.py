@@ -26,7 +26,7 @@ PLAIN = (
     | st.builds(msgpack.ExtType, st.integers(0, 127), st.binary(max_size=9))
 )
 VALUES = st.recursive(
-    PLAIN, lambda v: st.lists(v, max_size=4) | st.dictionaries(st.text(max_size=4), v), max_leaves=8
+    PLAIN, lambda v: st.lists(v, max_size=4) | st.dictionaries(st.text(max_size=4), v), max_leaves=4
 )
 
 
@@ -46,7 +46,7 @@ def test_the_frames_that_are_spoilt_are_valid_before(target: Target) -> None:
 
 
 @every_decoder
-@settings(max_examples=50, deadline=None, database=None)
+@settings(max_examples=40, deadline=None, database=None)
 @given(data=st.data())
 def test_anything_in_the_place_of_a_field_is_read_or_refused(target: Target, data: st.DataObject) -> None:
     fields: dict[str, Any] = target.form.unpack(data.draw(st.sampled_from(target.frames)))

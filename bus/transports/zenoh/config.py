@@ -9,6 +9,8 @@ import zenoh
 
 from bus.errors import TransportError
 
+LARGEST: Final = 1 << 28
+"""Bytes of the largest payload that comes in: several times the senses of a million cells."""
 LEASE_S: Final = 2.0
 """Silence after which the other side takes a process for gone; each session's own lease governs its token."""
 
@@ -54,6 +56,8 @@ def _config(mode: str, lease_s: float) -> zenoh.Config:
     _set(config, "transport/shared_memory/enabled", "false")
     # One queue a link: with priorities a token's withdrawal overtakes the data put before it.
     _set(config, "transport/unicast/qos/enabled", "false")
+    # Longer ones are dropped piece by piece; by default a stranger's may take 1 GiB.
+    _set(config, "transport/link/rx/max_message_size", str(LARGEST))
     _set(config, "transport/link/tx/lease", str(round(lease_s * 1000)))
     _set(config, "open/return_conditions/connect_scouted", "false")
     return config
