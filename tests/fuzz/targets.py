@@ -238,6 +238,7 @@ def _request() -> Target:
         {"do": "inject", "fault": {"kind": "crash", "cell": [1, 2]}, "for_s": 0.5},
         {"do": "inject", "fault": {"kind": "crash", "share": 0.25, "at_s": 0.0, "until_s": 2.0}},
         {"do": "inject", "fault": {"kind": "crash", "rectangle": [[0, 0], [1, 1]]}},
+        {"do": "inject", "fault": {"kind": "wheel_weak", "cells": [[0, 0], [1, 1]], "strength": 0.5}},
     ]
 
     def decode(payload: bytes) -> tuple[int, Any]:
@@ -260,6 +261,12 @@ def _live_fault() -> Target:
     details: list[dict[str, Any]] = [
         {"number": 0, "fault": {"kind": "crash", "cell": [1, 2]}, "first": 7, "end": None},
         {"number": 2, "fault": {"kind": "crash", "share": 0.25}, "first": 7, "end": 70_000},
+        {
+            "number": 3,
+            "fault": {"kind": "wheel_weak", "rectangle": [[0, 0], [1, 2]], "most_m_s": 0.1},
+            "first": 0,
+            "end": 1,
+        },
         {"number": 2, "end": 200},
     ]
 
