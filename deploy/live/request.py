@@ -13,6 +13,8 @@ from deploy.faults.registry import Fault
 from deploy.scene_errors import problems_of, strictly
 
 _LONGEST: Final = 65_536
+_TOLD: Final = 20
+"""Problems of a request that are told: the answer is no longer than a question may be."""
 
 
 class InjectRequest(Spec):
@@ -75,4 +77,7 @@ def read_request(payload: bytes | None) -> Request:
         return strictly(_Asked, data).request
     except ValidationError as error:
         problems = problems_of(error, data, _Asked)
-        raise RequestError(*(str(problem).removeprefix("request.") for problem in problems)) from None
+        told = [str(problem).removeprefix("request.") for problem in problems[:_TOLD]]
+        if len(problems) > _TOLD:
+            told.append(f"and {len(problems) - _TOLD} more")
+        raise RequestError(*told) from None

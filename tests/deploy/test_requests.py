@@ -1,0 +1,27 @@
+"""What can be asked of a running system, and what it says of what can't."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from deploy.live.request import RequestError, read_request
+
+
+def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_counted() -> None:
+    fault = {"kind": "crash", "cell": [1, 1], **{f"k{i}": 0 for i in range(4000)}}
+    with pytest.raises(RequestError) as caught:
+        read_request(json.dumps({"do": "inject", "fault": fault}).encode())
+    assert len(caught.value.problems) == 21
+    assert caught.value.problems[0].startswith("fault.k0 = 0: unknown key")
+    assert caught.value.problems[-1] == "and 3980 more"
+    assert len(json.dumps(caught.value.problems)) < 65_536
+
+
+@pytest.mark.parametrize(
+    "payload", [None, b" " * 65_537, b"\xff", b"[" * 60_000, b"", b"[]", b'{"do": ["list"]}']
+)
+def test_what_is_no_request_is_refused_in_words(payload: bytes | None) -> None:
+    with pytest.raises(RequestError, match=r"^(a request|request|do)\b"):
+        read_request(payload)
