@@ -9,21 +9,22 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
-from bus.errors import WireError
+from bus.errors import HostLostError, WireError
 from bus.forms import FormName
 from bus.partition import Partition
 from bus.registers import RegisterFrame, Wanted, decode_registers, encode_registers
 from bus.transport import Endpoint, Received
-from bus.wire import Report, decode_control, decode_report, encode_report
-from tests.bus.support import EVERYTHING, MESSAGE, Network, System, both_forms, gathered, grid
-from tests.fuzz.mutator import Mutator
+from bus.wire import Control, Report, decode_control, decode_report, encode_control, encode_report
+from tests.bus.support import EVERYTHING, MESSAGE, FakeClock, Network, System, both_forms, gathered, grid
+from tests.fuzz.mutator import MESSAGEPACK, Mutator
 
 TICKS, SPOILT = 5, 12
 Taken = list[Any]
 
 
-def _system(form: FormName) -> System:
+def _system(form: FormName, clock: FakeClock | None = None) -> System:
     system = System(
         Network("memory"),
         Partition.even(grid(2, 3), 2),
@@ -31,6 +32,7 @@ def _system(form: FormName) -> System:
         message=MESSAGE,
         readings=EVERYTHING,
         wanted=(Wanted(1),),
+        clock=clock,
     )
     return system.start()
 
@@ -130,6 +132,61 @@ def test_spoilt_and_old_frames_on_every_key_change_nothing_and_are_all_counted(f
     assert [side.delivered for side in sides] == [
         side.delivered for side in (quiet.host.counts, *(member.counts for member in quiet.members))
     ]
+
+
+RECORDS = [
+    encode_control(Control(kind, 0, ((0, 1), (1, 2)), "{}"))
+    for kind in ("start", "lost", "joining", "joined", "fault")
+]
+REPORTS = [
+    encode_report(Report(kind, 3, ((0, 1),), "why", (1, 2, 3, 4)))
+    for kind in ("failed", "hung", "linked", "counts")
+]
+
+
+@both_forms
+@pytest.mark.parametrize("seed", range(6))
+def test_well_formed_frames_of_a_stranger_can_drive_a_run_but_end_it_in_declared_errors_alone(
+    form: FormName, seed: int
+) -> None:
+    """Frames that a mutator made and a decoder took; the clock is one that obeys, so that silence costs nothing."""
+    system = _system(form, FakeClock())
+    for member in system.members:
+        member._silence_s = 1.0
+    stranger, ear, traffic = (
+        system.network.endpoint(),
+        system.network.endpoint(),
+        defaultdict[str, list[bytes]](list),
+    )
+    ear.subscribe("mdms/test/**")
+    decoders = _decoders(system)
+    traffic["mdms/test/plant/control"] += RECORDS
+    for shard in range(2):
+        traffic[f"mdms/test/shard/{shard}/report"] += REPORTS
+    put = 0
+    for tick in range(TICKS):
+        for key, decode in decoders.items():
+            mutator = Mutator(
+                traffic[key] or [b""],
+                f"well-formed {seed} {key} {tick}",
+                MESSAGEPACK if traffic[key] else None,
+            )
+            for payload in (mutator.next() for _ in range(SPOILT)):
+                if _refusal(decode, payload) is None:
+                    stranger.publisher(key).put(payload)
+                    put += 1
+        try:
+            system.host.admit(tick)
+            _step(system, tick)
+            for member in system.members:
+                member.take_faults()
+        except HostLostError:
+            break
+        except AssertionError as stopped:
+            assert "kind='stop'" in str(stopped)  # noqa: PT017 - what a member answers to a stop of the stranger's
+            break
+        _heard(ear, traffic)
+    assert put > 0
 
 
 def test_reports_and_registers_without_end_fill_no_memory() -> None:
