@@ -150,7 +150,11 @@ def _load_all(what: str, files: int, spoil: Callable[[], Path]) -> list[Escape]:
     return escapes
 
 
-def guided(seconds: int, seed: int) -> int:
+def _chosen(words: str) -> list[Target]:
+    return [target for target in targets() if words in target.name]
+
+
+def guided(chosen: list[Target], seconds: int, seed: int) -> int:
     """Every decoder in a process of its own, guided by coverage; returns how many escapes there were."""
     if importlib.util.find_spec("atheris") is None:
         print("\natheris is not installed (pip install atheris): no run guided by coverage")
@@ -159,7 +163,7 @@ def guided(seconds: int, seed: int) -> int:
         f"\nGuided by coverage, {seconds} s each\n\n| decoder | runs | edges, features | |\n|---|---|---|---|"
     )
     failures = 0
-    for target in targets():
+    for target in chosen:
         with tempfile.TemporaryDirectory() as folder:
             done = subprocess.run(
                 [sys.executable, "-m", "tests.fuzz.guided", target.name, str(seconds), str(seed), folder],
@@ -191,6 +195,7 @@ def main() -> int:
     parser.add_argument(
         "--atheris", type=int, default=0, metavar="SECONDS", help="guided by coverage, each decoder"
     )
+    parser.add_argument("--only", default="", metavar="WORDS", help="decoders whose name has these words")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     print(
@@ -199,13 +204,13 @@ def main() -> int:
     print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
     escapes = list[Escape]()
     if options.frames:
-        for target in targets():
+        for target in _chosen(options.only):
             escapes += fuzz(target, options.frames, options.seed)
     if options.files:
         escapes += fuzz_files(options.files, options.seed)
     for escape in escapes[:20]:
         print(f"ESCAPE {escape.decoder}: {escape.error}\n  {escape.payload}")
-    failures = guided(options.atheris, options.seed) if options.atheris else 0
+    failures = guided(_chosen(options.only), options.atheris, options.seed) if options.atheris else 0
     return 1 if escapes or failures else 0
 
 
