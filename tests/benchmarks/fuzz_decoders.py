@@ -6,14 +6,17 @@
 
 Frames are valid ones spoilt by a seeded mutator: the same seed, the same frames. A frame is refused by name, or
 accepted, and then has to be what its key promises. Anything else is an escape: it is printed, and the status is 1.
-Memory is the process's own (resident) and the interpreter's blocks, after 2 %, half and all of the frames: blocks are
-those of live objects, so that a decoder that kept something would show. The peak is the most that one frame of the
-first 2,000 allocated, by tracemalloc, in a run of its own.
+Memory is looked at after 2 %, half and all of the frames: the process's own (resident), what malloc has handed out and
+not got back (glibc's count), and the interpreter's blocks, which are those of live objects: a decoder that kept
+something would show in the last two. (The interpreter's table of names may grow once, by a megabyte: MessagePack puts
+every key that it reads there, and takes it out again.) The peak is the most that one frame of the first 2,000
+allocated, by tracemalloc, in a run of its own.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import gc
 import importlib.util
 import subprocess
@@ -35,12 +38,25 @@ from tests.fuzz.recordings import SpoiltMessages, record, use  # noqa: E402
 from tests.fuzz.targets import Target, targets  # noqa: E402
 
 _PEAK_FRAMES = 2000
+_HEAP = [
+    "arena",
+    "ordblks",
+    "smblks",
+    "hblks",
+    "hblkhd",
+    "usmblks",
+    "fsmblks",
+    "uordblks",
+    "fordblks",
+    "keepcost",
+]
 
 
 class Memory(NamedTuple):
     """What the process holds."""
 
     resident_mb: float
+    heap_mb: float
     blocks: int
 
 
@@ -55,7 +71,23 @@ class Escape(NamedTuple):
 def _memory() -> Memory:
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return Memory(pages * 4096 / 1e6, sys.getallocatedblocks())
+    return Memory(pages * 4096 / 1e6, _heap_bytes() / 1e6, sys.getallocatedblocks())
+
+
+class _Heap(ctypes.Structure):
+    """glibc's ``struct mallinfo2``."""
+
+    _fields_ = tuple((name, ctypes.c_size_t) for name in _HEAP)
+
+
+def _heap_bytes() -> float:
+    """Bytes that malloc has handed out; NaN where the C library does not say."""
+    libc = ctypes.CDLL(None)
+    if not hasattr(libc, "mallinfo2"):
+        return float("nan")
+    libc.mallinfo2.restype = _Heap
+    heap = libc.mallinfo2()
+    return heap.uordblks + heap.hblkhd
 
 
 def fuzz(target: Target, frames: int, seed: int) -> list[Escape]:
@@ -87,7 +119,8 @@ def fuzz(target: Target, frames: int, seed: int) -> list[Escape]:
     names = ", ".join(f"{name} {count:,}" for name, count in refused.most_common())
     print(
         f"| {target.name} | {frames:,} | {accepted:,} | {names} | {spent_s / frames * 1e6:.1f} | {slowest_s * 1e3:.1f} "
-        f"| {' / '.join(f'{m.resident_mb:.1f}' for m in memory)} | {memory[-1].blocks - memory[0].blocks:+,} "
+        f"| {' / '.join(f'{m.resident_mb:.1f}' for m in memory)} "
+        f"| {' / '.join(f'{m.heap_mb:.2f}' for m in memory)} | {memory[-1].blocks - memory[0].blocks:+,} "
         f"| {_peak(target, seed):,} | {len(escapes)} |",
         flush=True,
     )
@@ -144,6 +177,7 @@ def _load_all(what: str, files: int, spoil: Callable[[], Path]) -> list[Escape]:
     print(
         f"| recording, {what} | {files:,} | {loaded:,} | as bad input {files - loaded - len(escapes):,} "
         f"| {spent_s / max(files, 1) * 1e6:.0f} | | {first.resident_mb:.1f} / {last.resident_mb:.1f} "
+        f"| {first.heap_mb:.2f} / {last.heap_mb:.2f} "
         f"| {last.blocks - first.blocks:+,} | | {len(escapes)} |",
         flush=True,
     )
@@ -199,9 +233,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     print(
-        "| decoder | frames | accepted | refused | µs each | slowest ms | resident MB | blocks | peak B | escapes |"
+        "| decoder | frames | accepted | refused | µs each | slowest ms | resident MB | malloc MB | blocks "
+        "| peak B | escapes |"
     )
-    print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
+    print("|---|---|---|---|---|---|---|---|---|---|---|", flush=True)
     escapes = list[Escape]()
     if options.frames:
         for target in _chosen(options.only):
