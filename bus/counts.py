@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, final
+from typing import Final, Literal, final
 
 from bus.errors import WireError
+from bus.wire import TALLY_LIMIT
+
+_REFUSED: Final = "malformed "
+"""Begins the names of what was refused, in a report's tally."""
 
 Reason = Literal["token lost", "stalled", "failed"]
 
@@ -21,7 +26,7 @@ class Counts:
         delivered: Taken in, each once.
         lost: Waited for and given up.
         late: Of a tick that was over, or of a cell given up before.
-        malformed: Refused, by name of the error.
+        refused: Refused because they couldn't be read, by whose key they were put on and name of the error.
         tally: What the cells counted themselves, by name.
     """
 
@@ -29,12 +34,38 @@ class Counts:
     delivered: int = 0
     lost: int = 0
     late: int = 0
-    malformed: Counter[str] = field(default_factory=Counter[str])
+    refused: Counter[tuple[str, str]] = field(default_factory=Counter[tuple[str, str]])
     tally: Counter[str] = field(default_factory=Counter[str])
 
-    def refuse(self, error: WireError) -> None:
+    @property
+    def malformed(self) -> Counter[str]:
+        """Those refused, by name of the error."""
+        found: Counter[str] = Counter()
+        for (_, name), number in self.refused.items():
+            found[name] += number
+        return found
+
+    def refuse(self, error: WireError, whose: str) -> None:
         """Counts a payload that couldn't be read."""
-        self.malformed[error.name] += 1
+        self.refused[whose, error.name] += 1
+
+    def tallied(self, tally: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
+        """What a report's tally says: what the cells counted, and what was refused as far as there is room."""
+        refused = [(f"{_REFUSED}{whose}: {name}", number) for (whose, name), number in self.refused.items()]
+        fitting = [pair for pair in refused if len(pair[0]) <= TALLY_LIMIT]
+        return (*tally.items(), *fitting)[:TALLY_LIMIT]
+
+    @classmethod
+    def reported(cls, counts: tuple[int, int, int, int], tally: Iterable[tuple[str, int]]) -> Counts:
+        """From a report: the other way round."""
+        own, refused = Counter[str](), Counter[tuple[str, str]]()
+        for name, number in tally:
+            whose, colon, error = name.removeprefix(_REFUSED).partition(": ")
+            if name.startswith(_REFUSED) and colon:
+                refused[whose, error] += number
+            else:
+                own[name] += number
+        return cls(*counts, refused=refused, tally=own)
 
     def __add__(self, other: Counts) -> Counts:
         return Counts(
@@ -42,7 +73,7 @@ class Counts:
             self.delivered + other.delivered,
             self.lost + other.lost,
             self.late + other.late,
-            self.malformed + other.malformed,
+            self.refused + other.refused,
             _together(self.tally, other.tally),
         )
 

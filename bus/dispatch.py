@@ -7,6 +7,7 @@ from typing import Final, final
 
 from bus.counts import Counts
 from bus.errors import WireError, WokenError
+from bus.keys import owner_of
 from bus.transport import Alive, Endpoint, Received
 
 BATCH: Final = 64
@@ -49,7 +50,9 @@ class Dispatcher:
                 try:
                     take(part, event.payload)
                 except WireError as error:
-                    self._counts.refuse(error)
+                    # A stranger may invent keys without end; they are one.
+                    known = take is not _refuse
+                    self._counts.refuse(error, owner_of(event.key) if known else "nobody")
             elif type(event) is Alive:
                 self._tokens(event)
             else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, final
 
@@ -276,7 +275,7 @@ class Host:
     def _report(self, shard: int, payload: bytes) -> None:
         report = wire.decode_report(payload, len(self._lattice))
         if report.kind == "counts":
-            self._shard_counts[shard] = Counts(*report.counts, tally=Counter(dict(report.tally)))
+            self._shard_counts[shard] = Counts.reported(report.counts, report.tally)
             return
         if report.kind == "linked":
             cells = [self._lattice.index(cell) for cell in report.cells if cell in self._lattice]

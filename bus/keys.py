@@ -55,6 +55,17 @@ def plant_key(run: str, leaf: Literal["state", "control", "alive", "operator"]) 
     return f"mdms/{run}/plant/{leaf}"
 
 
+def owner_of(key: str) -> str:
+    """Whose a key of a run is, in words: ``cell 3,4``, ``shard 2`` or ``plant``."""
+    match key.split("/")[2:]:
+        case ["cell", row, column, *_]:
+            return f"cell {row},{column}"
+        case ["shard", shard, *_]:
+            return f"shard {shard}"
+        case _:
+            return "plant"
+
+
 def intersects(a: str, b: str) -> bool:
     """Whether two key expressions have a key in common; ``*`` is one chunk, ``**`` any number of them."""
     return _intersects(a.split("/"), b.split("/"))

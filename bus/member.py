@@ -376,7 +376,7 @@ class Member:
     def _tell_counts(self) -> None:
         counts = self.counts
         numbers = (counts.sent, counts.delivered, counts.lost, counts.late)
-        report = Report("counts", self._tick, (), "", numbers, tuple(self._tally().items()))
+        report = Report("counts", self._tick, (), "", numbers, counts.tallied(self._tally()))
         self._report.put(wire.encode_report(report))
 
     def _admit(self, control: Control) -> None:

@@ -17,6 +17,7 @@ COMMANDS = {
     "constants": "The constants of motion of a pose: equilibrium, loads, torque.",
     "fault": "A fault injected into a running system, or repaired.",
     "effects": "Every effect: what it adds, costs and changes; a ladder of fidelity.",
+    "keys": "A run's certificates and who may do what: let nobody else in.",
     "orientations": "The angles at which a parcel comes to rest, exactly; maps over sizes.",
     "plot": "Pictures of a recording.",
     "registers": "What the cells of a running system show of themselves.",

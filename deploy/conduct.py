@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from deploy.live.console import Console
     from deploy.processes.respawn import Respawn
     from deploy.protocol_report.reporter import Reporter
+    from deploy.refused import Refused
     from plant.process import PlantProcess, TickRecord
 
 
@@ -27,6 +28,7 @@ class Conduct:
         interruption: Heeded when a tick is over.
         hangs: Whether programs may hang.
         registers: Record the cells' registers every so many ticks; None: not.
+        refused: Tells what is refused.
         reporter: Watches the protocol, where that is asked for.
         console: Takes requests, where somebody can ask.
         respawn: Starts lost workers anew, where that is asked for.
@@ -38,6 +40,7 @@ class Conduct:
     interruption: Interruption
     hangs: bool
     registers: int | None
+    refused: Refused
     reporter: Reporter | None
     console: Console | None = None
     respawn: Respawn | None = None
@@ -59,6 +62,7 @@ class Conduct:
                 self.ledger.registers(shown)
             if self.reporter is not None:
                 self.reporter.take(shown)
+        self.refused.look(self.host.counts)
         if self.reporter is not None:
             self.reporter.take_drive(record.tick, record.drives, self.host.live(record.tick))
         if self.interruption.requested:

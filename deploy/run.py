@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
+from bus.counts import Counts
 from bus.errors import BusError
 from bus.keys import plant_key
 from bus.registers import Wanted
@@ -30,11 +31,12 @@ from deploy.processes.system import System
 from deploy.progress import Progress
 from deploy.readings import camera_of, readings_of
 from deploy.recordings.recorder import Recorder
+from deploy.refused import DENIED, MALFORMED, MESSAGE, Refused, total
 from deploy.summary import Messages, Summary
 from plant.errors import PlantError, PlantUnstable
 
 if TYPE_CHECKING:
-    from bus.lockstep import Counts, Host
+    from bus.lockstep import Host
     from deploy.live.console import Console
     from deploy.processes.respawn import Respawn
     from deploy.protocol_report.report import ProtocolReport
@@ -109,6 +111,7 @@ class _Run:
         self.reason: str | None = None
         self.detail = ""
         self.counts: Counts | None = None
+        self.refused: Refused | None = None
         self.startup_s = 0.0
         self.wall_s = 0.0
 
@@ -125,7 +128,7 @@ class _Run:
                 self.script = script_of(self.replayed, self.scene)
         for line in self.cautions:
             self._warn(f"caution: {line}")
-        with System(self.plan, self.scene, self.options.listen) as system:
+        with System(self.plan, self.scene, self.options.listen, self.options.keys) as system:
             with self.interruption.allowed():
                 plant = load_plant(self.scene, self._warn)
             system.open()
@@ -147,6 +150,7 @@ class _Run:
                     warn=lambda line: self._warn(line, progress),
                     injected=self.lasting,
                 )
+                self.refused = Refused(system.refusals, lambda line: self._warn(line, progress))
                 with self._announced(system, folder):
                     self._lockstep(system, plant, ledger, recorder)
                 self._close(recorder)
@@ -205,6 +209,8 @@ class _Run:
             if self.status == "failed" or ledger.cells_lost:
                 self.detail = "\n".join(text for text in (self.detail, system.explain()) if text)
             self.counts = system.stop(self.reason or "the run is over")
+            assert self.refused is not None
+            self.refused.look(self.counts or Counts())
         if process is not None and self.status != "unstable" and not recorder.broken:
             recorder.tick(
                 process.tick, process.time_ns, process.sense.presence, None, plant.wheel_speed, plant.state
@@ -213,6 +219,7 @@ class _Run:
     def _process(self, system: System, plant: Plant, ledger: Ledger) -> PlantProcess:
         from plant.process import PlantProcess
 
+        assert self.refused is not None
         reporter = self.reporter
         wanted = () if self.options.registers is None else (Wanted(self.options.registers),)
         if reporter is not None:
@@ -225,6 +232,7 @@ class _Run:
             self.interruption,
             self.scene.effects.cop is not None,
             self.options.registers,
+            self.refused,
             reporter,
             self._console(system, host, ledger),
             self._respawn(system, host, ledger),
@@ -313,12 +321,17 @@ class _Run:
         return illustrate(summary, lambda: load(folder), folder, self.interruption)
 
     def _summary(self, plant: Plant, ledger: Ledger, folder: Path) -> Summary:
-        scene, counts = self.scene, self.counts
-        messages = Messages()
-        if counts is not None:
-            messages = Messages(
-                sent=counts.sent, delivered=counts.delivered, lost=counts.lost, late=counts.late
-            )
+        scene, counts = self.scene, self.counts or Counts()
+        assert self.refused is not None
+        refused = self.refused.rows(counts)
+        messages = Messages(
+            sent=counts.sent,
+            delivered=counts.delivered,
+            lost=counts.lost,
+            late=counts.late,
+            denied=total(refused, DENIED, MESSAGE),
+            malformed=total(refused, MALFORMED),
+        )
         return Summary(
             status=self.status,
             reason=self.reason,
@@ -337,11 +350,12 @@ class _Run:
             parcels=parcel_outcomes(plant),
             support_changes=plant.support_changes,
             messages=messages,
+            refused=refused,
             faults=ledger.faults,
             cells_lost=ledger.cells_lost,
             feeders=plant.traffic(),
             cautions=self.cautions,
-            effects={} if counts is None else _of_effects(counts.tally),
+            effects=_of_effects(counts.tally),
             protocol=self._report(ledger),
             digest=self.digest.hexdigest,
             output=str(folder),

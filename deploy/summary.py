@@ -58,12 +58,19 @@ class ParcelOutcome:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Messages:
-    """Messages on the bus."""
+    """Messages on the bus.
+
+    Attributes:
+        denied: Payloads, subscriptions, tokens and queries that somebody had no leave for.
+        malformed: Payloads that could not be read.
+    """
 
     sent: int = 0
     delivered: int = 0
     lost: int = 0
     late: int = 0
+    denied: int = 0
+    malformed: int = 0
 
 
 @final
@@ -87,6 +94,8 @@ class Summary:
         support_changes: How often a cell came under or out from under a parcel's load.
         faults: Scheduled, live and found: each at least ``time_s`` and ``kind``.
         cells_lost: ``(row, column)`` of each.
+        refused: Of what was denied or malformed ``why`` and ``what``, ``whose`` it was, and the ``number``; connections
+            that were turned away, too.
         feeders: What came and went; None where the scene has no feeders.
         cautions: What the firmware said before the run will go wrong, a line each.
         effects: What effects of the cells did to cells that lived, by ``effect.what``, of all processes that said so:
@@ -113,6 +122,7 @@ class Summary:
     messages: Messages = field(default_factory=Messages)
     faults: Sequence[Mapping[str, Any]] = ()
     cells_lost: Sequence[tuple[int, int]] = ()
+    refused: Sequence[Mapping[str, Any]] = ()
     feeders: TrafficCount | None = None
     cautions: Sequence[str] = ()
     effects: Mapping[str, int] = field(default_factory=dict[str, int])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from itertools import groupby
 from math import hypot
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from deploy.faults.telling import lines as lines_of
@@ -73,10 +75,11 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
     if messages.sent or messages.lost:
         trouble = "".join(
             f", {number:,} {name}"
-            for name, number in (("lost", messages.lost), ("late", messages.late))
-            if number
+            for name, number in asdict(messages).items()
+            if number and name not in ("sent", "delivered")
         )
         lines.append(("messages", f"{messages.sent:,} sent, {messages.delivered:,} delivered{trouble}"))
+    lines += _refused(summary.refused)
     lines += [("caution", caution) for caution in summary.cautions]
     lines += _effects(summary.effects)
     if summary.faults:
@@ -123,6 +126,13 @@ def _solver(summary: Summary) -> str:
         f"{name} {value:g}" for name, value in summary.solver.items() if isinstance(value, float | int)
     ]
     return ", ".join([str(summary.solver.get("name", "")), *settings])
+
+
+def _refused(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """A line for each who was refused something: what, and how often."""
+    for whose, own in groupby(sorted(rows, key=itemgetter("whose")), itemgetter("whose")):
+        told = (f"{row['what']} {row['why']} {row['number']:,} ×" for row in own)
+        yield "refused", f"{whose}: {'; '.join(told)}"
 
 
 def _faults(faults: Sequence[Mapping[str, Any]]) -> str:

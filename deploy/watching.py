@@ -5,13 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from bus.errors import TransportError, WireError
+from bus.errors import WireError
 from bus.keys import shard_key
 from bus.registers import decode_registers
 from bus.transport import Received
 from deploy.errors import DeployError, InputError
+from deploy.keys.session import operator_session
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,25 +47,22 @@ class Seen:
     cells: dict[Cell, dict[str, Any]] = field(default_factory=dict[Cell, dict[str, Any]])
 
 
-def look(connect: str, wanted: Iterable[Cell], timeout_s: float) -> Seen:
+def look(connect: str, wanted: Iterable[Cell], timeout_s: float, keys: Path | None = None) -> Seen:
     """What cells show of themselves now.
 
     Args:
         connect: Where the plant of the run listens, such as ``tcp/127.0.0.1:7447``.
         wanted: Which cells; none: all that answer.
         timeout_s: Wall seconds to wait for them.
+        keys: A run's, or an operator's, where the run lets in only who has some.
 
     Raises:
-        InputError: Nobody listens there, or the cells wanted are not those of that run.
+        InputError: Nobody listens there, or they let nobody in with these keys, or the cells wanted are not those of
+            that run.
         DeployError: Nobody showed anything in time.
     """
-    from bus.transports.zenoh import open_client
-
     begun = time.monotonic()
-    try:
-        endpoint = open_client(connect, timeout_s=timeout_s)
-    except TransportError as error:
-        raise InputError(f"--connect {connect}: {error}") from None
+    endpoint = operator_session(connect, timeout_s, keys)
     try:
         endpoint.subscribe(KEYS)
         return gather(endpoint, set(wanted), begun + timeout_s)

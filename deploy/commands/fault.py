@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption
+from deploy.commands.options import JsonOption, OperatorKeysOption
 from deploy.errors import InputError
 from deploy.overrides import Override, apply
 from deploy.words import counted
@@ -68,6 +68,7 @@ def fault(
     for_s: ForOption = None,
     connect: ConnectOption = None,
     run: RunOption = None,
+    keys: OperatorKeysOption = None,
     timeout: TimeoutOption = 5.0,
     as_json: JsonOption = False,
 ) -> None:
@@ -96,7 +97,7 @@ def fault(
     from deploy.live.operator import ask_run
 
     for request in requests:
-        answer = ask_run(connect, request, timeout)
+        answer = ask_run(connect, request, timeout, keys)
         if as_json:
             print(json.dumps(answer))
         else:

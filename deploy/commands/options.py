@@ -52,6 +52,14 @@ OutputOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="One JSON object on stdout and nothing else there; the rest on stderr.")
 ]
+OperatorKeysOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--keys",
+        metavar="DIR",
+        help="The run's keys, or the operator's folder of them, where it lets in only who has some.",
+    ),
+]
 PictureOption = Annotated[bool, typer.Option("--picture/--no-picture", help="Draw overview.png at the end.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no warnings on stderr.")]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption
+from deploy.commands.options import JsonOption, OperatorKeysOption
 from deploy.errors import InputError
 from deploy.words import counted, short
 
@@ -37,6 +37,7 @@ def registers(
     cells: CellsArgument = None,
     *,
     connect: ConnectOption,
+    keys: OperatorKeysOption = None,
     timeout: TimeoutOption = 5.0,
     as_json: JsonOption = False,
 ) -> None:
@@ -54,7 +55,7 @@ def registers(
         raise InputError(f"--timeout {timeout:g}: must be greater than 0")
     from deploy.watching import look
 
-    seen = look(connect, wanted, timeout)
+    seen = look(connect, wanted, timeout, keys)
     if wanted:
         seen.cells = {cell: seen.cells[cell] for cell in wanted}
     if as_json:

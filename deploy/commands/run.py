@@ -53,6 +53,23 @@ ListenOption = Annotated[
         help="Where the plant listens, such as tcp/127.0.0.1:7447. Default: a free loopback port.",
     ),
 ]
+KeysOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--keys",
+        rich_help_panel=HOW,
+        metavar="DIR",
+        help="Let in only who has keys from here, to do only what their role may; mdms keys makes them.",
+    ),
+]
+InsecureOption = Annotated[
+    bool,
+    typer.Option(
+        "--insecure",
+        rich_help_panel=HOW,
+        help="Listen beyond this host without keys: anybody who reaches it can drive the run.",
+    ),
+]
 RealtimeOption = Annotated[
     float | None,
     typer.Option(
@@ -115,6 +132,8 @@ def run(
     transport: TransportOption = "zenoh",
     wire: WireOption = None,
     listen: ListenOption = None,
+    keys: KeysOption = None,
+    insecure: InsecureOption = False,
     realtime: RealtimeOption = None,
     registers: RegistersOption = None,
     protocol_report: ProtocolReportOption = None,
@@ -143,6 +162,8 @@ def run(
         transport=transport,
         wire=wire,
         listen=listen,
+        keys=keys,
+        insecure=insecure,
         realtime=realtime,
         output=asked.output,
         picture=asked.picture,

@@ -3,37 +3,38 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any, cast
 
 from bus.errors import TransportError
 from bus.keys import plant_key
-from deploy.errors import DeployError, InputError
+from deploy.errors import DeployError
+from deploy.keys.session import operator_session
 from deploy.live.request import RequestError
 
 
-def ask_run(connect: str, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
+def ask_run(
+    connect: str, request: dict[str, Any], timeout_s: float, keys: Path | None = None
+) -> dict[str, Any]:
     """Ask the run whose plant listens there.
 
     Args:
         connect: Where, such as ``tcp/127.0.0.1:7447``.
         request: See ``deploy.live.request``.
         timeout_s: Wall seconds to wait for its answer.
+        keys: The run's, or the operator's folder of them; None where the run has none.
 
     Returns:
         The answer: ``run``, ``tick``, ``time_s``, and what belongs to the request.
 
     Raises:
-        InputError: Nobody listens there, or nothing that could answer.
+        InputError: Nobody listens there, or they let nobody in with these keys.
         RequestError: The run refuses; says why.
         DeployError: It doesn't answer in time.
     """
-    from bus.transports.zenoh import open_client
     from bus.transports.zenoh.questions import ask
 
-    try:
-        endpoint = open_client(connect, timeout_s=timeout_s)
-    except TransportError as error:
-        raise InputError(f"--connect {connect}: {error}") from None
+    endpoint = operator_session(connect, timeout_s, keys)
     try:
         text = ask(endpoint, plant_key("*", "operator"), json.dumps(request).encode(), timeout_s)
         answer = _answer(json.loads(text))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, final
@@ -12,6 +11,8 @@ from bus.errors import PartitionError
 from bus.lattice import Lattice
 from bus.partition import Partition
 from deploy.errors import InputError
+from deploy.keys.roles import Cut
+from deploy.processes.listening import check_listening, free_port
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -22,10 +23,6 @@ Processes = int | Literal["each"]
 
 ONE_WORKER_CELLS = 1_000
 """Up to here a second worker costs more in messages than it saves in work."""
-
-_ENDPOINT = re.compile(r"[a-z_]+/[^/].*")
-
-FREE_PORT = "tcp/127.0.0.1 (a free port)"
 
 
 @final
@@ -46,6 +43,8 @@ class RunOptions:
         respawn: How often in all a worker that went is started anew.
         replay: Folder of a recorded run of the scene: what was done to that one is done again; None: nothing is.
         protocol_report: Look at the protocol's field every so many ticks, and report; None: not.
+        keys: Folder that ``mdms keys`` has made: whom to let in, and what each may do; None: anybody, anything.
+        insecure: Listen beyond this host though anybody could join.
     """
 
     processes: Processes | None = None
@@ -59,6 +58,8 @@ class RunOptions:
     protocol_report: int | None = None
     respawn: int = 0
     replay: Path | None = None
+    keys: Path | None = None
+    insecure: bool = False
 
 
 @final
@@ -110,6 +111,11 @@ class Plan:
     partition: Partition
     processes: tuple[PlannedProcess, ...]
 
+    @property
+    def cut(self) -> Cut:
+        """How the cells are cut into processes."""
+        return Cut(self.partition, self.wire, tuple(process.name for process in self.processes[1:]))
+
     def as_json(self) -> dict[str, Any]:
         """The plan in JSON's types; cells as ``row,column``."""
         return {
@@ -142,10 +148,9 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
     lattice = scene.lattice()
     setting = _processes(options, lattice)
     workers = len(lattice) if setting == "each" else setting
-    if options.transport == "memory" and options.listen is not None:
-        raise InputError("--listen: the memory transport has no endpoint; leave one of the two out")
-    if options.listen is not None and not _ENDPOINT.fullmatch(options.listen):
-        raise InputError(f"--listen {options.listen}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
+    kind = _kind_of_keys(options)
+    if options.listen is not None:
+        check_listening(options.listen, kind, insecure=options.insecure)
     for name, ticks in (("registers", options.registers), ("protocol-report", options.protocol_report)):
         if ticks is not None and ticks < 1:
             raise InputError(f"--{name} {ticks}: must be a number of ticks from 1")
@@ -176,8 +181,25 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         transport=options.transport,
         wire=wire,
         partition=partition,
-        processes=tuple(_listed(partition, workers, setting, options, scene.stall.start_s)),
+        processes=tuple(_listed(partition, workers, setting, _endpoint(options, kind), scene.stall.start_s)),
     )
+
+
+def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | None:
+    """How processes prove who they are; None: not at all."""
+    if options.transport == "memory":
+        for name, value in (("listen", options.listen), ("keys", options.keys)):
+            if value is not None:
+                raise InputError(f"--{name}: the memory transport has no endpoint; leave one of the two out")
+    if options.keys is None:
+        return None
+    from deploy.keys.keyring import Keyring
+
+    return Keyring(options.keys).about.kind
+
+
+def _endpoint(options: RunOptions, kind: Literal["certificate", "password"] | None) -> str | None:
+    return None if options.transport == "memory" else options.listen or free_port(kind)
 
 
 def _processes(options: RunOptions, lattice: Lattice) -> Processes:
@@ -194,9 +216,8 @@ def _processes(options: RunOptions, lattice: Lattice) -> Processes:
 
 
 def _listed(
-    partition: Partition, workers: int, setting: Processes, options: RunOptions, start_s: float
+    partition: Partition, workers: int, setting: Processes, endpoint: str | None, start_s: float
 ) -> list[PlannedProcess]:
-    endpoint = None if options.transport == "memory" else options.listen or FREE_PORT
     cells = partition.lattice.cells
     plant = PlannedProcess(
         name="plant",

@@ -5,14 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
 from bus.errors import BusError, TransportError
 from deploy.errors import InputError
 from deploy.processes.cells_side import CellsSide, WorkerProcesses, WorkerThread
+from deploy.processes.listening import host_of, near
 from deploy.processes.plan import Plan
-from deploy.processes.worker import Order, controller_of, faults_of
+from deploy.processes.worker import Order, connected, controller_of, faults_of
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts, Host
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from bus.registers import Wanted
     from bus.transport import Endpoint
     from bus.transports.zenoh.questions import Questions
+    from bus.transports.zenoh.refusals import Watch
+    from deploy.keys.keyring import Keyring
     from deploy.scene import Scene
     from plant.array import CellArray
 
@@ -41,15 +45,22 @@ class System:
         plan: What to start.
         scene: What runs.
         listen: Endpoint on which the plant listens; None: a free loopback port.
+        keys: Folder with the run's keys; None: anybody is let in.
 
     Attributes:
         locator: Where it listens; empty before ``open`` and where it doesn't.
+        refusals: What the plant's session refuses, where it doesn't let anybody in.
+
+    Raises:
+        InputError: The keys don't fit, or don't hold.
     """
 
-    def __init__(self, plan: Plan, scene: Scene, listen: str | None) -> None:
+    def __init__(self, plan: Plan, scene: Scene, listen: str | None, keys: Path | None = None) -> None:
         self._plan = plan
         self._scene = scene
         self._listen = listen
+        self._keyring = None if keys is None else _keyring(keys, plan, listen)
+        self.refusals: Watch | None = None
         self._endpoint: Endpoint | None = None
         self._cells: CellsSide | None = None
         self.locator = ""
@@ -81,16 +92,20 @@ class System:
             self._endpoint = bus.endpoint()
             self._cells = WorkerThread(bus.endpoint())
             return
-        from bus.transports.zenoh import open_client, open_hub
+        from bus.transports.zenoh import open_hub
 
         try:
-            self._endpoint = open_hub(self._listen, lease_s=self._scene.stall.lease_s)
+            gate = None if self._keyring is None else self._keyring.gate()
+            hub = open_hub(self._listen, lease_s=self._scene.stall.lease_s, gate=gate)
         except TransportError as error:
             raise InputError(str(error)) from None
-        self.locator = self._endpoint.locator
+        self._endpoint, self.locator, self.refusals = hub, near(hub.locator), hub.refusals
         self._cells = self._processes or WorkerThread(
-            open_client(self.locator, lease_s=self._scene.stall.lease_s)
+            connected(self.locator, self._keys(), 0, self._scene.stall)
         )
+
+    def _keys(self) -> tuple[Path, ...]:
+        return () if self._keyring is None else self._keyring.of_cells(self._plan.cut)
 
     def start(
         self,
@@ -131,6 +146,7 @@ class System:
             metered=metered,
             live=live,
             joins=False,
+            keys=self._keys(),
             alone=plan.workers > 0,
         )
         host = self._host = Host(
@@ -227,3 +243,11 @@ class System:
                 if self._endpoint is not None:
                     self._endpoint.close()
         return counts
+
+
+def _keyring(folder: Path, plan: Plan, listen: str | None) -> Keyring:
+    from deploy.keys.keyring import Keyring
+
+    keyring = Keyring(folder)
+    keyring.check(plan.cut, None if listen is None else host_of(near(listen)))
+    return keyring

@@ -6,6 +6,7 @@ import os
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 from bus.errors import WireError
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from bus.lockstep import FormName
     from bus.readings import Readings
     from bus.registers import Wanted
+    from bus.specs import StallSpec
     from cell_firmware.assembly import CellFaults
     from cell_firmware.controller import Controller
     from cell_firmware.effects.stage import Site
@@ -44,6 +46,7 @@ class Order:
         metered: Whether cells count their messages.
         live: Whether faults may come while it runs, over serial lines too.
         joins: Whether it comes into a run that goes on already.
+        keys: Folder of each shard's role, whose name is the role's; none where anybody is let in.
         alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
     """
 
@@ -58,18 +61,28 @@ class Order:
     metered: bool
     live: bool
     joins: bool
+    keys: tuple[Path, ...]
     alone: bool
 
     def __call__(self, shard: int) -> None:
         """Open a session of one's own, serve, and close it."""
-        from bus.transports.zenoh import open_client
-
-        stall = self.scene.stall
-        endpoint = open_client(self.connect, lease_s=stall.lease_s, timeout_s=stall.start_s)
+        endpoint = connected(self.connect, self.keys, shard, self.scene.stall)
         try:
             serve(self, shard, endpoint)
         finally:
             endpoint.close()
+
+
+def connected(connect: str, keys: tuple[Path, ...], shard: int, stall: StallSpec) -> Endpoint:
+    """A session of a shard's own, which shows its role's keys if there are any."""
+    from bus.transports.zenoh import open_client
+
+    if not keys:
+        return open_client(connect, lease_s=stall.lease_s, timeout_s=stall.start_s)
+    from deploy.keys.keyring import identity_of
+
+    identity = identity_of(keys[shard], keys[shard].name)
+    return open_client(connect, lease_s=stall.lease_s, timeout_s=stall.start_s, identity=identity)
 
 
 def serve(order: Order, shard: int, endpoint: Endpoint) -> None:

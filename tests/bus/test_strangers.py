@@ -7,10 +7,12 @@ from collections.abc import Callable
 import msgpack
 import numpy as np
 
+from bus.counts import Counts
+from bus.errors import WireError
 from bus.forms import FormName
 from bus.partition import Partition
 from bus.transport import Publisher
-from bus.wire import DriveFrame
+from bus.wire import TALLY_LIMIT, DriveFrame
 from tests.bus.support import (
     MESSAGE,
     Network,
@@ -75,3 +77,35 @@ def test_the_second_payload_of_a_tick_is_refused_and_the_first_stands(memory: Ne
     drive, _ = system.host.gather(0)
     assert drive.drive.tolist() == expected_drive(system, 0).tolist()
     assert system.host.counts.malformed == {"drive: duplicate": 1}
+
+
+def test_what_any_side_refuses_is_known_by_whose_it_was_and_the_plant_hears_of_it(memory: Network) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), "cells", message=MESSAGE).start()
+    stranger = memory.endpoint()
+    for key in ("cell/0/1/to/west", "cell/0/0/sense", "cell/0/1/drive", "cell/9/9/drive", "cell/8/8/drive"):
+        stranger.publisher(f"mdms/test/{key}").put(b"\xc1")
+    assert step(system, 0)[1] == []
+    system.host.publish(system.sense(1))
+    for member in system.members:
+        gathered(member.gather(1))
+        member.close()
+    assert system.host.stop("", 0.2).refused == {
+        ("cell 0,1", "link: encoding"): 1,
+        ("cell 0,0", "sense: encoding"): 1,
+        ("cell 0,1", "drive: encoding"): 1,
+        ("nobody", "bus: key"): 2,
+    }
+
+
+def test_a_report_has_as_much_of_what_was_refused_as_there_is_room_for() -> None:
+    counts = Counts(1, 2, 3, 4)
+    for i in range(100):
+        counts.refuse(WireError("link", "type", ""), f"cell {i},0")
+    counts.refuse(WireError("link", "x" * 64, ""), "cell 0,0")
+    tally = counts.tallied({"sensor.bounces": 7, "malformed": 8})
+    assert len(tally) == TALLY_LIMIT
+    assert max(len(name) for name, _ in tally) <= TALLY_LIMIT
+    again = Counts.reported((1, 2, 3, 4), tally)
+    assert (again.sent, again.delivered, again.lost, again.late) == (1, 2, 3, 4)
+    assert again.tally == {"sensor.bounces": 7, "malformed": 8}
+    assert again.refused == {(f"cell {i},0", "link: type"): 1 for i in range(TALLY_LIMIT - 2)}

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import msgpack
 import pytest
@@ -19,8 +20,9 @@ from bus.errors import TransportError
 from bus.lockstep import Loss
 from bus.partition import Partition
 from bus.specs import StallSpec
-from bus.transport import Alive, Received
+from bus.transport import Alive, Event, Received
 from bus.transports.zenoh import client_config, hub_config, open_client, open_hub
+from bus.transports.zenoh.channel import drain as drain_channels
 from tests.bus.support import Network, System, drain, grid, payloads, settle, tokens
 
 ROOT = str(Path(__file__).resolve().parents[2])
@@ -295,3 +297,20 @@ def test_sessions_close_fast() -> None:
         client.close()
     hub.close()
     assert time.monotonic() - start < 1.5
+
+
+def test_a_flood_does_not_keep_its_reader_for_ever() -> None:
+    class Sample:
+        key_expr = "t/flood"
+        payload = zenoh.ZBytes(b"x")
+        kind = zenoh.SampleKind.PUT
+
+    class Endless:
+        key = "t/flood"
+
+        def try_recv(self) -> Sample:
+            return Sample()
+
+    events: list[Event] = []
+    drain_channels(cast("Any", [Endless()]), events)
+    assert len(events) == 65_536

@@ -24,13 +24,18 @@ REFUSED = [
         ("--transport", "memory", "--listen", "tcp/127.0.0.1:7447"),
         "--listen: the memory transport has no endpoint; leave one of the two out",
     ),
+    (
+        ("--listen", "tcp/0.0.0.0:7447"),
+        "--listen tcp/0.0.0.0:7447: leaves this host, and anybody who reaches it",
+    ),
+    (("--keys", "nowhere"), "nowhere/keys.json: there is no such file: mdms keys makes it"),
     (("--listen", "nonsense"), "--listen nonsense: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447"),
     (("--realtime", "0"), "--realtime 0: must be greater than 0"),
     (
         ("--set", "parcels.0.position_m=[9.0,9.0]"),
         "scene motors: parcels[0].position_m = [9, 9]: the parcel stands on nothing",
     ),
-    (("--listen", "tcp/256.0.0.1:7447"), "listen on tcp/256.0.0.1:7447: "),
+    (("--listen", "tcp/127.0.0.1:77777"), "listen on tcp/127.0.0.1:77777: "),
 ]
 
 

@@ -8,6 +8,17 @@ from __future__ import annotations
 
 from bus.transports.zenoh.config import client_config, hub_config
 from bus.transports.zenoh.endpoint import ZenohEndpoint
+from bus.transports.zenoh.identity import Certificate, Gate, Identity, Password
 from bus.transports.zenoh.opening import open_client, open_hub
 
-__all__ = ["ZenohEndpoint", "client_config", "hub_config", "open_client", "open_hub"]
+__all__ = [
+    "Certificate",
+    "Gate",
+    "Identity",
+    "Password",
+    "ZenohEndpoint",
+    "client_config",
+    "hub_config",
+    "open_client",
+    "open_hub",
+]

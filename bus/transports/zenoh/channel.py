@@ -61,10 +61,12 @@ class Channel:
 
 
 def drain(channels: Iterable[Channel], events: list[Event]) -> None:
-    """Adds the payloads that are there."""
+    """Adds the payloads that are there; of each channel no more than it can hold, however fast others come after."""
     for channel in channels:
         key, try_recv = channel.key, channel.try_recv
-        while (sample := try_recv()) is not None:
+        for _ in range(_CAPACITY):
+            if (sample := try_recv()) is None:
+                break
             payload = sample.payload.to_bytes()
             if payload or sample.kind == zenoh.SampleKind.PUT:
                 events.append(received((key or str(sample.key_expr), payload)))

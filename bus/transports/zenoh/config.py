@@ -8,19 +8,23 @@ from typing import Any, Final, cast
 import zenoh
 
 from bus.errors import TransportError
+from bus.transports.zenoh.identity import Gate, Identity
 
 LARGEST: Final = 1 << 28
 """Bytes of the largest payload that comes in: several times the senses of a million cells."""
+_AT_PLANT: Final = 1 << 26
+"""Likewise at the plant: 64 MiB, the drives of four million cells in one shard."""
 LEASE_S: Final = 2.0
 """Silence after which the other side takes a process for gone; each session's own lease governs its token."""
 
 
-def hub_config(listen: str, lease_s: float = LEASE_S) -> zenoh.Config:
+def hub_config(listen: str, lease_s: float = LEASE_S, gate: Gate | None = None) -> zenoh.Config:
     """Settings of the plant's session.
 
     Args:
         listen: Endpoint such as ``tcp/127.0.0.1:7447``.
         lease_s: Seconds of silence after which the others take the plant for gone.
+        gate: Whom to let in; None: anybody.
     """
     config = _config("peer", lease_s)
     _set(config, "listen/endpoints", f'["{listen}"]')
@@ -28,16 +32,23 @@ def hub_config(listen: str, lease_s: float = LEASE_S) -> zenoh.Config:
     # Shared memory is off in every session: with it a hub stops near 350 sessions.
     _set(config, "transport/unicast/max_sessions", "20000")
     _set(config, "transport/unicast/accept_pending", "2000")
+    # What comes in pieces is put together in memory before anybody can refuse it.
+    _set(config, "transport/link/rx/max_message_size", str(min(LARGEST, _AT_PLANT)))
+    for key, json in ({} if gate is None else gate.settings()).items():
+        _set(config, key, json)
     return config
 
 
-def client_config(connect: str, lease_s: float = LEASE_S, timeout_s: float = 10.0) -> zenoh.Config:
+def client_config(
+    connect: str, lease_s: float = LEASE_S, timeout_s: float = 10.0, identity: Identity | None = None
+) -> zenoh.Config:
     """Settings of a cell process.
 
     Args:
         connect: The plant's endpoint.
         lease_s: Seconds of silence after which the plant takes this process for gone.
         timeout_s: Seconds to go on trying while nobody listens there.
+        identity: What to show the plant; None: nothing.
     """
     config = _config("client", lease_s)
     _set(config, "connect/endpoints", f'["{connect}"]')
@@ -45,6 +56,8 @@ def client_config(connect: str, lease_s: float = LEASE_S, timeout_s: float = 10.
     _set(config, "connect/exit_on_failure", "true")
     _set(config, "connect/retry", "{period_init_ms: 20, period_max_ms: 200, period_increase_factor: 2}")
     _set(config, "listen/endpoints", "[]")
+    for key, json in ({} if identity is None else identity.settings("connect")).items():
+        _set(config, key, json)
     return config
 
 

@@ -9,7 +9,7 @@ import os
 import threading
 import weakref
 from collections.abc import Callable, Iterable
-from typing import Any, Final, cast, final
+from typing import TYPE_CHECKING, Any, Final, cast, final
 
 import zenoh
 
@@ -18,6 +18,9 @@ from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Woken
 from bus.transports.memory import check_overlap
 from bus.transports.zenoh.config import first_line
 from bus.transports.zenoh.mail import Mail
+
+if TYPE_CHECKING:
+    from bus.transports.zenoh.refusals import Watch
 
 CLOSE_S: Final = 2.0
 
@@ -78,10 +81,14 @@ class ZenohEndpoint(Endpoint):
         locator: Where the plant listens.
         closed: Whether ``close`` was called.
         session: The session, for what Zenoh has beyond an endpoint.
+        refusals: What Zenoh refuses, where it has been told whom to let in.
     """
 
-    def __init__(self, session: zenoh.Session, locator: str) -> None:
+    def __init__(self, session: zenoh.Session, locator: str, refusals: Watch | None = None) -> None:
         super().__init__()
+        self.refusals = refusals
+        if refusals is not None:
+            refusals.name = self._role
         self.locator = locator
         self.session = session
         self._pid = os.getpid()
@@ -158,6 +165,11 @@ class ZenohEndpoint(Endpoint):
         """Puts one ``Woken`` in the inbox."""
         self._mail.tell(Woken())
 
+    def _role(self, session: str) -> str | None:
+        """What the certificate says of the session whose identifier begins like this, if it is connected."""
+        links = self.session.info.links()
+        return next((link.auth_identifier for link in links if str(link.zid).startswith(session)), None)
+
     def close(self) -> None:
         """Withdraws everything and leaves."""
         if self.closed:
@@ -173,6 +185,8 @@ class ZenohEndpoint(Endpoint):
         if closer.is_alive():
             # Dropping the session would wait for the same again: never drop it.
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.session))
+        if self.refusals is not None:
+            self.refusals.close()
 
     def _close(self) -> None:
         for token in self._tokens.values():

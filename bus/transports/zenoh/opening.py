@@ -11,6 +11,7 @@ import zenoh
 from bus.errors import TransportError
 from bus.transports.zenoh.config import LEASE_S, client_config, first_line, hub_config
 from bus.transports.zenoh.endpoint import ZenohEndpoint
+from bus.transports.zenoh.identity import PROTOCOL, Gate, Identity
 
 _PORT_ATTEMPTS: Final = 20
 _RUNTIME: Final = (
@@ -19,12 +20,15 @@ _RUNTIME: Final = (
 )
 
 
-def open_hub(listen: str | None = None, *, lease_s: float = LEASE_S) -> ZenohEndpoint:
+def open_hub(
+    listen: str | None = None, *, lease_s: float = LEASE_S, gate: Gate | None = None
+) -> ZenohEndpoint:
     """Opens the plant's session.
 
     Args:
         listen: Endpoint to listen on; None: a free loopback port.
         lease_s: See ``hub_config``.
+        gate: Whom to let in; None: anybody.
 
     Returns:
         The endpoint; its ``locator`` is what clients connect to.
@@ -32,30 +36,46 @@ def open_hub(listen: str | None = None, *, lease_s: float = LEASE_S) -> ZenohEnd
     Raises:
         TransportError: The port is in use, or the endpoint makes no sense.
     """
+    refusals = None
+    if gate is not None:
+        from bus.transports.zenoh.refusals import Watch
+
+        refusals = Watch()
+    try:
+        session, locator = _listening(listen, lease_s, gate)
+    except BaseException:
+        if refusals is not None:
+            refusals.close()
+        raise
+    return ZenohEndpoint(session, locator, refusals)
+
+
+def _listening(listen: str | None, lease_s: float, gate: Gate | None) -> tuple[zenoh.Session, str]:
     if listen is not None:
-        return ZenohEndpoint(_open(hub_config(listen, lease_s), f"listen on {listen}"), listen)
+        return _open(hub_config(listen, lease_s, gate), f"listen on {listen}"), listen
+    protocol = "tcp" if gate is None else PROTOCOL[gate.identity.kind]
     for attempt in range(1, _PORT_ATTEMPTS + 1):
-        locator = f"tcp/127.0.0.1:{_free_port()}"
+        locator = f"{protocol}/127.0.0.1:{_free_port()}"
         try:
-            session = _open(hub_config(locator, lease_s), f"listen on {locator}")
+            return _open(hub_config(locator, lease_s, gate), f"listen on {locator}"), locator
         except TransportError:
             # Somebody took the port between our look and Zenoh's; another is as good.
             if attempt == _PORT_ATTEMPTS:
                 raise
-        else:
-            return ZenohEndpoint(session, locator)
     raise AssertionError("unreachable: this is a bug")
 
 
-def open_client(connect: str, *, lease_s: float = LEASE_S, timeout_s: float = 10.0) -> ZenohEndpoint:
-    """Opens a cell process's session; call it after a fork, never before.
+def open_client(
+    connect: str, *, lease_s: float = LEASE_S, timeout_s: float = 10.0, identity: Identity | None = None
+) -> ZenohEndpoint:
+    """Opens a cell process's session, or an onlooker's; call it after a fork, never before.
 
     Raises:
-        TransportError: Nobody listens there within ``timeout_s``.
+        TransportError: Nobody listens there within ``timeout_s``, or whoever does lets nobody in with this identity.
     """
     # A cell process has little to do: one thread a pool is faster than many. Read once, at the first session.
     os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)
-    config = client_config(connect, lease_s, timeout_s)
+    config = client_config(connect, lease_s, timeout_s, identity)
     return ZenohEndpoint(_open(config, f"connect to {connect}"), connect)
 
 
@@ -66,6 +86,10 @@ def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
         text = str(error)
         if "in use" in text:
             raise TransportError(f"{attempted}: the port is in use") from None
+        if attempted.startswith("connect to tls"):
+            raise TransportError(
+                f"{attempted}: nobody answers, or they let nobody in with these keys ({first_line(error)})"
+            ) from None
         if attempted.startswith("connect"):
             raise TransportError(f"{attempted}: nobody answers ({first_line(error)})") from None
         raise TransportError(f"{attempted}: {first_line(error)}") from None

@@ -8,7 +8,8 @@ import pytest
 
 from deploy.errors import InputError
 from deploy.overrides import Override
-from deploy.processes.plan import FREE_PORT, Plan, RunOptions, plan
+from deploy.processes.listening import free_port
+from deploy.processes.plan import Plan, RunOptions, plan
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
 
@@ -61,7 +62,7 @@ def test_the_cells_connect_to_where_the_plant_listens(motors: Scene) -> None:
     plant, cells = _plan(motors, processes=1, listen="tcp/127.0.0.1:7447").processes
     assert (plant.listen, plant.connect) == ("tcp/127.0.0.1:7447", None)
     assert (cells.listen, cells.connect) == (None, "tcp/127.0.0.1:7447")
-    assert _plan(motors).processes[0].listen == FREE_PORT
+    assert _plan(motors).processes[0].listen == free_port(None)
 
 
 def test_memory_runs_everything_in_this_process_without_endpoints(motors: Scene) -> None:

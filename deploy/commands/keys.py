@@ -1,0 +1,111 @@
+"""``mdms keys``: who may take part in a run, and do what in it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
+from deploy.commands.run import ProcessesOption, parse_processes
+from deploy.errors import InputError
+from deploy.processes.plan import RunOptions, plan
+
+if TYPE_CHECKING:
+    from deploy.keys.folder import About
+
+_MOST_DAYS = 3650
+_ROLES = 8
+"""Roles listed one by one; of more, the first and the last."""
+
+FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make, for the keys.")]
+WireOption = Annotated[
+    Literal["packed", "cells"] | None,
+    typer.Option("--wire", help="As the run is to have it. Default: as mdms run does."),
+]
+HostOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--host",
+        metavar="NAME",
+        help="A name or address under which the plant is reached, beside loopback's. Repeatable.",
+    ),
+]
+DaysOption = Annotated[int, typer.Option("--days", metavar="N", help="How long certificates hold.")]
+PasswordsOption = Annotated[
+    bool,
+    typer.Option(
+        "--passwords", help="Users and passwords instead of certificates; what is said goes unencrypted."
+    ),
+]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace the keys that are there.")]
+
+
+def keys(
+    folder: FolderArgument,
+    scene: SceneArgument,
+    *,
+    sets: SetOption = None,
+    processes: ProcessesOption = None,
+    wire: WireOption = None,
+    host: HostOption = None,
+    days: DaysOption = 30,
+    passwords: PasswordsOption = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make the keys of a scene's runs: a certificate for the plant, for each process of cells and for operators.
+
+    With them nobody else can join, and nobody can do what is not theirs: a process of cells puts only what its own
+    cells do and say, and reads only what they sense and what their neighbours say; only the plant senses and controls;
+    only operators ask for live commands. What signs the certificates is forgotten at once, so that nobody makes more.
+
+    Keys are for one way of cutting the cells into processes:
+
+      [cyan]mdms keys secret prototype --processes each[/cyan]
+      [cyan]mdms run prototype --processes each --keys secret --listen tls/127.0.0.1:7447[/cyan]
+      [cyan]mdms registers 0,0 --connect tls/127.0.0.1:7447 --keys secret[/cyan]
+    """
+    if not 1 <= days <= _MOST_DAYS:
+        raise InputError(f"--days {days}: must be 1..{_MOST_DAYS}")
+    if passwords and host:
+        raise InputError("--host: is for certificates; passwords name no host")
+    made = plan(load_scene(scene, sets), RunOptions(processes=parse_processes(processes), wire=wire), "RUN")
+    from deploy.keys.making import make
+
+    kind: Literal["certificate", "password"] = "password" if passwords else "certificate"
+    about = make(folder, made.scene, made.cut, kind, hosts=host or (), days=days, force=force)
+    how = "" if processes is None else f" --processes {processes}"
+    how += "" if wire is None else f" --wire {wire}"
+    if as_json:
+        print(json.dumps({"folder": str(folder), **about.model_dump(mode="json")}))
+    else:
+        _print(folder, about, how)
+
+
+def _print(folder: Path, about: About, how: str) -> None:
+    """The roles, where their keys are, until when they hold, and how the run is to be started."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from deploy.keys.folder import ACCESS
+    from deploy.words import counted
+
+    console = Console(highlight=False)
+    cells = sum(map(len, about.roles.values()))
+    console.print(f"[bold]{about.scene}[/bold]  {counted(cells, 'cell')}, wire form {about.wire}")
+    table = Table.grid(padding=(0, 2))
+    roles = list(about.roles)
+    shown = roles if len(roles) <= _ROLES else [*roles[:3], "...", *roles[-2:]]
+    for role in shown:
+        where = "" if role == "..." else str(folder / role)
+        own = about.roles.get(role, ())
+        table.add_row(f"[cyan]{role}[/cyan]", counted(len(own), "cell") if own else "", where)
+    console.print(table)
+    console.print(f"What each may do: {folder / ACCESS}", soft_wrap=True)
+    if about.until is not None:
+        until, hosts = f"{about.until:%Y-%m-%d %H:%M} UTC", ", ".join(about.hosts)
+        console.print(f"Certificates hold until {until}, the plant's for {hosts}.", soft_wrap=True)
+    console.print(f"Run with: mdms run {about.scene}{how} --keys {folder}", soft_wrap=True)

@@ -1,0 +1,1 @@
+"""Who may take part in a run and do what in it: roles, their certificates or passwords, and the access control."""

@@ -1,0 +1,86 @@
+"""What ``keys_cost.py`` and ``keys_flood.py`` have in common: a scene, its keys, and a run by ``mdms``."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deploy.keys.folder import Kind
+from deploy.keys.making import make
+from deploy.processes.plan import Processes, RunOptions, plan
+from deploy.scene_files import load_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+PERIOD_NS = 4_096_000
+SCENE = """
+duration_s = 1.0
+[array]
+rows = 3
+columns = 6
+[cells]
+firmware = "heat_diffusion"
+[cells.parameters]
+diffusion_number = 0.2
+held = [{ cell = [1, 0], speed_m_s = [0.1, 0.0] }]
+[[parcels]]
+size_m = [0.25, 0.15]
+mass_kg = 1.0
+position_m = [0.0, 0.0]
+[friction]
+law = "viscous"
+coefficient_s_per_m = 0.2
+"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """How the scene is run."""
+
+    scene: Path
+    processes: Processes
+    keys: Path | None
+    output: Path
+    listen: str | None = None
+
+    def command(self, ticks: int) -> list[str]:
+        """The whole command line."""
+        command = [
+            sys.executable,
+            "-m",
+            "deploy.cli",
+            "run",
+            str(self.scene),
+            "--json",
+            "--quiet",
+            "--no-picture",
+        ]
+        command += ["--processes", str(self.processes), "--output", str(self.output)]
+        command += ["--duration", str(ticks * PERIOD_NS / 1e9)]
+        command += [] if self.keys is None else ["--keys", str(self.keys)]
+        return command + ([] if self.listen is None else ["--listen", self.listen])
+
+
+def write_scene(folder: Path) -> Path:
+    """The scene as a file."""
+    path = folder / "keys.toml"
+    path.write_text(SCENE)
+    return path
+
+
+def keys_for(scene: Path, processes: Processes, folder: Path, kind: Kind) -> Path:
+    """Keys of its runs."""
+    made = plan(load_scene(str(scene)), RunOptions(processes), "RUN")
+    make(folder, made.scene, made.cut, kind, hosts=(), days=1, force=False)
+    return folder
+
+
+def run_once(run: Run, ticks: int) -> dict[str, Any]:
+    """Its summary."""
+    done = subprocess.run(
+        run.command(ticks), capture_output=True, text=True, check=True, timeout=300, cwd=ROOT
+    )
+    return json.loads(done.stdout)

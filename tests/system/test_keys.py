@@ -1,0 +1,155 @@
+"""A run with keys: who has none, or another's, or only a cell's, changes nothing, and is counted."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import zenoh
+
+from bus.transport import Received
+from bus.transports.zenoh import Certificate, Identity, Password, client_config, open_client
+from bus.wire import Control, encode_control
+from deploy.keys.folder import Kind
+from deploy.keys.keyring import identity_of
+from deploy.keys.making import make
+from deploy.live.operator import ask_run
+from deploy.processes.plan import RunOptions, plan
+from deploy.run import run
+from deploy.scene_files import load_scene
+from deploy.watching import look
+from tests.system.running import Mdms, summary_of
+
+OTHERS = ("mdms/*/shard/1/sense", "mdms/*/shard/*/to/1")
+"""What another process of cells hears."""
+
+DURATION_S = 3.0
+"""In step with the clock: so long do strangers have."""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def keys_for(scene: Path, folder: Path, kind: Kind = "certificate") -> Path:
+    made = plan(load_scene(str(scene)), RunOptions(2), "RUN")
+    make(folder, made.scene, made.cut, kind, hosts=(), days=1, force=False)
+    return folder
+
+
+def refused(connect: str, identity: Identity | None, **more: str) -> bool:
+    """Whether somebody is not let in, in bounded time."""
+    config = client_config(connect, timeout_s=0.3, identity=identity)
+    for key, value in more.items():
+        cast("Any", config).insert_json5(key.replace("__", "/"), value)
+    try:
+        zenoh.open(config).close()
+    except zenoh.ZError:
+        return True
+    return False
+
+
+class Insider:
+    """Somebody with the keys of shard 0, who tries what is not theirs."""
+
+    def __init__(self, connect: str, identity: Identity) -> None:
+        self.endpoint = open_client(connect, timeout_s=20.0, identity=identity)
+        self.endpoint.subscribe("mdms/*/shard/0/sense")
+        self.session = self.endpoint.session
+        self.others = [self.session.declare_subscriber(key) for key in OTHERS]
+
+    def act(self) -> None:
+        own = self.endpoint.receive(20.0)
+        assert isinstance(own, Received), "the run has not begun"
+        run_name, sense = own.key.split("/")[1], own.payload
+        token = self.session.liveliness().declare_token(f"mdms/{run_name}/shard/1/ready")
+        stop = encode_control(Control("stop", 0, (), "by a stranger"))
+        drive = b"\x83\xa1v\x01\xa4tick\x05\xa5drive\xc4\x60" + bytes(96)
+        for _ in range(5):
+            self.session.put(f"mdms/{run_name}/shard/1/drive", drive)
+            self.session.put(f"mdms/{run_name}/shard/0/sense", sense)
+            self.session.put(f"mdms/{run_name}/plant/control", stop)
+            self.session.put(f"mdms/{run_name}/shard/0/drive", b"\xc1")
+            self.session.delete(f"mdms/{run_name}/plant/control")
+        replies = list(cast("Any", self.session).get(f"mdms/{run_name}/plant/operator", timeout=0.2))
+        assert not any(reply.ok for reply in replies)
+        del token
+
+    def close(self) -> None:
+        heard = [cast("Any", other).try_recv() for other in self.others]
+        self.endpoint.close()
+        assert heard == [None, None]
+
+
+def test_strangers_and_insiders_are_refused_counted_and_shown_and_the_digest_stays(
+    mdms: Callable[..., Mdms], small: Callable[..., Path], tmp_path: Path
+) -> None:
+    scene = small()
+    mine, theirs = tmp_path / "mine", keys_for(scene, tmp_path / "theirs")
+    status, stdout, stderr = mdms("keys", mine, scene, "--processes", 2, "--json").end()
+    assert (status, json.loads(stdout)["folder"], stderr) == (0, str(mine), "")
+    listen = f"tls/127.0.0.1:{free_port()}"
+    options = ("--processes", 2, "--duration", DURATION_S, "--keys", mine, "--no-picture", "--json")
+    running = mdms("run", scene, *options, "--realtime", "--listen", listen)
+    authority = str(mine / "operator" / "authority.pem")
+    stolen = Certificate(
+        authority, str(theirs / "operator" / "certificate.pem"), str(theirs / "operator" / "key.pem")
+    )
+    insider = Insider(listen, identity_of(mine / "cells-0", "cells-0"))
+    insider.act()
+    assert ask_run(listen, {"do": "list"}, 5.0, mine)["ok"]
+    assert (0, 0) in look(listen, [(0, 0)], 5.0, mine / "operator").cells
+    assert refused(listen.replace("tls", "tcp"), None)
+    assert refused(listen, None, transport__link__tls=json.dumps({"root_ca_certificate": authority}))
+    assert refused(listen, stolen)
+    assert refused(listen, identity_of(theirs / "cells-0", "cells-0"))
+    status, stdout, stderr = running.end()
+    insider.close()
+    assert status == 0, stderr
+    summary = summary_of(stdout)
+    alone = run(
+        load_scene(str(scene)).model_copy(update={"duration_s": DURATION_S}),
+        RunOptions(0, "memory", output=tmp_path / "alone", picture=False),
+        quiet=True,
+    ).summary
+    assert summary["digest"] == alone.digest
+    told = {(row["why"], row["whose"], row["what"]): row["number"] for row in summary["refused"]}
+    # Five puts of each of three kinds, five deletions, two subscriptions, a token, a query.
+    assert told["denied", "cells-0", "message"] >= 5 * 4 + 2 + 1 + 1
+    assert told["malformed", "shard 0", "drive: encoding"] == 5
+    assert {whose for why, whose, _ in told if why == "denied"} == {"cells-0", "a stranger"}
+    assert told["denied", "a stranger", "connection: it has no certificate"] >= 1
+    assert sum(n for (_, whose, _), n in told.items() if whose == "a stranger") >= 4
+    assert summary["messages"]["denied"] == told["denied", "cells-0", "message"]
+    assert summary["messages"]["malformed"] == 5
+    assert "mdms: denied: cells-0: message" in stderr
+    assert "mdms: refused: shard 0: drive: encoding" in stderr
+
+
+def test_with_passwords_who_has_a_wrong_one_or_none_is_refused_and_counted(
+    mdms: Callable[..., Mdms], small: Callable[..., Path], tmp_path: Path
+) -> None:
+    scene = small()
+    mine = keys_for(scene, tmp_path / "mine", "password")
+    listen = f"tcp/127.0.0.1:{free_port()}"
+    running = mdms(
+        "run", scene, "--processes", 2, "--keys", mine, "--duration", 2, "--realtime", "--listen", listen
+    )
+    running.wait_until_recorded()
+    assert refused(listen, None)
+    assert refused(listen, Password("operator", "guessed"))
+    assert refused(listen, Password("somebody", "guessed"))
+    right = open_client(listen, identity=identity_of(mine / "cells-0", "cells-0"))
+    right.session.put("mdms/any/plant/control", b"")
+    status, stdout, stderr = running.end()
+    right.close()
+    assert status == 0, stderr
+    assert "1 denied" in stdout
+    for reason in ("it has no password", "a wrong password", "a user that is not in the file"):
+        assert f"connection: {reason}" in " ".join(stdout.split())
+        assert f"mdms: denied: a stranger: connection: {reason}" in stderr
