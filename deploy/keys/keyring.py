@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from deploy.errors import InputError
 from deploy.keys.folder import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, About
+from deploy.keys.limits import size_limits
 from deploy.keys.roles import OPERATOR, PLANT, Cut, roles_of
 from deploy.words import counted
 
@@ -98,13 +99,14 @@ class Keyring:
             if role != OPERATOR:
                 _check(identity, role)
 
-    def gate(self) -> Gate:
-        """What the plant's session needs."""
+    def gate(self, cut: Cut) -> Gate:
+        """What the plant's session needs, for cells that are cut like this."""
         from bus.transports.zenoh.identity import Gate
 
         own = self._folder / PLANT
         users = str(_secret(own / USERS)) if self.about.kind == "password" else None
-        return Gate(identity_of(own, PLANT), self._access(), users)
+        limits = json.dumps(size_limits(cut))
+        return Gate(identity_of(own, PLANT), self._access(), limits, users)
 
     def of_cells(self, cut: Cut) -> tuple[Path, ...]:
         """The folder of each process of cells, by shard."""

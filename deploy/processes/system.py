@@ -95,7 +95,7 @@ class System:
         from bus.transports.zenoh import open_hub
 
         try:
-            gate = None if self._keyring is None else self._keyring.gate()
+            gate = None if self._keyring is None else self._keyring.gate(self._plan.cut)
             hub = open_hub(self._listen, lease_s=self._scene.stall.lease_s, gate=gate)
         except TransportError as error:
             raise InputError(str(error)) from None

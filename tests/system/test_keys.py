@@ -26,6 +26,7 @@ from tests.system.running import Mdms, summary_of
 OTHERS = ("mdms/*/shard/1/sense", "mdms/*/shard/*/to/1")
 """What another process of cells hears."""
 
+BLOCK = zenoh.CongestionControl.BLOCK
 DURATION_S = 3.0
 """In step with the clock: so long do strangers have."""
 
@@ -70,15 +71,19 @@ class Insider:
         token = self.session.liveliness().declare_token(f"mdms/{run_name}/shard/1/ready")
         stop = encode_control(Control("stop", 0, (), "by a stranger"))
         drive = b"\x83\xa1v\x01\xa4tick\x05\xa5drive\xc4\x60" + bytes(96)
+        puts = {"shard/1/drive": drive, "shard/0/sense": sense, "plant/control": stop}
         for _ in range(5):
-            self.session.put(f"mdms/{run_name}/shard/1/drive", drive)
-            self.session.put(f"mdms/{run_name}/shard/0/sense", sense)
-            self.session.put(f"mdms/{run_name}/plant/control", stop)
-            self.session.put(f"mdms/{run_name}/shard/0/drive", b"\xc1")
-            self.session.delete(f"mdms/{run_name}/plant/control")
+            for key, payload in puts.items():
+                self.put(f"mdms/{run_name}/{key}", payload)
+            self.put(f"mdms/{run_name}/shard/0/drive", b"\xc1")
+            self.put(f"mdms/{run_name}/shard/0/drive", bytes(100_000))
+            self.session.delete(f"mdms/{run_name}/plant/control", congestion_control=BLOCK)
         replies = list(cast("Any", self.session).get(f"mdms/{run_name}/plant/operator", timeout=0.2))
         assert not any(reply.ok for reply in replies)
         del token
+
+    def put(self, key: str, payload: bytes) -> None:
+        self.session.put(key, payload, congestion_control=BLOCK)
 
     def close(self) -> None:
         heard = [cast("Any", other).try_recv() for other in self.others]
@@ -119,8 +124,8 @@ def test_strangers_and_insiders_are_refused_counted_and_shown_and_the_digest_sta
     ).summary
     assert summary["digest"] == alone.digest
     told = {(row["why"], row["whose"], row["what"]): row["number"] for row in summary["refused"]}
-    # Five puts of each of three kinds, five deletions, two subscriptions, a token, a query.
-    assert told["denied", "cells-0", "message"] >= 5 * 4 + 2 + 1 + 1
+    # Five puts of each of four kinds, five deletions, two subscriptions, a token, a query.
+    assert told["denied", "cells-0", "message"] >= 5 * 5 + 2 + 1 + 1
     assert told["malformed", "shard 0", "drive: encoding"] == 5
     assert {whose for why, whose, _ in told if why == "denied"} == {"cells-0", "a stranger"}
     assert told["denied", "a stranger", "connection: it has no certificate"] >= 1

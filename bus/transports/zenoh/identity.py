@@ -64,16 +64,19 @@ class Gate:
     Attributes:
         identity: The plant's own.
         access: Zenoh's ``access_control``, JSON.
+        limits: Zenoh's ``low_pass_filter``, JSON: how large what comes in may be.
         users: File with a ``user:password`` a line, where passwords are asked for.
     """
 
     identity: Identity
     access: str
+    limits: str = "[]"
     users: str | None = None
 
     def settings(self) -> dict[str, str]:
         """Zenoh's settings, by key, in JSON."""
         settings = {**self.identity.settings("listen"), "access_control": self.access}
+        settings["low_pass_filter"] = self.limits
         if self.users is not None:
             settings["transport/auth/usrpwd/dictionary_file"] = json.dumps(self.users)
         return settings

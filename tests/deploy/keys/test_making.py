@@ -138,7 +138,7 @@ def test_an_access_control_that_lets_all_pass_is_refused(tmp_path: Path) -> None
         access.read_text().replace('"default_permission": "deny"', '"default_permission": "allow"')
     )
     with pytest.raises(InputError, match="must be enabled, and deny"):
-        Keyring(folder).gate()
+        Keyring(folder).gate(CUT)
 
 
 def test_an_operator_s_keys_are_found_in_the_run_s_or_alone(tmp_path: Path) -> None:

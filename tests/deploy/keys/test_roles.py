@@ -13,7 +13,9 @@ from bus.keys import intersects, plant_key, shard_key
 from bus.lattice import Lattice
 from bus.partition import Partition
 from bus.readings import Readings
+from bus.wire import TALLY_LIMIT, TEXT_LIMIT, DriveFrame, LinkFrame, Report, encode_report
 from deploy.keys.access import access_control
+from deploy.keys.limits import size_limits
 from deploy.keys.roles import OPERATOR, PLANT, Cut, Role, roles_of
 
 MESSAGE = np.dtype([("u", "<f8")])
@@ -86,3 +88,30 @@ def test_the_access_control_names_each_role_once_and_denies_the_rest(kind: str, 
         put = [key for rule in own if "put" in rule["messages"] for key in rule["key_exprs"]]
         assert tuple(put) == role.puts
         assert not any("delete" in rule["messages"] for rule in own)
+
+
+@pytest.mark.parametrize(("form", "shards"), CUTS)
+def test_what_a_process_puts_is_within_the_limits_and_little_more_than_it_needs(
+    form: FormName, shards: int
+) -> None:
+    made = cut(form, shards)
+    large = np.dtype([(f"a_field_of_some_length_{i}", "<f8") for i in range(64)])
+    wiring = Wiring("some-run", made.partition, Readings(1), large)
+    limits = {limit["id"]: limit for limit in size_limits(made)}
+
+    def limit_of(key: str) -> int:
+        (found,) = [one for one in limits.values() if any(intersects(key, expr) for expr in one["key_exprs"])]
+        return found["size_limit"]
+
+    for shard in range(shards):
+        member = FORMS[form].member(wiring, shard)
+        drive = DriveFrame(2**40, np.full((len(made.cells(shard)), 2), 1e300))
+        for key, payload in zip(member.drive_keys, member.drive_payloads(drive), strict=True):
+            assert len(payload) <= limit_of(key) <= 4 * len(payload) + 1024 + 16 * len(LATTICE)
+        count = len(made.partition.outgoing(shard))
+        links = LinkFrame(2**40, np.ones(count, dtype=bool), np.zeros(count, dtype=large))
+        for key, payload in zip(member.out_keys, member.link_payloads(links), strict=True):
+            assert len(payload) <= limit_of(key)
+        names = tuple(("n" * TALLY_LIMIT, 2**50) for _ in range(TALLY_LIMIT))
+        report = Report("counts", 2**40, made.cells(shard), "ä" * TEXT_LIMIT, (2**50,) * 4, names)
+        assert len(encode_report(report)) <= limit_of(shard_key("some-run", shard, "report"))
