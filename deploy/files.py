@@ -45,6 +45,8 @@ def made_folder(wanted: Path) -> Path:
     """
     try:
         wanted.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"output {wanted}: is a file, must be a folder") from None
     except OSError as error:
         raise InputError(f"output {wanted}: can't be made: {error.strerror or error}") from None
     return wanted

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import platform
 import re
 import time
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import DeployError, InputError
+from deploy.files import made_folder
 from deploy.interruption import Interrupted, Interruption
 from deploy.overview.picture import FILE_NAME as PICTURE
 from deploy.overview.picture import draw_overview
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from plant.array import CellArray
     from plant.plant import Plant
 
-_VERSIONS = ("mdms-emulator", "eclipse-zenoh", "llvmlite", "mcap", "msgpack", "numba", "numpy")
+_VERSIONS = ("mdms-emulator", "eclipse-zenoh", "llvmlite", "mcap", "msgpack", "numba", "numpy", "scipy")
 
 
 def run_name(scene: Scene, suffix: str) -> str:
@@ -52,24 +54,28 @@ def output_folder(scene: Scene, wanted: Path | None) -> Path:
     Raises:
         InputError: It can't be made.
     """
-    if wanted is not None:
-        folder, number = wanted, None
-    else:
-        folder = Path("runs") / run_name(scene, time.strftime("%Y%m%d-%H%M%S"))
-        number = 2
-    first = folder
-    while True:
+    if wanted is None:
+        return new_folder(run_name(scene, time.strftime("%Y%m%d-%H%M%S")))
+    return _without_last_run(made_folder(wanted))
+
+
+def new_folder(name: str) -> Path:
+    """Make a folder under ``runs/``, numbered where there is one of that name.
+
+    Raises:
+        InputError: It can't be made.
+    """
+    first = folder = Path("runs") / name
+    for number in itertools.count(2):
         try:
-            folder.mkdir(parents=True, exist_ok=number is None)
+            folder.mkdir(parents=True)
         except FileExistsError:
-            if number is None:
-                raise InputError(f"output {folder}: is a file, must be a folder") from None
             folder = first.with_name(f"{first.name}-{number}")
-            number += 1
         except OSError as error:
             raise InputError(f"output {folder}: can't be made: {error.strerror or error}") from None
         else:
-            return _without_last_run(folder)
+            break
+    return folder
 
 
 def _without_last_run(folder: Path) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterable
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, cast, final
 
@@ -33,16 +34,20 @@ class Override:
     option: str
 
     @classmethod
-    def parse(cls, text: str) -> Override:
+    def parse(cls, text: str, option: str | None = None) -> Override:
         """Read the ``KEY=VALUE`` of a ``--set``.
 
         The value is TOML. What is not TOML but looks like a bare word (``heat_diffusion``, ``brake``,
         ``my.module:Class``, ``./cell.py``) is that string, so that names need no quotes inside quotes.
 
+        Args:
+            text: The key and the value.
+            option: What the user typed, where it was another option.
+
         Raises:
             InputError: No ``=``, an empty key, or a value that is neither.
         """
-        option = f"--set {text}"
+        option = option or f"--set {text}"
         key, equals, value = text.partition("=")
         if not equals:
             raise InputError(f"{option}: must be KEY=VALUE")
@@ -82,6 +87,7 @@ def apply(data: dict[str, Any], overrides: Iterable[Override]) -> None:
 
 def _apply(data: dict[str, Any], override: Override) -> None:
     here: Any = data
+    value = deepcopy(override.value)  # a later override may reach into it, and this one be applied again
     for depth, part in enumerate(override.path):
         last = depth == len(override.path) - 1
         # What a missing container becomes is told by the part that follows: a number makes a list.
@@ -90,7 +96,7 @@ def _apply(data: dict[str, Any], override: Override) -> None:
             table = cast("dict[str, Any]", here)
             key = str(part)
             if last:
-                table[key] = override.value
+                table[key] = value
             else:
                 here = table.setdefault(key, default)
         elif isinstance(here, list):
@@ -98,9 +104,9 @@ def _apply(data: dict[str, Any], override: Override) -> None:
             _check_item(items, override, depth)
             index = cast(int, part)
             if index == len(items):
-                items.append(override.value if last else default)
+                items.append(value if last else default)
             elif last:
-                items[index] = override.value
+                items[index] = value
             here = items[index]
         else:
             at = dotted(override.path[:depth])

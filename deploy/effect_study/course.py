@@ -6,7 +6,7 @@ import contextlib
 import secrets
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
@@ -24,6 +24,8 @@ from deploy.simulate import field_speeds
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
+    from bus.counts import Loss
+    from deploy.digest import Digest
     from deploy.scene import Scene
     from plant.plant import Plant
     from plant.process import Ended, PlantProcess, TickRecord
@@ -43,6 +45,8 @@ class Course:
         fates: How each parcel fares at the end.
         footprints_m: ``(v, 2)`` corners of each about its centre of mass, in its axes.
         events: Of the plant, all of them.
+        misrouted: Parcels that left by another exit than theirs.
+        cells_lost: Cells that were lost though the scene did not say so: their program raised, or they stalled.
         wall_s: Of the run itself, without start-up.
     """
 
@@ -53,6 +57,8 @@ class Course:
     footprints_m: Sequence[Floats]
     events: Sequence[Event]
     wall_s: float
+    misrouted: int = 0
+    cells_lost: int = 0
 
 
 def needs_cells(scene: Scene) -> bool:
@@ -65,7 +71,7 @@ def needs_cells(scene: Scene) -> bool:
     )
 
 
-def follow(scene: Scene, *, cells: bool) -> Course:
+def follow(scene: Scene, *, cells: bool, digest: Digest | None = None) -> Course:
     """Run a scene to its end, tick by tick.
 
     Without cells the bits of the motion are those that it has with them, where `needs_cells` says that they do nothing
@@ -74,13 +80,14 @@ def follow(scene: Scene, *, cells: bool) -> Course:
     Args:
         scene: What to run.
         cells: Whether its cells run too, in a thread of this process, over the memory transport.
+        digest: Continued tick by tick, of a run with cells.
 
     Raises:
         InputError: The plant refuses the scene.
     """
     # What a firmware prints in this process is no part of what the command prints.
     with contextlib.redirect_stdout(sys.stderr):
-        return _with_cells(scene) if cells else _plant_alone(scene)
+        return _with_cells(scene, digest) if cells else _plant_alone(scene)
 
 
 def _plant_alone(scene: Scene) -> Course:
@@ -101,32 +108,40 @@ def _plant_alone(scene: Scene) -> Course:
     return _course(plant, events, time.perf_counter() - started, status, reason)
 
 
-def _with_cells(scene: Scene) -> Course:
+def _with_cells(scene: Scene, digest: Digest | None) -> Course:
     options = RunOptions(processes=0, transport="memory")
     events: list[Event] = []
+    lost: list[Loss] = []
+
+    def observe(record: TickRecord) -> None:
+        events.extend(record.events)
+        lost.extend(record.losses)
+        if digest is not None:
+            digest.tick(record.tick, record.sense.presence, record.drives, record.after)
+
     status, reason = "ok", ""
     started = time.perf_counter()
     with System(plan(scene, options, run_name(scene, secrets.token_hex(4))), scene, None) as system:
         plant = load_plant(scene, _say)
         try:
             system.open()
-            process = _process(scene, system, plant, events)
+            process = _process(scene, system, plant, observe)
             started = time.perf_counter()
             ended = process.run()
             status, reason = ended.status, _why(ended)
+            lost.extend(ended.losses)
         except (BusError, DeployError) as error:
             status, reason = "failed", str(error)
         except PlantError as error:
             status, reason = status_of(error), str(error)
         wall_s = time.perf_counter() - started
-    return _course(plant, events, wall_s, status, reason)
+    return _course(plant, events, wall_s, status, reason, len(lost))
 
 
-def _process(scene: Scene, system: System, plant: Plant, events: list[Event]) -> PlantProcess:
+def _process(
+    scene: Scene, system: System, plant: Plant, observe: Callable[[TickRecord], None]
+) -> PlantProcess:
     from plant.process import PlantProcess
-
-    def observe(record: TickRecord) -> None:
-        events.extend(record.events)
 
     readings = readings_of(scene, plant.sense())
     return PlantProcess(
@@ -148,7 +163,10 @@ def _why(ended: Ended) -> str:
     return "" if ended.status == "ok" else "a cell was lost, and stall.policy is abort"
 
 
-def _course(plant: Plant, events: Sequence[Event], wall_s: float, status: str, reason: str) -> Course:
+def _course(
+    plant: Plant, events: Sequence[Event], wall_s: float, status: str, reason: str, cells_lost: int = 0
+) -> Course:
+    traffic = plant.traffic()
     return Course(
         status=status,
         reason=reason,
@@ -156,6 +174,8 @@ def _course(plant: Plant, events: Sequence[Event], wall_s: float, status: str, r
         fates=tuple(plant.status),
         footprints_m=plant.footprints_m,
         events=tuple(events),
+        misrouted=0 if traffic is None else traffic.misrouted,
+        cells_lost=cells_lost,
         wall_s=wall_s,
     )
 

@@ -122,14 +122,23 @@ class Crew:
             names: Names shown in process lists and messages; a worker's number is its place here.
         """
         self._names = dict(enumerate(names))
-        try:
-            self._channel.send(("order", order))
-            self._channel.send(("start", list(enumerate(names))))
-        except (BrokenPipeError, ConnectionResetError) as error:
-            self.poll(_PATIENCE_S)
-            raise WorkerError(
-                f"the process that starts workers ended early, with status {self._nursery.poll()}"
-            ) from error
+        self._tell("order", order)
+        self._tell("start", list(enumerate(names)))
+
+    def add(self, name: str) -> int:
+        """Fork one more worker, which does what all do; returns its number.
+
+        Raises:
+            WorkerError: The process that starts workers has ended.
+        """
+        worker = len(self._names)
+        self._names[worker] = name
+        self._tell("start", [(worker, name)])
+        return worker
+
+    def signal(self, number: int, workers: Sequence[int]) -> None:
+        """Send a signal to workers; those that have ended are left out."""
+        self._tell("signal", (number, list(workers)))
 
     def restart(self, order: Callable[[int], None], worker: int) -> None:
         """Fork a worker anew, that which has its number being ended first."""
@@ -141,6 +150,15 @@ class Crew:
                 self._replaced[worker] += 1
             self._channel.send(("order", order))
             self._channel.send(("start", [(worker, self._names[worker])]))
+
+    def _tell(self, what: str, content: object) -> None:
+        try:
+            self._channel.send((what, content))
+        except (BrokenPipeError, ConnectionResetError) as error:
+            self.poll(_PATIENCE_S)
+            raise WorkerError(
+                f"the process that starts workers ended early, with status {self._nursery.poll()}"
+            ) from error
 
     def name(self, worker: int) -> str:
         """The worker's name, as given to `start`."""
