@@ -14,6 +14,7 @@ COMMANDS = {
     "run": "The whole system: every cell an agent, the plant, messages between them.",
     "simulate": "The plant alone, wheel speeds straight from the scene's field.",
     "accuracy": "What accuracy costs in time: every solver against a reference.",
+    "campaign": "Many runs over seeds, faults and parameters: one table, one picture.",
     "constants": "The constants of motion of a pose: equilibrium, loads, torque.",
     "fault": "A fault injected into a running system, or repaired.",
     "effects": "Every effect: what it adds, costs and changes; a ladder of fidelity.",

@@ -1,0 +1,1 @@
+"""Campaigns: many runs of a scene over seeds, faults and parameters."""

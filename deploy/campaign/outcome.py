@@ -1,0 +1,127 @@
+"""What a run is judged by: whether it succeeded, how far its parcels are off, how long they took."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+if TYPE_CHECKING:
+    from deploy.campaign.ending import Ending, ParcelEnd
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What one run came to.
+
+    Attributes:
+        status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
+        reason: Why it isn't ``ok``, or why it did not succeed; empty where it did.
+        succeeded: See `judged`.
+        error_m: The same.
+        time_s: The same.
+        cells_lost: Cells that were lost though no fault struck them.
+        digest: Of all ticks, as ``mdms run`` has it; None where the run did not come to its end.
+        wall_s: Of the run itself, without start-up.
+    """
+
+    status: str
+    reason: str
+    succeeded: bool
+    error_m: float | None
+    time_s: float | None
+    cells_lost: int
+    digest: str | None
+    wall_s: float
+
+
+def judged(ending: Ending, undisturbed: Ending | None, within_m: float | None) -> Outcome:
+    """Judge a run.
+
+    It has *succeeded* if its status is ``ok``; no parcel tipped, fell off the array (left it other than through an
+    exit) or was misrouted; every parcel that rests in the undisturbed run rests here or has left, and every one that
+    left there has left here; and the error is at most ``within_m``, where there is such a limit.
+
+    The *error* is the largest distance, at the end, of any corner of a parcel's footprint from where it is in the
+    undisturbed run, over the parcels that are there in both; None where there is none. The *time* is when the last
+    parcel came to rest or left; None unless every parcel did.
+
+    Args:
+        ending: Of the run.
+        undisturbed: Of the run that it is compared with; None: with nothing, and there is no error.
+        within_m: The largest error of a success; None: any.
+    """
+    status, reason = ending.status, ending.reason
+    if status == "ok" and undisturbed is not None and undisturbed.status != "ok":
+        status, reason = "failed", f"the undisturbed run: {undisturbed.status}: {undisturbed.reason}"
+    if status != "ok":
+        return Outcome(
+            status=status,
+            reason=reason,
+            succeeded=False,
+            error_m=None,
+            time_s=None,
+            cells_lost=ending.cells_lost,
+            digest=ending.digest,
+            wall_s=ending.wall_s,
+        )
+    error_m = None if undisturbed is None else error_of(ending, undisturbed)
+    flaw = _flaw(ending, undisturbed)
+    if not flaw and within_m is not None and error_m is not None and error_m > within_m:
+        flaw = f"{error_m:.3g} m from where the undisturbed run ends"
+    return Outcome(
+        status=status,
+        reason=flaw,
+        succeeded=not flaw,
+        error_m=error_m,
+        time_s=time_of(ending),
+        cells_lost=ending.cells_lost,
+        digest=ending.digest,
+        wall_s=ending.wall_s,
+    )
+
+
+def _flaw(ending: Ending, undisturbed: Ending | None) -> str:
+    """Why a run that came to its end did not succeed, as far as its parcels' states tell; empty: it may have."""
+    for number, parcel in enumerate(ending.parcels):
+        if parcel.state == "tipped":
+            return f"parcel {number} tipped"
+        if parcel.state == "off_array" and not parcel.left:
+            return f"parcel {number} fell off the array"
+    if ending.misrouted:
+        return f"{ending.misrouted} misrouted"
+    for number, (parcel, other) in enumerate(zip(ending.parcels, _of(undisturbed), strict=False)):
+        if other.left and not parcel.left:
+            return f"parcel {number} has not left"
+        if other.state == "at_rest" and not _done(parcel):
+            return f"parcel {number} is {parcel.state}"
+    return ""
+
+
+def _of(ending: Ending | None) -> tuple[ParcelEnd, ...]:
+    return () if ending is None else ending.parcels
+
+
+def _done(parcel: ParcelEnd) -> bool:
+    """Whether it came to rest or left."""
+    return parcel.left or parcel.state == "at_rest"
+
+
+def error_of(ending: Ending, undisturbed: Ending) -> float | None:
+    """The largest distance of a corner from where it is in the undisturbed run, m; None where no parcel is in both."""
+    pairs = zip(ending.parcels, undisturbed.parcels, strict=False)
+    distances = [
+        math.dist(corner, other)
+        for one, there in pairs
+        if one.there and there.there
+        for corner, other in zip(one.corners_m, there.corners_m, strict=False)
+    ]
+    return max(distances, default=None)
+
+
+def time_of(ending: Ending) -> float | None:
+    """When the last parcel came to rest or left, s; None unless every parcel did, and where there is none."""
+    if not all(_done(parcel) for parcel in ending.parcels):
+        return None
+    return max((parcel.time_s for parcel in ending.parcels), default=None)

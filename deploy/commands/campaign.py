@@ -1,0 +1,290 @@
+"""``mdms campaign``: many runs over seeds, faults and parameters; one table and one picture."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deploy.commands.options import DurationOption, JsonOption, QuietOption, SetOption
+from deploy.errors import InputError
+
+if TYPE_CHECKING:
+    from deploy.campaign.asked import Asked
+    from deploy.campaign.report import Report
+
+_VARIED, _JUDGED, _HOW = "What is varied", "How runs are judged", "How it is run"
+_VALUES = "FROM:TO:STEP"
+
+SceneArgument = Annotated[
+    str | None,
+    typer.Argument(metavar="SCENE", help="A scene file, or the name of a bundled scene."),
+]
+FaultOption = Annotated[
+    str | None,
+    typer.Option(
+        "--fault",
+        rich_help_panel=_VARIED,
+        metavar="KIND",
+        help="Add a fault of this kind to the scene. Its keys are set by --set fault.KEY=VALUE and varied by "
+        "--vary fault.KEY=VALUES. Where nothing says which cells it strikes, it strikes all of them.",
+    ),
+]
+ShareOption = Annotated[
+    str | None,
+    typer.Option(
+        "--share",
+        rich_help_panel=_VARIED,
+        metavar=_VALUES,
+        help="Shares of the cells that the fault strikes, drawn by the seed: --vary fault.share=...",
+    ),
+]
+VaryOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary",
+        rich_help_panel=_VARIED,
+        metavar="KEY=VALUES",
+        help="Vary any value of the scene or the fault: FROM:TO:STEP, or TOML values with commas between them. "
+        "Repeatable: every combination is run.",
+    ),
+]
+AtOption = Annotated[
+    float | None,
+    typer.Option(
+        "--at", rich_help_panel=_VARIED, metavar="SECONDS", help="When the fault begins. Default: 0."
+    ),
+]
+UntilOption = Annotated[
+    float | None,
+    typer.Option(
+        "--until", rich_help_panel=_VARIED, metavar="SECONDS", help="When it ends. Default: it stays."
+    ),
+]
+SeedsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--seeds",
+        rich_help_panel=_VARIED,
+        metavar="N",
+        help="Run every combination with so many seeds, from the scene's own on; or FROM:TO, or a list. Default: 10.",
+    ),
+]
+AgainstOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--against",
+        rich_help_panel=_JUDGED,
+        metavar="KEY=VALUE",
+        help="The undisturbed run has this value instead. Repeatable. Without --fault and --against there is no "
+        "undisturbed run, and no error.",
+    ),
+]
+WithinOption = Annotated[
+    float | None,
+    typer.Option(
+        "--within",
+        rich_help_panel=_JUDGED,
+        metavar="METRES",
+        help="The largest error of a success. Default: any.",
+    ),
+]
+ConfidenceOption = Annotated[
+    float | None,
+    typer.Option(
+        "--confidence", rich_help_panel=_JUDGED, metavar="SHARE", help="Of the intervals. Default: 0.95."
+    ),
+]
+LimitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--limit",
+        rich_help_panel=_HOW,
+        metavar="SECONDS",
+        help="Wall time after which a run is ended and counted as failed. Default: 600.",
+    ),
+]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs", rich_help_panel=_HOW, metavar="N", min=1, help="Runs at a time. Default: one a processor."
+    ),
+]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        rich_help_panel=_HOW,
+        metavar="DIR",
+        help="Folder for the results. Default: one under runs/.",
+    ),
+]
+ResumeOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--resume",
+        rich_help_panel=_HOW,
+        metavar="DIR",
+        help="Go on with the campaign in this folder: do the runs that are missing. Needs nothing else.",
+    ),
+]
+OtherVersionsOption = Annotated[
+    bool,
+    typer.Option(
+        "--other-versions",
+        rich_help_panel=_HOW,
+        help="With --resume: go on though this program or what it is built on has another version by now.",
+    ),
+]
+PictureOption = Annotated[
+    bool, typer.Option("--picture/--no-picture", rich_help_panel=_HOW, help="Draw campaign.png at the end.")
+]
+
+
+def campaign(
+    scene: SceneArgument = None,
+    *,
+    sets: SetOption = None,
+    duration: DurationOption = None,
+    fault: FaultOption = None,
+    share: ShareOption = None,
+    vary: VaryOption = None,
+    at: AtOption = None,
+    until: UntilOption = None,
+    seeds: SeedsOption = None,
+    against: AgainstOption = None,
+    within: WithinOption = None,
+    confidence: ConfidenceOption = None,
+    limit: LimitOption = None,
+    jobs: JobsOption = None,
+    output: OutputOption = None,
+    resume: ResumeOption = None,
+    other_versions: OtherVersionsOption = False,
+    picture: PictureOption = True,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run a scene many times, over seeds, faults and parameters: success, error and time with confidence intervals.
+
+    Every run is the whole system, cells and messages included, in one process; as many at a time as there are
+    processors. Its digest is that of mdms run. A run that fails, hangs or is killed is kept with its seed, and the
+    others go on. Leaves runs.jsonl, campaign.csv, campaign.json and campaign.png.
+
+    A run has succeeded if its status is ok; no parcel tipped, fell off the array other than through an exit, or was
+    misrouted; and every parcel that rests, or has left, in the undisturbed run does so here (one that should rest may
+    also have left). The undisturbed run is that of the same scene and seed without the campaign's fault. The error is
+    the largest distance of a corner of a parcel from where it is in the undisturbed run, at the end; the time is when
+    the last parcel came to rest or left.
+
+    Cells that die at random; messages that get lost, by how many; a parameter:
+
+      [cyan]mdms campaign align --fault crash --share 0:0.3:0.05 --seeds 50[/cyan]
+      [cyan]mdms campaign noisy --vary effects.link_loss.probability=0:0.4:0.1 --seeds 20[/cyan]
+      [cyan]mdms campaign heat --vary cells.parameters.diffusion_number=0.05:0.25:0.05 --seeds 1[/cyan]
+
+    One that was interrupted goes on:
+
+      [cyan]mdms campaign --resume runs/align-campaign-20260301-120000[/cyan]
+    """
+    given: dict[str, Any] = {
+        "scene": scene,
+        "set": _texts(sets),
+        "duration_s": duration,
+        "fault": fault,
+        "share": share,
+        "vary": _texts(vary),
+        "at_s": at,
+        "until_s": until,
+        "seeds": seeds,
+        "against": _texts(against),
+        "within_m": within,
+        "limit_s": limit,
+        "confidence": confidence,
+    }
+    if resume is None:
+        asked, text, folder = _new(given, output)
+    else:
+        if output is not None:
+            raise InputError(f"--output {output}: --resume {resume} goes on in its own folder")
+        asked, text = _resumed(given, resume, other_versions=other_versions)
+        folder = resume
+    report = _run(asked, text, folder, jobs, resumed=resume is not None, quiet=quiet)
+    _finish(report, picture=picture, as_json=as_json)
+
+
+def _texts(options: list[str] | None) -> tuple[str, ...] | None:
+    return tuple(options) if options else None
+
+
+def _new(given: dict[str, Any], output: Path | None) -> tuple[Asked, str, Path | None]:
+    from deploy.campaign.asked import FILE_NAME, asked_for
+    from deploy.scene_files import bundled_names, scene_text
+
+    scene = given["scene"]
+    if scene is None:
+        raise InputError("campaign: which SCENE? (`mdms scenes` lists those that are bundled)")
+    if output is not None and (output / FILE_NAME).exists():
+        raise InputError(f"--output {output}: holds a campaign already; --resume {output} goes on with it")
+    text = scene_text(scene)
+    folder = None if scene in bundled_names() else str(Path(scene).parent.resolve())
+    return asked_for({**given, "folder": folder}), text, output
+
+
+def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tuple[Asked, str]:
+    from deploy.campaign.asked import check_same, check_versions, read
+    from deploy.output import versions
+
+    asked, text, before = read(folder)
+    check_same(asked, given, folder)
+    if not other_versions:
+        check_versions(before, versions(), folder)
+    return asked, text
+
+
+def _run(
+    asked: Asked, text: str, folder: Path | None, jobs: int | None, *, resumed: bool, quiet: bool
+) -> Report:
+    import time
+
+    from deploy.campaign.asked import write
+    from deploy.campaign.campaign import Campaign
+    from deploy.campaign.cases import cases_of
+    from deploy.files import made_folder
+    from deploy.interruption import Interruption
+    from deploy.output import new_folder, run_name, versions
+    from plant.solvers.crew import processors
+
+    interruption = Interruption()
+    with interruption.watching(last=True):
+        with interruption.allowed():
+            cases = cases_of(asked, text)
+        if folder is None:
+            folder = new_folder(run_name(cases.scene, f"campaign-{time.strftime('%Y%m%d-%H%M%S')}"))
+        if not resumed:
+            write(asked, text, versions(), made_folder(folder))
+        return Campaign(asked, cases, folder, quiet=quiet).run(jobs or processors(), interruption)
+
+
+def _finish(report: Report, *, picture: bool, as_json: bool) -> None:
+    """Print and write what a campaign came to, and end the command with the status that goes with it."""
+    from deploy.campaign.picture import FILE_NAME, draw_campaign, why_none
+    from deploy.campaign.table import print_report
+    from deploy.commands.outcome import EXIT_STATUS
+
+    if report.status != "interrupted":
+        report.write()
+        if picture and not why_none(report):
+            draw_campaign(report, report.folder / FILE_NAME)
+    if as_json:
+        print(report.to_json())
+    else:
+        print_report(report)
+        if report.status != "interrupted" and picture and why_none(report):
+            print(f"No picture: {why_none(report)}.")
+        print(f"\n{report.folder}")
+    sys.stdout.flush()
+    if report.status != "ok":
+        sys.stderr.write(f"mdms: {report.status}: {report.reason}\n")
+        raise typer.Exit(EXIT_STATUS[report.status])
