@@ -75,3 +75,8 @@ class HostLostError(BusError):
 @final
 class WokenError(BusError):
     """``Endpoint.wake`` was called while the lockstep waited: whoever called it knows why."""
+
+
+@final
+class MemoryRefusedError(BusError):
+    """What something remembers can't be kept, or what was kept is not what it remembers; says what and where."""

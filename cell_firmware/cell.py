@@ -11,6 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from bus.lattice import SIDES, Lattice
+from bus.memory_codec import is_record
 from bus.readings import Picture
 from cell_firmware.firmware import (
     Bools,
@@ -198,6 +199,14 @@ class PerCell(Firmware):
             except Exception:  # noqa: BLE001 - whatever a user's program raises is that cell's failure
                 failed[i] = traceback.format_exc()
         return {"cell": states}, Outputs(speed, outbox, failed or None, None if served.all() else served)
+
+
+def records_of(firmware: Firmware) -> tuple[type, ...]:
+    """What a program's cells may remember beyond plain values: dataclasses and named tuples that its file knows."""
+    if not isinstance(firmware, PerCell):
+        return ()
+    known = type(firmware.firmware).step.__globals__
+    return tuple(kind for kind in known.values() if is_record(kind))
 
 
 def _cell(cells: Cells, i: int) -> Cell:

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.errors import MemoryRefusedError
+from bus.memory import Remembers
 from bus.partition import Partition
 from bus.readings import Labels, Picture
-from cell_firmware.controller import Controller, Instant
+from cell_firmware.controller import Controller, ControllerState, Instant, frozen
 from cell_firmware.effects.stage import Stage
 from cell_firmware.errors import FirmwareError, FirmwareFailed
-from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, solid
+from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State, solid
 from cell_firmware.specs import nanoseconds
 
 if TYPE_CHECKING:
@@ -85,6 +87,10 @@ class Shard:
     Raises:
         FirmwareFailed: The firmware's ``init`` failed.
     """
+
+    remembers: ClassVar[Remembers] = Remembers(
+        "_tick", "_active", "_retired", "_drive", "_sent", "_outgoing", "_effects", "_memory"
+    )
 
     def __init__(
         self,
@@ -186,10 +192,7 @@ class Shard:
                 self.retire(failure.cell for failure in failures)
             hung = tuple(outputs.hung[i] for i in sorted(outputs.hung))
         self._drive = drive
-        out = None
-        if self._message is not None:
-            out = _links(self._sent[self._out_from], self._outgoing[self._out_from])
-        return ShardOutputs(drive, out, failures, hung)
+        return ShardOutputs(drive, self.border, failures, hung)
 
     def _inbox(self, links: Links | None) -> Inbox | None:
         """Messages of the last tick, from inside and over the border."""
@@ -287,9 +290,41 @@ class Shard:
         return total
 
     @property
+    def tick(self) -> int:
+        """The last tick that was stepped; -1 before the first."""
+        return self._tick
+
+    @property
+    def border(self) -> Links | None:
+        """What went out over the border in that tick; None for firmware without messages."""
+        if self._message is None:
+            return None
+        return _links(self._sent[self._out_from], self._outgoing[self._out_from])
+
+    @property
+    def _memory(self) -> Mapping[str, State]:
+        """What the cells that still run remember."""
+        return self._state.parts
+
+    @_memory.setter
+    def _memory(self, parts: Mapping[str, State]) -> None:
+        state = self._state if self._active is None else self._state.take(self._active)
+        if _arrays(parts) != _arrays(state.parts):
+            raise MemoryRefusedError(
+                f"the cells' memory: must have a row for each of {len(state.cells)} cells in "
+                f"{', '.join(sorted(_arrays(state.parts)))}"
+            )
+        self._state = ControllerState(state.cells, {name: frozen(part) for name, part in parts.items()})
+
+    @property
     def alive(self) -> tuple[tuple[int, int], ...]:
         """``(row, column)`` of the cells that still run."""
         return tuple(self._state.cells.name(i) for i in range(len(self._state.cells)))
+
+
+def _arrays(parts: Mapping[str, State]) -> dict[str, int]:
+    """The arrays of a memory by name, and how many rows each has."""
+    return {f"{part}.{name}": len(array) for part, state in parts.items() for name, array in state.items()}
 
 
 def _links(sent: Bools, message: Messages) -> Links:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
+from bus.memory import Remembers
 from cell_firmware.clocks import NEVER
 from plant.timing import Timing
 
@@ -24,6 +25,8 @@ class CellTimes:
     Args:
         clocks: Of all cells.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_tick", "_count", "_read_ns")
 
     def __init__(self, clocks: Clocks) -> None:
         self._clocks = clocks

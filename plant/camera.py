@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from fractions import Fraction
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.chance import generator
+from bus.memory import Remembers
 from bus.readings import Picture
 from plant.effects.camera import CameraSpec
 from plant.wheels import Floats
@@ -30,6 +31,8 @@ class Camera:
         later: ticks by which all pictures are shown later still: 1 where cells are told in a tick what they read in the
             one before, so that none sees what had not come yet.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_draw", "_next_ns", "_under_way", records=(Picture,))
 
     def __init__(self, spec: CameraSpec, tick_ns: int, seed: int, later: int = 0) -> None:
         self._tick_ns = tick_ns

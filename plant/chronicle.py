@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.array import CellArray
 from plant.errors import PlantUnstable
 from plant.reports import Event, ParcelStatus
@@ -32,6 +33,8 @@ class Chronicle:
     Attributes:
         support_changes: changes of support sets so far.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("support_changes")
 
     def __init__(self, array: CellArray, solver: Solver, status: list[ParcelStatus]) -> None:
         self._array, self._solver, self._status = array, solver, status

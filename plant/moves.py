@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.array import CellArray
 from plant.chronicle import Chronicle
 from plant.legs import cells_near, ends_s, margins_m
@@ -36,6 +37,8 @@ class Moves:
         grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
         contact: what moves those that touch; None where they don't.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("there", "live", "grip", "_freed", "_jammed", "contact")
 
     def __init__(
         self,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant import geometry
 from plant.broad_phase import close_boxes, close_pairs
 
@@ -24,6 +25,8 @@ class OverlapWatch:
         footprints: ``(v, 2)`` corners of each parcel about its centre of mass, counter-clockwise.
         radius: ``(m,)`` farthest corner of each.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_met")
 
     def __init__(self, footprints: Sequence[Floats], radius: Floats) -> None:
         self._footprints = footprints

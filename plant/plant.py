@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, final
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.array import CellArray
 from plant.chronicle import Chronicle
 from plant.errors import PlantError
@@ -44,6 +46,22 @@ class Plant:
         PlantError: a parcel doesn't stand on the array where it starts or is fed, or starts in an exit; or two overlap.
     """
 
+    remembers: ClassVar[Remembers] = Remembers(
+        "_suffered",
+        "_wheels",
+        "_solver",
+        "_now_ns",
+        "_chronicle",
+        "_overlaps",
+        "_rest",
+        "_traffic",
+        "_moves",
+        "_told",
+        "_untold",
+        shared=("status",),
+        records=(Event, ParcelStatus, Sense),
+    )
+
     def __init__(self, spec: PlantSpec) -> None:
         self.array: CellArray = CellArray(spec.array)
         n = len(self.array)
@@ -69,6 +87,7 @@ class Plant:
         self._contact = self._moves.contact
         if self._contact is not None:
             self._contact.check_start(there)
+        self._harm: Harm | None = None
         self._told: Sense | None = None
         """What each cell has read last."""
         self._untold = [] if self._traffic is None else self._look(self._traffic, 0)
@@ -153,11 +172,26 @@ class Plant:
 
         if not isinstance(self._wheels, HarmedWheels):
             self._wheels = HarmedWheels(self._wheels, self._motors, len(self.array))
+        self._harm = harm
         self._wheels.suffer(harm, drives)
         self._moves.jam(harm.stuck[:, 0] & harm.stuck[:, 1])
         moved = self.array.keep(~harm.gone)
         if len(moved):
             self._rebuild(moved, harm.gone)
+
+    @property
+    def _suffered(self) -> tuple[Any, ...] | None:
+        """What faults have done last, by ``Harm``'s fields; None: nothing ever."""
+        harm = self._harm
+        return None if harm is None else tuple(getattr(harm, field.name) for field in fields(harm))
+
+    @_suffered.setter
+    def _suffered(self, told: tuple[Any, ...] | None) -> None:
+        """Wheels and cells that are as faults have left them; where they were on their way is for others to tell."""
+        if told is not None:
+            from plant.faults.fault import Harm
+
+            self.suffer(Harm(*told), np.zeros((len(self.array), 2)))
 
     def _rebuild(self, cells: NDArray[np.int64], gone: NDArray[np.bool_]) -> None:
         """Cells have come to the array, or gone from it."""

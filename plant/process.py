@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, final
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.counts import Loss
+from bus.memory import Remembers
 from bus.wire import DriveFrame, SenseFrame
+from plant.reports import Sense
 from plant.timing import Timing
 from plant.undriven import Undriven
 
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from plant.faults.active import ActiveFaults
     from plant.faults.fault import PlantFault
     from plant.plant import Plant
-    from plant.reports import Event, Sense
+    from plant.reports import Event
     from plant.wheels import LossPolicy
 
 Floats = NDArray[np.float64]
@@ -123,6 +125,20 @@ class PlantProcess:
         waiting: Whether the process waits for the cells or the clock: an exception raised by a signal handler
             at such a time leaves the plant at ``time_ns``, with every tick before it reported.
     """
+
+    remembers: ClassVar[Remembers] = Remembers(
+        "_plant",
+        "_sense",
+        "_state",
+        "_drives",
+        "_faults",
+        "_undriven",
+        "_camera",
+        "_timing",
+        "tick",
+        "time_ns",
+        records=(Sense,),
+    )
 
     def __init__(
         self,

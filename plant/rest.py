@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.reports import Floats, ParcelState, ParcelStatus
 
 Numbers = NDArray[np.int64]
@@ -22,6 +23,8 @@ class RestWatch:
     Args:
         radius: ``(m,)`` farthest corner of each parcel from its centre of mass, m.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_resting")
 
     def __init__(self, radius: Floats) -> None:
         from plant.kernels import entry  # compiles or loads: only where a plant is really built

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant import geometry
 from plant.effects.feeders import FeedersSpec
 from plant.overlap import OverlapWatch
@@ -29,6 +30,8 @@ class _Queue:
         held_back: How many found no room when they were due.
         longest_ns: The longest that one had to wait.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("called_ns", "fed", "held_back", "longest_ns")
 
     name: str
     first: int
@@ -56,6 +59,8 @@ class _Queue:
 @dataclass(slots=True)
 class _Gate:
     """An exit: its edges, how long those who left by it had been there, and how many were meant for another."""
+
+    remembers: ClassVar[Remembers] = Remembers("transit_ns", "misrouted")
 
     name: str
     normal: Floats
@@ -89,6 +94,8 @@ class Traffic:
     Attributes:
         there: ascending indices of the parcels that neither wait nor have left.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_queues", "_gates", "_since_ns", "there")
 
     def __init__(
         self,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, ClassVar, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.wheels import Floats, LossPolicy
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ class Undriven:
         mask: ``(n,)``: those that no program drives; None: nobody ever was.
         lost: ``(n,)``: those dead for good.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_down", "_gone", "_given", "mask", "lost")
 
     def __init__(
         self, plant: Wheeled, cells: int, policy: LossPolicy, rests: Mapping[int, LossPolicy] | None = None

@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple, Protocol, final
+from typing import ClassVar, Literal, NamedTuple, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bus.memory import Remembers
 
 Floats = NDArray[np.float64]
 LossPolicy = Literal["coast", "brake", "hold"]
@@ -191,6 +193,8 @@ class Wheels(Protocol):
 @final
 class IdealWheels:
     """Wheels that run at the commanded surface speed at once; drives are m/s."""
+
+    remembers: ClassVar[Remembers] = Remembers("_speed")
 
     def __init__(self, cells: int) -> None:
         self._still: Floats = np.zeros((cells, 2))

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from bus.chance import Draws
 from bus.lattice import SIDES
+from bus.memory import Remembers
 from bus.spec import Spec
 from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
 from cell_firmware.firmware import Inbox, Inputs
@@ -88,6 +89,8 @@ class LinkDelaySpec(Delays, CellEffectSpec):
 class _AllAlike(Stage):
     """Keeps whole inboxes, as many as the delay has ticks: nothing can overtake anything."""
 
+    remembers: ClassVar[Remembers] = Remembers("_under_way", records=(Inbox,))
+
     def __init__(self, ticks: int, site: Site, message: np.dtype[np.void]) -> None:
         super().__init__()
         shape = (len(site.cells), len(SIDES))
@@ -107,6 +110,8 @@ class _AllAlike(Stage):
 @final
 class _EachItsOwn(Stage):
     """Keeps every message at its receiver until it is due: one inbox a tick, as many as the greatest delay spans."""
+
+    remembers: ClassVar[Remembers] = Remembers("_last_due", "_received", "_message")
 
     def __init__(self, spec: Delays, site: Site, message: np.dtype[np.void], purpose: str) -> None:
         super().__init__()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from bus.chance import Draws
+from bus.memory import Remembers
 from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
 from cell_firmware.firmware import Inputs
 
@@ -88,6 +89,8 @@ class SensorSpec(CellEffectSpec):
 class _Threshold(Stage):
     """A comparator with hysteresis."""
 
+    remembers: ClassVar[Remembers] = Remembers("_there")
+
     def __init__(self, spec: SensorSpec, site: Site) -> None:
         super().__init__()
         self._off, self._on = spec.switching_levels
@@ -124,6 +127,8 @@ class _Errors(Stage):
 class _Debounce(Stage):
     """Counts how long each bit has been read as other than it is believed to be."""
 
+    remembers: ClassVar[Remembers] = Remembers("_believed", "_read")
+
     def __init__(self, ticks: int, site: Site) -> None:
         super().__init__()
         self._ticks = ticks
@@ -146,6 +151,8 @@ class _Debounce(Stage):
 
 @final
 class _Latency(Stage):
+    remembers: ClassVar[Remembers] = Remembers("_under_way")
+
     def __init__(self, ticks: int, site: Site) -> None:
         super().__init__()
         self._under_way = np.zeros((ticks, len(site.cells), site.sensors), dtype=np.bool_)

@@ -6,13 +6,14 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.effect import EffectSpec
 from bus.lattice import SIDES
+from bus.memory import Remembers
 from cell_firmware.firmware import Bools, Inputs
 from cell_firmware.specs import CellsSpec
 
@@ -60,6 +61,8 @@ class Stage(ABC):
     Attributes:
         counted: What happened so far to cells that were alive, by name.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("counted")
 
     def __init__(self) -> None:
         self.counted: Counter[str] = Counter()

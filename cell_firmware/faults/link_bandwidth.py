@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from bus.fault import Injected, LinkTarget
+from bus.memory import Remembers
 from cell_firmware.faults.fault import CellFault
 from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
 from cell_firmware.firmware import Bools, Messages
@@ -51,6 +52,8 @@ class LinkBandwidthFault(LinkTarget, OnLinks):
 @final
 class _Bucket(LinkStage):
     """Tokens in parts of one, of which a whole number comes each tick; the queue's oldest message first."""
+
+    remembers: ClassVar[Remembers] = Remembers("_tokens", "_length", "_queue")
 
     def __init__(self, fault: LinkBandwidthFault, links: Links, injected: Injected[CellFault]) -> None:
         super().__init__(links, injected, "waited", "lost", lingers=1)

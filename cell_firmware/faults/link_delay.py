@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bus.fault import Injected, LinkTarget
 from bus.lattice import Lattice
+from bus.memory import Remembers
 from cell_firmware.effects.link_delay import Delays
 from cell_firmware.effects.stage import Site, Stage
 from cell_firmware.faults.fault import CellFault, FaultStage, purpose
@@ -49,6 +50,8 @@ class _Delayed(FaultStage):
         links: The links.
         injected: The fault.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_waiting", "_struck")
 
     def __init__(self, waiting: Stage, greatest: int, links: Links, injected: Injected[CellFault]) -> None:
         super().__init__(injected, "delayed", "overtaken")

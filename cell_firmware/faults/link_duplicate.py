@@ -7,6 +7,7 @@ from typing import ClassVar, Literal, final
 import numpy as np
 
 from bus.fault import Injected, LinkTarget
+from bus.memory import Remembers
 from cell_firmware.effects.sensor import Probability
 from cell_firmware.faults.fault import CellFault
 from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
@@ -33,6 +34,8 @@ class LinkDuplicateFault(LinkTarget, OnLinks):
 
 @final
 class _Twice(LinkStage):
+    remembers: ClassVar[Remembers] = Remembers("_again", "_words")
+
     def __init__(self, probability: float, links: Links, injected: Injected[CellFault]) -> None:
         super().__init__(links, injected, "duplicated", "overtaken", lingers=1)
         self._probability = probability

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from bus.fault import Injected, LinkTarget
+from bus.memory import Remembers
 from cell_firmware.effects.sensor import Probability
 from cell_firmware.faults.fault import CellFault
 from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
@@ -77,6 +78,8 @@ class _EachByItself(LinkStage):
 @final
 class _Bursts(LinkStage):
     """Keeps whether each link is bad: one number a tick and link says what becomes of it."""
+
+    remembers: ClassVar[Remembers] = Remembers("_bad")
 
     def __init__(self, fault: LinkLossFault, links: Links, injected: Injected[CellFault]) -> None:
         super().__init__(links, injected, "lost")

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from bus.fault import Injected, LinkTarget
+from bus.memory import Remembers
 from cell_firmware.effects.link_delay import LONGEST_TICKS
 from cell_firmware.effects.sensor import Probability
 from cell_firmware.faults.fault import CellFault
@@ -38,6 +39,8 @@ class LinkReorderFault(LinkTarget, OnLinks):
 
 @final
 class _HeldBack(LinkStage):
+    remembers: ClassVar[Remembers] = Remembers("_held", "_words")
+
     def __init__(self, fault: LinkReorderFault, links: Links, injected: Injected[CellFault]) -> None:
         super().__init__(links, injected, "reordered", "replaced", lingers=fault.ticks)
         self._probability, self._ticks = fault.probability, fault.ticks

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from bus.fault import Injected
+from bus.memory import Remembers
 from cell_firmware.effects.sensor import LONGEST_TICKS
 from cell_firmware.faults.fault import CellFault
 from cell_firmware.faults.sensors import SensorFault, SensorStage, Struck
@@ -31,6 +32,8 @@ class SensorDelayFault(SensorFault):
 @final
 class _Delay(SensorStage):
     """Writes down what sensors say from as many ticks before the fault begins as it delays them."""
+
+    remembers: ClassVar[Remembers] = Remembers("_begun", "_bits", "_levels")
 
     def __init__(self, ticks: int, struck: Struck, injected: Injected[CellFault]) -> None:
         super().__init__(struck, injected)

@@ -97,7 +97,7 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     from bus.lockstep import Member
     from cell_firmware import agent
 
-    cells, site = _shard(order, shard)
+    cells, site = make_shard(order, shard)
     member = Member(
         endpoint,
         order.partition,
@@ -164,8 +164,8 @@ def faults_of(scene: Scene) -> CellFaults | None:
     return CellFaults(scene.lattice(), injected, scene.seed)
 
 
-def _shard(order: Order, index: int) -> tuple[Shard, Site]:
-    """The cells of a shard, and where they are."""
+def make_shard(order: Order, index: int) -> tuple[Shard, Site]:
+    """The cells of a shard before tick 0, and where they are."""
     from cell_firmware.effects.stage import Site
     from cell_firmware.firmware import Cells
     from cell_firmware.shard import FAULTS, Shard

@@ -7,11 +7,12 @@ can get, overlap. All others are the solver's alone.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final, final
+from typing import Any, ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.broad_phase import close_pairs
 from plant.contact.bounds import fastest
 from plant.contact.course import Course
@@ -46,6 +47,8 @@ class ContactMover:
     Attributes:
         resolves: whether contacts change the motion.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_met")
 
     def __init__(self, scene: PlantSpec, rules: ParcelContactSpec, solver: Rewindable) -> None:
         self._rules, self._solver = rules, solver

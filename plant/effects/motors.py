@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import model_validator
 
 from bus.effect import EffectSpec
+from bus.memory import Remembers
 from bus.spec import NotNegative, Positive
 from plant.effects.dc_motor import DcMotorSpec
 from plant.wheels import Changes, Floats, WheelMotion, WheelRun
@@ -102,6 +103,8 @@ class Motors:
         cells: Number of cells.
         loaded: Whether they feel what they pull (effect ``wheel_load``).
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_volts", "_speed", "_travel")
 
     def __init__(self, spec: MotorsSpec, cells: int, *, loaded: bool = False) -> None:
         self._supply_v = spec.supply_v

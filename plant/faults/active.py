@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import final
+from typing import ClassVar, final
 
 from bus.fault import Injected, turns
 from bus.lives import NEVER
+from bus.memory import Remembers
 from plant.faults.fault import Harm, PlantFault
 
 
@@ -22,6 +23,8 @@ class ActiveFaults:
         turns: The ticks in which faults begin or end from now on, ascending.
         next_turn: The first of them; ``NEVER``: none does.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("turns", "next_turn")
 
     def __init__(self, cells: int, faults: Sequence[Injected[PlantFault]] = ()) -> None:
         self._cells = cells

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.faults.fault import Harm
 from plant.wheels import Changes, Floats, WheelMotion, WheelRun, Wheels
 
@@ -26,6 +27,8 @@ class HarmedWheels:
         motors: None where wheels are ideal: drives are m/s then, else volts.
         cells: Of the array.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("_wheels")
 
     def __init__(self, wheels: Wheels, motors: MotorsSpec | None, cells: int) -> None:
         self._wheels = wheels

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.array import CellArray
 from plant.kernels import layout
 from plant.kernels.parcels import Parcel, Parcels
@@ -43,6 +44,8 @@ class CompiledSolver(ABC):
         state: ``(m, 6)``: part of ``packed``.
         bodies: the parcels as the plant sees them.
     """
+
+    remembers: ClassVar[Remembers] = Remembers(shared=("packed.y", "packed.par", "packed.ctl", "packed.mem"))
 
     def __init__(self, array: CellArray, parcels: tuple[ParcelSpec, ...], rate: float) -> None:
         from plant.kernels import pick  # loads numba: only where a plant is really built

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import layout
@@ -110,6 +111,8 @@ class Exact(LeggedSolver[Work]):
         rate: of the motors, 1/s; 0 without.
         spec: tolerance and capture.
     """
+
+    remembers: ClassVar[Remembers] = Remembers(shared=("_allowance",))
 
     def __init__(
         self,

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
+from bus.memory import Remembers
 from plant.errors import PlantError
 from plant.kernels import layout
 from plant.loads import NO_LOAD, ON_LINE
@@ -50,6 +51,9 @@ class Heyoka(RestartedSolver):
     Raises:
         PlantError: heyoka is not installed.
     """
+
+    # Courses remember nothing: what heyoka's integrators know is theirs alone, and a run on them can't be kept.
+    remembers: ClassVar[Remembers] = Remembers("_courses")
 
     def __init__(self, scene: PlantSpec, spec: HeyokaSpec, array: CellArray, rate: float) -> None:
         try:

@@ -8,11 +8,12 @@ does so exactly. See ``plant/kernels``: ``implicit_step`` for that problem, ``im
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
@@ -117,6 +118,10 @@ class Implicit(ThreadedSolver[Work]):
         array: the surface.
         rate: of the motors, 1/s; 0 without.
     """
+
+    remembers: ClassVar[Remembers] = Remembers(
+        shared=("_paces", "_rollers.passed", "_springs.moments", "_edges.share")
+    )
 
     def __init__(self, scene: PlantSpec, spec: ImplicitSpec, array: CellArray, rate: float) -> None:
         from plant.kernels import implicit_entry  # compiles or loads: only where a plant is really built

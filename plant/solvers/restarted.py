@@ -9,11 +9,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import layout
@@ -52,6 +53,8 @@ class Moving:
         allowed: changes of supports until its motion counts as unstable.
         outrun: whether it outruns a wheel that the law takes to be faster.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("under", "supports", "allowed", "outrun", records=(Supports,))
 
     shape: Parcel
     mass_kg: float
@@ -98,6 +101,8 @@ class RestartedSolver(ABC):
         bodies: the parcels as the plant sees them.
         effort: steps, or evaluations of the right-hand side, so far: as its integrator counts.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("effort", "_parcels", shared=("state",))
 
     def __init__(self, scene: PlantSpec, array: CellArray) -> None:
         self.array = array

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from plant.array import CellArray
 from plant.kernels import implicit_layout, layout
 from plant.solvers.implicit import FIRST_STEP_S, coefficients
@@ -29,6 +30,8 @@ class SteppedSolver(ThreadedSolver[Work]):
         step_s: length of a step; 0 where the tolerance tells it.
         tolerance: m at the footprint; 0 where steps are of one length.
     """
+
+    remembers: ClassVar[Remembers] = Remembers(shared=("_paces", "_springs.moments", "_edges.share"))
 
     def __init__(
         self,

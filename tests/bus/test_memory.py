@@ -1,0 +1,220 @@
+"""What objects remember, as bytes and back."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, ClassVar, NamedTuple, cast
+
+import msgpack  # pyright: ignore[reportMissingTypeStubs]
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bus.errors import MemoryRefusedError
+from bus.memory import Remembers, recall, remember
+from bus.memory_codec import decode, encode
+
+packed: Callable[[object], bytes] = cast("Any", msgpack).packb
+
+
+class Pair(NamedTuple):
+    left: int
+    right: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    level: Any
+
+
+class Wheel:
+    remembers: ClassVar[Remembers] = Remembers("turns")
+
+    def __init__(self) -> None:
+        self.turns = 0
+        self.radius = 3
+
+
+class Motor(Wheel):
+    remembers: ClassVar[Remembers] = Remembers("volts", "last", records=(Pair,))
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.volts: Any = np.zeros(2)
+        self.last: Pair | None = None
+
+
+class Packed(NamedTuple):
+    y: Any
+    fixed: Any
+
+
+class Car:
+    remembers: ClassVar[Remembers] = Remembers("motors", "luck", shared=("log", "packed.y"))
+
+    def __init__(self) -> None:
+        self.motors = [Motor(), Motor()]
+        self.luck = np.random.default_rng(7)
+        self.log: list[str] = []
+        self.packed = Packed(np.zeros(3), np.ones(3))
+        self.view = self.packed.y[:2]
+        self.readers = self.log
+
+
+RECORDS = {"Pair": Pair, "Reading": Reading}
+
+VALUES: list[Any] = [
+    None,
+    True,
+    -3,
+    2**100,
+    0.1,
+    float("inf"),
+    "text",
+    b"bytes",
+    (1, (2, 3)),
+    [1, [2]],
+    {"a": 1},
+    {1: "b", (2, 3): "c"},
+    {(1, 2), (3, 4)},
+    deque([(1, "x")]),
+    Counter({"lost": 0, "late": 2}),
+    Fraction(1, 3),
+    Pair(1, "r"),
+    Reading((1, None)),
+    array("q", [1, 2]),
+    array("d", [0.5]),
+    np.float64(0.1),
+]
+
+
+@pytest.mark.parametrize("value", VALUES, ids=repr)
+def test_a_value_comes_back_as_it_was(value: Any) -> None:
+    back = decode(encode(value, RECORDS), RECORDS)
+    assert type(back) is type(value)
+    assert back == value
+
+
+@pytest.mark.parametrize(
+    "array_",
+    [
+        np.arange(6.0).reshape(2, 3)[:, ::2],
+        np.zeros((0, 4)),
+        np.array([True, False]),
+        np.array([(1, True)], dtype=[("x", "<i2"), ("sent", "?")]),
+        np.array([-0.0, np.nan]),
+    ],
+    ids=repr,
+)
+def test_an_array_comes_back_bit_for_bit_and_may_be_written(array_: Any) -> None:
+    back = decode(encode(array_, {}), {})
+    assert (back.dtype, back.shape, back.tobytes()) == (array_.dtype, array_.shape, array_.tobytes())
+    back[...] = 0
+
+
+def test_an_array_of_objects_holds_values() -> None:
+    states = np.empty(2, dtype=object)
+    states[0], states[1] = {"n": 1}, (2, [3])
+    assert decode(encode(states, {}), {}).tolist() == states.tolist()
+
+
+@pytest.mark.parametrize("value", [object(), lambda: 0, Pair(1, "r"), np.array(["text"]), {1, "a"}], ids=repr)
+def test_what_is_no_value_is_refused_when_it_is_kept(value: Any) -> None:
+    with pytest.raises((MemoryRefusedError, TypeError)):
+        encode(value, {})
+
+
+def _driven() -> Car:
+    car = Car()
+    car.motors[1].turns, car.motors[1].volts, car.motors[0].last = 5, np.array([1.0, 2.0]), Pair(1, "r")
+    car.luck.normal(size=3)
+    car.log.append("start")
+    car.packed.y[:] = 1.5
+    return car
+
+
+def test_an_object_made_anew_remembers_what_another_did() -> None:
+    car, other = _driven(), Car()
+    recall(other, remember(car))
+    assert remember(other) == remember(car)
+    assert (other.motors[1].turns, other.motors[0].last) == (5, Pair(1, "r"))
+    assert other.luck.normal() == car.luck.normal()
+
+
+def test_what_others_hold_too_is_changed_where_it_is() -> None:
+    other = Car()
+    recall(other, remember(_driven()))
+    assert other.view.tolist() == [1.5, 1.5]
+    assert other.readers == ["start"]
+
+
+def _changed(change: str) -> bytes:
+    car = _driven()
+    match change:
+        case "an object too few":
+            car.motors.pop()
+        case "another kind":
+            car.motors[0].turns = "many"  # type: ignore[assignment]
+        case "another type of array":
+            car.motors[0].volts = np.zeros(2, dtype=np.int32)
+        case "another shape":
+            car.packed = Packed(np.zeros(4), np.ones(3))
+        case "another name":
+            return remember(car).replace(b"volts", b"watts")
+        case _:
+            raise AssertionError(change)
+    return remember(car)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("an object too few", r"Car\.motors: must be"),
+        ("another kind", r"Car\.motors\[0\]\.turns: must be a int, is a str"),
+        ("another type of array", r"Car\.motors\[0\]\.volts: must be 1 dimensions of float64"),
+        ("another shape", r"Car\.packed\.y: must be float64 \(3,\), is float64 \(4,\)"),
+        ("another name", r"Car\.motors\[0\]: must be last, turns, volts, is last, turns, watts"),
+    ],
+)
+def test_a_memory_of_something_else_is_refused_by_place(change: str, told: str) -> None:
+    with pytest.raises(MemoryRefusedError, match=told):
+        recall(Car(), _changed(change))
+
+
+@given(st.binary(max_size=64))
+def test_any_bytes_are_a_memory_or_are_refused(data: bytes) -> None:
+    try:
+        decode(data, RECORDS)
+    except MemoryRefusedError:
+        return
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_changed_bytes_are_a_memory_or_are_refused(data: st.DataObject) -> None:
+    whole = bytearray(remember(_driven()))
+    for _ in range(data.draw(st.integers(1, 4))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        recall(Car(), bytes(whole))
+    except MemoryRefusedError:
+        return
+
+
+def test_an_array_that_says_it_is_larger_than_its_bytes_is_refused() -> None:
+    told = packed(["<f8", [2**40, 2**40], b""])
+    with pytest.raises(MemoryRefusedError, match="0 bytes for an array"):
+        decode(packed(msgpack.ExtType(1, told)), {})
+
+
+def test_nesting_without_end_is_refused() -> None:
+    data = packed([])
+    for _ in range(3_000):
+        data = packed(msgpack.ExtType(4, data))
+    with pytest.raises(MemoryRefusedError, match="not a memory"):
+        decode(data, {})

@@ -1,0 +1,66 @@
+"""Two graphs of objects, compared attribute by attribute: what differs was not remembered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+OURS = ("bus.", "cell_firmware.", "deploy.", "plant.", "tests.")
+SCRATCH = {
+    ("ThreadedSolver", "_desks"): "what threads work with: written before it is read",
+    ("Draws", "_counter"): "set before every draw",
+    ("Draws", "_state"): "likewise",
+    ("PlantProcess", "_host"): "the bus is looked at by itself",
+    ("Spots", "_parcels"): "states are put in before they are looked at",
+}
+"""Attributes that may differ, and why."""
+
+
+def differences(one: Any, other: Any) -> list[str]:
+    """Paths to what is not the same in two objects that should be alike."""
+    return list(_compared(one, other, type(one).__name__, set()))
+
+
+def _compared(one: Any, other: Any, path: str, seen: set[tuple[int, int]]) -> Iterator[str]:
+    if (id(one), id(other)) in seen or one is other:
+        return
+    seen.add((id(one), id(other)))
+    if type(one) is not type(other):
+        yield f"{path}: {type(one).__name__} and {type(other).__name__}"
+    elif isinstance(one, np.ndarray):
+        if one.dtype.hasobject:
+            yield from _compared(one.tolist(), other.tolist(), path, seen)
+        elif one.shape != other.shape or one.tobytes() != other.tobytes():
+            yield path
+    elif isinstance(one, np.random.Generator):
+        yield from _compared(one.bit_generator.state, other.bit_generator.state, path, seen)
+    elif isinstance(one, Mapping):
+        yield from _items(one, other, path, seen)
+    elif isinstance(one, bool | int | float | str | bytes | set | frozenset | np.generic):
+        if one != other:
+            yield path
+    elif hasattr(one, "__len__") and hasattr(one, "__getitem__") and hasattr(one, "__iter__"):
+        yield from _items(dict(enumerate(one)), dict(enumerate(other)), path, seen)
+    if type(one).__module__.startswith(OURS):
+        yield from _items(attributes(one), attributes(other), path, seen)
+
+
+def _items(
+    one: Mapping[Any, Any], other: Mapping[Any, Any], path: str, seen: set[tuple[int, int]]
+) -> Iterator[str]:
+    if one.keys() != other.keys():
+        yield path
+        return
+    for key in one:
+        yield from _compared(one[key], other[key], f"{path}.{key}", seen)
+
+
+def attributes(owner: Any) -> dict[str, Any]:
+    """What an object keeps in attributes, scratch left out."""
+    slots = [name for base in type(owner).__mro__ for name in vars(base).get("__slots__", ())]
+    found = {name: getattr(owner, name) for name in slots if hasattr(owner, name)}
+    found |= getattr(owner, "__dict__", {})
+    scratch = {name for base in type(owner).__mro__ for kind, name in SCRATCH if kind == base.__name__}
+    return {name: value for name, value in found.items() if name not in scratch}

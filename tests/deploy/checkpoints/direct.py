@@ -1,0 +1,120 @@
+"""A whole run in one call stack: the plant's process, all cells in one shard, and nothing between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bus.counts import Loss
+from bus.memory import recall, remember
+from bus.partition import Partition
+from bus.wire import DriveFrame, SenseFrame
+from cell_firmware.cell import records_of
+from cell_firmware.loader import load
+from cell_firmware.shard import Shard
+from deploy.cell_times import cell_times
+from deploy.digest import Digest
+from deploy.faults.schedule import active, deaths
+from deploy.processes.worker import Order, make_shard
+from deploy.readings import camera_of, readings_of
+from deploy.scene import Scene
+from plant.plant import Plant
+from plant.process import PlantProcess, TickRecord
+
+
+@dataclass
+class DirectHost:
+    """Hands what the plant says to the shard, and what the cells do back."""
+
+    shard: Shard
+    frame: SenseFrame | None = None
+
+    def publish(self, frame: SenseFrame) -> None:
+        self.frame = frame
+
+    def gather(self, tick: int) -> tuple[DriveFrame, Sequence[Loss]]:
+        sense = self.frame
+        assert sense is not None
+        done = self.shard.step(
+            tick,
+            sense.presence,
+            sense.encoder_m,
+            None,
+            sense.level,
+            label=sense.label,
+            camera=sense.picture,
+        )
+        assert not done.failures
+        return DriveFrame(tick, done.drive), []
+
+    def retire(self, cells: Sequence[int], tick: int) -> None:
+        del tick
+        self.shard.retire(self.shard.names[cell] for cell in cells)
+
+
+class DirectRun:
+    """A scene's run, tick by tick."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        plant = Plant(scene.plant_spec())
+        readings = readings_of(scene, plant.sense())
+        partition = Partition.even(plant.array.lattice, 1)
+        order = Order(
+            scene=scene,
+            array=plant.array,
+            partition=partition,
+            wire="packed",
+            run="direct",
+            connect="",
+            readings=readings,
+            wanted=(),
+            metered=True,
+            live=False,
+            joins=False,
+            alone=False,
+        )
+        self.shard, _ = make_shard(order, 0)
+        self.digest = Digest(scene.canonical())
+        self.events: list[Any] = []
+        self.process = PlantProcess(
+            plant,
+            DirectHost(self.shard),
+            tick_ns=scene.tick_ns,
+            duration_ns=scene.duration_ns,
+            schedule=deaths(scene),
+            stall=scene.stall,
+            observer=self._observe,
+            timing=cell_times(scene),
+            camera=camera_of(scene, readings),
+            faults=active(scene),
+        )
+
+    def _observe(self, record: TickRecord) -> None:
+        self.digest.tick(record.tick, record.sense.presence, record.drives, record.after)
+        self.events += record.events
+
+    def _tell(self) -> None:
+        """Have the last tick observed, which waits for the next to begin."""
+        self.process._report()  # pyright: ignore[reportPrivateUsage]
+
+    def go(self, ticks: int) -> DirectRun:
+        """Run so many ticks."""
+        for _ in range(ticks):
+            assert self.process.time_ns < self.scene.duration_ns
+            self.process.step()
+        self._tell()
+        return self
+
+    def remember(self) -> tuple[bytes, bytes, bytes]:
+        """Plant, cells, digest."""
+        records = records_of(load(self.scene.cells))
+        return remember(self.process), remember(self.shard, records), self.digest.value
+
+    def recall(self, memory: tuple[bytes, bytes, bytes]) -> DirectRun:
+        """Go back, in a run made anew."""
+        recall(self.process, memory[0])
+        recall(self.shard, memory[1], records_of(load(self.scene.cells)))
+        self.digest.value = memory[2]
+        return self
