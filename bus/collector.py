@@ -100,6 +100,11 @@ class Collector:
         lives = zip(self.since, self.until, strict=True)
         return Slot(self._blank.copy(), sum(since <= tick < until for since, until in lives))
 
+    def early(self, tick: int) -> int:
+        """How many parts have come of frames from ``tick`` on."""
+        slots = {self.now: self._current, **self._early}
+        return sum(sum(slot.have) for when, slot in slots.items() if when >= tick)
+
     def missing(self, tick: int) -> list[int]:
         """Live parts of ``tick`` that have not come."""
         have = self.slot(tick).have

@@ -16,6 +16,7 @@ from bus.dispatch import Dispatcher
 from bus.errors import BusError, WireError, WokenError
 from bus.forms import FORMS, FormName
 from bus.forms.form import HostForm, Wiring
+from bus.keeping import Keeping, Together, decode_kept
 from bus.keys import plant_key, shard_key
 from bus.lives import Lives
 from bus.partition import Partition
@@ -30,6 +31,8 @@ from bus.wire import Control, DriveFrame, Report, SenseFrame
 _POLL_S: Final = 0.01
 """How often to ask for matches, of which no event tells."""
 _STATE_POLL_S: Final = 0.5
+_BEFORE: Final = -1
+"""In place of a shard: all sides of a run before it was resumed."""
 
 
 @final
@@ -46,6 +49,7 @@ class Host:
         readings: What sense frames carry.
         message: The firmware's message type, None where cells send each other nothing.
         wanted: Registers of the cells to take in.
+        keeps: Whether shards may be asked what they remember.
         stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
         clock: Monotonic wall seconds.
 
@@ -63,6 +67,7 @@ class Host:
         readings: Readings,
         message: np.dtype[Any] | None,
         wanted: Sequence[Wanted] = (),
+        keeps: bool = False,
         stall: StallSpec | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -98,6 +103,11 @@ class Host:
             for shard in range(partition.count):
                 self._inbox.routes[shard_key(run, shard, "registers")] = (self._take_registers, shard)
             endpoint.subscribe(shard_key(run, None, "registers"), "quiet")
+        self._keeping: Keeping | None = None
+        if keeps:
+            for shard in range(partition.count):
+                self._inbox.routes[shard_key(run, shard, "memory")] = (self._take_kept, shard)
+            endpoint.subscribe(shard_key(run, None, "memory"), "quiet")
         self._control = endpoint.publisher(plant_key(run, "control"))
         self._state = endpoint.publisher(plant_key(run, "state"))
         self._state_asked: float | None = None
@@ -136,7 +146,11 @@ class Host:
                 raise self._roll.missing(limit, waiting)
             # Tokens come as events, matches must be asked for: they come with the tokens.
             self._inbox.read(min(left, _POLL_S) if everybody else left)
-        self.control(Control("start", 0))
+        start = Control("start", self._tick)
+        if _BEFORE in self._shard_counts:  # counted when the run began
+            self._control.put(wire.encode_control(start))
+        else:
+            self.control(start)
 
     # --- a tick ---------------------------------------------------------------------------------
 
@@ -191,6 +205,43 @@ class Host:
         """Stops waiting for ``cells`` (indices) from ``tick`` on: a scheduled death, which is no loss."""
         self._lives.retire(cells, tick)
         self._drives.bury(self._lives.last(self._form.unit_cells))
+
+    def resume(self, tick: int, dead: Sequence[int], counts: Counts) -> None:
+        """Goes on at ``tick`` where another side of the same run was; before the barrier.
+
+        Args:
+            tick: The first to be published and gathered.
+            dead: Indices of the cells that had gone before it.
+            counts: Of all sides by then.
+        """
+        self._tick = tick
+        self._drives.begin(tick)
+        if dead:
+            self.retire(dead, 0)
+        self._shard_counts[_BEFORE] = counts
+
+    def ask(self, tick: int) -> None:
+        """Asks the shards what they remember before ``tick``; before ``publish`` of the one before."""
+        self._control.put(wire.encode_control(Control("keep", tick)))
+        live = self._lives.live(tick - 1)
+        self._keeping = Keeping(tick, np.unique(self._shard_of[live]).tolist())
+
+    def note(self) -> None:
+        """Notes, with ``tick`` about to begin for which was asked, what this side has counted."""
+        assert self._keeping is not None
+        self._keeping.note(self.counts)
+
+    def take_kept(self) -> Together | None:
+        """What all sides remember, once everybody asked has answered."""
+        together = None if self._keeping is None else self._keeping.together(self._shard_counts)
+        if together is not None:
+            self._keeping = None
+        return together
+
+    def give_up(self) -> list[int]:
+        """Waits no longer for what shards remember; returns those that have not answered."""
+        keeping, self._keeping = self._keeping, None
+        return [] if keeping is None else keeping.missing
 
     def live(self, tick: int) -> wire.Mask:
         """``(n,)``: the cells that take part in ``tick``."""
@@ -307,6 +358,11 @@ class Host:
         self.counts.delivered += 1
         if due(self._wanted, frame.tick) is not None:
             self._shown[frame.tick, shard] = frame  # others are for those who watch
+
+    def _take_kept(self, shard: int, payload: bytes) -> None:
+        kept = decode_kept(payload, int(np.count_nonzero(self._shard_of == shard)))
+        if self._keeping is not None:  # else it comes too late
+            self._keeping.take(shard, kept)
 
     # --- who is still there ---------------------------------------------------------------------
 

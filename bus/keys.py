@@ -40,7 +40,7 @@ def cell_link_key(run: str, cell: tuple[int, int], side: int) -> str:
     return f"mdms/{run}/cell/{cell[0]}/{cell[1]}/to/{SIDES[side]}"
 
 
-def shard_key(run: str, shard: int | None, leaf: RunLeaf | Literal["report", "registers"]) -> str:
+def shard_key(run: str, shard: int | None, leaf: RunLeaf | Literal["report", "registers", "memory"]) -> str:
     """Key of one shard, or of every shard for None."""
     return f"mdms/{run}/shard/{'*' if shard is None else shard}/{leaf}"
 

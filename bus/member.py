@@ -16,6 +16,7 @@ from bus.dispatch import Dispatcher
 from bus.errors import BarrierError, HostLostError, WireError
 from bus.forms import FORMS, FormName
 from bus.forms.form import MemberForm, Wiring
+from bus.keeping import Kept, encode_kept
 from bus.keys import plant_key, shard_key
 from bus.lives import Lives
 from bus.outgoing import Outgoing
@@ -70,6 +71,7 @@ class Member:
             None: as long as the token stands. A paused or compiling plant is silent too.
         wanted: Registers of the cells that the plant wants to see.
         tally: What else to report as the shard leaves: numbers that the cells counted, by name.
+        keeps: Whether the plant may ask what the shard remembers.
         clock: Monotonic wall seconds.
 
     Attributes:
@@ -90,6 +92,7 @@ class Member:
         silence_s: float | None = None,
         wanted: Sequence[Wanted] = (),
         tally: Callable[[], Mapping[str, int]] = dict[str, int],
+        keeps: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         wiring = Wiring(run, partition, readings, message)
@@ -114,6 +117,11 @@ class Member:
         self._joining: list[Control] = []
         self._joined: int | None = None
         self._first = 0
+        self._resumed = False
+        self._asked = -1
+        """The tick before which the plant wants to know what the shard remembers."""
+        self._taken_in = 0
+        """What the shard had taken in when all of the tick before that was there."""
         self._plant_seen = False
         self._plant_lost = False
         self._declared: list[str] = []
@@ -134,6 +142,7 @@ class Member:
         endpoint.subscribe(control, "urgent")
         self._report = endpoint.publisher(shard_key(run, shard, "report"))
         self._registers = endpoint.publisher(shard_key(run, shard, "registers"))
+        self._memory = endpoint.publisher(shard_key(run, shard, "memory")) if keeps else None
         self._wanted = tuple(wanted)
         self._show_next = 0.0
         endpoint.watch_alive(self._plant_key)
@@ -157,6 +166,8 @@ class Member:
         waiting = {**self._outgoing.publishers, "report": self._report}
         if self._wanted:
             waiting["registers"] = self._registers
+        if self._memory is not None:
+            waiting["memory"] = self._memory
         while True:
             waiting = {key: publisher for key, publisher in waiting.items() if not publisher.matched()}
             if not waiting and self._plant_seen:
@@ -196,6 +207,30 @@ class Member:
             if self._plant_lost:
                 raise HostLostError("the plant left before the shard could take part")
         return self._joined
+
+    def resume(self, tick: int, dead: Sequence[int]) -> None:
+        """Goes on at ``tick`` where another side of the same shard was; before ``ready``.
+
+        Args:
+            tick: The first to be gathered.
+            dead: Indices in the lattice of the cells that had gone before it.
+        """
+        self._tick, self._resumed = tick, True
+        self._senses.begin(tick)
+        self._links.begin(tick - 1)
+        if dead:
+            self.retire(dead, 0)
+
+    def repeat(self, links: LinkFrame | None) -> None:
+        """Sends the messages of the tick before the first again, which that side had sent and counted; once ready.
+
+        Args:
+            links: Those messages; None where the firmware has none.
+        """
+        if links is not None:
+            self._endpoint.put_all(self._outgoing.link_puts(links))
+        if not self.live(self._tick).any():
+            self._tell_counts()
 
     def _show(self, keys: Iterable[str]) -> None:
         for key in keys:
@@ -248,6 +283,9 @@ class Member:
                 )
 
     def _hand_over(self, tick: int) -> Gathered:
+        if tick + 1 == self._asked:
+            early = 0 if self._message is None else self._links.early(tick)
+            self._taken_in = self.counts.delivered - early
         senses = self._form.join_senses(self._senses.close(tick).values)
         if not self._lives.all:
             gone = ~self.live(tick)
@@ -293,6 +331,22 @@ class Member:
         if not self._lives.all and not self.live(drive.tick + 1).any():
             self._tell_counts()
         self._endpoint.put_all(puts)
+
+    def keep(self, tick: int, read: Callable[[], bytes]) -> None:
+        """Tells the plant what the shard remembers before ``tick``, if it has asked.
+
+        Call it after ``publish`` of the tick before.
+
+        Args:
+            tick: The next.
+            read: Gives the state; asked only where the plant has.
+        """
+        if tick != self._asked or self._memory is None:
+            return
+        counts = self.counts
+        self._memory.put(
+            encode_kept(Kept(tick, (counts.sent, self._taken_in, counts.lost, counts.late), read()))
+        )
 
     def show(self, tick: int, read: Callable[[], Own]) -> None:
         """Puts the registers of the cells, if the plant or somebody else wants to see them.
@@ -407,6 +461,11 @@ class Member:
         control = wire.decode_control(payload, len(self._lattice))
         if not all(cell in self._lattice for cell in control.cells):
             raise WireError("control", "cells", "names a cell that is not in the array")
+        if control.kind == "keep":
+            self._asked = control.tick
+            return  # no part of the lockstep, and not counted
+        if control.kind == "start" and self._resumed:
+            return  # counted when the run began
         if control.kind == "stop":
             self._stop = control
         elif control.kind == "fault":

@@ -120,7 +120,7 @@ def _taken(value: Any) -> Any:
     if _is(value, list, tuple, deque):
         return kind(map(_taken, value))
     if _is_map(value):
-        made = kind if issubclass(kind, dict) else dict[Any, Any]
+        made: Any = kind if hasattr(kind, "update") else dict  # a view of a map can't be made of one
         return made({key: _taken(item) for key, item in value.items()})
     return value
 

@@ -74,21 +74,27 @@ class Outgoing:
             BusError: A shape or type is not what was agreed, or a drive is not finite; names the cell.
         """
         self._check(drive, links)
-        tick, all_live = drive.tick, self._lives.all
-        puts: list[tuple[Publisher, bytes]] = []
-        if links is not None and self._out:
-            if not all_live:
-                live = self._lives.until[self._sources] > tick
-                links = LinkFrame(tick, links.sent & live, links.message)
-            puts += zip(self._out, self._form.link_payloads(links), strict=True)
+        tick = drive.tick
+        puts = [] if links is None else self.link_puts(links)
         try:
-            puts += zip(self._drive, self._form.drive_payloads(drive), strict=True)
+            driven = list(zip(self._drive, self._form.drive_payloads(drive), strict=True))
         except WireError:
             raise self._not_finite(drive) from None
-        if not all_live:
-            spoken = (*self._spoken(tick), *(until > tick for until in self._drive_until))
-            puts = [put for put, live in zip(puts, spoken, strict=True) if live]
-        return puts
+        if not self._lives.all:
+            driven = [put for put, until in zip(driven, self._drive_until, strict=True) if until > tick]
+        return puts + driven
+
+    def link_puts(self, links: LinkFrame) -> list[tuple[Publisher, bytes]]:
+        """A tick's messages, each payload with its publisher."""
+        tick = links.tick
+        if not self._out:
+            return []
+        if self._lives.all:
+            return list(zip(self._out, self._form.link_payloads(links), strict=True))
+        live = self._lives.until[self._sources] > tick
+        payloads = self._form.link_payloads(LinkFrame(tick, links.sent & live, links.message))
+        puts = zip(self._out, payloads, strict=True)
+        return [put for put, spoken in zip(puts, self._spoken(tick), strict=True) if spoken]
 
     def _spoken(self, tick: int) -> list[bool]:
         """Which parts of the outgoing links have somebody to send them, and somebody to read them a tick later."""

@@ -53,9 +53,12 @@ class LinkFrame(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True)
 class Control:
-    """The plant's word to all: ``cells`` are ``(row, column)``."""
+    """The plant's word to all: ``cells`` are ``(row, column)``.
 
-    kind: Literal["start", "lost", "joining", "joined", "fault", "stop"]
+    ``keep``: it wants what the shards remember before ``tick``.
+    """
+
+    kind: Literal["start", "keep", "lost", "joining", "joined", "fault", "stop"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -120,7 +123,7 @@ def encode_control(control: Control) -> bytes:
     )
 
 
-_CONTROLS: Final = ("start", "lost", "joining", "joined", "fault", "stop")
+_CONTROLS: Final = ("start", "keep", "lost", "joining", "joined", "fault", "stop")
 _REPORTS: Final = ("failed", "hung", "linked", "counts")
 _CONTROL: Final = layout("kind", "cells", "detail")
 _REPORT: Final = layout("kind", "cells", "detail", "counts", "tally")

@@ -12,6 +12,7 @@ import numpy as np
 
 from bus.errors import WireError, WokenError
 from bus.lockstep import Gathered, Member
+from bus.memory import remember
 from bus.transport import Endpoint
 from bus.wire import TEXT_LIMIT, Control, DriveFrame, LinkFrame, Mask
 from cell_firmware.errors import FirmwareFailed
@@ -39,7 +40,12 @@ Inject = Callable[[Control], None]
 
 
 async def run(
-    shard: Shard, member: Member, endpoint: Endpoint, inject: Inject | None = None, first: int = 0
+    shard: Shard,
+    member: Member,
+    endpoint: Endpoint,
+    inject: Inject | None = None,
+    records: tuple[type, ...] = (),
+    first: int = 0,
 ) -> Ended:
     """Runs a shard tick by tick until it is told to stop.
 
@@ -48,10 +54,11 @@ async def run(
     traceback, and the others go on: whether the run does is the plant's to say.
 
     Args:
-        shard: The cells, before tick 0.
+        shard: The cells, before tick 0 or as they were remembered.
         member: Their side of the lockstep, ready.
         endpoint: The member's endpoint, to wake it by.
         inject: What carries out faults that come while it runs; None: they are let be.
+        records: What the cells' programs may remember beyond plain values.
         first: The shard's first tick.
 
     Raises:
@@ -60,7 +67,7 @@ async def run(
         BusError: Whatever else stops the member.
         asyncio.CancelledError: Cancelled; the gather thread has ended by then.
     """
-    agent = _Agent(shard, member, endpoint, asyncio.get_running_loop(), inject, first)
+    agent = _Agent(shard, member, endpoint, asyncio.get_running_loop(), inject, records, first)
     return await agent.run()
 
 
@@ -81,11 +88,13 @@ class _Agent:
         endpoint: Endpoint,
         loop: asyncio.AbstractEventLoop,
         inject: Inject | None,
+        records: tuple[type, ...],
         first: int,
     ) -> None:
         self._shard: Final = shard
         self._member: Final = member
         self._endpoint: Final = endpoint
+        self._records: Final = records
         self._loop: Final = loop
         self._inject: Final = inject
         self._first: Final = first
@@ -221,6 +230,10 @@ class _Agent:
         frame = None if links is None else LinkFrame(tick, links.sent, links.message)
         self._member.show(tick, self._shard.registers)
         self._member.publish(DriveFrame(tick, outputs.drive), frame)
+        self._member.keep(tick + 1, self._remembered)
+
+    def _remembered(self) -> bytes:
+        return remember(self._shard, self._records)
 
 
 def _text(failure: FirmwareFailed) -> str:

@@ -9,6 +9,7 @@ from deploy.interruption import Interrupted, Interruption
 
 if TYPE_CHECKING:
     from bus.lockstep import Host
+    from deploy.checkpoints.keeper import Keeper
     from deploy.ledger import Ledger
     from deploy.live.console import Console
     from deploy.processes.respawn import Respawn
@@ -32,6 +33,7 @@ class Conduct:
         reporter: Watches the protocol, where that is asked for.
         console: Takes requests, where somebody can ask.
         respawn: Starts lost workers anew, where that is asked for.
+        keeper: Takes checkpoints, where that is asked for.
         process: The plant's process; set before the first tick.
     """
 
@@ -44,6 +46,7 @@ class Conduct:
     reporter: Reporter | None
     console: Console | None = None
     respawn: Respawn | None = None
+    keeper: Keeper | None = None
     process: PlantProcess | None = None
 
     def observe(self, record: TickRecord) -> None:
@@ -65,17 +68,21 @@ class Conduct:
         self.refused.look(self.host.counts)
         if self.reporter is not None:
             self.reporter.take_drive(record.tick, record.drives, self.host.live(record.tick))
+        if self.keeper is not None:
+            self.keeper.look()
         if self.interruption.requested:
             raise Interrupted
 
     @property
     def attends(self) -> bool:
         """Whether anything may happen between two ticks."""
-        return self.console is not None or self.respawn is not None
+        return any(one is not None for one in (self.console, self.respawn, self.keeper))
 
     def attend(self, tick: int) -> None:
         """``tick`` is the next: workers come back, somebody asks for something."""
         assert self.process is not None, "this is a bug: no plant to conduct"
+        if self.keeper is not None:
+            self.keeper.attend(self.process)
         if self.respawn is not None and (cells := self.respawn.admitted(tick)):
             self.process.revive(cells)
             self.ledger.rejoined(tick, cells)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from hashlib import sha256
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from deploy.errors import DeployError
 
 PARCEL_FIELDS = ("x", "y", "angle", "vx", "vy", "omega")
@@ -30,19 +31,11 @@ class Digest:
     """
 
     __slots__ = ("value",)
+    remembers: ClassVar[Remembers] = Remembers("value")
 
     def __init__(self, description: bytes) -> None:
         self.value: bytes = sha256(description).digest()
         """The chain so far, 32 bytes."""
-
-    @classmethod
-    def resume(cls, value: bytes) -> Digest:
-        """The chain of a checkpoint, to be continued."""
-        if len(value) != 32:
-            raise DeployError(f"digest of a checkpoint: must have 32 bytes, has {len(value)}")
-        digest = cls(b"")
-        digest.value = value
-        return digest
 
     @property
     def hexdigest(self) -> str:

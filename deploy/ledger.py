@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from bus.fault import turns
+from bus.memory import Remembers
 from deploy.digest import Digest
 from deploy.faults.telling import turned
 
@@ -47,6 +48,10 @@ class Ledger:
         last: The last tick; None before the first is over.
     """
 
+    remembers: ClassVar[Remembers] = Remembers(
+        "_digest", "ticks", "time_ns", "faults", "cells_lost", "_hung", "_turns"
+    )
+
     def __init__(
         self,
         cells: Sequence[tuple[int, int]],
@@ -75,6 +80,10 @@ class Ledger:
         self._injected = list(injected)
         self._turns = turns(self._injected)
         self.last: TickRecord | None = None
+
+    def show(self, events: int) -> None:
+        """Have the progress show what was before this process took the run up; ``events`` of the plant."""
+        self._progress.events, self._progress.lost = events, len(self.cells_lost)
 
     def tick(self, record: TickRecord) -> None:
         """Take in one tick, once it is over."""

@@ -8,16 +8,17 @@ import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from bus.counts import Counts
-from bus.errors import BusError
+from bus.errors import BusError, MemoryRefusedError
 from bus.keys import plant_key
 from bus.registers import Wanted
 from deploy.cautions import cautions_of
 from deploy.cell_times import cell_times
+from deploy.checkpoints.store import Store
 from deploy.conduct import Conduct
 from deploy.digest import Digest
 from deploy.errors import DeployError, InputError
@@ -28,8 +29,10 @@ from deploy.live.address import Address
 from deploy.output import drawn, header, illustrate, left, output_folder, parcel_outcomes, run_name
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
+from deploy.processes.worker import Resumed
 from deploy.progress import Progress
 from deploy.readings import camera_of, readings_of
+from deploy.recordings.format import EVENTS
 from deploy.recordings.recorder import Recorder
 from deploy.refused import DENIED, MALFORMED, MESSAGE, Refused, total
 from deploy.summary import Messages, Summary
@@ -37,6 +40,8 @@ from plant.errors import PlantError, PlantUnstable
 
 if TYPE_CHECKING:
     from bus.lockstep import Host
+    from deploy.checkpoints.checkpoint import Checkpoint
+    from deploy.checkpoints.keeper import About, Keeper
     from deploy.live.console import Console
     from deploy.processes.respawn import Respawn
     from deploy.protocol_report.report import ProtocolReport
@@ -67,6 +72,7 @@ def run(
     *,
     quiet: bool = False,
     interruption: Interruption | None = None,
+    resumed: Checkpoint | None = None,
 ) -> Outcome:
     """Run the whole system once.
 
@@ -78,6 +84,7 @@ def run(
         options: How to run it.
         quiet: Show no progress and no warnings on stderr.
         interruption: The caller's, where it watches for signals itself.
+        resumed: From which to go on, in ``options.output``: scene and options are its own.
 
     Raises:
         InputError: Bad input, such as a scene that the plant refuses; nothing was started.
@@ -85,25 +92,38 @@ def run(
     """
     interruption = interruption or Interruption()
     with interruption.watching():
-        return _Run(scene, options or RunOptions(), interruption, quiet=quiet).go()
+        return _Run(scene, options or RunOptions(), interruption, resumed, quiet=quiet).go()
 
 
 @final
 class _Run:
     """One run, from the plan to the picture."""
 
-    def __init__(self, scene: Scene, options: RunOptions, interruption: Interruption, *, quiet: bool) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        options: RunOptions,
+        interruption: Interruption,
+        resumed: Checkpoint | None,
+        *,
+        quiet: bool,
+    ) -> None:
         self.begun = time.monotonic()
         self.scene = scene
         self.options = options
         self.interruption = interruption
         self.quiet = quiet
+        self.resumed = resumed
+        self.about: About | None = None
+        self.keeper: Keeper | None = None
         self.plan = plan(scene, options, run_name(scene, secrets.token_hex(4)))
         self.cautions: tuple[str, ...] = ()
         self.reporter: Reporter | None = None
         self.lasting = lasting(scene)
         # what keeps pace with a clock is what somebody watches, and has time for lines that carry bytes
         self.live = options.realtime is not None or options.replay is not None
+        if resumed is not None:
+            self.live = resumed.options["live"]
         self.replayed: Recording | None = None
         self.script: Sequence[Mapping[str, Any]] = ()
         self.digest = Digest(scene.canonical())
@@ -131,12 +151,17 @@ class _Run:
         with System(self.plan, self.scene, self.options.listen, self.options.keys) as system:
             with self.interruption.allowed():
                 plant = load_plant(self.scene, self._warn)
+                self.about = self._about(plant)
             system.open()
             self.interruption.check()
             folder = output_folder(self.scene, self.options.output)
+            if self.resumed is None:
+                Store(folder).clear()
             with (
                 Recorder(
-                    folder, header(self.plan.run, self.scene, plant.array, plant.footprints_m)
+                    folder,
+                    header(self.plan.run, self.scene, plant.array, plant.footprints_m),
+                    kept=None if self.resumed is None else self.resumed.recorded,
                 ) as recorder,
                 Progress(self.scene.duration_ns, quiet=self.quiet) as progress,
             ):
@@ -192,7 +217,7 @@ class _Run:
         started = time.monotonic()
         try:
             with self.interruption.allowed():
-                process = self._process(system, plant, ledger)
+                process = self._process(system, plant, ledger, recorder)
             started = time.monotonic()
             self.startup_s = started - self.begun
             self.interruption.waits = lambda: process.waiting
@@ -206,6 +231,10 @@ class _Run:
         finally:
             self.interruption.waits = lambda: False
             self.wall_s = time.monotonic() - started
+            if self.resumed is not None:
+                self.wall_s += self.resumed.wall_s
+            if self.keeper is not None:
+                self.keeper.close()
             if self.status == "failed" or ledger.cells_lost:
                 self.detail = "\n".join(text for text in (self.detail, system.explain()) if text)
             self.counts = system.stop(self.reason or "the run is over")
@@ -216,16 +245,26 @@ class _Run:
                 process.tick, process.time_ns, process.sense.presence, None, plant.wheel_speed, plant.state
             )
 
-    def _process(self, system: System, plant: Plant, ledger: Ledger) -> PlantProcess:
+    def _process(self, system: System, plant: Plant, ledger: Ledger, recorder: Recorder) -> PlantProcess:
         from plant.process import PlantProcess
 
         assert self.refused is not None
-        reporter = self.reporter
+        reporter, resumed = self.reporter, self.resumed
         wanted = () if self.options.registers is None else (Wanted(self.options.registers),)
         if reporter is not None:
             wanted = (*wanted, *reporter.wanted)
         readings = readings_of(self.scene, plant.sense())
-        host = system.start(plant.array, readings, wanted, metered=reporter is not None, live=self.live)
+        host = system.start(
+            plant.array,
+            readings,
+            wanted,
+            metered=reporter is not None,
+            live=self.live,
+            keeps=self.about is not None,
+            resumed=resumed and Resumed(resumed.tick, resumed.dead, resumed.states),
+            counted=resumed and resumed.all_counts(),
+        )
+        self.keeper = self._keeper(host, ledger, recorder)
         conduct = Conduct(
             host,
             ledger,
@@ -236,6 +275,7 @@ class _Run:
             reporter,
             self._console(system, host, ledger),
             self._respawn(system, host, ledger),
+            self.keeper,
         )
         process = PlantProcess(
             plant,
@@ -255,7 +295,67 @@ class _Run:
         conduct.process = process
         if conduct.console is not None:
             conduct.console.attach(process)
+        if resumed is not None:
+            self._go_on(resumed, process, ledger)
         return process
+
+    # --- checkpoints ------------------------------------------------------------------------------
+
+    def _about(self, plant: Plant) -> About | None:
+        """What all checkpoints of the run have in common; None where there are to be none.
+
+        Raises:
+            InputError: The run can't be kept, or can't go on from the one that it is to go on from.
+        """
+        if self.options.checkpoint_s is None:
+            return None
+        from bus.memory import remember
+        from deploy.checkpoints.keeper import About
+        from deploy.checkpoints.resume import bound, check, told
+
+        try:
+            remember(plant)
+        except MemoryRefusedError as error:
+            raise InputError(f"--checkpoint: this plant can't be kept: {error}") from None
+        about = About(
+            scene_name=self.scene.name,
+            scene=self.scene.model_dump(mode="json"),
+            bound=bound(self.scene),
+            options=told(self.plan, self.options, live=self.live),
+        )
+        if self.resumed is None:
+            return about
+        check(self.resumed, about.bound)
+        resumed = (*self.resumed.resumed, self.resumed.tick)
+        return replace(about, resumed=resumed, wall_s=self.resumed.wall_s)
+
+    def _keeper(self, host: Host, ledger: Ledger, recorder: Recorder) -> Keeper | None:
+        """What takes checkpoints; None where there are to be none."""
+        if self.about is None or self.options.checkpoint_s is None:
+            return None
+        from deploy.checkpoints.keeper import Keeper
+
+        return Keeper(
+            self.options.checkpoint_s,
+            host,
+            ledger,
+            recorder,
+            self.reporter,
+            Store(recorder.path.parent),
+            self.about,
+            patience_s=self.scene.stall.deadline_s,
+            warn=ledger.warn,
+        )
+
+    def _go_on(self, resumed: Checkpoint, process: PlantProcess, ledger: Ledger) -> None:
+        """Let all of this process be as it was."""
+        from bus.memory import recall
+
+        recall(process, resumed.process)
+        recall(ledger, resumed.ledger)
+        ledger.show(resumed.recorded.get(EVENTS, 0))
+        if self.reporter is not None and resumed.reporter is not None:
+            recall(self.reporter, resumed.reporter)
 
     def _respawn(self, system: System, host: Host, ledger: Ledger) -> Respawn | None:
         """What starts lost workers anew; None where they are not to be."""
@@ -311,6 +411,8 @@ class _Run:
 
     def _write(self, summary: Summary, folder: Path) -> Summary:
         summary.write(folder)
+        if self.about is not None and self.status == "ok":
+            Store(folder).clear()
         return summary
 
     def _illustrate(self, summary: Summary, folder: Path) -> Summary:
@@ -358,6 +460,7 @@ class _Run:
             effects=_of_effects(counts.tally),
             protocol=self._report(ledger),
             digest=self.digest.hexdigest,
+            resumed=() if self.about is None else self.about.resumed,
             output=str(folder),
         )
 

@@ -102,6 +102,8 @@ class Summary:
             one that is killed from outside does not.
         protocol: What the cells' protocol did, held against theory; None unless asked for.
         digest: See ``deploy/digest.py``; None where there is none.
+        resumed: Ticks before which the run was taken up again from a checkpoint, in order; what was done twice counts
+            once, in ``wall_s`` too.
         output: The folder with everything the run left behind; None where it left nothing.
     """
 
@@ -129,6 +131,7 @@ class Summary:
     firmware: Mapping[str, str | int] | None = None
     protocol: ProtocolReport | None = None
     digest: str | None = None
+    resumed: Sequence[int] = ()
     output: str | None = None
     reason: str | None = None
 

@@ -191,13 +191,13 @@ class PlantProcess:
             if self._attend is not None:
                 self._attend(self.tick)
             if abort and (dying := self._dying()):
-                self._report()
+                self.report()
                 return Ended("failed", died=dying)
             losses = self.step()
             if losses and abort:
                 stalled = all(loss.reason == "stalled" for loss in losses)
                 return Ended("stalled" if stalled else "failed", tuple(losses))
-        self._report()
+        self.report()
         return Ended("ok")
 
     def revive(self, cells: Sequence[int]) -> None:
@@ -275,7 +275,7 @@ class PlantProcess:
         The tick before is reported while the cells compute.
         """
         if self._pace is not None:
-            self._report()
+            self.report()
             self.waiting = True
             try:
                 self._pace(start_ns)
@@ -289,7 +289,7 @@ class PlantProcess:
         )
         if died:
             self._host.retire(died, tick)
-        self._report()
+        self.report()
         self.waiting = True
         try:
             frame, losses = self._host.gather(tick)
@@ -297,7 +297,7 @@ class PlantProcess:
             self.waiting = False
         return frame.drive, losses
 
-    def _report(self) -> None:
+    def report(self) -> None:
         """Hand the last tick to the observer, once."""
         record, self._over = self._over, None
         if record is not None:

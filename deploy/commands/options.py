@@ -64,7 +64,6 @@ PictureOption = Annotated[bool, typer.Option("--picture/--no-picture", help="Dra
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no warnings on stderr.")]
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class Asked:
     """What both ``run`` and ``simulate`` are asked for, an option a field."""
@@ -83,6 +82,30 @@ class Asked:
     def load(self, *, step: float | None = None) -> Scene:
         """The scene asked for; see `load_scene`."""
         return load_scene(self.scene, self.sets, self.seed, self.duration, self.solver, self.tolerance, step)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class AskedOfRun(Asked):
+    """The same of a run, which may have its scene from one that it goes on with."""
+
+    scene: Annotated[
+        str, typer.Argument(metavar="[SCENE]", help="A scene file, or the name of a bundled scene.")
+    ] = ""
+
+    @property
+    def changes(self) -> dict[str, object]:
+        """What is asked for that only a run from its beginning can have, by option."""
+        given = {
+            "SCENE": self.scene,
+            "--set": self.sets,
+            "--seed": self.seed,
+            "--duration": self.duration,
+            "--solver": self.solver,
+            "--tolerance": self.tolerance,
+            "--output": self.output,
+        }
+        return {name: value for name, value in given.items() if value not in (None, "", [])}
 
 
 def load_scene(

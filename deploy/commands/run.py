@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from deploy.commands.options import Asked
+from deploy.commands.options import AskedOfRun
 from deploy.commands.outcome import carry_out
 from deploy.commands.spread import spread
 from deploy.errors import InputError
 from deploy.processes.plan import Plan, Processes, RunOptions, plan
 
 if TYPE_CHECKING:
+    from deploy.checkpoints.checkpoint import Checkpoint
     from deploy.interruption import Interruption
     from deploy.run import Outcome
+    from deploy.scene import Scene
 
 HOW = "How it is run"
 
@@ -119,6 +122,25 @@ ReplayOption = Annotated[
         "and a crash of every cell that it lost. Says whether the digest is the same.",
     ),
 ]
+CheckpointOption = Annotated[
+    float | None,
+    typer.Option(
+        "--checkpoint",
+        rich_help_panel=HOW,
+        metavar="SECONDS",
+        help="Leave a checkpoint in the output folder every so many seconds of wall time. Default: none.",
+    ),
+]
+ResumeOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--resume",
+        rich_help_panel=HOW,
+        metavar="DIR",
+        help="Go on with the run whose output folder this is, from its last checkpoint: to the digest that it would "
+        "have come to. Takes scene, processes and the like from there.",
+    ),
+]
 PlanOption = Annotated[
     bool, typer.Option("--plan", rich_help_panel=HOW, help="Print what would be started, and exit.")
 ]
@@ -126,7 +148,7 @@ PlanOption = Annotated[
 
 @spread
 def run(
-    asked: Asked,
+    asked: AskedOfRun,
     *,
     processes: ProcessesOption = None,
     transport: TransportOption = "zenoh",
@@ -139,6 +161,8 @@ def run(
     protocol_report: ProtocolReportOption = None,
     respawn: RespawnOption = 0,
     replay: ReplayOption = None,
+    checkpoint: CheckpointOption = None,
+    resume: ResumeOption = None,
     show_plan: PlanOption = False,
 ) -> None:
     """Run a scene: every cell an agent with its own controller, the plant, and messages between them.
@@ -155,8 +179,12 @@ def run(
     What a protocol's cells come to, how fast, and what theory says of it:
 
       [cyan]mdms run heat --protocol-report[/cyan]
+
+    A run that can be taken up again, whatever ends it; and that:
+
+      [cyan]mdms run large --checkpoint 10 --output big[/cyan]
+      [cyan]mdms run --resume big[/cyan]
     """
-    scene = asked.load()
     options = RunOptions(
         processes=parse_processes(processes),
         transport=transport,
@@ -171,7 +199,14 @@ def run(
         protocol_report=protocol_report,
         respawn=respawn,
         replay=replay,
+        checkpoint_s=checkpoint,
     )
+    if resume is None:
+        if not asked.scene:
+            raise InputError("mdms run: name a SCENE, or a run to go on with: --resume DIR")
+        scene, resumed = asked.load(), None
+    else:
+        scene, options, resumed = taken_up(resume, asked, options)
     if show_plan:
         print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)
         return
@@ -179,9 +214,24 @@ def run(
     def work(interruption: Interruption) -> Outcome:
         from deploy.run import run as run_scene
 
-        return run_scene(scene, options, quiet=asked.quiet, interruption=interruption)
+        return run_scene(scene, options, quiet=asked.quiet, interruption=interruption, resumed=resumed)
 
     carry_out("the run", work, as_json=asked.as_json)
+
+
+def taken_up(folder: Path, asked: AskedOfRun, options: RunOptions) -> tuple[Scene, RunOptions, Checkpoint]:
+    """The run in a folder, to go on with it.
+
+    Raises:
+        InputError: It can't be taken up, or not like this.
+    """
+    from deploy.checkpoints.resume import found, options_of, scene_of
+
+    if asked.changes:
+        given = ", ".join(asked.changes)
+        raise InputError(f"--resume {folder}: the run goes on as it began: leave out {given}")
+    checkpoint = found(folder)
+    return scene_of(checkpoint), replace(options_of(checkpoint, options), output=folder), checkpoint
 
 
 def parse_processes(text: str | None) -> Processes | None:

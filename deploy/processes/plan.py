@@ -45,6 +45,7 @@ class RunOptions:
         protocol_report: Look at the protocol's field every so many ticks, and report; None: not.
         keys: Folder that ``mdms keys`` has made: whom to let in, and what each may do; None: anybody, anything.
         insecure: Listen beyond this host though anybody could join.
+        checkpoint_s: Leave a checkpoint every so many seconds of wall time; None: none.
     """
 
     processes: Processes | None = None
@@ -60,6 +61,7 @@ class RunOptions:
     replay: Path | None = None
     keys: Path | None = None
     insecure: bool = False
+    checkpoint_s: float | None = None
 
 
 @final
@@ -166,6 +168,10 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         )
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
         raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
+    if options.checkpoint_s is not None and not 0 < options.checkpoint_s < float("inf"):
+        raise InputError(f"--checkpoint {options.checkpoint_s:g}: must be greater than 0")
+    if options.checkpoint_s is not None and options.replay is not None:
+        raise InputError("--checkpoint: a run that repeats another can't be kept; leave one of the two out")
     try:
         partition = Partition.even(lattice, max(1, workers))
     except PartitionError:

@@ -14,7 +14,7 @@ from deploy.errors import InputError
 from deploy.processes.cells_side import CellsSide, WorkerProcesses, WorkerThread
 from deploy.processes.listening import host_of, near
 from deploy.processes.plan import Plan
-from deploy.processes.worker import Order, connected, controller_of, faults_of
+from deploy.processes.worker import Order, Resumed, connected, controller_of, faults_of
 
 if TYPE_CHECKING:
     from bus.lockstep import Counts, Host
@@ -115,6 +115,9 @@ class System:
         *,
         metered: bool = False,
         live: bool = False,
+        keeps: bool = False,
+        resumed: Resumed | None = None,
+        counted: Counts | None = None,
     ) -> Host:
         """Start the cells and wait until all of them are ready.
 
@@ -124,6 +127,9 @@ class System:
             wanted: Registers that the cells are to show.
             metered: Have the cells count their messages.
             live: Let faults come while it runs, over serial lines too.
+            keeps: Have them told that they may be asked what they remember.
+            resumed: Where they go on; None: they begin.
+            counted: What all sides had counted by then.
 
         Raises:
             DeployError: A worker failed on the way; says which and why.
@@ -148,6 +154,8 @@ class System:
             joins=False,
             keys=self._keys(),
             alone=plan.workers > 0,
+            keeps=keeps,
+            resumed=resumed,
         )
         host = self._host = Host(
             self._endpoint,
@@ -158,8 +166,11 @@ class System:
             message=controller_of(scene, faults_of(scene), live=live).message,
             wanted=wanted,
             stall=scene.stall,
+            keeps=keeps,
         )
         self._order = order
+        if resumed is not None and counted is not None:
+            host.resume(resumed.tick, resumed.dead, counted)
         self._cells.start(order)
         self._barrier(host, self._endpoint, self._cells)
         self._running = True

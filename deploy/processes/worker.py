@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, final
@@ -17,7 +17,7 @@ from bus.wire import Control, decode_control
 from deploy.faults.schedule import Deaths, deaths, lasting, of_cells
 
 if TYPE_CHECKING:
-    from bus.lockstep import FormName
+    from bus.lockstep import FormName, Member
     from bus.readings import Readings
     from bus.registers import Wanted
     from bus.specs import StallSpec
@@ -27,6 +27,22 @@ if TYPE_CHECKING:
     from cell_firmware.shard import Shard
     from deploy.scene import Scene
     from plant.array import CellArray
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Resumed:
+    """Where the cells' side of a run goes on.
+
+    Attributes:
+        tick: The first tick to be stepped.
+        dead: Indices of the cells that had gone before it.
+        states: By shard, what its cells remember; of those that had cells left.
+    """
+
+    tick: int
+    dead: tuple[int, ...]
+    states: Mapping[int, bytes]
 
 
 @final
@@ -48,6 +64,8 @@ class Order:
         joins: Whether it comes into a run that goes on already.
         keys: Folder of each shard's role, whose name is the role's; none where anybody is let in.
         alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
+        keeps: Whether the plant may ask the cells what they remember.
+        resumed: Where they go on; None: they begin.
     """
 
     scene: Scene
@@ -63,6 +81,8 @@ class Order:
     joins: bool
     keys: tuple[Path, ...]
     alone: bool
+    keeps: bool = False
+    resumed: Resumed | None = None
 
     def __call__(self, shard: int) -> None:
         """Open a session of one's own, serve, and close it."""
@@ -95,9 +115,15 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     import asyncio
 
     from bus.lockstep import Member
+    from bus.memory import remember
     from cell_firmware import agent
+    from cell_firmware.cell import records_of
+    from cell_firmware.loader import load
 
     cells, site = make_shard(order, shard)
+    records = records_of(load(order.scene.cells))
+    if order.keeps:
+        remember(cells, records)  # a program whose memory can't be kept is told of before the run begins
     member = Member(
         endpoint,
         order.partition,
@@ -109,20 +135,45 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
         stall=order.scene.stall,
         wanted=order.wanted,
         tally=cells.counted,
+        keeps=order.keeps,
     )
     schedule = deaths(order.scene)
     for tick, dead in schedule.items():
         member.plan(dead, tick)
+    if order.resumed is not None:
+        _recall(order.resumed, shard, cells, records, member)
     member.ready()
-    first = member.join() if order.joins else 0
+    first = _first(order, cells, member)
     if first is not None:
         cells.begin(first)
         inject = _injector(order, cells, site)
-        ended = asyncio.run(agent.run(cells, member, endpoint, inject, first))
+        ended = asyncio.run(agent.run(cells, member, endpoint, inject, records, first))
         doomed = order.alone and _doomed(order, shard, schedule, first + ended.ticks)
-        if doomed and _next_tick_came(order.run, len(order.array), endpoint):
+        # Whoever had no cells left from the beginning stays none the less: the start waits for all.
+        absent = order.resumed is not None and shard not in order.resumed.states
+        if (doomed or absent) and _next_tick_came(order.run, len(order.array), endpoint):
             os.kill(os.getpid(), signal.SIGKILL)
     member.close()
+
+
+def _recall(resumed: Resumed, shard: int, cells: Shard, records: tuple[type, ...], member: Member) -> None:
+    """Let the cells of a shard be what they were."""
+    from bus.memory import recall
+
+    if shard in resumed.states:
+        recall(cells, resumed.states[shard], records)
+    member.resume(resumed.tick, resumed.dead)
+
+
+def _first(order: Order, cells: Shard, member: Member) -> int | None:
+    """The first tick of a shard that is ready; None where it is stopped before."""
+    from bus.wire import LinkFrame
+
+    if order.resumed is None:
+        return member.join() if order.joins else 0
+    first, said = order.resumed.tick, cells.border
+    member.repeat(None if said is None else LinkFrame(first - 1, said.sent, said.message))
+    return first
 
 
 def controller_of(

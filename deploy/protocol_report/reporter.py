@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.memory import Remembers
 from bus.registers import Shown, Wanted
 from deploy.errors import InputError
 from deploy.protocol_report.load import link_load
@@ -47,6 +48,8 @@ class Reporter:
     Raises:
         InputError: The firmware raised when it was asked for its theory.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("notes", "_limit", "residuals", "snapshots")
 
     def __init__(self, scene: Scene, lattice: Lattice, every: int = 1) -> None:
         from cell_firmware.loader import load

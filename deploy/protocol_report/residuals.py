@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from array import array
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bus.memory import Remembers
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -35,6 +37,10 @@ class Residuals:
         scale: The greatest finite number of the field so far, in every tick.
         moved: The last tick in which any number was another than in the one before; 0 if none ever was.
     """
+
+    remembers: ClassVar[Remembers] = Remembers(
+        "_limit", "tick", "rms", "most", "scale", "_greatest", "moved", "_last"
+    )
 
     def __init__(self, limit: Floats | None) -> None:
         self._limit = limit
@@ -92,6 +98,8 @@ class Snapshots:
     Attributes:
         kept: Tick, how far the field had moved by then (the sum of its changes' root mean squares), and the field.
     """
+
+    remembers: ClassVar[Remembers] = Remembers("kept", "_next", "_moved", "_last")
 
     def __init__(self) -> None:
         self.kept: list[tuple[int, float, Floats]] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast, final
@@ -61,6 +62,10 @@ class McapFile:
     def flush(self) -> None:
         """Close the chunk in progress and hand everything to the operating system."""
         self._writer.flush()
+
+    def sync(self) -> None:
+        """Have what was flushed survive a loss of power; from any thread."""
+        os.fsync(self._stream.fileno())
 
     def finish(self) -> None:
         """Write the index and close the file."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -43,6 +43,7 @@ class Recorder:
         folder: Output folder, made with its parents where absent; a recording in it is replaced.
         header: What the recording says of its run.
         flush_s: Wall time between two flushes.
+        kept: By topic, how many messages of the recording that is there this one begins with; None: it begins anew.
 
     Attributes:
         path: The file.
@@ -52,16 +53,27 @@ class Recorder:
         DeployError: From any method: the file can no longer be written (a full disk, say).
     """
 
-    def __init__(self, folder: str | Path, header: Header, *, flush_s: float = FLUSH_S) -> None:
+    def __init__(
+        self,
+        folder: str | Path,
+        header: Header,
+        *,
+        flush_s: float = FLUSH_S,
+        kept: Mapping[str, int] | None = None,
+    ) -> None:
         self.path: Path = Path(folder) / FILE_NAME
         self._flush_s = flush_s
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = McapFile(self.path, header, CHUNK_BYTES)
+            self._last: dict[str, bytes] = {}
+            if kept is None:
+                self._file = McapFile(self.path, header, CHUNK_BYTES)
+            else:
+                self._file = self._continued(header, kept)
         except OSError as error:
             raise InputError(f"output {folder}: can't write {self.path.name} there: {_why(error)}") from error
         self._channels = self._file.channels
-        self._last: dict[str, bytes] = {}
+        self._counts = Counter(kept or {})
         self._ticks = 0
         self._time_ns = 0
         self._queue: deque[tuple[int, int, bytes]] = deque()
@@ -80,6 +92,22 @@ class Recorder:
     def broken(self) -> bool:
         """Whether the file can no longer be written: every method raises then."""
         return self._error is not None
+
+    def _continued(self, header: Header, kept: Mapping[str, int]) -> McapFile:
+        """A file that begins as the recording does, in its place; until it is whole the other stays."""
+        from deploy.recordings.cut import copy_beginning
+
+        draft = self.path.with_name(f".{self.path.name}.draft")
+        file = McapFile(draft, header, CHUNK_BYTES)
+        try:
+            self._last = copy_beginning(self.path, file, kept)
+            file.sync()
+            draft.replace(self.path)
+        except BaseException:
+            file.abandon()
+            draft.unlink(missing_ok=True)
+            raise
+        return file
 
     def tick(
         self,
@@ -149,6 +177,22 @@ class Recorder:
             self._progress.wait_for(lambda: self._ended or self._flushed >= target)
         self._check()
 
+    def mark(self) -> tuple[dict[str, int], int]:
+        """How many messages of each topic there are by now, and what `secure` is to be told to have them safe."""
+        return dict(self._counts), self._queued
+
+    def secure(self, mark: int) -> None:
+        """Return when all up to a mark is on the disk, safe from a loss of power; from any thread.
+
+        Raises:
+            DeployError: It never will be.
+        """
+        with self._progress:
+            self._progress.wait_for(lambda: self._ended or self._flushed >= mark)
+        if self._flushed < mark:
+            raise DeployError(f"the recording {self.path} was not written so far")
+        self._file.sync()
+
     def close(self, status: str, digest: str | None = None) -> None:
         """Write the end record and finish the file; a second call does nothing.
 
@@ -187,6 +231,7 @@ class Recorder:
         self._put(topic, round(record["time_s"] * 1e9), json_bytes(record))
 
     def _put(self, topic: str, time_ns: int, data: bytes) -> None:
+        self._counts[topic] += 1
         if self._ended:
             self._check()
             raise DeployError(f"this is a bug: {self.path} is closed and can't take more")

@@ -95,16 +95,12 @@ class DirectRun:
         self.digest.tick(record.tick, record.sense.presence, record.drives, record.after)
         self.events += record.events
 
-    def _tell(self) -> None:
-        """Have the last tick observed, which waits for the next to begin."""
-        self.process._report()  # pyright: ignore[reportPrivateUsage]
-
     def go(self, ticks: int) -> DirectRun:
         """Run so many ticks."""
         for _ in range(ticks):
             assert self.process.time_ns < self.scene.duration_ns
             self.process.step()
-        self._tell()
+        self.process.report()
         return self
 
     def remember(self) -> tuple[bytes, bytes, bytes]:

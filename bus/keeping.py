@@ -1,0 +1,119 @@
+"""What shards remember at a boundary of ticks, handed to the plant so that it can be kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final, NamedTuple, cast, final
+
+from bus.codec import TICK_LIMIT, VERSION, layout, packer, reader
+from bus.counts import Counts
+from bus.errors import WireError
+
+_LAYOUT: Final = layout("counts", "state")
+_CELL_LIMIT: Final = 64 * 1024
+"""Most bytes that one cell's memory may take, and a shard's own beside its cells'."""
+
+
+class Kept(NamedTuple):
+    """What one shard remembers before a tick, all before it being over.
+
+    Attributes:
+        tick: That tick.
+        counts: Payloads that the shard's side has sent, taken in, lost and found late.
+        state: Its cells, as ``bus.memory`` has it.
+    """
+
+    tick: int
+    counts: tuple[int, int, int, int]
+    state: bytes
+
+
+def encode_kept(kept: Kept) -> bytes:
+    """The payload of what a shard remembers."""
+    return packer()({"v": VERSION, "tick": kept.tick, "counts": kept.counts, "state": kept.state})
+
+
+def decode_kept(payload: bytes, cells: int) -> Kept:
+    """What a shard of ``cells`` cells remembers; the state itself is not looked at.
+
+    Raises:
+        WireError: Anything else.
+    """
+    tick, fields = reader("memory", (cells + 1) * _CELL_LIMIT, _LAYOUT)(payload)
+    counts, state = fields["counts"], fields["state"]
+    if (
+        not isinstance(counts, list)
+        or len(cast("Any", counts)) != 4
+        or not all(map(_is_count, cast("Any", counts)))
+    ):
+        raise WireError("memory", "type", "counts must be four integers")
+    if type(state) is not bytes:
+        raise WireError("memory", "type", "state must be bytes")
+    a, b, c, d = cast("list[int]", counts)
+    return Kept(tick, (a, b, c, d), state)
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and 0 <= value < TICK_LIMIT
+
+
+class Together(NamedTuple):
+    """What all sides of a run remember before a tick.
+
+    Attributes:
+        tick: That tick.
+        counts: Of all sides.
+        states: By shard, what its cells remember; of those that had cells left to step the tick before.
+    """
+
+    tick: int
+    counts: Counts
+    states: dict[int, bytes]
+
+
+@final
+class Keeping:
+    """Takes in what the shards remember before one tick.
+
+    Args:
+        tick: Which.
+        shards: Who is asked.
+    """
+
+    def __init__(self, tick: int, shards: Iterable[int]) -> None:
+        self.tick = tick
+        self._shards = frozenset(shards)
+        self._kept: dict[int, Kept] = {}
+        self._counts: Counts | None = None
+
+    def note(self, own: Counts) -> None:
+        """Note what the plant's side has counted by then."""
+        self._counts = own + Counts()
+
+    def take(self, shard: int, kept: Kept) -> None:
+        """Take one in.
+
+        Raises:
+            WireError: It was not asked for.
+        """
+        if kept.tick != self.tick or shard not in self._shards:
+            raise WireError("memory", "tick", "was not asked for")
+        self._kept[shard] = kept
+
+    @property
+    def missing(self) -> list[int]:
+        """Shards that have not answered."""
+        return sorted(self._shards - self._kept.keys())
+
+    def together(self, left: dict[int, Counts]) -> Together | None:
+        """All of it, once it is there.
+
+        Args:
+            left: What shards counted that have left the run.
+        """
+        if self._counts is None or self.missing:
+            return None
+        own = [counts for shard, counts in left.items() if shard not in self._shards]
+        asked = [Counts(*kept.counts) for kept in self._kept.values()]
+        states = {shard: self._kept[shard].state for shard in sorted(self._kept)}
+        return Together(self.tick, sum((*own, *asked), self._counts), states)
