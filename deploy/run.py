@@ -335,13 +335,16 @@ class _Run:
             return None
         from deploy.checkpoints.keeper import Keeper
 
+        store = Store(recorder.path.parent)
+        if self.resumed is not None:
+            store.keep(self.resumed)
         return Keeper(
             self.options.checkpoint_s,
             host,
             ledger,
             recorder,
             self.reporter,
-            Store(recorder.path.parent),
+            store,
             self.about,
             patience_s=self.scene.stall.deadline_s,
             warn=ledger.warn,

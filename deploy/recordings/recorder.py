@@ -187,6 +187,7 @@ class Recorder:
         Raises:
             DeployError: It never will be.
         """
+        self._wake.set()
         with self._progress:
             self._progress.wait_for(lambda: self._ended or self._flushed >= mark)
         if self._flushed < mark:

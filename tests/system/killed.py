@@ -1,66 +1,86 @@
-"""Runs whose plant is killed and that are taken up again, until they are over."""
+"""Runs whose plant is killed and that are taken up again."""
 
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deploy.checkpoints.store import FILE_NAME, Store
-from deploy.errors import InputError
-from tests.system.running import Mdms
+import numpy as np
 
-MAIN = "from deploy.cli import main; main()"
+from deploy.checkpoints.store import Store
+from deploy.errors import InputError
+from deploy.recordings.replay import load
+from tests.system.running import Mdms, summary_of
+
+ROOT = Path(__file__).resolve().parents[2]
 _PATIENCE_S = 120.0
 
 
-def start(output: Path, arguments: Sequence[str]) -> Mdms:
-    """A run in a process of its own."""
+def start(output: Path, *arguments: object) -> Mdms:
+    """A run, or one that goes on, in a process of its own."""
+    command = [
+        sys.executable,
+        "-m",
+        "deploy.cli",
+        "run",
+        *map(str, arguments),
+        "--no-picture",
+        "--json",
+        "--quiet",
+    ]
     process = subprocess.Popen(
-        [sys.executable, "-c", MAIN, "run", *arguments, "--no-picture", "--json", "--quiet"],
+        command,
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
     return Mdms(process, output)
 
 
 def kill_after(mdms: Mdms, tick: int, delay_s: float) -> int | None:
-    """Kill a run's plant so long after it has a checkpoint before a later tick than that.
+    """Kill a run's plant so long after it has a checkpoint of a later tick than that, and see that nothing is left.
 
     Returns:
-        The tick of its last checkpoint; None where the run was over before.
+        Before which tick its last checkpoint is; None where the run was over before.
     """
     deadline = time.monotonic() + _PATIENCE_S
-    while (reached(mdms.output) or 0) <= tick:
+    while reached(mdms.output) <= tick:
         if mdms.process.poll() is not None:
             return None
         assert time.monotonic() < deadline, "no checkpoint came"
-        time.sleep(0.005)
+        time.sleep(0.01)
     time.sleep(delay_s)
     mdms.children()
     mdms.process.send_signal(signal.SIGKILL)
     mdms.process.communicate()
+    mdms.assert_nothing_left()
     return reached(mdms.output) if mdms.process.returncode == -signal.SIGKILL else None
 
 
-def reached(output: Path) -> int | None:
-    """Before which tick the last checkpoint in a folder is."""
-    if not (output / FILE_NAME).exists():
-        return None
+def reached(output: Path) -> int:
+    """Before which tick the last checkpoint in a folder is; 0 where there is none."""
     try:
         return Store(output).read().tick
     except InputError:
-        return None
+        return 0
 
 
 def ended(mdms: Mdms) -> dict[str, Any]:
-    """The summary of a run that ends by itself."""
-    out, error = mdms.process.communicate(timeout=_PATIENCE_S)
-    assert mdms.process.returncode == 0, error
-    return json.loads(out)
+    """The summary of a run that ends by itself, of which nothing is left."""
+    status, out, error = mdms.end(_PATIENCE_S)
+    assert status == 0, error
+    return summary_of(out)
+
+
+def assert_whole(output: Path, ticks: int, digest: str) -> None:
+    """No tick is missing in the recording, or there twice, and it says how its run ended."""
+    recording = load(output)
+    assert np.array_equal(recording.tick, np.arange(ticks + 1))
+    assert (recording.status, recording.digest) == ("ok", digest)

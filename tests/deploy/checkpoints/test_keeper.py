@@ -1,0 +1,128 @@
+"""Checkpoints that can't be finished are given up, and the run goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from bus.counts import Counts
+from bus.keeping import Keeping, Kept
+from deploy.checkpoints.checkpoint import Checkpoint
+from deploy.checkpoints.keeper import About, Keeper
+from deploy.checkpoints.store import FILE_NAME, Store
+from deploy.digest import Digest
+from deploy.scene_files import load_scene
+from tests.deploy.checkpoints.direct import DirectRun
+
+
+class Books:
+    """Of a run: what the keeper asks of host, ledger and recorder."""
+
+    def __init__(self) -> None:
+        self.digest, self.controls, self.asked = Digest(b""), list[Any](), list[int]()
+        self.keeping: Keeping | None = None
+
+    remembers = Digest.remembers
+    value = bytes(32)
+
+    def ask(self, tick: int) -> None:
+        self.asked.append(tick)
+        self.keeping = Keeping(tick, [0])
+
+    def note(self) -> None:
+        assert self.keeping is not None
+        self.keeping.note(Counts())
+
+    def take_kept(self) -> Any:
+        return None if self.keeping is None else self.keeping.together({})
+
+    def give_up(self) -> list[int]:
+        return [] if self.keeping is None else self.keeping.missing
+
+    def mark(self) -> tuple[dict[str, int], int]:
+        return {"/tick": 1}, 0
+
+    def secure(self, mark: int) -> None:
+        del mark
+
+
+class Scenery:
+    """A keeper, its run, and a clock."""
+
+    def __init__(self, folder: Path) -> None:
+        self.now, self.books, self.warned = 0.0, Books(), list[str]()
+        self.process = DirectRun(load_scene("elliptic")).process
+        about = About(scene_name="", scene={}, bound={}, options={})
+        books = cast(Any, self.books)
+        self.keeper = Keeper(
+            10.0,
+            books,
+            books,
+            books,
+            None,
+            Store(folder),
+            about,
+            patience_s=0.0,
+            warn=self.warned.append,
+            clock=lambda: self.now,
+        )
+
+    def tick(self, now: float, answer: bool = False) -> None:
+        """One that begins at a time, all but the first after another was taken down."""
+        self.now = now
+        self.keeper.attend(self.process)
+        if answer and self.books.keeping is not None:
+            self.books.keeping.take(0, Kept(self.books.keeping.tick, (1, 1, 0, 0), b"cells"))
+        self.process.step()
+        self.keeper.look()
+
+
+def test_one_is_taken_when_it_is_time_and_the_tick_after_the_cells_were_asked(tmp_path: Path) -> None:
+    run = Scenery(tmp_path)
+    run.tick(9.0)
+    assert run.books.asked == []
+    run.tick(10.0)
+    assert run.books.asked == [2]
+    run.tick(10.1, answer=True)
+    run.keeper.close()
+    assert Checkpoint.from_bytes((tmp_path / FILE_NAME).read_bytes()).tick == 2
+    assert run.warned == []
+
+
+def test_cells_that_don_t_answer_in_time_cost_the_checkpoint_and_not_the_run(tmp_path: Path) -> None:
+    run = Scenery(tmp_path)
+    for now in (10.0, 10.1, 14.9):
+        run.tick(now)
+    assert run.warned == []
+    run.tick(15.1)
+    assert run.warned == ["no checkpoint before tick 1: shard 0 has not told what it remembers within 5 s"]
+    run.tick(21.0)
+    assert run.books.asked == [1, 5]
+
+
+def test_a_disk_that_is_full_costs_the_checkpoint_and_not_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Scenery(tmp_path)
+
+    def full(self: Store, content: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Store, "write", full)
+    run.tick(10.0)
+    run.tick(10.1, answer=True)
+    run.keeper.close()
+    assert run.warned == ["no checkpoint: [Errno 28] No space left on device"]
+
+
+def test_what_was_done_to_a_run_by_hand_ends_its_checkpoints(tmp_path: Path) -> None:
+    run = Scenery(tmp_path)
+    run.tick(10.0)
+    run.books.controls.append({})
+    for now in (10.1, 50.0, 90.0):
+        run.tick(now)
+    assert len(run.warned) == 1
+    assert "no more checkpoints" in run.warned[0]
+    assert run.books.asked == [1]
