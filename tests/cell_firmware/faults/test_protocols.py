@@ -15,7 +15,7 @@ from cell_firmware.specs import CellsSpec
 from tests.cell_firmware.faults.struck import struck
 
 FASTEST = 1e6
-ROWS, COLUMNS, TICKS = 8, 12, 200
+ROWS, COLUMNS, TICKS = 8, 12, 120
 LEFT, RIGHT = {"columns": (0, 0)}, {"columns": (COLUMNS - 1, COLUMNS - 1)}
 FIELD = {"field": {"kind": "uniform", "velocity_m_s": (0.1, 0.0)}}
 SPEEDS = {"held": ({**LEFT, "speed_m_s": (0.3, 0.0)}, {**RIGHT, "speed_m_s": (0.0, 0.1)}), "patience": 5}
@@ -48,7 +48,7 @@ HOSTILE: tuple[dict[str, Any], ...] = (
     {"kind": "babble", "cells": ((2, 3), (5, 9))},
     {"kind": "lie", "share": 0.2, "mode": "random"},
     {"kind": "lie", "share": 0.2, "mode": "factor", "by": -3.0},
-    {"kind": "reboot", "share": 0.2, "first": 60, "end": 70},
+    {"kind": "reboot", "share": 0.2, "first": 40, "end": 50},
     {"kind": "sensor_flip", "share": 1.0, "rate": 0.1},
 )
 
@@ -60,7 +60,7 @@ def test_a_bundled_protocol_survives_links_that_do_all_that_links_can_do(
     lattice = grid(ROWS, COLUMNS)
     firmware = load(CellsSpec(firmware=name, parameters=PARAMETERS[name]))
     firmware.check(lattice)
-    faults = struck(lattice, *HOSTILE, end=150)
+    faults = struck(lattice, *HOSTILE, end=90)
     steps = lockstep(firmware, Partition.even(lattice, 1), seed=4, faults=faults)
     place = np.stack((lattice.columns, lattice.rows), axis=1) * 0.1
     for tick in range(TICKS):
