@@ -106,9 +106,12 @@ def check_faults(records: Sequence[object]) -> list[dict[str, Any]]:
         ValueError: Names the field and the rule.
     """
     for record in records:
-        turns = isinstance(record, dict) and "phase" in record
-        _check("a fault", _Turning if turns else _Lost, record)
+        _check("a fault", _Turning if _has_phase(record) else _Lost, record)
     return cast("list[dict[str, Any]]", records)
+
+
+def _has_phase(record: object) -> bool:
+    return isinstance(record, dict) and "phase" in record
 
 
 def check_comings(events: Sequence[Mapping[str, Any]], parcels: int) -> None:

@@ -189,6 +189,7 @@ def test_the_scanner_of_a_cell_that_is_pulled_reads_nothing_and_reads_again_when
         assert label is not None
         assert np.flatnonzero(label).tolist() == read[1:].tolist()
     plant.suffer(Harm.none(160), drives)
+    assert plant.told.label is not None
     assert np.array_equal(plant.told.label, before)
 
 
