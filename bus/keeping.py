@@ -10,7 +10,7 @@ from bus.counts import Counts
 from bus.errors import WireError
 
 _LAYOUT: Final = layout("counts", "state")
-_CELL_LIMIT: Final = 64 * 1024
+CELL_LIMIT: Final = 64 * 1024
 """Most bytes that one cell's memory may take, and a shard's own beside its cells'."""
 
 
@@ -39,7 +39,7 @@ def decode_kept(payload: bytes, cells: int) -> Kept:
     Raises:
         WireError: Anything else.
     """
-    tick, fields = reader("memory", (cells + 1) * _CELL_LIMIT, _LAYOUT)(payload)
+    tick, fields = reader("memory", (cells + 1) * CELL_LIMIT, _LAYOUT)(payload)
     counts, state = fields["counts"], fields["state"]
     if (
         not isinstance(counts, list)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from bus.keeping import CELL_LIMIT
 from bus.keys import cell_key, plant_key, shard_key
 from bus.wire import TALLY_LIMIT, TEXT_LIMIT
 
@@ -37,6 +38,7 @@ def size_limits(cut: Cut) -> list[dict[str, Any]]:
         _limit("link", link_keys, _ENVELOPE + _MESSAGE * max(links, 1)),
         _limit("report", [shard_key("*", None, "report")], _ENVELOPE + report),
         _limit("registers", [shard_key("*", None, "registers")], _ENVELOPE + _REGISTERS * cells),
+        _limit("memory", [shard_key("*", None, "memory")], _ENVELOPE + CELL_LIMIT * (cells + 1)),
         _limit("question", [plant_key("*", "operator")], _QUESTION, "query"),
     ]
 

@@ -81,7 +81,7 @@ def _cells(cut: Cut, shard: int) -> Role:
     return Role(
         cut.role(shard),
         cut.cells(shard),
-        puts=(*puts, shard_key(_ANY, shard, "report"), shard_key(_ANY, shard, "registers")),
+        puts=(*puts, *(shard_key(_ANY, shard, leaf) for leaf in ("report", "registers", "memory"))),
         hears=(*hears, plant_key(_ANY, "control")),
         shows=shows,
         watches=(plant_key(_ANY, "alive"),),

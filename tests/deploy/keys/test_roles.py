@@ -44,7 +44,7 @@ def test_a_process_may_do_all_that_its_shard_does(form: FormName, shards: int) -
     wiring = Wiring("some-run", made.partition, Readings(1), MESSAGE)
     for shard, role in enumerate(cells_of(made)):
         member = FORMS[form].member(wiring, shard)
-        own = {shard_key("some-run", shard, "report"), shard_key("some-run", shard, "registers")}
+        own = {shard_key("some-run", shard, leaf) for leaf in ("report", "registers", "memory")}
         assert covered({*member.drive_keys, *member.out_keys} | own, role.puts)
         control = plant_key("some-run", "control")
         assert covered({*member.sense_units, *member.in_parts, control}, role.hears)
