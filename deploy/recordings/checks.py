@@ -46,7 +46,7 @@ class _Header(BaseModel):
     positions_m: list[_Point]
     sensors_m: list[_Point]
     footprints_m: list[list[_Point]]
-    own_parcels: int = 0
+    own_parcels: Annotated[int, Field(ge=0)] = 0
     exits: list[_Exit] = []
 
 
