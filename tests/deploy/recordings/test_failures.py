@@ -170,7 +170,7 @@ def test_an_mcap_file_of_another_program_is_refused(tmp_path: Path) -> None:
 def test_a_header_with_fewer_than_no_parcels_is_refused(tmp_path: Path, made_up_run: Make) -> None:
     path = made_up_run(extra={"own_parcels": -(2**63)}).record(tmp_path)
     with pytest.raises(
-        InputError, match="is corrupt: the header: own_parcels: .* greater than or equal to 0"
+        InputError, match=r"is corrupt: the header: own_parcels: .* greater than or equal to 0"
     ):
         load(path)
 
