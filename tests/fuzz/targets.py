@@ -12,6 +12,7 @@ from bus.codec import TICK_LIMIT
 from bus.errors import WireError
 from bus.forms import FormName
 from bus.forms.form import Senses
+from bus.keeping import Kept, decode_kept, encode_kept
 from bus.lives import NEVER
 from bus.partition import Partition
 from bus.readings import Readings
@@ -65,7 +66,7 @@ class Target:
 
 def targets() -> list[Target]:
     """All of them."""
-    found = [_control(), _report(), _registers(), _request(), _live_fault()]
+    found = [_control(), _report(), _registers(), _kept(), _request(), _live_fault()]
     for form in FORMS:
         found += [_sense(form, "plain", PRESENCE), _sense(form, "with all readings", EVERYTHING)]
         found += [_drive(form), _link(form)]
@@ -229,6 +230,20 @@ def _registers() -> Target:
             assert array.dtype.kind in "biuf"
 
     return Target("registers", tuple(map(encode_registers, frames)), decode, check)
+
+
+def _kept() -> Target:
+    records = [Kept(1, (0, 0, 0, 0), b""), Kept(TICK_LIMIT - 1, (5, 4, 3, 2), bytes(300))]
+
+    def decode(payload: bytes) -> tuple[int, Kept]:
+        kept = decode_kept(payload, 3)
+        return kept.tick, kept
+
+    def check(kept: Kept) -> None:
+        assert isinstance(kept.state, bytes)
+        assert all(0 <= number < TICK_LIMIT for number in kept.counts)
+
+    return Target("memory", tuple(map(encode_kept, records)), decode, check)
 
 
 def _request() -> Target:
