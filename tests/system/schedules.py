@@ -28,7 +28,7 @@ from plant.process import PlantProcess
 CELLS = 18
 RUN_S = 0.6
 """Simulated, and at least as much on the wall clock."""
-DEADLINE_S, LEASE_S = 0.4, 0.3
+DEADLINE_S, LEASE_S = 1.2, 1.0
 
 Action = Literal["kill", "stop", "stop the plant"]
 _ACTIONS: tuple[Action, ...] = ("kill", "stop", "stop the plant")
@@ -70,7 +70,7 @@ class Schedule:
                 float(draw.uniform(0.0, RUN_S)),
                 _ACTIONS[int(draw.choice(3, p=[0.55, 0.35, 0.1]))],
                 int(draw.integers(CELLS)),
-                float(draw.choice([0.03, 0.1, 0.2, 0.7])),
+                float(draw.choice([0.03, 0.1, 0.3, 1.5])),
             )
             for _ in range(int(draw.integers(1, 6)))
         ]
