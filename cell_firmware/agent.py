@@ -170,7 +170,7 @@ class _Agent:
                 try:
                     self._inject(fault)
                 except WireError as error:
-                    self._member.counts.refuse(error)
+                    self._member.counts.refuse(error, "the plant")
         except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
             self._break(error)
 
