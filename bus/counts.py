@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Final, Literal, final
+from typing import Final, Literal, final
 
 from bus.errors import WireError
-from bus.memory import Remembers
 from bus.wire import TALLY_LIMIT
 
 _REFUSED: Final = "malformed "
@@ -30,8 +29,6 @@ class Counts:
         refused: Refused because they couldn't be read, by whose key they were put on and name of the error.
         tally: What the cells counted themselves, by name.
     """
-
-    remembers: ClassVar[Remembers] = Remembers("sent", "delivered", "lost", "late", "malformed", "tally")
 
     sent: int = 0
     delivered: int = 0

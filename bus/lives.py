@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import ClassVar, Final, final
+from typing import Final, final
 
 import numpy as np
 
 from bus.codec import Mask
-from bus.memory import Remembers
 from bus.partition import Index
 
 NEVER: Final = int(np.iinfo(np.int64).max)
@@ -27,8 +26,6 @@ class Lives:
         until: ``(n,)`` int64, the tick from which it is gone.
         all: Whether no cell was ever retired: nobody need look.
     """
-
-    remembers: ClassVar[Remembers] = Remembers("until", "all")
 
     def __init__(self, cells: int) -> None:
         self.since: Index = np.zeros(cells, dtype=np.int64)

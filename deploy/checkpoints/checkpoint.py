@@ -36,7 +36,7 @@ class Checkpoint:
         ledger: What was counted, and the digest.
         reporter: What the protocol's report has gathered; None where there is to be none.
         counts: Payloads of all sides: sent, delivered, lost, late.
-        malformed: Payloads that were refused, by name of the error.
+        refused: Payloads that were, by whose key they were put on and name of the error.
         tally: What cells counted whose processes have left.
         recorded: Messages of the recording by topic: those that are of ticks that are over.
         dead: Indices of the cells that had gone.
@@ -55,7 +55,7 @@ class Checkpoint:
     ledger: bytes
     reporter: bytes | None
     counts: tuple[int, int, int, int]
-    malformed: dict[str, int]
+    refused: dict[tuple[str, str], int]
     tally: dict[str, int]
     recorded: dict[str, int]
     dead: tuple[int, ...]
@@ -65,7 +65,7 @@ class Checkpoint:
     def all_counts(self) -> Counts:
         """The counts as the bus has them."""
         counts = Counts(*self.counts)
-        counts.malformed.update(self.malformed)
+        counts.refused.update(self.refused)
         counts.tally.update(self.tally)
         return counts
 
@@ -110,7 +110,7 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
     "ledger": (bytes,),
     "reporter": (bytes, type(None)),
     "counts": (tuple,),
-    "malformed": (dict,),
+    "refused": (dict,),
     "tally": (dict,),
     "recorded": (dict,),
     "dead": (tuple,),
@@ -120,7 +120,7 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
 _ITEMS: Final[Mapping[str, tuple[type, type]]] = {
     "bound": (str, str),
     "states": (int, bytes),
-    "malformed": (str, int),
+    "refused": (tuple, int),
     "tally": (str, int),
     "recorded": (str, int),
 }

@@ -187,7 +187,7 @@ class Keeper:
             resumed=about.resumed,
             states=together.states,
             counts=(counts.sent, counts.delivered, counts.lost, counts.late),
-            malformed=dict(counts.malformed),
+            refused=dict(counts.refused),
             tally=dict(counts.tally),
             **plant,
         )

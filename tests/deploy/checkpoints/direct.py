@@ -73,6 +73,7 @@ class DirectRun:
             metered=True,
             live=False,
             joins=False,
+            keys=(),
             alone=False,
         )
         self.shard, _ = make_shard(order, 0)
