@@ -109,6 +109,11 @@ class Ledger:
         self.time_ns = record.until_ns
         self._progress.update(self.ticks, self.time_ns)
 
+    @property
+    def digest(self) -> str:
+        """Of the run so far, in hexadecimal."""
+        return self._digest.hexdigest
+
     def inject(self, fault: Injected[FaultSpec]) -> None:
         """One more fault, from a tick on that has not been taken in yet."""
         self._injected.append(fault)

@@ -6,37 +6,38 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from bus.counts import Counts
-from bus.errors import BusError, MemoryRefusedError
+from bus.errors import BusError
 from bus.keys import plant_key
 from bus.registers import Wanted
 from deploy.cautions import cautions_of
 from deploy.cell_times import cell_times
+from deploy.checkpoints.keeping import about_run, go_on, keeper_of
 from deploy.checkpoints.store import Store
-from deploy.conduct import Conduct
+from deploy.conduct import Conduct, pacer
 from deploy.digest import Digest
-from deploy.errors import DeployError, InputError
+from deploy.ending import Ending, summary_of
+from deploy.errors import DeployError
 from deploy.faults.schedule import active, crash_aborts, deaths, lasting, rests
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import Ledger
 from deploy.live.address import Address
-from deploy.output import drawn, header, illustrate, left, output_folder, parcel_outcomes, run_name
+from deploy.output import drawn, header, illustrate, left, output_folder, run_name
+from deploy.plants import load_plant, status_of
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
 from deploy.processes.worker import Resumed
 from deploy.progress import Progress
 from deploy.readings import camera_of, readings_of
-from deploy.recordings.format import EVENTS
 from deploy.recordings.recorder import Recorder
-from deploy.refused import DENIED, MALFORMED, MESSAGE, Refused, total
-from deploy.summary import Messages, Summary
-from plant.errors import PlantError, PlantUnstable
+from deploy.refused import Refused
+from deploy.summary import Outcome, Summary
+from plant.errors import PlantError
 
 if TYPE_CHECKING:
     from bus.lockstep import Host
@@ -50,20 +51,6 @@ if TYPE_CHECKING:
     from deploy.scene import Scene
     from plant.plant import Plant
     from plant.process import Ended, PlantProcess
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What a run came to.
-
-    Attributes:
-        summary: For programs and people.
-        detail: Several lines on what went wrong, such as a firmware's traceback; empty where all is well.
-    """
-
-    summary: Summary
-    detail: str = ""
 
 
 def run(
@@ -127,13 +114,8 @@ class _Run:
         self.replayed: Recording | None = None
         self.script: Sequence[Mapping[str, Any]] = ()
         self.digest = Digest(scene.canonical())
-        self.status = "ok"
-        self.reason: str | None = None
-        self.detail = ""
-        self.counts: Counts | None = None
+        self.ending = Ending()
         self.refused: Refused | None = None
-        self.startup_s = 0.0
-        self.wall_s = 0.0
 
     def go(self) -> Outcome:
         """Everything; see `run`."""
@@ -151,7 +133,9 @@ class _Run:
         with System(self.plan, self.scene, self.options.listen, self.options.keys) as system:
             with self.interruption.allowed():
                 plant = load_plant(self.scene, self._warn)
-                self.about = self._about(plant)
+                self.about = about_run(
+                    self.scene, self.plan, self.options, plant, self.resumed, live=self.live
+                )
             system.open()
             self.interruption.check()
             folder = output_folder(self.scene, self.options.output)
@@ -180,19 +164,31 @@ class _Run:
                     self._lockstep(system, plant, ledger, recorder)
                 self._close(recorder)
         self._compare()
-        summary = self._summary(plant, ledger, folder)
+        assert self.refused is not None
+        summary = summary_of(
+            self.scene,
+            self.plan,
+            self.ending,
+            plant,
+            ledger,
+            self.refused,
+            folder,
+            cautions=self.cautions,
+            protocol=self._report(ledger),
+            resumed=() if self.about is None else self.about.resumed,
+        )
         for leave in (self._write, self._write_report, self._illustrate):
             summary = left(summary, folder, leave, self._warn)
-        return Outcome(summary, self.detail)
+        return Outcome(summary, self.ending.detail)
 
     def _compare(self) -> None:
         """Say whether a run that was to repeat another came to the same."""
-        if self.replayed is None or self.status != self.replayed.status:
+        if self.replayed is None or self.ending.status != self.replayed.status:
             return
         if self.digest.hexdigest == self.replayed.digest:
             self._warn(f"the digest is that of {self.options.replay}")
         else:
-            self._end(
+            self.ending.by(
                 "failed", f"the digest differs from that of {self.options.replay}, {self.replayed.digest}"
             )
 
@@ -219,28 +215,31 @@ class _Run:
             with self.interruption.allowed():
                 process = self._process(system, plant, ledger, recorder)
             started = time.monotonic()
-            self.startup_s = started - self.begun
+            self.ending.startup_s = started - self.begun
             self.interruption.waits = lambda: process.waiting
             self._take(process.run(), ledger)
         except Interrupted:
-            self._end("interrupted", f"interrupted at {ledger.time_ns * 1e-9:g} s of simulated time")
+            self.ending.by("interrupted", f"interrupted at {ledger.time_ns * 1e-9:g} s of simulated time")
         except (BusError, DeployError) as error:
-            self._end("failed", str(error))
+            self.ending.by("failed", str(error))
         except PlantError as error:
-            self._end(status_of(error), f"{error} (tick {ledger.ticks})")
+            self.ending.by(status_of(error), f"{error} (tick {ledger.ticks})")
         finally:
             self.interruption.waits = lambda: False
-            self.wall_s = time.monotonic() - started
+            self.ending.wall_s = time.monotonic() - started
             if self.resumed is not None:
-                self.wall_s += self.resumed.wall_s
+                self.ending.wall_s += self.resumed.wall_s
             if self.keeper is not None:
                 self.keeper.close()
-            if self.status == "failed" or ledger.cells_lost:
-                self.detail = "\n".join(text for text in (self.detail, system.explain()) if text)
-            self.counts = system.stop(self.reason or "the run is over")
+            if self.ending.status == "failed" or ledger.cells_lost:
+                self.ending.detail = "\n".join(
+                    text for text in (self.ending.detail, system.explain()) if text
+                )
+            counts = system.stop(self.ending.reason or "the run is over")
+            self.ending.counts = counts or Counts()
             assert self.refused is not None
-            self.refused.look(self.counts or Counts())
-        if process is not None and self.status != "unstable" and not recorder.broken:
+            self.refused.look(self.ending.counts)
+        if process is not None and self.ending.status != "unstable" and not recorder.broken:
             recorder.tick(
                 process.tick, process.time_ns, process.sense.presence, None, plant.wheel_speed, plant.state
             )
@@ -264,7 +263,16 @@ class _Run:
             resumed=resumed and Resumed(resumed.tick, resumed.dead, resumed.states),
             counted=resumed and resumed.all_counts(),
         )
-        self.keeper = self._keeper(host, ledger, recorder)
+        self.keeper = keeper_of(
+            self.about,
+            self.options,
+            host,
+            ledger,
+            recorder,
+            reporter,
+            resumed,
+            self.scene.stall.deadline_s,
+        )
         conduct = Conduct(
             host,
             ledger,
@@ -296,69 +304,8 @@ class _Run:
         if conduct.console is not None:
             conduct.console.attach(process)
         if resumed is not None:
-            self._go_on(resumed, process, ledger)
+            go_on(resumed, process, ledger, reporter)
         return process
-
-    # --- checkpoints ------------------------------------------------------------------------------
-
-    def _about(self, plant: Plant) -> About | None:
-        """What all checkpoints of the run have in common; None where there are to be none.
-
-        Raises:
-            InputError: The run can't be kept, or can't go on from the one that it is to go on from.
-        """
-        if self.options.checkpoint_s is None:
-            return None
-        from bus.memory import remember
-        from deploy.checkpoints.keeper import About
-        from deploy.checkpoints.resume import bound, check, told
-
-        try:
-            remember(plant)
-        except MemoryRefusedError as error:
-            raise InputError(f"--checkpoint: this plant can't be kept: {error}") from None
-        about = About(
-            scene_name=self.scene.name,
-            scene=self.scene.model_dump(mode="json"),
-            bound=bound(self.scene),
-            options=told(self.plan, self.options, live=self.live),
-        )
-        if self.resumed is None:
-            return about
-        check(self.resumed, about.bound)
-        resumed = (*self.resumed.resumed, self.resumed.tick)
-        return replace(about, resumed=resumed, wall_s=self.resumed.wall_s)
-
-    def _keeper(self, host: Host, ledger: Ledger, recorder: Recorder) -> Keeper | None:
-        """What takes checkpoints; None where there are to be none."""
-        if self.about is None or self.options.checkpoint_s is None:
-            return None
-        from deploy.checkpoints.keeper import Keeper
-
-        store = Store(recorder.path.parent)
-        if self.resumed is not None:
-            store.keep(self.resumed)
-        return Keeper(
-            self.options.checkpoint_s,
-            host,
-            ledger,
-            recorder,
-            self.reporter,
-            store,
-            self.about,
-            patience_s=self.scene.stall.deadline_s,
-            warn=ledger.warn,
-        )
-
-    def _go_on(self, resumed: Checkpoint, process: PlantProcess, ledger: Ledger) -> None:
-        """Let all of this process be as it was."""
-        from bus.memory import recall
-
-        recall(process, resumed.process)
-        recall(ledger, resumed.ledger)
-        ledger.show(resumed.recorded.get(EVENTS, 0))
-        if self.reporter is not None and resumed.reporter is not None:
-            recall(self.reporter, resumed.reporter)
 
     def _respawn(self, system: System, host: Host, ledger: Ledger) -> Respawn | None:
         """What starts lost workers anew; None where they are not to be."""
@@ -391,30 +338,27 @@ class _Run:
         if ended.died:
             ledger.died(ledger.ticks, ended.died)
             cell = ledger.cells_lost[-len(ended.died)]
-            self._end("failed", crash_aborts(cell, ledger.time_ns * 1e-9))
+            self.ending.by("failed", crash_aborts(cell, ledger.time_ns * 1e-9))
         elif ended.losses:
             ledger.lost(ended.losses)
-            self._end(ended.status, f"{ledger.describe(ended.losses)}; stall.policy is abort")
-            self.detail = next((loss.detail for loss in ended.losses if loss.detail), "")
-
-    def _end(self, status: str, reason: str) -> None:
-        self.status, self.reason = status, reason
+            self.ending.by(ended.status, f"{ledger.describe(ended.losses)}; stall.policy is abort")
+            self.ending.detail = next((loss.detail for loss in ended.losses if loss.detail), "")
 
     def _close(self, recorder: Recorder) -> None:
         """End the recording; what can't be written of it fails the run."""
         try:
-            recorder.close(self.status, self.digest.hexdigest)
+            recorder.close(self.ending.status, self.digest.hexdigest)
         except DeployError as error:
-            if self.status == "ok":
-                self._end("failed", str(error))
-            elif str(error) != self.reason:
+            if self.ending.status == "ok":
+                self.ending.by("failed", str(error))
+            elif str(error) != self.ending.reason:
                 self._warn(str(error))
 
     # --- what it leaves ---------------------------------------------------------------------------
 
     def _write(self, summary: Summary, folder: Path) -> Summary:
         summary.write(folder)
-        if self.about is not None and self.status == "ok":
+        if self.about is not None and self.ending.status == "ok":
             Store(folder).clear()
         return summary
 
@@ -424,48 +368,6 @@ class _Run:
         from deploy.recordings.replay import load
 
         return illustrate(summary, lambda: load(folder), folder, self.interruption)
-
-    def _summary(self, plant: Plant, ledger: Ledger, folder: Path) -> Summary:
-        scene, counts = self.scene, self.counts or Counts()
-        assert self.refused is not None
-        refused = self.refused.rows(counts)
-        messages = Messages(
-            sent=counts.sent,
-            delivered=counts.delivered,
-            lost=counts.lost,
-            late=counts.late,
-            denied=total(refused, DENIED, MESSAGE),
-            malformed=total(refused, MALFORMED),
-        )
-        return Summary(
-            status=self.status,
-            reason=self.reason,
-            scene=scene.name,
-            seed=scene.seed,
-            duration_s=scene.duration_s,
-            simulated_s=ledger.time_ns * 1e-9,
-            cells=len(plant.array),
-            firmware=_firmware(scene),
-            processes=self.plan.workers,
-            transport=self.plan.transport,
-            solver=scene.solver.accuracy(),
-            ticks=ledger.ticks,
-            wall_s=self.wall_s,
-            startup_s=self.startup_s,
-            parcels=parcel_outcomes(plant),
-            support_changes=plant.support_changes,
-            messages=messages,
-            refused=refused,
-            faults=ledger.faults,
-            cells_lost=ledger.cells_lost,
-            feeders=plant.traffic(),
-            cautions=self.cautions,
-            effects=_of_effects(counts.tally),
-            protocol=self._report(ledger),
-            digest=self.digest.hexdigest,
-            resumed=() if self.about is None else self.about.resumed,
-            output=str(folder),
-        )
 
     def _reporter(self) -> Reporter | None:
         """What watches the protocol, where that is asked for."""
@@ -481,8 +383,7 @@ class _Run:
             return None
         from deploy.protocol_report.reporter import deaths_of
 
-        tally = dict[str, int]() if self.counts is None else self.counts.tally
-        return self.reporter.report(ledger.ticks, deaths_of(ledger.faults), tally)
+        return self.reporter.report(ledger.ticks, deaths_of(ledger.faults), self.ending.counts.tally)
 
     def _write_report(self, summary: Summary, folder: Path) -> Summary:
         """The report's table, and its picture unless there are to be none; nothing where none was asked for."""
@@ -495,7 +396,7 @@ class _Run:
         assert self.reporter is not None
         reporter, report = self.reporter, summary.protocol
         write_csv(reporter.residuals, folder / CSV)
-        if not self.options.picture or self.status == "interrupted":
+        if not self.options.picture or self.ending.status == "interrupted":
             return summary
         path = folder / PICTURE
         return drawn(summary, lambda: draw_protocol(reporter, report, path), folder, self.interruption)
@@ -506,67 +407,3 @@ class _Run:
         elif not self.quiet:
             sys.stderr.write(f"mdms: {line}\n")
             sys.stderr.flush()
-
-
-def _firmware(scene: Scene) -> dict[str, str | int]:
-    """What the cells ran, for the summary."""
-    from cell_firmware.loader import load
-
-    firmware = load(scene.cells)
-    size = 0 if firmware.message is None else firmware.message.itemsize
-    return {"name": scene.cells.firmware.rpartition("/")[2], "form": firmware.form, "message_bytes": size}
-
-
-def _of_effects(tally: Mapping[str, int]) -> dict[str, int]:
-    """What effects counted; what cells count of their messages is for the protocol's report."""
-    return {name: number for name, number in sorted(tally.items()) if not name.startswith("messages.")}
-
-
-def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
-    """The plant of a scene, its kernels compiled or loaded; says so where that takes long.
-
-    Raises:
-        InputError: The plant refuses the scene.
-    """
-    from plant.kernels.cache import folder
-    from plant.plant import Plant
-    from plant.solvers.registry import is_compiled
-
-    motors = scene.effects.motors
-    divided = scene.effects.clock is not None or (motors is not None and motors.first_order.static_v > 0.0)
-    if not is_compiled(scene.solver, divided=divided):
-        _, lasting = folder()
-        once = "once" if lasting else "every time: the cache folder can't be written, see NUMBA_CACHE_DIR"
-        warn(f"compiling the solver ({once}) ...")
-    try:
-        plant = Plant(scene.plant_spec())
-    except PlantError as error:
-        raise InputError(f"scene {scene.name}: {error}") from None
-    if divided:
-        plant.make_ready()
-    return plant
-
-
-def status_of(error: PlantError) -> str:
-    """``unstable`` where the numbers ran away, else ``failed``."""
-    return "unstable" if isinstance(error, PlantUnstable) else "failed"
-
-
-def pacer(factor: float) -> Callable[[int], None]:
-    """Something that waits, before a tick, until its simulated time has come on the wall clock.
-
-    Args:
-        factor: Simulated seconds a wall second.
-    """
-    begun: float | None = None
-
-    def pace(start_ns: int) -> None:
-        nonlocal begun
-        now = time.monotonic()
-        if begun is None:
-            begun = now - start_ns * 1e-9 / factor
-        ahead = begun + start_ns * 1e-9 / factor - now
-        if ahead > 0:
-            time.sleep(ahead)
-
-    return pace

@@ -27,9 +27,9 @@ from deploy.faults.telling import turned
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import event_record
 from deploy.output import exits, illustrate, output_folder, parcel_outcomes
+from deploy.plants import load_plant, status_of
 from deploy.progress import Progress
-from deploy.run import Outcome, load_plant, status_of
-from deploy.summary import Summary
+from deploy.summary import Outcome, Summary
 from deploy.track import Track, while_there
 from plant.errors import PlantError
 

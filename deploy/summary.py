@@ -178,3 +178,17 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]  # pyright: ignore[reportUnknownVariableType]
     return value
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes:
+        summary: For programs and people.
+        detail: Several lines on what went wrong, such as a firmware's traceback; empty where all is well.
+    """
+
+    summary: Summary
+    detail: str = ""

@@ -18,7 +18,7 @@ from deploy.accuracy.sampling import price_of_sampling
 from deploy.accuracy.sweep import Trial, lines, refusal, with_solver
 from deploy.errors import InputError
 from deploy.faults.schedule import of_cells_alone
-from deploy.run import load_plant
+from deploy.plants import load_plant
 from deploy.simulate import field_speeds, ideal
 from plant.errors import PlantError
 

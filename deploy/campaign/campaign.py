@@ -115,7 +115,7 @@ class Campaign:
 
     def _make_ready(self) -> None:
         """Have kernels on disk before several processes look for them there."""
-        from deploy.run import load_plant
+        from deploy.plants import load_plant
 
         seen: set[tuple[object, ...]] = set()
         for case in self.cases.cases:

@@ -90,7 +90,7 @@ def effects(
     interruption = Interruption()
     with interruption.watching(last=True), interruption.allowed():
         from deploy.cautions import cautions_of
-        from deploy.run import load_plant
+        from deploy.plants import load_plant
 
         for line in cautions_of(found):
             tell(f"caution: {line}")

@@ -12,7 +12,7 @@ import typer
 from deploy.interruption import Interrupted, Interruption
 
 if TYPE_CHECKING:
-    from deploy.run import Outcome
+    from deploy.summary import Outcome
 
 EXIT_STATUS = {"ok": 0, "failed": 1, "stalled": 1, "unstable": 3, "interrupted": 130}
 

@@ -18,8 +18,8 @@ from deploy.processes.plan import Plan, Processes, RunOptions, plan
 if TYPE_CHECKING:
     from deploy.checkpoints.checkpoint import Checkpoint
     from deploy.interruption import Interruption
-    from deploy.run import Outcome
     from deploy.scene import Scene
+    from deploy.summary import Outcome
 
 HOW = "How it is run"
 

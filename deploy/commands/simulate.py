@@ -10,7 +10,7 @@ from deploy.commands.spread import spread
 
 if TYPE_CHECKING:
     from deploy.interruption import Interruption
-    from deploy.run import Outcome
+    from deploy.summary import Outcome
 
 
 @spread

@@ -16,10 +16,10 @@ from deploy.cell_times import cell_times
 from deploy.errors import DeployError
 from deploy.faults.schedule import active, deaths, rests
 from deploy.output import run_name
+from deploy.plants import load_plant, status_of
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
 from deploy.readings import camera_of, readings_of
-from deploy.run import load_plant, status_of
 from deploy.simulate import field_speeds
 from plant.errors import PlantError
 

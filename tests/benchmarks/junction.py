@@ -20,7 +20,7 @@ from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from deploy.overrides import Override
-from deploy.run import load_plant
+from deploy.plants import load_plant
 from deploy.scene_files import load_scene
 
 FEEDERS = 4

@@ -123,7 +123,11 @@ def test_an_array_of_objects_holds_values() -> None:
     assert decode(encode(states, {}), {}).tolist() == states.tolist()
 
 
-@pytest.mark.parametrize("value", [object(), lambda: 0, Pair(1, "r"), np.array(["text"]), {1, "a"}], ids=repr)
+@pytest.mark.parametrize(
+    "value",
+    [object(), lambda: 0, Pair(1, "r"), np.array(["text"]), {1, "a"}],
+    ids=["an object", "a function", "a record", "an array of texts", "a set of several types"],
+)
 def test_what_is_no_value_is_refused_when_it_is_kept(value: Any) -> None:
     with pytest.raises((MemoryRefusedError, TypeError)):
         encode(value, {})

@@ -13,14 +13,16 @@ import numpy as np
 import pytest
 
 from deploy.commands.outcome import EXIT_STATUS
+from deploy.conduct import pacer
 from deploy.errors import InputError
 from deploy.overrides import Override
 from deploy.processes.plan import RunOptions
 from deploy.recordings.recorder import Recorder
 from deploy.recordings.replay import load
-from deploy.run import Outcome, pacer, run
+from deploy.run import run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
+from deploy.summary import Outcome
 from plant.errors import PlantUnstable
 from plant.plant import Plant
 

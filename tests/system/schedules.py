@@ -20,9 +20,10 @@ from bus.chance import generator
 from deploy.overrides import Override
 from deploy.processes.plan import RunOptions
 from deploy.recordings.replay import load
-from deploy.run import Outcome, run
+from deploy.run import run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
+from deploy.summary import Outcome
 from plant.process import PlantProcess
 
 CELLS = 18

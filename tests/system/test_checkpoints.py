@@ -13,8 +13,9 @@ import pytest
 from deploy.checkpoints.resume import found, options_of, scene_of
 from deploy.checkpoints.store import BEFORE, FILE_NAME, Store
 from deploy.processes.plan import Processes, RunOptions
-from deploy.run import Outcome, run
+from deploy.run import run
 from deploy.scene_files import load_scene
+from deploy.summary import Outcome
 from tests.system.killed import assert_whole, ended, kill_after, start
 
 Small = Callable[..., Path]

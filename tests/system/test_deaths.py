@@ -13,8 +13,9 @@ import pytest
 from deploy.overrides import Override
 from deploy.processes.plan import Processes, RunOptions
 from deploy.recordings.replay import load
-from deploy.run import Outcome, run
+from deploy.run import run
 from deploy.scene_files import load_scene
+from deploy.summary import Outcome
 from tests.system.running import Mdms, summary_of
 
 Start = Callable[..., Mdms]

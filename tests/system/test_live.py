@@ -19,9 +19,10 @@ from deploy.live.operator import ask_run
 from deploy.live.request import RequestError, read_request
 from deploy.overrides import Override
 from deploy.processes.plan import Processes, RunOptions
-from deploy.run import Outcome, run
+from deploy.run import run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
+from deploy.summary import Outcome
 
 TICKS = 150
 

@@ -1,0 +1,128 @@
+"""How a run ended, and its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+from bus.counts import Counts
+from deploy.output import parcel_outcomes
+from deploy.refused import DENIED, MALFORMED, MESSAGE, Refused, total
+from deploy.summary import Messages, Summary
+
+if TYPE_CHECKING:
+    from deploy.ledger import Ledger
+    from deploy.processes.plan import Plan
+    from deploy.protocol_report.report import ProtocolReport
+    from deploy.scene import Scene
+    from plant.plant import Plant
+
+
+@final
+@dataclass(slots=True, eq=False)
+class Ending:
+    """What is known of a run's end, as far as it has come.
+
+    Attributes:
+        status: ``ok`` as long as nothing else ended it.
+        reason: Why, where it is not ``ok``.
+        detail: Several lines on what went wrong.
+        counts: Messages of all sides.
+        startup_s: Wall time until the first tick.
+        wall_s: Wall time of the run itself.
+    """
+
+    status: str = "ok"
+    reason: str | None = None
+    detail: str = ""
+    counts: Counts = field(default_factory=Counts)
+    startup_s: float = 0.0
+    wall_s: float = 0.0
+
+    def by(self, status: str, reason: str) -> None:
+        """It ended so, for this reason."""
+        self.status, self.reason = status, reason
+
+
+def summary_of(
+    scene: Scene,
+    plan: Plan,
+    ending: Ending,
+    plant: Plant,
+    ledger: Ledger,
+    refused: Refused,
+    folder: Path,
+    *,
+    cautions: tuple[str, ...],
+    protocol: ProtocolReport | None,
+    resumed: tuple[int, ...],
+) -> Summary:
+    """The summary of a run.
+
+    Args:
+        scene: What ran.
+        plan: What was started.
+        ending: How it ended.
+        plant: At the end.
+        ledger: Of the run.
+        refused: What it refused.
+        folder: What it left is there.
+        cautions: What was said before it began.
+        protocol: What the protocol did, where that was asked for.
+        resumed: Ticks before which it was taken up again.
+    """
+    counts = ending.counts
+    rows = refused.rows(counts)
+    messages = Messages(
+        sent=counts.sent,
+        delivered=counts.delivered,
+        lost=counts.lost,
+        late=counts.late,
+        denied=total(rows, DENIED, MESSAGE),
+        malformed=total(rows, MALFORMED),
+    )
+    return Summary(
+        status=ending.status,
+        reason=ending.reason,
+        scene=scene.name,
+        seed=scene.seed,
+        duration_s=scene.duration_s,
+        simulated_s=ledger.time_ns * 1e-9,
+        cells=len(plant.array),
+        firmware=_firmware(scene),
+        processes=plan.workers,
+        transport=plan.transport,
+        solver=scene.solver.accuracy(),
+        ticks=ledger.ticks,
+        wall_s=ending.wall_s,
+        startup_s=ending.startup_s,
+        parcels=parcel_outcomes(plant),
+        support_changes=plant.support_changes,
+        messages=messages,
+        refused=rows,
+        faults=ledger.faults,
+        cells_lost=ledger.cells_lost,
+        feeders=plant.traffic(),
+        cautions=cautions,
+        effects=_of_effects(counts.tally),
+        protocol=protocol,
+        digest=ledger.digest,
+        resumed=resumed,
+        output=str(folder),
+    )
+
+
+def _firmware(scene: Scene) -> dict[str, str | int]:
+    """What the cells ran, for the summary."""
+    from cell_firmware.loader import load
+
+    firmware = load(scene.cells)
+    size = 0 if firmware.message is None else firmware.message.itemsize
+    return {"name": scene.cells.firmware.rpartition("/")[2], "form": firmware.form, "message_bytes": size}
+
+
+def _of_effects(tally: Mapping[str, int]) -> dict[str, int]:
+    """What effects counted; what cells count of their messages is for the protocol's report."""
+    return {name: number for name, number in sorted(tally.items()) if not name.startswith("messages.")}
