@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, final
 
 from bus.counts import Counts
@@ -58,6 +58,8 @@ class Collector:
         self.since = [0] * len(blank)
         self.until = [NEVER] * len(blank)
         self._deaths = False
+        self._expected: set[int] = set()
+        self._any_tick = False
         self._kind = kind
         self._blank = list(blank)
         self._decode = decode
@@ -73,9 +75,9 @@ class Collector:
         """
         tick, value = self._decode(part, payload)
         if tick < self.now or not self.since[part] <= tick < self.until[part]:
-            self._counts.late += 1
+            self._take_gone(part, tick, value)
             return
-        if tick > self.now + EARLY_TICKS:
+        if tick > self.now + EARLY_TICKS and not (self._any_tick and len(self._early) < EARLY_TICKS):
             raise WireError(
                 self._kind, "ahead", f"tick {tick}: must be at most {EARLY_TICKS} ahead of {self.now}"
             )
@@ -86,6 +88,24 @@ class Collector:
         slot.have[part] = 1
         slot.missing -= 1
         self._counts.delivered += 1
+
+    def _take_gone(self, part: int, tick: int, value: Any) -> None:
+        """Keeps the value of a part whose sender is expected back; counts any other as late."""
+        if part not in self._expected or not self.now <= tick <= self.now + EARLY_TICKS:
+            self._counts.late += 1
+            return
+        slot = self.slot(tick)  # nobody waits for it: what is missing stays as it is
+        slot.values[part] = value
+        slot.have[part] = 1
+        self._counts.delivered += 1
+
+    def expect(self, parts: Iterable[int]) -> None:
+        """The senders of these, who are gone, may take part again: their word may come before the news of it."""
+        self._expected.update(parts)
+
+    def await_first(self) -> None:
+        """Keeps whatever tick comes until ``begin`` says which is the first."""
+        self._any_tick = True
 
     def slot(self, tick: int) -> Slot:
         """The frame of ``tick``, not before ``now``; begun if it isn't."""
@@ -122,10 +142,11 @@ class Collector:
         self._recount()
 
     def begin(self, tick: int) -> None:
-        """``tick`` is the first; nothing has come yet."""
+        """``tick`` is the first; what has come for earlier ones is late."""
+        self._any_tick = False
         self.now = tick
-        self._early.clear()
-        self._current = self._begin(tick)
+        self._early = {t: slot for t, slot in self._early.items() if t >= tick}
+        self._current = self._early.pop(tick, None) or self._begin(tick)
 
     def void(self, parts: Sequence[int], tick: int) -> None:
         """What has come from these for ``tick`` and later ones counts as not sent."""

@@ -72,6 +72,7 @@ class Member:
         wanted: Registers of the cells that the plant wants to see.
         tally: What else to report as the shard leaves: numbers that the cells counted, by name.
         keeps: Whether the plant may ask what the shard remembers.
+        joins: Whether it comes into a run that goes on already: it takes part once ``join`` says so.
         clock: Monotonic wall seconds.
 
     Attributes:
@@ -93,6 +94,7 @@ class Member:
         wanted: Sequence[Wanted] = (),
         tally: Callable[[], Mapping[str, int]] = dict[str, int],
         keeps: bool = False,
+        joins: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         wiring = Wiring(run, partition, readings, message)
@@ -112,6 +114,9 @@ class Member:
         self._outgoing = Outgoing(endpoint, wiring, shard, self._form, self._lives)
         self._senses = Collector("sense", self._form.blank_senses, self._form.decode_sense, self.counts)
         self._links = Collector("link", self._form.blank_links, self._form.decode_link, self.counts)
+        if joins:
+            self._senses.await_first()
+            self._links.await_first()
         self._stop: Control | None = None
         self._faults: list[Control] = []
         self._joining: list[Control] = []
@@ -474,6 +479,9 @@ class Member:
                 self._faults.append(control)
         elif control.kind == "joining":
             self._joining.append(control)
+            back = {self._lattice.index(cell) for cell in control.cells}
+            sources = enumerate(self._form.in_sources)
+            self._links.expect(part for part, cells in sources if not back.isdisjoint(cells.tolist()))
         elif control.kind == "joined":
             self._admit(control)
         elif control.kind == "lost":

@@ -136,6 +136,7 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
         wanted=order.wanted,
         tally=cells.counted,
         keeps=order.keeps,
+        joins=order.joins,
     )
     schedule = deaths(order.scene)
     for tick, dead in schedule.items():

@@ -1,0 +1,175 @@
+"""Cells that come back: a new process in the place of one that went."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bus.collector import Collector
+from bus.counts import Counts
+from bus.errors import BarrierError, HostLostError
+from bus.forms import FormName
+from bus.lives import NEVER, Lives
+from bus.lockstep import Loss, Member
+from bus.partition import Partition
+from tests.bus.support import (
+    MESSAGE,
+    PRESENCE,
+    Network,
+    System,
+    both_forms,
+    expected_drive,
+    gathered,
+    grid,
+    step,
+)
+
+
+def _anew(system: System, shard: int) -> Member:
+    """A new process for a shard, not yet ready."""
+    endpoint = system.network.endpoint()
+    system.member_endpoints[shard] = endpoint
+    system.members[shard] = Member(
+        endpoint,
+        system.partition,
+        shard,
+        system.form,
+        run="test",
+        readings=PRESENCE,
+        message=system.message,
+        joins=True,
+    )
+    return system.members[shard]
+
+
+def _admitted(system: System, tick: int, shards: list[int]) -> tuple[int, list[int]]:
+    """Ticks go by without the one that comes back until it is admitted: the tick, and the cells."""
+    for now in range(tick, tick + 2000):
+        cells = system.host.admit(now)
+        if cells:
+            return now, cells
+        assert step(system, now, shards)[1] == []
+    raise AssertionError("nobody was admitted")
+
+
+@both_forms
+def test_a_new_process_takes_part_from_a_boundary_on_and_hears_nothing_that_was_said_before(
+    network: Network, form: FormName
+) -> None:
+    system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
+    step(system, 0)
+    system.member_endpoints[1].close()
+    assert {loss.cell for loss in step(system, 1, [0, 2])[1]} == {2, 3}
+    assert system.host.admit(2) == []
+    member = _anew(system, 1)
+    member.ready(10.0)
+    first, cells = _admitted(system, 2, [0, 2])
+    assert cells == [2, 3]
+    assert member.join(10.0) == first
+
+    heard = {}
+    for tick in (first, first + 1):
+        system.host.publish(system.sense(tick))
+        for shard in range(3):
+            heard[shard, tick] = gathered(system.members[shard].gather(tick)).links
+            system.members[shard].publish(system.drive(shard, tick), system.links(shard, tick))
+        drive, losses = system.host.gather(tick)
+        assert losses == []
+        assert drive.drive.tolist() == expected_drive(system, tick).tolist()
+    assert not heard[1, first].sent.any()
+    incoming = system.partition.incoming(0)
+    others = np.isin(incoming.source, [2, 3])
+    assert others.any()
+    assert not heard[0, first].sent[others].any()
+    for shard in range(3):
+        links = system.partition.incoming(shard)
+        said = (links.source + links.source_side + first) % 3 != 0
+        assert heard[shard, first + 1].sent.tolist() == said.tolist()
+
+
+@both_forms
+def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
+    memory: Network, form: FormName
+) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), form, message=MESSAGE).start()
+    step(system, 0)
+    system.host.publish(system.sense(1))
+    for member in system.members:
+        gathered(member.gather(1))
+    links = system.links(1, 1)
+    assert links is not None
+    links.sent[:] = True
+    # messages go out before drives: it is killed in between
+    puts = system.members[1]._outgoing.puts(system.drive(1, 1), links)  # pyright: ignore[reportPrivateUsage]
+    system.member_endpoints[1].put_all(puts[:-1])
+    system.member_endpoints[1].close()
+    system.members[0].publish(system.drive(0, 1), system.links(0, 1))
+    assert system.host.gather(1)[1] == [Loss(1, 1, "token lost")]
+    system.host.publish(system.sense(2))
+    heard = gathered(system.members[0].gather(2)).links
+    assert heard is not None
+    assert not heard.sent.any()
+
+
+@both_forms
+def test_one_that_goes_again_before_it_was_admitted_is_asked_about_again(
+    memory: Network, form: FormName
+) -> None:
+    system = System(memory, Partition.even(grid(1, 3), 3), form, message=MESSAGE).start()
+    step(system, 0)
+    system.member_endpoints[1].close()
+    step(system, 1, [0, 2])
+    _anew(system, 1).ready(10.0)
+    assert system.host.admit(2) == []  # asked
+    system.member_endpoints[1].close()
+    step(system, 2, [0, 2])
+    step(system, 3, [0, 2])
+    assert system.host.admit(4) == []
+    member = _anew(system, 1)
+    member.ready(10.0)
+    first, cells = _admitted(system, 4, [0, 2])
+    assert cells == [1]
+    assert member.join(10.0) == first
+    assert step(system, first)[1] == []
+
+
+def test_who_is_not_let_in_or_whose_plant_goes_says_so(memory: Network) -> None:
+    system = System(memory, Partition.even(grid(1, 2), 2), "packed").start()
+    step(system, 0)
+    system.member_endpoints[1].close()
+    step(system, 1, [0])
+    member = _anew(system, 1)
+    member.ready(10.0)
+    with pytest.raises(BarrierError, match="shard 1 was not let in"):
+        member.join(0.01)
+    system.host.close()
+    with pytest.raises(HostLostError):
+        member.join(10.0)
+
+
+def test_cells_that_come_back_still_die_when_they_were_to_die() -> None:
+    lives = Lives(3)
+    lives.plan([0], 50)
+    lives.retire([0, 1], 10)
+    lives.admit([0, 1], 20)
+    assert [lives.live(tick).tolist() for tick in (19, 20, 50)] == [
+        [False, False, True],
+        [True, True, True],
+        [False, True, True],
+    ]
+    assert lives.first([np.array([0, 1]), np.array([2])]) == [20, 0]
+    assert lives.last([np.array([0]), np.array([1, 2])]) == [50, NEVER]
+
+
+def test_parts_are_waited_for_from_their_tick_on_and_earlier_ones_are_late() -> None:
+    counts = Counts()
+    collector = Collector("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
+    collector.begin(7)
+    collector.admit([0, 9], [NEVER, NEVER])
+    assert [collector.missing(tick) for tick in (7, 8, 9)] == [[0], [0], [0, 1]]
+    collector.take(1, bytes([8, 1]))
+    assert counts.late == 1
+    collector.take(1, bytes([9, 5]))
+    assert collector.slot(9).values == [0, 5]
+    collector.void([1], 9)
+    assert collector.slot(9).values == [0, 0]
