@@ -152,4 +152,4 @@ def test_an_output_that_is_a_file_is_refused_before_anything_runs(
 ) -> None:
     (tmp_path / "file").write_text("")
     assert main(["effects", "ladder", "--output", str(tmp_path / "file")]) == 2
-    assert "can't be made" in capsys.readouterr().err
+    assert "is a file, must be a folder" in capsys.readouterr().err

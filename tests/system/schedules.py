@@ -27,7 +27,7 @@ from deploy.summary import Outcome
 from plant.process import PlantProcess
 
 CELLS = 18
-RUN_S = 0.6
+RUN_S = 0.4
 """Simulated, and at least as much on the wall clock."""
 DEADLINE_S, LEASE_S = 1.2, 1.0
 

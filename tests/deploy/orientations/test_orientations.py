@@ -131,7 +131,7 @@ def test_a_picture_can_t_go_where_a_file_is(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "file").write_text("")
     for more in ((), SIZES):
         assert main(["orientations", "elliptic", *more, "--output", str(tmp_path / "file")]) == 2
-        assert f"output {tmp_path / 'file'}: can't be made" in capsys.readouterr().err
+        assert f"output {tmp_path / 'file'}: is a file, must be a folder" in capsys.readouterr().err
 
 
 # --- sizes ------------------------------------------------------------------------------------------
