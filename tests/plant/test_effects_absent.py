@@ -24,7 +24,7 @@ SOLVERS = {
 """The module of the kernel that each compiled solver calls."""
 
 COMPARED = {name: SOLVERS[name] for name in ("exact", "implicit")}
-"""Those whose kernels are compiled here: between them they call what the others call, which would take as long again."""
+"""Whose kernels are compiled here: between them they call what the others call, which would take as long again."""
 
 COMPILE = """
 import hashlib, importlib, json, re, sys
