@@ -14,6 +14,7 @@ the same socket themselves, so that they outlive neither.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import importlib
 import json
@@ -137,7 +138,8 @@ class _Nursery:
             content["error"] = str(more.get("error", ""))[: _LINE_LIMIT // 8]
             content["detail"] = "... " + str(more.get("detail", ""))[-_LINE_LIMIT // 8 :]
             line = json.dumps(content) + "\n"
-        os.write(self._report_fd, line.encode())
+        with contextlib.suppress(BrokenPipeError):  # the main process has gone, and its socket ends all of this
+            os.write(self._report_fd, line.encode())
 
     def _reap(self) -> None:
         while self._workers:
