@@ -138,7 +138,9 @@ class _Nursery:
             content["error"] = str(more.get("error", ""))[: _LINE_LIMIT // 8]
             content["detail"] = "... " + str(more.get("detail", ""))[-_LINE_LIMIT // 8 :]
             line = json.dumps(content) + "\n"
-        with contextlib.suppress(BrokenPipeError):  # the main process has gone, and its socket ends all of this
+        with contextlib.suppress(
+            BrokenPipeError
+        ):  # the main process has gone, and its socket ends all of this
             os.write(self._report_fd, line.encode())
 
     def _reap(self) -> None:
