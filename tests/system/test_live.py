@@ -67,7 +67,7 @@ class Running:
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.parametrize("processes", [2, "each"])
+@pytest.mark.parametrize("processes", ["each"])
 def test_a_live_fault_acts_is_repaired_and_is_repeated_to_the_same_digest(
     tmp_path: Path, processes: Processes
 ) -> None:
