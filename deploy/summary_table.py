@@ -154,8 +154,11 @@ def _states(parcels: Sequence[ParcelOutcome]) -> str:
 def _effects(effects: Mapping[str, int]) -> Iterator[tuple[str, str]]:
     """What each effect of the cells did, by its name."""
     for effect, counts in groupby(effects.items(), lambda item: item[0].partition(".")[0]):
-        did = (f"{number:,} {name.partition('.')[2].replace('_', ' ')}" for name, number in counts)
-        yield effect, ", ".join(did)
+        told = [(name.partition(".")[2].replace("_", " ").replace(".", " "), n) for name, n in counts]
+        if effect == "faults":  # which there were is told below; each did something of its own
+            yield "by faults", ", ".join(f"{what} {number:,}" for what, number in told)
+        else:
+            yield effect, ", ".join(f"{number:,} {what}" for what, number in told)
 
 
 def _traffic(count: TrafficCount) -> Iterator[tuple[str, str]]:

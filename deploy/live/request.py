@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from bus.spec import Spec
 from deploy.errors import DeployError
@@ -17,6 +17,10 @@ _TOLD: Final = 20
 """Problems of a request that are told: the answer is no longer than a question may be."""
 
 
+def _kind_of(fault: object) -> object:
+    return cast("dict[str, object]", fault).get("kind") if isinstance(fault, dict) else None
+
+
 class InjectRequest(Spec):
     """A fault from the next tick on."""
 
@@ -24,6 +28,13 @@ class InjectRequest(Spec):
     fault: Fault
     for_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)] | None = None
     """Simulated time until it is repaired; None: as ``fault.until_s`` says, or never."""
+
+    @field_validator("fault", mode="before")
+    @classmethod
+    def _can_begin_now(cls, fault: object) -> object:
+        if _kind_of(fault) == "add":
+            raise ValueError("add is for scenes: inject remove, and repair it to plug the cells in again")
+        return fault
 
 
 class RepairRequest(Spec):

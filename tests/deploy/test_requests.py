@@ -25,3 +25,9 @@ def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_co
 def test_what_is_no_request_is_refused_in_words(payload: bytes | None) -> None:
     with pytest.raises(RequestError, match=r"^(a request|request|do)\b"):
         read_request(payload)
+
+
+def test_add_is_refused_live_and_what_to_do_instead_is_said() -> None:
+    asked = {"do": "inject", "fault": {"kind": "add", "cell": [1, 1]}}
+    with pytest.raises(RequestError, match="inject remove, and repair it"):
+        read_request(json.dumps(asked).encode())

@@ -208,3 +208,15 @@ def test_the_table_fits_eighty_columns_without_cutting_or_wrapping_anything() ->
     assert "…" not in "".join(lines)
     names = [line.split()[0] for line in lines if line.strip()]
     assert names == ["elliptic", "simulated", "wall", "cells", "solver", "supports", "digest", "parcel", "0"]
+
+
+def test_what_faults_did_has_a_line_of_its_own_apart_from_which_there_were() -> None:
+    text = printed(
+        summary(
+            effects={"clock.missed": 2, "faults.link_loss.lost": 60_518, "faults.begun_anew": 1},
+            faults=[{"kind": "crash", "time_s": 2.0, "cell": [3, 4]}],
+        )
+    )
+    assert "clock      2 missed" in text
+    assert "by faults  link loss lost 60,518, begun anew 1" in text
+    assert text.count("\nfaults") == 1
