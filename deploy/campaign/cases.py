@@ -73,6 +73,11 @@ class Cases:
         """How many, undisturbed ones not counted."""
         return len(self.cases) * len(self.seeds)
 
+    @property
+    def undisturbed_runs(self) -> int:
+        """How many of those, each once for all cases that share it."""
+        return len({case.beside for case in self.cases} - {""}) * len(self.seeds)
+
 
 def with_seed(scene: Scene, seed: int) -> Scene:
     """The same scene, left to another chance; what is valid with one seed is with all."""

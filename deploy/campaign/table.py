@@ -53,7 +53,8 @@ def heading(report: Report) -> str:
     if asked.fault:
         until = "" if asked.until_s is None else f" to {asked.until_s:g} s"
         facts.append(f"fault {asked.fault} from {asked.at_s:g} s{until}")
-    facts += [counted(len(cases.seeds), "seed"), counted(len(report.outcomes), "run")]
+    beside = f" and {cases.undisturbed_runs:,} undisturbed" if cases.undisturbed_runs else ""
+    facts += [counted(len(cases.seeds), "seed"), counted(len(report.outcomes), "run") + beside]
     return f"{', '.join(facts)}; in brackets {100 * asked.confidence:g} % confidence intervals"
 
 
