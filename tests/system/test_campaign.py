@@ -67,7 +67,10 @@ def test_going_on_with_a_campaign_that_is_over_runs_nothing_and_says_the_same(
     assert (whole / "runs.jsonl").read_bytes() == before
     assert main(["campaign", "--resume", str(whole)]) == 0
     out = capsys.readouterr().out
-    assert "fault crash from 0 s, 3 seeds, 6 runs and 3 undisturbed; in brackets 95 % confidence intervals" in out
+    assert (
+        "fault crash from 0 s, 3 seeds, 6 runs and 3 undisturbed; in brackets 95 % confidence intervals"
+        in out
+    )
     assert out.splitlines()[3].split()[:5] == ["0", "3", "0", "100", "(44–100)"]
 
 
