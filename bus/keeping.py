@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple, cast, final
 from bus.codec import TICK_LIMIT, VERSION, layout, packer, reader
 from bus.counts import Counts
 from bus.errors import WireError
+from bus.transport import Publisher
 
 _LAYOUT: Final = layout("counts", "state")
 CELL_LIMIT: Final = 64 * 1024
@@ -72,8 +73,38 @@ class Together(NamedTuple):
 
 
 @final
+class Remembering:
+    """A shard's side: tells what it remembers before the tick for which it was asked.
+
+    Args:
+        publisher: Of the shard's memory.
+        counts: What its side has counted.
+    """
+
+    def __init__(self, publisher: Publisher, counts: Counts) -> None:
+        self.publisher = publisher
+        self._counts = counts
+        self._taken_in = 0
+
+    def note(self, taken_in: int) -> None:
+        """Note how many payloads had been taken in when all of the tick before was there."""
+        self._taken_in = taken_in
+
+    def tell(self, tick: int, state: bytes) -> None:
+        """Tell it.
+
+        Args:
+            tick: Before which it is remembered.
+            state: As ``bus.memory`` has it.
+        """
+        counts = self._counts
+        numbers = (counts.sent, self._taken_in, counts.lost, counts.late)
+        self.publisher.put(encode_kept(Kept(tick, numbers, state)))
+
+
+@final
 class Keeping:
-    """Takes in what the shards remember before one tick.
+    """The plant's side: takes in what the shards remember before one tick.
 
     Args:
         tick: Which.

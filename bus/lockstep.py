@@ -10,6 +10,7 @@ from __future__ import annotations
 from bus.counts import Counts, Loss, Reason
 from bus.forms import FormName
 from bus.host import Host
-from bus.member import Gathered, Member
+from bus.incoming import Gathered
+from bus.member import Member
 
 __all__ = ["Counts", "FormName", "Gathered", "Host", "Loss", "Member", "Reason"]

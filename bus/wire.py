@@ -9,8 +9,8 @@ from typing import Any, Final, Literal, NamedTuple, cast, final
 import numpy as np
 
 from bus.codec import TICK_LIMIT, VERSION, Mask, Message, Values, layout, packer, reader
-from bus.errors import WireError
-from bus.readings import Labels, Picture
+from bus.errors import BusError, WireError
+from bus.readings import Labels, Picture, Readings
 
 TEXT_LIMIT: Final = 4096
 """Longest text in a control record or report, characters."""
@@ -108,6 +108,33 @@ def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
     if packed.itemsize > _MESSAGE_LIMIT:
         raise WireError("message", "type", f"{packed.itemsize} bytes: must be at most {_MESSAGE_LIMIT}")
     return packed
+
+
+def check_sense(frame: SenseFrame, readings: Readings, cells: int) -> None:
+    """Checks that a frame of ``cells`` cells has what was agreed on, and nothing else.
+
+    Raises:
+        BusError: It has not.
+    """
+    each = (cells, readings.sensors)
+    expected = {
+        "presence": each,
+        "encoder travel": (cells, 2) if readings.encoders else None,
+        "levels": each if readings.levels else None,
+        "labels": (cells,) if readings.labels else None,
+    }
+    arrays = {
+        "presence": frame.presence,
+        "encoder travel": frame.encoder_m,
+        "levels": frame.level,
+        "labels": frame.label,
+    }
+    agreed = {name: shape for name, shape in expected.items() if shape is not None}
+    found = {name: array.shape for name, array in arrays.items() if array is not None}
+    if frame.picture is not None and not readings.camera:
+        found["a picture"] = frame.picture.pose.shape
+    if found != agreed:
+        raise BusError(f"sense frame of tick {frame.tick}: must have {agreed}, has {found}")
 
 
 def encode_control(control: Control) -> bytes:

@@ -222,7 +222,7 @@ def test_a_shard_whose_cells_all_die_by_schedule_has_told_its_counts_when_the_ne
         side.retire([3], 2)
     step(system, 0)
     step(system, 1)
-    assert system.host._shard_counts.keys() == {1}
-    told = system.host._shard_counts[1]
+    assert system.host._reported.counts.keys() == {1}
+    told = system.host._reported.counts[1]
     assert told.tally == {"shards": 1, "numbers": 1, "nothing": 0}
     assert told.sent == system.members[1].counts.sent

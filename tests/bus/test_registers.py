@@ -168,7 +168,7 @@ def test_who_watches_a_run_is_shown_its_cells_five_times_a_second(memory: Networ
     watcher = memory.endpoint()
     watcher.subscribe("mdms/*/shard/*/registers")
     member = system.members[1]
-    settle(member._registers, watcher)
+    settle(member._showing.publisher, watcher)
     for tick in range(100):
         clock.now += 0.01
         member.show(tick, lambda tick=tick: readings(system, 1, tick))
