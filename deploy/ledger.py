@@ -45,7 +45,6 @@ class Ledger:
         cells_lost: ``(row, column)`` of each, in order.
         warn: As given.
         controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
-        last: The last tick; None before the first is over.
     """
 
     remembers: ClassVar[Remembers] = Remembers(
@@ -79,7 +78,6 @@ class Ledger:
         self._hung: set[str] = set()
         self._injected = list(injected)
         self._turns = turns(self._injected)
-        self.last: TickRecord | None = None
 
     def show(self, events: int) -> None:
         """Have the progress show what was before this process took the run up; ``events`` of the plant."""
@@ -104,7 +102,6 @@ class Ledger:
         )
         if record.events:
             self._take_events(record.events)
-        self.last = record
         self.ticks = record.tick + 1
         self.time_ns = record.until_ns
         self._progress.update(self.ticks, self.time_ns)
