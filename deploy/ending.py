@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 from bus.counts import Counts
+from deploy.faults.schedule import crash_aborts
 from deploy.output import parcel_outcomes
 from deploy.refused import DENIED, MALFORMED, MESSAGE, Refused, total
 from deploy.summary import Messages, Summary
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from deploy.protocol_report.report import ProtocolReport
     from deploy.scene import Scene
     from plant.plant import Plant
+    from plant.process import Ended
 
 
 @final
@@ -44,6 +46,17 @@ class Ending:
     def by(self, status: str, reason: str) -> None:
         """It ended so, for this reason."""
         self.status, self.reason = status, reason
+
+    def take(self, ended: Ended, ledger: Ledger) -> None:
+        """Tell why the policy ``abort`` ended the run, if it did."""
+        if ended.died:
+            ledger.died(ledger.ticks, ended.died)
+            cell = ledger.cells_lost[-len(ended.died)]
+            self.by("failed", crash_aborts(cell, ledger.time_ns * 1e-9))
+        elif ended.losses:
+            ledger.lost(ended.losses)
+            self.by(ended.status, f"{ledger.describe(ended.losses)}; stall.policy is abort")
+            self.detail = next((loss.detail for loss in ended.losses if loss.detail), "")
 
 
 def summary_of(

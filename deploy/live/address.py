@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import suppress
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -39,6 +40,26 @@ class Address:
         """Take the note away, where there is one."""
         with suppress(OSError):
             (folder / FILE_NAME).unlink()
+
+
+@contextmanager
+def announced(run: str, locator: str, folder: Path) -> Generator[None]:
+    """Leave a note in a run's folder, while it goes on, of where it can be spoken to.
+
+    Args:
+        run: Its name.
+        locator: Where its plant listens; empty: nowhere, and there is no note.
+        folder: The run's.
+    """
+    if not locator:
+        yield
+        return
+    address = Address(run, locator, os.getpid())
+    address.write(folder)
+    try:
+        yield
+    finally:
+        address.remove(folder)
 
 
 def find(folder: Path | None) -> Address:

@@ -1,0 +1,213 @@
+"""The course of a run: the cells started, ticks to whatever end, the cells stopped."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, final
+
+from bus.counts import Counts
+from bus.errors import BusError
+from bus.keys import plant_key
+from bus.registers import Wanted
+from deploy.cell_times import cell_times
+from deploy.checkpoints.keeping import go_on, keeper_of
+from deploy.conduct import Conduct, pacer
+from deploy.errors import DeployError
+from deploy.faults.schedule import active, deaths, rests
+from deploy.interruption import Interrupted, Interruption
+from deploy.plants import status_of
+from deploy.processes.worker import Resumed
+from deploy.readings import camera_of, readings_of
+from plant.errors import PlantError
+
+if TYPE_CHECKING:
+    from bus.lockstep import Host
+    from deploy.checkpoints.keeper import About, Keeper
+    from deploy.ending import Ending
+    from deploy.ledger import Ledger
+    from deploy.live.console import Console
+    from deploy.prepared import Prepared
+    from deploy.processes.respawn import Respawn
+    from deploy.processes.system import System
+    from deploy.recordings.recorder import Recorder
+    from deploy.refused import Refused
+    from plant.plant import Plant
+    from plant.process import PlantProcess
+
+
+@final
+@dataclass(slots=True, eq=False)
+class Course:
+    """Runs a prepared run once, and tells its ending.
+
+    Attributes:
+        asked: What is to be run.
+        about: What its checkpoints have in common; None: there are none.
+        system: Open.
+        plant: At its start.
+        ledger: Of the run.
+        recorder: Likewise.
+        refused: Likewise.
+        interruption: Heeded between ticks, and where the run only waits.
+        ending: Told how it ended, what was counted and how long it took.
+    """
+
+    asked: Prepared
+    about: About | None
+    system: System
+    plant: Plant
+    ledger: Ledger
+    recorder: Recorder
+    refused: Refused
+    interruption: Interruption
+    ending: Ending
+    _keeper: Keeper | None = field(default=None, init=False)
+
+    def run(self, begun: float) -> None:
+        """Start the cells, run to whatever end, stop the cells.
+
+        Args:
+            begun: When all of it began, monotonic wall seconds.
+        """
+        process: PlantProcess | None = None
+        started = time.monotonic()
+        try:
+            with self.interruption.allowed():
+                process = self._process()
+            started = time.monotonic()
+            self.ending.startup_s = started - begun
+            self.interruption.waits = lambda: process.waiting
+            self.ending.take(process.run(), self.ledger)
+        except Interrupted:
+            self.ending.by(
+                "interrupted", f"interrupted at {self.ledger.time_ns * 1e-9:g} s of simulated time"
+            )
+        except (BusError, DeployError) as error:
+            self.ending.by("failed", str(error))
+        except PlantError as error:
+            self.ending.by(status_of(error), f"{error} (tick {self.ledger.ticks})")
+        finally:
+            self.interruption.waits = lambda: False
+            self._stop(time.monotonic() - started)
+        if process is not None and self.ending.status != "unstable" and not self.recorder.broken:
+            self.recorder.tick(
+                process.tick,
+                process.time_ns,
+                process.sense.presence,
+                None,
+                self.plant.wheel_speed,
+                self.plant.state,
+            )
+
+    def _stop(self, wall_s: float) -> None:
+        """Stop the cells, after so long a time."""
+        ending, resumed = self.ending, self.asked.resumed
+        ending.wall_s = wall_s if resumed is None else wall_s + resumed.wall_s
+        if self._keeper is not None:
+            self._keeper.close()
+        if ending.status == "failed" or self.ledger.cells_lost:
+            ending.detail = "\n".join(text for text in (ending.detail, self.system.explain()) if text)
+        ending.counts = self.system.stop(ending.reason or "the run is over") or Counts()
+        self.refused.look(ending.counts)
+
+    # --- what is put together for it --------------------------------------------------------------
+
+    def _process(self) -> PlantProcess:
+        """Start the cells; the plant's process, ready to run."""
+        from plant.process import PlantProcess
+
+        asked, scene = self.asked, self.asked.scene
+        readings = readings_of(scene, self.plant.sense())
+        host = self.system.start(
+            self.plant.array,
+            readings,
+            self._wanted(),
+            metered=asked.reporter is not None,
+            live=asked.live,
+            keeps=self.about is not None,
+            resumed=asked.resumed and Resumed(asked.resumed.tick, asked.resumed.dead, asked.resumed.states),
+            counted=asked.resumed and asked.resumed.all_counts(),
+        )
+        conduct = self._conduct(host)
+        process = PlantProcess(
+            self.plant,
+            host,
+            tick_ns=scene.tick_ns,
+            duration_ns=scene.duration_ns,
+            schedule=deaths(scene),
+            stall=scene.stall,
+            timing=cell_times(scene),
+            camera=camera_of(scene, readings),
+            faults=active(scene, asked.lasting),
+            rests=rests(scene),
+            observer=conduct.observe,
+            pace=None if asked.options.realtime is None else pacer(asked.options.realtime),
+            attend=conduct.attend if conduct.attends else None,
+        )
+        conduct.process = process
+        if conduct.console is not None:
+            conduct.console.attach(process)
+        if asked.resumed is not None:
+            go_on(asked.resumed, process, self.ledger, asked.reporter)
+        return process
+
+    def _wanted(self) -> tuple[Wanted, ...]:
+        """Registers that the run records, or its reporter watches."""
+        registers, reporter = self.asked.options.registers, self.asked.reporter
+        wanted = () if registers is None else (Wanted(registers),)
+        return wanted if reporter is None else (*wanted, *reporter.wanted)
+
+    def _conduct(self, host: Host) -> Conduct:
+        """What the run does around every tick."""
+        asked = self.asked
+        self._keeper = keeper_of(
+            self.about,
+            asked.options,
+            host,
+            self.ledger,
+            self.recorder,
+            asked.reporter,
+            asked.resumed,
+            asked.scene.stall.deadline_s,
+        )
+        return Conduct(
+            host,
+            self.ledger,
+            self.interruption,
+            asked.scene.effects.cop is not None,
+            asked.options.registers,
+            self.refused,
+            asked.reporter,
+            self._console(host),
+            self._respawn(host),
+            self._keeper,
+        )
+
+    def _respawn(self, host: Host) -> Respawn | None:
+        """What starts lost workers anew; None where they are not to be."""
+        times = self.asked.options.respawn
+        if not times:
+            return None
+        from deploy.processes.respawn import Respawn
+
+        return Respawn(self.system, host, self.asked.plan.partition, times, self.ledger.warn)
+
+    def _console(self, host: Host) -> Console | None:
+        """What takes requests while the run goes on; None where nobody can ask anything."""
+        asked = self.asked
+        questions = self.system.questions(plant_key(asked.plan.run, "operator"))
+        if questions is None and asked.replayed is None:
+            return None
+        from deploy.live.console import Console
+
+        return Console(
+            asked.scene,
+            asked.plan.run,
+            asked.lasting,
+            host.control,
+            self.ledger,
+            questions,
+            asked.script,
+            lines=asked.live,
+        )
