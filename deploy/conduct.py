@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from deploy.processes.respawn import Respawn
     from deploy.protocol_report.reporter import Reporter
     from deploy.refused import Refused
-    from plant.process import PlantProcess, TickRecord
+    from plant.process import PlantProcess
+    from plant.records import TickRecord
 
 
 @final

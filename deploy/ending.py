@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from deploy.protocol_report.report import ProtocolReport
     from deploy.scene import Scene
     from plant.plant import Plant
-    from plant.process import Ended
+    from plant.records import Ended
 
 
 @final

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bus.wire import Report
     from deploy.progress import Progress
     from deploy.recordings.recorder import Recorder
-    from plant.process import TickRecord
+    from plant.records import TickRecord
     from plant.reports import Event
 
 _WORDS = {"token lost": "its process went away", "stalled": "it did not answer in time"}

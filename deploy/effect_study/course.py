@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from deploy.digest import Digest
     from deploy.scene import Scene
     from plant.plant import Plant
-    from plant.process import Ended, PlantProcess, TickRecord
+    from plant.process import PlantProcess
+    from plant.records import Ended, TickRecord
     from plant.reports import Event, ParcelStatus
     from plant.wheels import Floats
 

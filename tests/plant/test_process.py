@@ -14,7 +14,8 @@ from bus.counts import Loss
 from bus.specs import StallSpec
 from bus.wire import DriveFrame, SenseFrame
 from plant.plant import Sense
-from plant.process import PlantProcess, TickRecord
+from plant.process import PlantProcess
+from plant.records import TickRecord
 from plant.timing import Timing
 
 CELLS = 3

@@ -14,7 +14,7 @@ from deploy.accuracy import course, sampling
 from deploy.accuracy.files import CSV_NAME, JSON_NAME, SAMPLING, TOLERANCE, WORK_PRECISION
 from deploy.cli import main
 from deploy.ledger import Ledger
-from plant.process import TickRecord
+from plant.records import TickRecord
 
 QUICK = ("accuracy", "elliptic", "--quick", "--repeats", "1", "--duration", "0.15", "--quiet")
 ALONE = (*QUICK, "--no-sampling")

@@ -20,7 +20,8 @@ from deploy.processes.worker import Order, make_shard
 from deploy.readings import camera_of, readings_of
 from deploy.scene import Scene
 from plant.plant import Plant
-from plant.process import PlantProcess, TickRecord
+from plant.process import PlantProcess
+from plant.records import TickRecord
 
 
 @dataclass
