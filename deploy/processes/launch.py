@@ -144,12 +144,12 @@ class Crew:
         """Fork a worker anew, that which has its number being ended first."""
         while self.poll():
             pass
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+        with contextlib.suppress(WorkerError):  # nobody can be started any more: it stays away
             if self.ended.pop(worker, None) is None:
-                self._channel.send(("signal", (signal.SIGKILL, [worker])))
+                self.signal(signal.SIGKILL, [worker])
                 self._replaced[worker] += 1
-            self._channel.send(("order", order))
-            self._channel.send(("start", [(worker, self._names[worker])]))
+            self._tell("order", order)
+            self._tell("start", [(worker, self._names[worker])])
 
     def _tell(self, what: str, content: object) -> None:
         try:
