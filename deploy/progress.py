@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import TYPE_CHECKING, Self, final
+from typing import TYPE_CHECKING, Final, final
+
+from deploy.display import LINE_S, Display
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-_TERMINAL_S = 0.2
+_TERMINAL_S: Final = 0.2
 """Wall time between two updates of the bar."""
-
-_LINE_S = 10.0
-"""Wall time between two lines where stderr is not a terminal: for logs, few."""
 
 
 @final
-class Progress:
+class Progress(Display):
     """A bar with simulated time, ticks a second, events and lost cells; lines now and then in a log.
 
     Args:
@@ -32,32 +29,17 @@ class Progress:
     """
 
     def __init__(self, duration_ns: int, *, quiet: bool = False) -> None:
+        super().__init__(lambda: _bar(duration_ns), quiet=quiet)
         self.events = 0
         self.lost = 0
         self._duration_ns = duration_ns
-        self._bar: Bar | None = None
-        self._show: Callable[[int, float], None] | None = None
-        self._every_s = _LINE_S
-        if not quiet:
-            self._show = self._line
-            if sys.stderr.isatty():
-                self._bar = _bar(duration_ns)
-                self._task = self._bar.add_task("", total=duration_ns * 1e-9, facts="")
-                self._show = self._redraw
-                self._every_s = _TERMINAL_S
+        self._show: Callable[[int, float], None] | None = self._line if self._lines else None
+        self._every_s = LINE_S
+        if self._bar is not None:
+            self._task = self._bar.add_task("", total=duration_ns * 1e-9, facts="")
+            self._show, self._every_s = self._redraw, _TERMINAL_S
         self._last: tuple[int, float] | None = None
         self._next = 0.0
-
-    def __enter__(self) -> Self:
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
 
     def update(self, ticks: int, time_ns: int) -> None:
         """Tell how many ticks are over and which time was reached; cheap, call it every tick."""
@@ -75,9 +57,8 @@ class Progress:
         """Put a line above the bar."""
         if self._bar is not None:
             self._bar.console.print(f"mdms: {line}", markup=False, highlight=False, soft_wrap=True)
-        elif self._show is not None:
-            sys.stderr.write(f"mdms: {line}\n")
-            sys.stderr.flush()
+        elif self._lines:
+            self._write(line)
 
     def _facts(self, rate: float) -> str:
         lost = f"  {self.lost:,} cells lost" if self.lost else ""
@@ -90,8 +71,7 @@ class Progress:
 
     def _line(self, time_ns: int, rate: float) -> None:
         reached = f"{time_ns * 1e-9:.2f} of {self._duration_ns * 1e-9:g} s"
-        sys.stderr.write(f"mdms: {reached}  {self._facts(rate)}\n")
-        sys.stderr.flush()
+        self._write(f"{reached}  {self._facts(rate)}")
 
 
 def _bar(duration_ns: int) -> Bar:

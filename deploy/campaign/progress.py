@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from types import TracebackType
-from typing import TYPE_CHECKING, Self, final
+from typing import TYPE_CHECKING, final
+
+from deploy.display import LINE_S, Display
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-_LINE_S = 10.0
-"""Wall time between two lines where stderr is not a terminal: for logs, few."""
-
 
 @final
-class Progress:
+class Progress(Display):
     """A bar with the runs that are over, those that failed, and the time left; lines now and then in a log.
 
     Args:
@@ -26,25 +23,12 @@ class Progress:
     """
 
     def __init__(self, total: int, done: int, failed: int, *, quiet: bool) -> None:
+        super().__init__(_bar, quiet=quiet)
         self._total, self._done, self._failed = total, done, failed
         self._before = done
-        self._bar: Bar | None = None
-        self._lines = not quiet and not sys.stderr.isatty()
         self._begun = self._said = time.monotonic()
-        if not quiet and not self._lines:
-            self._bar = _bar()
+        if self._bar is not None:
             self._task = self._bar.add_task("", total=total, completed=done, failed=self._facts())
-
-    def __enter__(self) -> Self:
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
 
     def advance(self, *, failed: bool) -> None:
         """One more run is over."""
@@ -52,13 +36,10 @@ class Progress:
         self._failed += failed
         if self._bar is not None:
             self._bar.update(self._task, completed=self._done, failed=self._facts())
-        elif self._lines and time.monotonic() - self._said > _LINE_S:
+        elif self._lines and time.monotonic() - self._said > LINE_S:
             self._said = time.monotonic()
             left_s = (self._said - self._begun) / (self._done - self._before) * (self._total - self._done)
-            sys.stderr.write(
-                f"mdms: {self._done:,} of {self._total:,} runs{self._facts()}, {left_s:.0f} s left\n"
-            )
-            sys.stderr.flush()
+            self._write(f"{self._done:,} of {self._total:,} runs{self._facts()}, {left_s:.0f} s left")
 
     def _facts(self) -> str:
         return f", {self._failed:,} failed" if self._failed else ""
