@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.display import LINE_S
 from deploy.errors import InputError
 from plant.errors import PlantError
 
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
     from deploy.orientations.study import Study
     from plant.orientations import Orientation
     from plant.wheels import Floats
-
-_LINE_S = 10.0
-"""Wall time between two lines of progress where stderr is not a terminal."""
 
 
 @final
@@ -90,7 +88,7 @@ def _shown(widths: list[float]) -> Generator[float]:
         return
     said = time.monotonic()
     for done, width in enumerate(widths):
-        if time.monotonic() - said > _LINE_S:
+        if time.monotonic() - said > LINE_S:
             said = time.monotonic()
             sys.stderr.write(f"mdms: {done} of {len(widths)} widths\n")
             sys.stderr.flush()

@@ -13,27 +13,10 @@ from deploy.keys.folder import Kind
 from deploy.keys.making import make
 from deploy.processes.plan import Processes, RunOptions, plan
 from deploy.scene_files import load_scene
+from tests.system.small import small_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 PERIOD_NS = 4_096_000
-SCENE = """
-duration_s = 1.0
-[array]
-rows = 3
-columns = 6
-[cells]
-firmware = "heat_diffusion"
-[cells.parameters]
-diffusion_number = 0.2
-held = [{ cell = [1, 0], speed_m_s = [0.1, 0.0] }]
-[[parcels]]
-size_m = [0.25, 0.15]
-mass_kg = 1.0
-position_m = [0.0, 0.0]
-[friction]
-law = "viscous"
-coefficient_s_per_m = 0.2
-"""
 
 
 @dataclass(frozen=True)
@@ -67,7 +50,7 @@ class Run:
 def write_scene(folder: Path) -> Path:
     """The scene as a file."""
     path = folder / "keys.toml"
-    path.write_text(SCENE)
+    path.write_text(small_scene(columns=6, duration_s=1.0))
     return path
 
 

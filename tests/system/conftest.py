@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,33 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.system.running import Mdms, is_alive
-
-ROOT = Path(__file__).resolve().parents[2]
-
-SMALL = """
-title = "Twelve cells that talk, a parcel between them"
-duration_s = 0.2
-
-[array]
-rows = 3
-columns = 4
-
-[cells]
-firmware = "heat_diffusion"
-[cells.parameters]
-diffusion_number = 0.2
-held = [{ cell = [1, 0], speed_m_s = [0.1, 0.0] }]
-
-[[parcels]]
-size_m = [0.25, 0.15]
-mass_kg = 1.0
-position_m = [0.0, 0.0]
-
-[friction]
-law = "viscous"
-coefficient_s_per_m = 0.2
-"""
-"""A scene that is over in no time and uses everything: links, borders, a moving parcel."""
+from tests.system.small import small_scene
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -57,7 +30,7 @@ def small(tmp_path: Path) -> Callable[..., Path]:
 
     def write(more: str = "") -> Path:
         path = tmp_path / "small.toml"
-        path.write_text(SMALL + more)
+        path.write_text(small_scene() + more)
         return path
 
     return write
@@ -73,16 +46,7 @@ def mdms(tmp_path: Path) -> Iterator[Callable[..., Mdms]]:
         command = [sys.executable, "-m", "deploy.cli", *map(str, arguments)]
         if arguments[0] in ("run", "simulate"):
             command += ["--output", str(folder)]
-        process = subprocess.Popen(
-            command,
-            cwd=ROOT,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        running = Mdms(process, folder)
+        running = Mdms.started(command, folder)
         started.append(running)
         return running
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -16,7 +15,6 @@ from deploy.errors import InputError
 from deploy.recordings.replay import load
 from tests.system.running import Mdms, summary_of
 
-ROOT = Path(__file__).resolve().parents[2]
 _PATIENCE_S = 120.0
 
 
@@ -32,16 +30,7 @@ def start(output: Path, *arguments: object) -> Mdms:
         "--json",
         "--quiet",
     ]
-    process = subprocess.Popen(
-        command,
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    return Mdms(process, output)
+    return Mdms.started(command, output)
 
 
 def kill_after(mdms: Mdms, tick: int, delay_s: float) -> int | None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass
@@ -18,6 +20,20 @@ class Mdms:
     process: subprocess.Popen[str]
     output: Path
     seen: set[int] = field(default_factory=set)
+
+    @staticmethod
+    def started(command: Sequence[str], output: Path) -> Mdms:
+        """Start it, with nothing to read on stdin and in a session of its own."""
+        process = subprocess.Popen(
+            command,
+            cwd=ROOT,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        return Mdms(process, output)
 
     def children(self) -> set[int]:
         """Process ids of everything it has started, directly or not."""

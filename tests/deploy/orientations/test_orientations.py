@@ -163,7 +163,7 @@ def test_the_summary_counts_every_size_once(capsys: pytest.CaptureFixture[str]) 
 def test_a_map_over_sizes_says_in_a_log_how_far_it_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("deploy.orientations.sizes._LINE_S", -1.0)
+    monkeypatch.setattr("deploy.orientations.sizes.LINE_S", -1.0)
     size_map(study(load_scene("elliptic"), 0, (0.0, 0.0)), np.array([0.5]), np.array([0.3, 0.4, 0.5]))
     assert capsys.readouterr().err.splitlines() == [f"mdms: {done} of 3 widths" for done in range(3)]
 
