@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
-from bus.collector import Collector
+from bus.collector import EARLY_TICKS, Collector
 from bus.counts import Counts
-from bus.errors import BarrierError, HostLostError
+from bus.errors import BarrierError, HostLostError, WireError
 from bus.forms import FormName
 from bus.lives import NEVER, Lives
 from bus.lockstep import Loss, Member
 from bus.partition import Partition
+from bus.returns import Returns
+from bus.roll import Roll
 from tests.bus.support import (
     MESSAGE,
     PRESENCE,
@@ -161,6 +165,22 @@ def test_cells_that_come_back_still_die_when_they_were_to_die() -> None:
     assert lives.last([np.array([0]), np.array([1, 2])]) == [50, NEVER]
 
 
+def test_a_group_is_there_from_when_the_first_of_those_came_who_stay_longest() -> None:
+    lives = Lives(4)
+    assert lives.all
+    lives.plan([0], 50)
+    assert not lives.all
+    assert lives.live(50).tolist() == [False, True, True, True]
+    lives.retire([1, 2], 10)
+    lives.admit([2], 20)
+    lives.retire([1], 40)
+    lives.admit([1], 45)
+    lives.retire([3], 30)
+    group = np.arange(4)
+    assert lives.first([group, np.array([0, 3])]) == [20, 0]
+    assert lives.last([group, np.array([0, 3])]) == [NEVER, 50]
+
+
 def test_parts_are_waited_for_from_their_tick_on_and_earlier_ones_are_late() -> None:
     counts = Counts()
     collector = Collector("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
@@ -173,3 +193,122 @@ def test_parts_are_waited_for_from_their_tick_on_and_earlier_ones_are_late() -> 
     assert collector.slot(9).values == [0, 5]
     collector.void([1], 9)
     assert collector.slot(9).values == [0, 0]
+
+
+def _collector(counts: Counts) -> Collector:
+    """Of two parts, whose payloads are a tick and a value."""
+    return Collector("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
+
+
+def test_what_comes_from_who_is_gone_is_kept_only_where_it_is_expected_back() -> None:
+    counts = Counts()
+    collector = _collector(counts)
+    collector.begin(7)
+    collector.bury([NEVER, 5])
+    collector.take(1, bytes([8, 3]))
+    assert (counts.late, collector.early(7)) == (1, 0)
+    collector.expect([1])
+    collector.take(1, bytes([8, 3]))
+    collector.take(1, bytes([6, 3]))
+    collector.take(1, bytes([7 + EARLY_TICKS, 4]))
+    collector.take(1, bytes([8 + EARLY_TICKS, 5]))
+    assert (counts.delivered, counts.late) == (2, 3)
+    assert (collector.slot(8).values, collector.slot(8).missing) == ([0, 3], 1)
+    collector.take(0, bytes([8, 1]))
+    assert collector.slot(8).missing == 0
+    collector.admit([0, 7], [NEVER, NEVER])
+    assert (collector.slot(7).missing, collector.slot(8).missing, collector.missing(9)) == (2, 0, [0, 1])
+
+
+def test_who_comes_back_keeps_whatever_comes_until_its_first_tick_is_known() -> None:
+    counts = Counts()
+    collector = _collector(counts)
+    with pytest.raises(WireError, match="at most 64 ahead of 0"):
+        collector.take(0, bytes([EARLY_TICKS + 1, 1]))
+    collector.await_first()
+    for tick in range(100, 100 + EARLY_TICKS):
+        collector.take(0, bytes([tick, tick]))
+    with pytest.raises(WireError, match="ahead"):
+        collector.take(0, bytes([99, 1]))
+    assert (collector.early(100), collector.early(101)) == (EARLY_TICKS, EARLY_TICKS - 1)
+    collector.begin(103)
+    assert collector.early(0) == EARLY_TICKS - 3
+    assert (collector.now, collector.slot(103).values, collector.missing(103)) == (103, [103, 0], [1])
+    with pytest.raises(WireError, match="ahead of 103"):
+        collector.take(1, bytes([104 + EARLY_TICKS, 1]))
+
+
+def test_only_what_was_said_from_a_tick_on_is_void_and_may_be_said_again() -> None:
+    collector = _collector(Counts())
+    for tick in range(3):
+        collector.take(1, bytes([tick, 5]))
+    collector.void([1], 1)
+    assert [collector.slot(tick).values for tick in range(3)] == [[0, 5], [0, 0], [0, 0]]
+    collector.take(1, bytes([2, 6]))
+    assert collector.slot(2).values == [0, 6]
+
+
+class Absent:
+    """Two shards of three that went, of two cells and of one, and what the plant sees of their new processes."""
+
+    def __init__(self) -> None:
+        nothing = cast("Any", None)
+        self.roll = Roll(nothing, nothing)
+        self.matched = {2, 3, 4}
+        self.returns = Returns(self.roll, [[0, 1], [2, 3], [4]], self.matched.__contains__)
+        self.returns.left(2, [4])
+        self.returns.left(1, [3])
+        self.returns.left(1, [2])
+
+    def seen(self, *units: int) -> None:
+        for signs in (self.roll.left, self.roll.alive, self.roll.ready):
+            signs.update(units)
+
+    def asked(self) -> list[list[int]]:
+        return [absence.cells for absence in self.returns.to_ask()]
+
+
+@pytest.mark.parametrize("sign", ["left", "alive", "ready", "matched"])
+def test_a_process_is_back_when_all_its_units_went_came_are_ready_and_can_be_sent_to(sign: str) -> None:
+    absent = Absent()
+    absent.seen(2, 3)
+    signs = absent.matched if sign == "matched" else getattr(absent.roll, sign)
+    signs.discard(2)
+    assert absent.asked() == []
+    assert absent.returns.back([]) == []
+    signs.add(2)
+    assert absent.asked() == [[3, 2]]
+    assert absent.asked() == []
+
+
+def test_cells_are_admitted_when_all_who_live_can_send_to_them_and_not_to_others() -> None:
+    absent = Absent()
+    absent.seen(2, 3, 4)
+    assert absent.asked() == [[4], [3, 2]]
+    absent.returns.linked(0, [2])
+    absent.returns.linked(0, [4])
+    absent.returns.linked(5, [2, 3])
+    assert absent.returns.back([0, 5]) == []
+    absent.returns.linked(0, [2, 3])
+    assert absent.returns.back([0, 5]) == [2, 3]
+    assert absent.returns.back([0]) == [4]
+    assert not absent.returns
+
+
+def test_whoever_could_send_to_a_process_that_went_again_is_asked_about_the_next() -> None:
+    absent = Absent()
+    absent.seen(4)
+    assert absent.asked() == [[4]]
+    absent.returns.linked(0, [4])
+    absent.roll.alive.discard(4)
+    assert absent.asked() == []
+    absent.roll.alive.add(4)
+    assert absent.asked() == [[4]]
+    assert absent.returns.back([0]) == []
+
+
+def test_shards_that_come_back_together_are_told_by_their_cells_in_order() -> None:
+    absent = Absent()
+    absent.seen(2, 3, 4)
+    absent.asked()
+    assert absent.returns.back([]) == [2, 3, 4]
