@@ -108,13 +108,14 @@ def test_a_value_comes_back_as_it_was(value: Any) -> None:
         np.array([True, False]),
         np.array([(1, True)], dtype=[("x", "<i2"), ("sent", "?")]),
         np.array([-0.0, np.nan]),
+        np.arange(2.0).view("V8"),
     ],
     ids=repr,
 )
 def test_an_array_comes_back_bit_for_bit_and_may_be_written(array_: Any) -> None:
     back = decode(encode(array_, {}), {})
     assert (back.dtype, back.shape, back.tobytes()) == (array_.dtype, array_.shape, array_.tobytes())
-    back[...] = 0
+    back[...] = array_
 
 
 def test_an_array_of_objects_holds_values() -> None:
@@ -190,6 +191,95 @@ def test_a_memory_of_something_else_is_refused_by_place(change: str, told: str) 
         recall(Car(), _changed(change))
 
 
+class Holder:
+    remembers: ClassVar[Remembers] = Remembers("held")
+
+    def __init__(self, held: Any) -> None:
+        self.held = held
+
+
+class Shares:
+    remembers: ClassVar[Remembers] = Remembers(shared=("held",))
+
+    def __init__(self, held: Any) -> None:
+        self.held = held
+
+
+class Leads:
+    remembers: ClassVar[Remembers] = Remembers("way.turns")
+
+    def __init__(self, way: Any) -> None:
+        self.way = way
+
+
+def _turned(turns: int) -> Wheel:
+    wheel = Wheel()
+    wheel.turns = turns
+    return wheel
+
+
+def test_objects_in_maps_and_lists_remember_each_at_its_place() -> None:
+    held = {"a": _turned(3), "b": [_turned(4), _turned(5)], "c": ()}
+    anew = {"a": Wheel(), "b": [Wheel(), Wheel()], "c": ()}
+    stay = anew["a"]
+    recall(Holder(anew), remember(Holder(held)))
+    assert anew["a"] is stay
+    assert [anew["a"].turns, *(wheel.turns for wheel in anew["b"])] == [3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("held", "anew"), [(None, 3), (3, None), (0.5, 0), (np.float64(2.0), False), ({1: 2}, {})], ids=repr
+)
+def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, anew: Any) -> None:
+    holder = Holder(anew)
+    recall(holder, remember(Holder(held)))
+    assert (type(holder.held), holder.held) == (type(held), held)
+
+
+@pytest.mark.parametrize(
+    ("held", "anew", "told"),
+    [
+        (Wheel(), 3, "must be a int, which remembers nothing"),
+        ({"a": Wheel()}, {"b": Wheel()}, "must be 1 objects"),
+        ((Wheel(),), [Wheel()], "must be other objects"),
+        ([[], Wheel()], [[Wheel()], Wheel()], r"held\[0\]: must be an object"),
+        ({"a": Wheel(), "b": 4}, {"a": Wheel(), "b": 3}, r"held\[b\]: must be an object"),
+        ([1], {}, "must be a dict, is a list"),
+        ({}, [1], "must be a list, is a dict"),
+        (np.zeros(2), np.zeros((2, 1)), "must be 2 dimensions of float64, is 1"),
+        (np.random.default_rng(1), 3, "must be a int, is a random generator's state"),
+    ],
+)
+def test_what_an_object_made_anew_has_no_place_for_is_refused(held: Any, anew: Any, told: str) -> None:
+    with pytest.raises(MemoryRefusedError, match=told):
+        recall(Holder(anew), remember(Holder(held)))
+
+
+@pytest.mark.parametrize(
+    ("held", "anew"), [({"a": 1}, {"b": 2}), ({1, 2}, {3}), ([1], [2, 3]), (None, None)], ids=repr
+)
+def test_maps_sets_and_lists_that_others_hold_are_filled_anew(held: Any, anew: Any) -> None:
+    shares = Shares(anew)
+    recall(shares, remember(Shares(held)))
+    assert shares.held is anew
+    assert anew == held
+
+
+def test_what_is_shared_keeps_its_kind() -> None:
+    with pytest.raises(MemoryRefusedError, match="must be a set, is a list"):
+        recall(Shares(set[int]()), remember(Shares([1])))
+    with pytest.raises(MemoryRefusedError, match="this is a bug: a int can't be shared"):
+        recall(Shares(1), remember(Shares(2)))
+
+
+def test_a_path_that_breaks_off_leads_to_nothing_and_stays_so() -> None:
+    leads = Leads(None)
+    recall(leads, remember(leads))
+    assert leads.way is None
+    with pytest.raises(MemoryRefusedError, match=r"Leads\.way\.turns: must be nothing, is a int"):
+        recall(leads, remember(Leads(_turned(2))))
+
+
 @given(st.binary(max_size=64))
 def test_any_bytes_are_a_memory_or_are_refused(data: bytes) -> None:
     try:
@@ -222,3 +312,36 @@ def test_nesting_without_end_is_refused() -> None:
         data = packed(msgpack.ExtType(4, data))
     with pytest.raises(MemoryRefusedError, match="not a memory"):
         decode(data, {})
+
+
+def test_values_lie_as_deep_as_they_may_and_as_many_side_by_side_as_they_like() -> None:
+    deep: Any = ()
+    for _ in range(30):
+        deep = (deep,)
+    for value in (deep, [(i,) for i in range(100)]):
+        assert decode(encode(value, {}), {}) == value
+    with pytest.raises(MemoryRefusedError, match="too deep"):
+        encode((deep,), {})
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        ["<f8", [-1], b""],
+        ["<f8", [-1, -1], b"8 bytes!"],
+        ["<f8", [True], b"8 bytes!"],
+        ["<f8", [1] * 9, b"8 bytes!"],
+        ["i4,i4", [1], b"8 bytes!"],
+        ["<f16", [1], b"16 bytes, 16 ..."],
+        ["?", [1], b"\x02"],
+    ],
+    ids=repr,
+)
+def test_an_array_that_no_array_is_written_as_is_refused(told: list[Any]) -> None:
+    with pytest.raises(MemoryRefusedError, match="not a memory: ValueError"):
+        decode(packed(msgpack.ExtType(1, packed(told))), {})
+
+
+def test_an_array_has_as_many_objects_as_places() -> None:
+    with pytest.raises(MemoryRefusedError, match="1 objects for an array of 2"):
+        decode(packed(msgpack.ExtType(3, packed([[2], [None]]))), {})
