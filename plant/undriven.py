@@ -94,8 +94,8 @@ class Undriven:
         changed = [cell for cell in before if self._down.get(cell) != before[cell] and not self.lost[cell]]
         fresh = [cell for cell in dead if self._down[cell] != before.get(cell) and not self.lost[cell]]
         if changed:
-            self._plant.regain(sorted(changed))
-            self._given[sorted(changed)] = 0.0
+            self._plant.regain(changed)
+            self._given[changed] = 0.0
         self._leave({cell: self._down[cell] for cell in fresh}, drives)
         moved = bool((harm.gone != self._gone).any())
         self._gone = harm.gone

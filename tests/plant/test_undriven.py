@@ -120,3 +120,32 @@ def test_a_cell_that_comes_back_is_driven_again_unless_a_fault_kills_it(plant: B
     assert plant.log[-1] == ("regain", (0,))
     undriven.turn(harm(), DRIVES)
     assert given(undriven) == [9.0] * 4
+
+
+def test_who_is_dead_already_does_not_die_again(plant: BookPlant) -> None:
+    undriven = Undriven(plant, 4, "coast", {0: "hold"})
+    assert undriven.bury([], DRIVES) == ()
+    assert undriven.mask is None
+    assert undriven.bury([0], DRIVES) == (0,)
+    assert undriven.bury([0], DRIVES * 2.0) == ()
+    assert undriven.dying(harm(0, 2)) == [2]
+    undriven.turn(harm(0, 1), DRIVES)
+    assert undriven.dying(harm(0, 1, 2)) == [2]
+    assert [entry for entry in plant.log if entry[0] != "suffer"] == [("hold", (0,)), ("coast", (1,))]
+    assert given(undriven) == [1.0, 0.0, 9.0, 9.0]
+
+
+def test_a_cell_that_came_back_and_dies_again_holds_nothing_of_its_first_death(plant: BookPlant) -> None:
+    undriven = Undriven(plant, 4, "coast", {0: "hold"})
+    undriven.bury([0], DRIVES)
+    undriven.revive([0])
+    undriven.turn(harm(0), DRIVES)
+    assert given(undriven)[0] == 0.0
+
+
+def test_a_cell_whose_fault_goes_on_knows_nothing_of_those_that_turn(plant: BookPlant) -> None:
+    undriven = Undriven(plant, 4, "hold")
+    undriven.turn(harm(0), DRIVES)
+    undriven.turn(harm(0, 1), DRIVES * 2.0)
+    assert given(undriven) == [1.0, 6.0, 9.0, 9.0]
+    assert [entry for entry in plant.log if entry[0] != "suffer"] == [("hold", (0,)), ("hold", (1,))]
