@@ -4,20 +4,42 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
+from bus.fault import Injected
+from cell_firmware.faults.fault import Pause
 from deploy.errors import InputError
-from deploy.faults.schedule import deaths
+from deploy.faults.add import AddFault
+from deploy.faults.crash import CrashFault
+from deploy.faults.module import AbsentModules
+from deploy.faults.remove import RemoveFault
+from deploy.faults.schedule import (
+    active,
+    deaths,
+    injected,
+    is_death,
+    lasting,
+    of_cells,
+    of_cells_alone,
+    of_plant,
+    rests,
+)
 from deploy.overrides import Override
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
+from plant.faults.fault import Harm
 
 
 def _scene(*crashes: tuple[float, tuple[int, int]]) -> Scene:
     faults: list[dict[str, Any]] = [
         {"kind": "crash", "at_s": at_s, "cell": list(cell)} for at_s, cell in crashes
     ]
-    return load_scene("motors", [Override(("faults",), faults, "")])
+    return _with(*faults)
+
+
+def _with(*faults: dict[str, Any]) -> Scene:
+    return load_scene("motors", [Override(("faults",), list(faults), "")])
 
 
 def test_a_crash_acts_at_the_first_tick_that_does_not_begin_before_it() -> None:
@@ -37,3 +59,89 @@ def test_a_scene_without_faults_schedules_nothing() -> None:
 def test_a_fault_of_an_unknown_kind_is_bad_input() -> None:
     with pytest.raises(InputError, match=r"faults\[0\]\.kind"):
         load_scene("motors", [Override(("faults",), [{"kind": "melt", "at_s": 0, "cell": [0, 0]}], "")])
+
+
+MIXED: tuple[dict[str, Any], ...] = (
+    {"at_s": 2.0, "cell": [0, 1], "wheels": "hold"},
+    {"kind": "hang", "at_s": 1.0, "cell": [0, 0]},
+    {"at_s": 1.0, "cells": [[0, 1], [0, 0]], "wheels": "brake"},
+    {"at_s": 0.5, "until_s": 0.6, "cell": [1, 0], "wheels": "hold"},
+    {"kind": "wheel_stuck", "at_s": 1.0, "cell": [0, 0]},
+    {"at_s": 0.1, "cell": [1, 1]},
+)
+
+
+def test_only_crashes_that_are_scheduled_and_not_repaired_are_deaths() -> None:
+    scene = _with(*MIXED)
+    assert deaths(scene) == {25: (4,), 245: (0, 1)}
+    assert [one.number for one in lasting(scene)] == [1, 3, 4]
+    assert is_death(Injected(0, CrashFault(cell=(0, 0)), np.array([0]), 5))
+    assert not is_death(Injected(0, CrashFault(cell=(0, 0)), np.array([0]), 5, 9))
+    assert not is_death(Injected(0, CrashFault(cell=(0, 0)), np.array([0]), 5, live=True))
+
+
+def test_cells_die_in_the_order_of_their_ticks_and_of_the_array() -> None:
+    scene = _scene((2.0, (0, 0)), (1.0, (1, 0)), (1.0, (0, 1)))
+    assert list(deaths(scene).items()) == [(245, (1, 3)), (489, (0,))]
+
+
+def test_wheels_of_the_dead_do_what_the_fault_says_that_killed_them() -> None:
+    assert rests(_with(*MIXED)) == {0: "brake", 1: "brake"}
+    both = [{"at_s": 1.0, "cell": [0, 0], "wheels": wheels} for wheels in ("hold", "brake")]
+    assert rests(_with(*both)) == {0: "hold"}
+
+
+def test_each_side_carries_out_its_own() -> None:
+    lasts = lasting(_with(*MIXED))
+    assert [one.number for one in of_cells(lasts)] == [1, 3]
+    assert [one.number for one in of_plant(lasts)] == [3, 4]
+    assert of_cells_alone(_with(*MIXED)) == ["faults[1] (hang)"]
+
+
+def test_a_plant_in_which_nothing_turns_has_no_faults_to_look_at() -> None:
+    scene = _with(*MIXED[:3])
+    assert active(scene) is None
+    faults = active(_with(*MIXED))
+    assert faults is not None
+    assert faults.turns == [123, 147, 245]
+    assert active(_with(*MIXED), lasting(scene)) is None
+
+
+def test_what_is_added_is_away_from_the_first_tick_to_its_own() -> None:
+    (one,) = injected(_with({"kind": "add", "at_s": 1.0, "cell": [0, 1]}))
+    assert (one.first, one.end, one.cells.tolist()) == (0, 245, [1])
+
+
+ABSENT = [RemoveFault(kind="remove", cell=(0, 1)), AddFault(kind="add", at_s=1.0, cell=(0, 1))]
+
+
+@pytest.mark.parametrize("fault", [CrashFault(cell=(0, 1)), *ABSENT], ids=lambda fault: fault.called)
+def test_programs_of_cells_that_are_away_stand_and_begin_anew_when_they_are_back(
+    fault: CrashFault | AbsentModules,
+) -> None:
+    one = Injected(0, fault, np.array([1]), 5, 7)
+    seen: list[tuple[list[bool], ...]] = []
+    for tick in (4, 5, 6, 7, 8):
+        pause = Pause.none(3)
+        fault.pause(tick, one, pause)
+        assert not pause.keeps.any()
+        assert not pause.unserved.any()
+        seen.append((pause.stopped.tolist(), pause.reset.tolist()))
+    none, struck = [False] * 3, [False, True, False]
+    assert seen == [(none, none), (struck, none), (struck, none), (none, struck), (none, none)]
+    pause = Pause.none(3)
+    pause.reset[:] = True
+    fault.pause(4, one, pause)
+    assert pause.reset.all()
+
+
+def test_who_is_pulled_is_gone_and_who_crashed_is_dead() -> None:
+    for fault in ABSENT:
+        harm = Harm.none(3)
+        fault.harm(np.array([1]), harm)
+        assert (harm.gone.tolist(), harm.dead.any()) == ([False, True, False], False)
+    harm = Harm.none(3)
+    CrashFault(cell=(0, 1)).harm(np.array([1]), harm)
+    CrashFault(cell=(0, 2), wheels="hold").harm(np.array([2]), harm)
+    assert (harm.dead.tolist(), harm.gone.any()) == ([False, True, True], False)
+    assert harm.rests == {2: "hold"}

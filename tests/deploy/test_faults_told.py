@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from deploy.faults.telling import lines, marks, out_of_array
+import numpy as np
+
+from bus.fault import Injected
+from cell_firmware.faults.reboot import RebootFault
+from deploy.faults.crash import CrashFault
+from deploy.faults.telling import lines, marks, out_of_array, turned
 
 
 def fault(kind: str, phase: str, time_s: float, *cells: tuple[int, int], number: int = 0) -> dict[str, Any]:
@@ -60,3 +65,24 @@ def test_marks_are_those_of_faults_that_begin_or_end() -> None:
         (2.5, "2 cells plugged in"),
         (3.0, "cell 6,6 pulled"),
     ]
+
+
+def test_a_fault_that_turns_is_told_with_its_time_and_whom_it_strikes() -> None:
+    fault = CrashFault(cells=((0, 1), (2, 3)), at_s=0.01)
+    one = Injected(7, fault, np.array([0, 2]), 5, 9)
+    names = [(0, 1), (1, 1), (2, 3)]
+    assert turned(one, 5, 4_000_000, names) == {
+        "time_s": 0.02,
+        "kind": "crash",
+        "phase": "begins",
+        "cell": None,
+        "cells": [[0, 1], [2, 3]],
+        "tick": 5,
+        "detail": "scheduled",
+        "fault": {"kind": "crash", "at_s": 0.01, "cells": [[0, 1], [2, 3]]},
+        "number": 7,
+    }
+    assert turned(one, 9, 4_000_000, names)["phase"] == "ends"
+    once = Injected(8, RebootFault(cell=(1, 1)), np.array([1]), 5, 9, live=True)
+    told = turned(once, 5, 4_000_000, names)
+    assert (told["phase"], told["cell"], told["detail"]) == ("happens", [1, 1], "live")
