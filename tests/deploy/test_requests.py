@@ -31,3 +31,15 @@ def test_add_is_refused_live_and_what_to_do_instead_is_said() -> None:
     asked = {"do": "inject", "fault": {"kind": "add", "cell": [1, 1]}}
     with pytest.raises(RequestError, match="inject remove, and repair it"):
         read_request(json.dumps(asked).encode())
+
+
+def test_a_request_as_long_as_may_be_is_read() -> None:
+    assert read_request(b'{"do": "list"}'.ljust(65_536)).do == "list"
+
+
+def test_of_twenty_problems_all_are_told() -> None:
+    fault = {"kind": "crash", "cell": [1, 1], **{f"k{i}": 0 for i in range(20)}}
+    with pytest.raises(RequestError) as caught:
+        read_request(json.dumps({"do": "inject", "fault": fault}).encode())
+    assert len(caught.value.problems) == 20
+    assert all("unknown key" in problem for problem in caught.value.problems)

@@ -15,8 +15,9 @@ SCENE = load_scene("prototype")
 FAULT = {"number": 1, "fault": {"kind": "crash", "cell": [1, 1]}, "first": 5, "end": None}
 
 
-def _script(*control: dict[str, Any]) -> Any:
-    recording = SimpleNamespace(header={"scene": SCENE.model_dump(mode="json")}, control=control, faults=())
+def _script(*control: dict[str, Any], faults: tuple[dict[str, Any], ...] = (), **changes: Any) -> Any:
+    scene = {**SCENE.model_dump(mode="json"), **changes}
+    recording = SimpleNamespace(header={"scene": scene}, control=control, faults=faults)
     return script_of(cast("Any", recording), SCENE)
 
 
@@ -47,3 +48,38 @@ def test_commands_that_can_be_repeated_are_the_script() -> None:
 def test_commands_that_can_not_are_bad_input(record: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"--replay: the recording's command .* can't be repeated"):
         _script(record)
+
+
+def test_cells_that_were_lost_crash_from_that_tick_until_they_came_back() -> None:
+    def lost(kind: str, tick: int, *cell: int) -> dict[str, Any]:
+        return {"kind": kind, "tick": tick, "cell": list(cell)}
+
+    script = _script(
+        faults=(
+            lost("token_lost", 5, 0, 0),
+            lost("stalled", 5, 0, 1),
+            lost("token_lost", 5, 1, 0),
+            {"kind": "hang", "phase": "begins", "tick": 6, "cells": [[1, 1]]},
+            lost("failed", 6, 1, 1),
+            {"kind": "respawn", "phase": "happens", "tick": 9, "cells": [[0, 0], [0, 1]]},
+            lost("token_lost", 9, 0, 0),
+        )
+    )
+    assert [(record["kind"], record["tick"], record["detail"]["number"]) for record in script] == [
+        ("fault", 5, 1_000_000),
+        ("fault", 5, 1_000_001),
+        ("fault", 9, 1_000_002),
+    ]
+    assert [
+        (record["detail"]["fault"]["cells"], record["detail"]["first"], record["detail"]["end"])
+        for record in script
+    ] == [([[0, 0], [0, 1]], 5, 9), ([[1, 0]], 5, None), ([[0, 0]], 9, None)]
+
+
+def test_a_recording_of_another_scene_is_refused_by_what_differs() -> None:
+    stall = {**SCENE.model_dump(mode="json")["stall"]}
+    assert _script(title="other words", stall={**stall, "deadline_s": 9.0}) == ()
+    with pytest.raises(InputError, match="another scene than prototype: seed differ"):
+        _script(title="other words", seed=99)
+    with pytest.raises(InputError, match="another scene than prototype: stall differ"):
+        _script(stall={**stall, "policy": "hold" if stall["policy"] != "hold" else "brake"})
