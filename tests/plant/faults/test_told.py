@@ -1,0 +1,103 @@
+"""What faults of wheels say of a cell, refuse, and become without motors; and when what is the matter changes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from bus.fault import Injected
+from bus.lives import NEVER
+from plant.effects.motors import MotorsSpec
+from plant.effects.registry import PlantEffects
+from plant.faults.active import ActiveFaults
+from plant.faults.fault import Harm, PlantFault
+from plant.faults.wheel_reversed import WheelReversedFault
+from plant.faults.wheel_runaway import WheelRunawayFault
+from plant.faults.wheel_stuck import WheelStuckFault
+from plant.faults.wheel_weak import WheelWeakFault
+
+CELL: dict[str, Any] = {"cell": (0, 0)}
+IDEAL, DRIVEN = PlantEffects(), PlantEffects.model_validate({"motors": {}})
+LOADED = PlantEffects.model_validate({"motors": {}, "wheel_load": {"inertia_kg": 1.0}})
+STUCK = WheelStuckFault(kind="wheel_stuck", cell=(0, 0))
+
+
+def runaway(speed_m_s: float | None = None) -> WheelRunawayFault:
+    return WheelRunawayFault(kind="wheel_runaway", cell=(0, 0), speed_m_s=speed_m_s)
+
+
+@pytest.mark.parametrize(
+    ("wheel", "struck"), [("x", [True, False]), ("y", [False, True]), ("both", [True, True])]
+)
+def test_a_fault_strikes_the_wheel_that_it_names(wheel: Any, struck: list[bool]) -> None:
+    harm = Harm.none(2)
+    WheelStuckFault(kind="wheel_stuck", cell=(0, 0), wheel=wheel).harm(np.array([1]), harm)
+    assert harm.stuck.tolist() == [[False, False], struck]
+
+
+@pytest.mark.parametrize(
+    ("fault", "effects", "told"),
+    [
+        (runaway(), IDEAL, ["needs speed_m_s"]),
+        (runaway(1.0), IDEAL, []),
+        (runaway(), DRIVEN, []),
+        (runaway(1.0), DRIVEN, ["is for ideal wheels"]),
+        (STUCK, DRIVEN, []),
+        (STUCK, LOADED, ["does not go with effects.wheel_load"]),
+    ],
+)
+def test_a_fault_is_at_odds_with_effects_in_which_it_can_not_be(
+    fault: PlantFault, effects: PlantEffects, told: list[str]
+) -> None:
+    rules = [rule for _, _, rule in fault.at_odds(effects)]
+    assert len(rules) == len(told)
+    assert all(rule.startswith(word) for rule, word in zip(rules, told, strict=True))
+
+
+def test_a_wheel_is_weak_somehow() -> None:
+    for given in ({"strength": 0.5}, {"most_m_s": 0.1}, {"strength": 0.0, "most_m_s": 0.0}):
+        WheelWeakFault.model_validate({"kind": "wheel_weak", **CELL, **given})
+    with pytest.raises(ValidationError, match="give strength, most_m_s, or both"):
+        WheelWeakFault.model_validate({"kind": "wheel_weak", **CELL})
+
+
+def test_without_motors_a_wheel_runs_away_at_what_the_supply_gives_without_load() -> None:
+    motors = MotorsSpec(speed_per_volt_m_s=0.1, coulomb_v=2.0, supply_v=12.0)
+    assert runaway().on_ideal_wheels(motors).speed_m_s == pytest.approx(1.0)
+    stiff = MotorsSpec(coulomb_v=13.0, supply_v=12.0)
+    assert runaway().on_ideal_wheels(stiff).speed_m_s == 0.0
+    assert STUCK.on_ideal_wheels(motors) is STUCK
+
+
+def test_the_scene_s_last_fault_says_where_a_wheel_runs() -> None:
+    harm = Harm.none(1)
+    for fault in (runaway(1.0), runaway(2.0).model_copy(update={"way": "negative"})):
+        fault.harm(np.array([0]), harm)
+    assert harm.runs_m_s.tolist() == [[-2.0, -2.0]]
+
+
+def test_something_changes_when_a_fault_begins_or_ends_and_at_no_other_tick() -> None:
+    reversed_ = WheelReversedFault(kind="wheel_reversed", cell=(0, 0))
+    active = ActiveFaults(
+        2, [Injected(0, STUCK, np.array([0]), 3, 7), Injected(1, reversed_, np.array([1]), 0, 8)]
+    )
+    assert (active.turns, active.next_turn) == ([0, 3, 7, 8], 0)
+    assert active.turn(0).factor.tolist() == [[1.0, 1.0], [-1.0, -1.0]]
+    live = Injected(2, STUCK, np.array([1]), 2, NEVER, live=True)
+    active.add(live)
+    active.plan(2)
+    assert (active.turns, active.next_turn) == ([2, 3, 7, 8], 2)
+    assert active.turn(2).stuck.tolist() == [[False, False], [True, True]]
+    assert active.turn(3).stuck.all()
+    live.end = 5
+    active.plan(5)
+    assert active.next_turn == 5
+    assert active.turn(5).stuck.tolist() == [[True, True], [False, False]]
+    assert not active.turn(7).stuck.any()
+    assert active.next_turn == 8
+    assert (active.turn(8).factor == 1.0).all()
+    assert (active.turns, active.next_turn) == ([], NEVER)
+    assert active.harm(6).stuck.tolist() == [[True, True], [False, False]]
