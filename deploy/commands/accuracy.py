@@ -13,6 +13,7 @@ from deploy.commands.options import (
     DurationOption,
     JsonOption,
     QuietOption,
+    SceneUnlessArgument,
     SetOption,
     load_scene,
 )
@@ -22,10 +23,6 @@ from deploy.files import made_folder
 if TYPE_CHECKING:
     from deploy.accuracy.report import Report
 
-SceneArgument = Annotated[
-    str | None,
-    typer.Argument(metavar="SCENE", help="A scene file, or the name of a bundled scene."),
-]
 DocsOption = Annotated[
     Path | None,
     typer.Option(
@@ -70,7 +67,7 @@ SamplingOption = Annotated[
 
 
 def accuracy(
-    scene: SceneArgument = None,
+    scene: SceneUnlessArgument = None,
     *,
     sets: SetOption = None,
     duration: DurationOption = None,

@@ -8,20 +8,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deploy.commands.options import DurationOption, JsonOption, QuietOption, SetOption
+from deploy.commands.options import (
+    HOW,
+    DurationOption,
+    JsonOption,
+    QuietOption,
+    SceneUnlessArgument,
+    SetOption,
+)
 from deploy.errors import InputError
 
 if TYPE_CHECKING:
     from deploy.campaign.asked import Asked
     from deploy.campaign.report import Report
 
-_VARIED, _JUDGED, _HOW = "What is varied", "How runs are judged", "How it is run"
+_VARIED, _JUDGED = "What is varied", "How runs are judged"
 _VALUES = "FROM:TO:STEP"
 
-SceneArgument = Annotated[
-    str | None,
-    typer.Argument(metavar="SCENE", help="A scene file, or the name of a bundled scene."),
-]
 FaultOption = Annotated[
     str | None,
     typer.Option(
@@ -101,7 +104,7 @@ LimitOption = Annotated[
     float | None,
     typer.Option(
         "--limit",
-        rich_help_panel=_HOW,
+        rich_help_panel=HOW,
         metavar="SECONDS",
         help="Wall time after which a run is ended and counted as failed. Default: 600.",
     ),
@@ -109,14 +112,14 @@ LimitOption = Annotated[
 JobsOption = Annotated[
     int | None,
     typer.Option(
-        "--jobs", rich_help_panel=_HOW, metavar="N", min=1, help="Runs at a time. Default: one a processor."
+        "--jobs", rich_help_panel=HOW, metavar="N", min=1, help="Runs at a time. Default: one a processor."
     ),
 ]
 OutputOption = Annotated[
     Path | None,
     typer.Option(
         "--output",
-        rich_help_panel=_HOW,
+        rich_help_panel=HOW,
         metavar="DIR",
         help="Folder for the results. Default: one under runs/.",
     ),
@@ -125,7 +128,7 @@ ResumeOption = Annotated[
     Path | None,
     typer.Option(
         "--resume",
-        rich_help_panel=_HOW,
+        rich_help_panel=HOW,
         metavar="DIR",
         help="Go on with the campaign in this folder: do the runs that are missing. Needs nothing else.",
     ),
@@ -134,17 +137,17 @@ OtherVersionsOption = Annotated[
     bool,
     typer.Option(
         "--other-versions",
-        rich_help_panel=_HOW,
+        rich_help_panel=HOW,
         help="With --resume: go on though this program or what it is built on has another version by now.",
     ),
 ]
 PictureOption = Annotated[
-    bool, typer.Option("--picture/--no-picture", rich_help_panel=_HOW, help="Draw campaign.png at the end.")
+    bool, typer.Option("--picture/--no-picture", rich_help_panel=HOW, help="Draw campaign.png at the end.")
 ]
 
 
 def campaign(
-    scene: SceneArgument = None,
+    scene: SceneUnlessArgument = None,
     *,
     sets: SetOption = None,
     duration: DurationOption = None,

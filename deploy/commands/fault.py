@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption, OperatorKeysOption
+from deploy.commands.options import JsonOption, OperatorKeysOption, TimeoutOption
 from deploy.errors import InputError
 from deploy.overrides import Override, apply
 from deploy.words import counted
@@ -53,9 +53,6 @@ RunOption = Annotated[
         metavar="DIR",
         help="Or the folder that the run writes to. Default: the latest below runs/ that goes on.",
     ),
-]
-TimeoutOption = Annotated[
-    float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for an answer.")
 ]
 
 

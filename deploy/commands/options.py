@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, final
+from typing import Annotated, Final, final
 
 import typer
 
@@ -12,9 +12,14 @@ from deploy.overrides import Override
 from deploy.scene import Scene
 from deploy.scene_files import load_scene as load
 
-SceneArgument = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a bundled scene.")
-]
+HOW: Final = "How it is run"
+"""Heads the options of a command that say nothing of what is run."""
+
+_SCENE: Final = "A scene file, or the name of a bundled scene."
+
+SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENE)]
+SceneUnlessArgument = Annotated[str | None, typer.Argument(metavar="SCENE", help=_SCENE)]
+"""For commands that can do without, asked for something else."""
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -60,6 +65,9 @@ OperatorKeysOption = Annotated[
         help="The run's keys, or the operator's folder of them, where it lets in only who has some.",
     ),
 ]
+TimeoutOption = Annotated[
+    float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for an answer.")
+]
 PictureOption = Annotated[bool, typer.Option("--picture/--no-picture", help="Draw overview.png at the end.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no warnings on stderr.")]
 
@@ -89,9 +97,7 @@ class Asked:
 class AskedOfRun(Asked):
     """The same of a run, which may have its scene from one that it goes on with."""
 
-    scene: Annotated[
-        str, typer.Argument(metavar="[SCENE]", help="A scene file, or the name of a bundled scene.")
-    ] = ""
+    scene: Annotated[str, typer.Argument(metavar="[SCENE]", help=_SCENE)] = ""
 
     @property
     def changes(self) -> dict[str, object]:

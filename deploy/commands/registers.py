@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption, OperatorKeysOption
+from deploy.commands.options import JsonOption, OperatorKeysOption, TimeoutOption
 from deploy.errors import InputError
 from deploy.words import counted, short
 
@@ -27,9 +27,6 @@ ConnectOption = Annotated[
     typer.Option(
         "--connect", metavar="ENDPOINT", help="Where the run's plant listens: what its --listen says."
     ),
-]
-TimeoutOption = Annotated[
-    float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for an answer.")
 ]
 
 

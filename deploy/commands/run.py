@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from deploy.commands.options import AskedOfRun
+from deploy.commands.options import HOW, AskedOfRun
 from deploy.commands.outcome import carry_out
 from deploy.commands.spread import spread
 from deploy.errors import InputError
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from deploy.interruption import Interruption
     from deploy.scene import Scene
     from deploy.summary import Outcome
-
-HOW = "How it is run"
 
 ProcessesOption = Annotated[
     str | None,
