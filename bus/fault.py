@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Generic, Literal, Self, TypeVar, final
@@ -53,10 +54,11 @@ class FaultSpec(Spec):
         """
         return tick_at(self.at_s), NEVER if self.until_s is None else tick_at(self.until_s)
 
+    @abstractmethod
     def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
         """What of it does not fit the array."""
-        raise NotImplementedError
 
+    @abstractmethod
     def struck(self, lattice: Lattice, seed: int, number: int) -> Index:
         """Indices of the cells that it strikes, ascending.
 
@@ -65,7 +67,6 @@ class FaultSpec(Spec):
             seed: Of the scene.
             number: Of the fault in the scene, from 0.
         """
-        raise NotImplementedError
 
 
 class CellTarget(FaultSpec):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import ClassVar
 
 from bus.fault import Injected
@@ -44,6 +45,7 @@ class FaultAround(Around):
         """The state before tick 0."""
         return self.begin(self.controller.init(cells))
 
+    @abstractmethod
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
         """The state of cells that no fault has struck so far.
 
@@ -51,4 +53,3 @@ class FaultAround(Around):
             inner: Their other parts.
             drive: ``(n, 2)``, what they drive; None: nothing yet.
         """
-        raise NotImplementedError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, final
@@ -111,20 +112,24 @@ class FaultStage(Stage):
     Args:
         injected: The fault.
         counts: Names of what it counts.
+        lingers: For how many ticks after its end the fault may still have something to hand over.
     """
 
-    def __init__(self, injected: Injected[CellFault], *counts: str) -> None:
+    def __init__(self, injected: Injected[CellFault], *counts: str, lingers: int = 0) -> None:
         super().__init__()
         self._injected = injected
+        self._lingers = lingers
         self.counted.update(dict.fromkeys((self._named(name) for name in counts), 0))
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells see instead, while the fault acts."""
-        return self.strike(tick, inputs, alive) if self._injected.acts(tick) else inputs
+        """What the cells see instead, while the fault acts or has something left to hand over."""
+        if self._injected.first <= tick < self._injected.end + self._lingers:
+            return self.strike(tick, inputs, alive)
+        return inputs
 
+    @abstractmethod
     def strike(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells see instead; see ``Stage.apply``."""
-        raise NotImplementedError
 
     def count(self, name: str, happened: Bools, alive: NDArray[np.int64] | slice) -> None:
         """Counts what ``happened``, ``(n, ...)``, to cells that live."""

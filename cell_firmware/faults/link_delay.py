@@ -54,16 +54,13 @@ class _Delayed(FaultStage):
     remembers: ClassVar[Remembers] = Remembers("_waiting", "_struck")
 
     def __init__(self, waiting: Stage, greatest: int, links: Links, injected: Injected[CellFault]) -> None:
-        super().__init__(injected, "delayed", "overtaken")
+        super().__init__(injected, "delayed", "overtaken", lingers=greatest)
         self._waiting = waiting
-        self._last = injected.end + greatest
         self._struck = np.zeros(4 * len(links.site.cells), dtype=np.bool_)
         self._struck[links.slot] = True
 
-    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+    def strike(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells hear instead, while the fault acts or messages are under way."""
-        if not self._injected.first <= tick < self._last:
-            return inputs
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: no inbox, but messages to delay"
         delayed = inbox.received & self._struck.reshape(-1, 4) & self._injected.acts(tick)

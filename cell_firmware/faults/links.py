@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, final
@@ -27,9 +28,9 @@ class OnLinks(CellFault):
     A message is what a link carries in a tick: of the program's, or with the effect ``serial`` the bytes of a tick.
     """
 
+    @abstractmethod
     def heard(self, lattice: Lattice, seed: int, number: int) -> Ints:
         """Its links, as ``(m, 2)``: the cell that hears it, by index, and the side on which; ascending, each once."""
-        raise NotImplementedError
 
     def stages(self, site: Site, lattice: Lattice, injected: Injected[CellFault]) -> Iterator[FaultStage]:
         """One, where the shard's cells hear something on a link that is struck."""
@@ -40,9 +41,9 @@ class OnLinks(CellFault):
         if len(heard):
             yield self.acting(Links.of(site, heard, site.message), injected)
 
+    @abstractmethod
     def acting(self, links: Links, injected: Injected[CellFault]) -> FaultStage:
         """The stage, for links of a shard that are struck."""
-        raise NotImplementedError
 
 
 @final
@@ -85,20 +86,13 @@ class LinkStage(FaultStage):
         links: The links.
         injected: The fault.
         counts: Names of what it counts.
-        lingers: For how many ticks after its end the fault may still have something to hand over.
+        lingers: See ``FaultStage``.
     """
 
     def __init__(self, links: Links, injected: Injected[CellFault], *counts: str, lingers: int = 0) -> None:
-        super().__init__(injected, *counts)
+        super().__init__(injected, *counts, lingers=lingers)
         self._links = links
-        self._lingers = lingers
         self._nothing = np.zeros((), dtype=solid(np.zeros((), dtype=links.message)).dtype)
-
-    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells hear instead, while the fault acts or has something left to hand over."""
-        if self._injected.first <= tick < self._injected.end + self._lingers:
-            return self.strike(tick, inputs, alive)
-        return inputs
 
     def strike(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells hear instead."""
@@ -115,6 +109,7 @@ class LinkStage(FaultStage):
             self.counted[self._named(name)] += int(numbers[alive].sum())
         return replace(inputs, inbox=Inbox(received, message))
 
+    @abstractmethod
     def change(self, tick: int, came: Bools, words: Messages) -> Changed:
         """What the links bring instead.
 
@@ -126,7 +121,6 @@ class LinkStage(FaultStage):
         Returns:
             The same of what is heard, what is not being of no matter; and by name what is counted, ``(m,)`` each.
         """
-        raise NotImplementedError
 
     def blank(self, *shape: int) -> Messages:
         """Room for messages of these links, ``(*shape, m)``."""

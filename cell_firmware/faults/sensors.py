@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated, final
@@ -42,9 +43,9 @@ class SensorFault(CellTarget, CellFault):
             which = np.arange(site.sensors) if self.sensor is None else np.array([self.sensor])
             yield self.acting(Struck(site, rows, which), injected)
 
+    @abstractmethod
     def acting(self, struck: Struck, injected: Injected[CellFault]) -> FaultStage:
         """The stage, for sensors of a shard that are struck."""
-        raise NotImplementedError
 
 
 @final
@@ -96,8 +97,8 @@ class SensorStage(FaultStage):
         self.count("wrong", told.presence ^ inputs.presence, alive)
         return told
 
+    @abstractmethod
     def say(
         self, tick: int, bit: NDArray[np.bool_], level: Floats | None
     ) -> tuple[NDArray[np.bool_] | bool, Floats | float | None]:
         """What ``(m, k)`` sensors say instead of this bit and level; a level of None where there are none."""
-        raise NotImplementedError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self, final
@@ -67,6 +68,7 @@ class PlantFault(FaultSpec):
         """The same fault where a scene's motors are left out, and its wheels run at the speed they are driven at."""
         return self
 
+    @abstractmethod
     def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
         """Say what is the matter while it acts.
 
@@ -74,4 +76,3 @@ class PlantFault(FaultSpec):
             cells: Those that it strikes, by index.
             harm: To be changed.
         """
-        raise NotImplementedError
