@@ -9,15 +9,14 @@ from numpy.typing import NDArray
 
 from bus.chance import Draws
 from bus.fault import CellTarget, Injected
-from bus.lattice import SIDES, Lattice
+from bus.lattice import SIDES
 from cell_firmware.effects.stage import places
 from cell_firmware.faults.fault import CellFault, purpose
-from cell_firmware.faults.tamper import Tamper
+from cell_firmware.faults.tamper import Talk, Tamper
 from cell_firmware.firmware import Bools, Messages, Outbox
 
 if TYPE_CHECKING:
     from cell_firmware.controller import Instant
-    from cell_firmware.parts import LinkPart
 
 Ints = NDArray[np.int64]
 
@@ -34,43 +33,30 @@ class BabbleFault(CellTarget, CellFault):
     damages: ClassVar[bool] = True
     kind: Literal["babble"] = "babble"
 
-    def tampers(
-        self,
-        lattice: Lattice,
-        seed: int,
-        injected: Injected[CellFault],
-        message: np.dtype[np.void],
-        links: LinkPart | None,
-    ) -> Tamper:
+    def tampers(self, talk: Talk, injected: Injected[CellFault]) -> Tamper:
         """Noise instead of what programs say."""
-        return _Noise(lattice, seed, injected, message, links)
+        return _Noise(talk, injected)
 
 
 @final
 class _Noise(Tamper):
     counts = "messages"
 
-    def __init__(
-        self,
-        lattice: Lattice,
-        seed: int,
-        injected: Injected[CellFault],
-        message: np.dtype[np.void],
-        links: LinkPart | None,
-    ) -> None:
+    def __init__(self, talk: Talk, injected: Injected[CellFault]) -> None:
         from cell_firmware.faults.bits import Whole, drawn_each
         from cell_firmware.serial.lines import SerialLines
 
         super().__init__(injected)
-        self._line: np.dtype[Any] = message if links is None else links.line
-        self._whole = Whole(message)
+        lattice, links = talk.lattice, talk.links
+        self._line: np.dtype[Any] = talk.message if links is None else links.line
+        self._whole = Whole(talk.message)
         self._raw = links if isinstance(links, SerialLines) else None
         self._width = self._whole.width if self._raw is None else self._raw.most_bytes
         self._number = np.full(len(lattice), -1)
         self._number[injected.cells] = np.arange(len(injected.cells))
         self._sides: Bools = lattice.neighbours >= 0
         sides = places(injected.cells, len(SIDES))
-        self._draws = Draws(seed, purpose(injected), places(sides, drawn_each(self._width)))
+        self._draws = Draws(talk.seed, purpose(injected), places(sides, drawn_each(self._width)))
 
     def say(self, now: Instant, tick: int, place: Ints, outbox: Outbox | None) -> tuple[Outbox | None, Ints]:
         """Noise on all sides of those that babble."""

@@ -16,8 +16,7 @@ from cell_firmware.effects.stage import Site, Stage
 from cell_firmware.firmware import Bools, Inputs
 
 if TYPE_CHECKING:
-    from cell_firmware.faults.tamper import Tamper
-    from cell_firmware.parts import LinkPart
+    from cell_firmware.faults.tamper import Talk, Tamper
     from cell_firmware.specs import CellsSpec
 
 
@@ -77,22 +76,12 @@ class CellFault(FaultSpec):
         """In which control periods, counted from when it began, a program runs that it slows."""
         return np.ones(period.shape, dtype=np.bool_)
 
-    def tampers(
-        self,
-        lattice: Lattice,  # noqa: ARG002
-        seed: int,  # noqa: ARG002
-        injected: Injected[CellFault],  # noqa: ARG002
-        message: np.dtype[np.void],  # noqa: ARG002
-        links: LinkPart | None,  # noqa: ARG002
-    ) -> Tamper | None:
+    def tampers(self, talk: Talk, injected: Injected[CellFault]) -> Tamper | None:  # noqa: ARG002
         """What it does to whole messages, as they are heard or said; None: nothing.
 
         Args:
-            lattice: Of the array.
-            seed: Of the scene.
+            talk: How programs talk.
             injected: This fault, with its number, cells and times.
-            message: Type of what programs say.
-            links: What carries messages; None where they go over whole.
         """
         return None
 

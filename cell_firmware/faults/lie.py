@@ -11,15 +11,14 @@ from pydantic import model_validator
 
 from bus.chance import Draws
 from bus.fault import CellTarget, Injected, Problem, links_of
-from bus.lattice import SIDES, Lattice
+from bus.lattice import SIDES
 from bus.spec import Finite
 from cell_firmware.errors import FirmwareError
 from cell_firmware.faults.fault import CellFault, purpose
-from cell_firmware.faults.tamper import Tamper
+from cell_firmware.faults.tamper import Talk, Tamper
 from cell_firmware.firmware import Bools, Inbox, State
 
 if TYPE_CHECKING:
-    from cell_firmware.parts import LinkPart
     from cell_firmware.specs import CellsSpec
 
 Ints = NDArray[np.int64]
@@ -64,42 +63,28 @@ class LieFault(CellTarget, CellFault):
             told = ", ".join(named) or "none"
             yield ("field",), self.field, f"must be a number that {cells.firmware} says: {told}"
 
-    def tampers(
-        self,
-        lattice: Lattice,
-        seed: int,
-        injected: Injected[CellFault],
-        message: np.dtype[np.void],
-        links: LinkPart | None,
-    ) -> Tamper:
+    def tampers(self, talk: Talk, injected: Injected[CellFault]) -> Tamper:
         """Lies, at whoever hears them."""
-        del links
-        return _Lies(self, lattice, seed, injected, message)
+        return _Lies(self, talk, injected)
 
 
 @final
 class _Lies(Tamper):
     counts = "messages"
 
-    def __init__(
-        self,
-        fault: LieFault,
-        lattice: Lattice,
-        seed: int,
-        injected: Injected[CellFault],
-        message: np.dtype[np.void],
-    ) -> None:
+    def __init__(self, fault: LieFault, talk: Talk, injected: Injected[CellFault]) -> None:
         super().__init__(injected)
         self._mode, self._by = fault.mode, 0.0 if fault.by is None else fault.by
-        self._fields = [name for name in _numbers(message) if fault.field in (None, name)]
+        self._fields = [name for name in _numbers(talk.message) if fault.field in (None, name)]
+        lattice = talk.lattice
         heard = links_of(lattice, injected.cells, heard=False, told=True)
-        self._message = message
+        self._message = talk.message
         self._struck = np.zeros((len(lattice), len(SIDES)), dtype=np.bool_)
         self._struck[heard[:, 0], heard[:, 1]] = True
         self._draws: Draws | None = None
         if fault.mode == "random" and len(heard):
             self._links = heard
-            self._draws = Draws(seed, purpose(injected), len(SIDES) * heard[:, 0] + heard[:, 1])
+            self._draws = Draws(talk.seed, purpose(injected), len(SIDES) * heard[:, 0] + heard[:, 1])
         self._cells = len(lattice)
 
     def begin(self, cells: int) -> State:

@@ -3,18 +3,39 @@
 from __future__ import annotations
 
 from abc import ABC
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.fault import FaultSpec, Injected
+from bus.lattice import Lattice
 from cell_firmware.firmware import Inbox, Outbox, State
 
 if TYPE_CHECKING:
     from cell_firmware.controller import Instant
+    from cell_firmware.parts import LinkPart
 
 Ints = NDArray[np.int64]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Talk:
+    """How programs talk in a run.
+
+    Attributes:
+        lattice: Of the array.
+        seed: Of the scene.
+        message: Type of what programs say.
+        links: What carries messages; None where they go over whole.
+    """
+
+    lattice: Lattice
+    seed: int
+    message: np.dtype[np.void]
+    links: LinkPart | None
 
 
 class Tamper(ABC):

@@ -17,7 +17,7 @@ from cell_firmware.faults.around import FaultAround
 from cell_firmware.faults.fault import CellFault
 from cell_firmware.faults.outages import Outages
 from cell_firmware.faults.slowed import Slowed
-from cell_firmware.faults.tamper import Tamper
+from cell_firmware.faults.tamper import Talk, Tamper
 from cell_firmware.firmware import Floats, Inbox, Inputs, solid
 from cell_firmware.watchdog import Watchdog
 
@@ -50,7 +50,7 @@ class Words(FaultAround):
         super().add(fault)
         message = self.said
         assert message is not None, "this is a bug: words of programs that have none"
-        tamper = fault.fault.tampers(self.lattice, self.seed, fault, message, self._links)
+        tamper = fault.fault.tampers(Talk(self.lattice, self.seed, message, self._links), fault)
         if tamper is not None:
             self._tampers.append(tamper)
 
