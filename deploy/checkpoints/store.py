@@ -35,17 +35,7 @@ class Store:
         Raises:
             DeployError: It can't be written.
         """
-        try:
-            with self._draft.open("wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            if self._last.exists():
-                self._last.replace(self._before)
-            self._draft.replace(self._last)
-            _sync(self._folder)
-        except OSError as error:
-            raise DeployError(f"can't write {self._last}: {error.strerror or error}") from error
+        self._put(content, aside=True)
 
     def read(self) -> Checkpoint:
         """The last checkpoint that is whole.
@@ -73,9 +63,23 @@ class Store:
         Raises:
             DeployError: It can't be written.
         """
-        self.write(checkpoint.to_bytes())
+        self._put(checkpoint.to_bytes(), aside=False)
         with suppress(FileNotFoundError):
             self._before.unlink()
+
+    def _put(self, content: bytes, *, aside: bool) -> None:
+        """Make this the last; ``aside``: what was the last, and is whole, is the one before it then."""
+        try:
+            with self._draft.open("wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            if aside and self._last.exists():
+                self._last.replace(self._before)
+            self._draft.replace(self._last)
+            _sync(self._folder)
+        except OSError as error:
+            raise DeployError(f"can't write {self._last}: {error.strerror or error}") from error
 
     def clear(self) -> None:
         """Remove them all."""

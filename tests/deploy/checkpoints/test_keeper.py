@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,6 +24,9 @@ class Books:
     def __init__(self) -> None:
         self.digest, self.controls, self.asked = Digest(b""), list[Any](), list[int]()
         self.keeping: Keeping | None = None
+        self.disk, self.secured = threading.Event(), list[int]()
+        self.disk.set()
+        self.given_up = 0
 
     remembers = Digest.remembers
     value = bytes(32)
@@ -39,22 +43,24 @@ class Books:
         return None if self.keeping is None else self.keeping.together({})
 
     def give_up(self) -> list[int]:
+        self.given_up += 1
         return [] if self.keeping is None else self.keeping.missing
 
     def mark(self) -> tuple[dict[str, int], int]:
-        return {"/tick": 1}, 0
+        return {"/tick": 1}, 77
 
     def secure(self, mark: int) -> None:
-        del mark
+        self.disk.wait(10.0)
+        self.secured.append(mark)
 
 
 class Scenery:
     """A keeper, its run, and a clock."""
 
-    def __init__(self, folder: Path) -> None:
-        self.now, self.books, self.warned = 0.0, Books(), list[str]()
+    def __init__(self, folder: Path, begun: float = 0.0) -> None:
+        self.now, self.books, self.warned = begun, Books(), list[str]()
         self.process = DirectRun(load_scene("elliptic")).process
-        about = About(scene_name="", scene={}, bound={}, options={})
+        about = About(scene_name="", scene={}, bound={}, options={}, wall_s=3.0)
         books = cast(Any, self.books)
         self.keeper = Keeper(
             10.0,
@@ -93,7 +99,7 @@ def test_one_is_taken_when_it_is_time_and_the_tick_after_the_cells_were_asked(tm
 
 def test_cells_that_don_t_answer_in_time_cost_the_checkpoint_and_not_the_run(tmp_path: Path) -> None:
     run = Scenery(tmp_path)
-    for now in (10.0, 10.1, 14.9):
+    for now in (10.0, 10.1, 15.0):
         run.tick(now)
     assert run.warned == []
     run.tick(15.1)
@@ -115,6 +121,12 @@ def test_a_disk_that_is_full_costs_the_checkpoint_and_not_the_run(
     run.tick(10.1, answer=True)
     run.keeper.close()
     assert run.warned == ["no checkpoint: [Errno 28] No space left on device"]
+    monkeypatch.undo()
+    run.tick(20.1)
+    run.tick(20.2, answer=True)
+    run.keeper.close()
+    assert len(run.warned) == 1
+    assert run.keeper.written == [3]
 
 
 def test_what_was_done_to_a_run_by_hand_ends_its_checkpoints(tmp_path: Path) -> None:
@@ -125,4 +137,61 @@ def test_what_was_done_to_a_run_by_hand_ends_its_checkpoints(tmp_path: Path) -> 
         run.tick(now)
     assert len(run.warned) == 1
     assert "no more checkpoints" in run.warned[0]
+    assert run.books.given_up == 1
     assert run.books.asked == [1]
+
+
+def _writer() -> threading.Thread | None:
+    """The thread that writes a checkpoint."""
+    return next((thread for thread in threading.enumerate() if thread.name == "checkpoint"), None)
+
+
+def test_one_says_what_of_the_wall_clock_went_by_since_the_very_start(tmp_path: Path) -> None:
+    run = Scenery(tmp_path, begun=1.0)
+    run.keeper.close()
+    run.tick(10.9)
+    assert run.books.asked == []
+    run.tick(11.0)
+    run.tick(11.5, answer=True)
+    run.keeper.close()
+    checkpoint = Checkpoint.from_bytes((tmp_path / FILE_NAME).read_bytes())
+    assert checkpoint.wall_s == 13.5
+    assert checkpoint.reporter is None
+    assert run.keeper.written == [checkpoint.tick]
+
+
+def test_nobody_is_asked_anew_before_the_file_is_written_and_the_recording_is_safe_before_it(
+    tmp_path: Path,
+) -> None:
+    run = Scenery(tmp_path)
+    run.books.disk.clear()
+    run.tick(10.0)
+    run.tick(10.1, answer=True)
+    writer = _writer()
+    assert writer is not None
+    assert writer.daemon, "a disk that hangs keeps nobody from ending"
+    run.tick(25.0)
+    run.tick(25.1)
+    assert (run.books.asked, run.books.secured, list(tmp_path.iterdir())) == ([1], [], [])
+    run.books.disk.set()
+    writer.join()
+    assert run.books.secured == [77]
+    run.tick(25.2)
+    run.tick(25.3)
+    run.tick(25.4, answer=True)
+    run.keeper.close()
+    run.tick(35.2)
+    assert run.books.asked == [1, 6]
+    run.tick(35.3)
+    assert run.books.asked == [1, 6, 9]
+
+
+def test_a_long_tick_before_the_plant_s_own_part_costs_no_checkpoint(tmp_path: Path) -> None:
+    run = Scenery(tmp_path)
+    run.tick(10.0)
+    run.now = 16.0
+    run.keeper.look()
+    run.tick(16.1, answer=True)
+    run.keeper.close()
+    assert run.warned == []
+    assert run.keeper.written == [1]

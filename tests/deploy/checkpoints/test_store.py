@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.memory_codec import encode
 from deploy.checkpoints.checkpoint import MAGIC, Checkpoint
 from deploy.checkpoints.store import BEFORE, FILE_NAME, Store
-from deploy.errors import InputError
+from deploy.errors import DeployError, InputError
 
 CHECKPOINT = Checkpoint(
     scene_name="elliptic",
@@ -81,6 +86,92 @@ def test_one_that_is_not_whole_does_not_take_the_place_of_the_one_that_is_gone_o
     assert store.read() == CHECKPOINT
 
 
+class Power:
+    """Goes off before the n-th thing that is done to the folder."""
+
+    def __init__(self, lasts: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.left, self.done = lasts, list[str]()
+        for owner, name in ((os, "fsync"), (Path, "replace"), (Path, "unlink")):
+            monkeypatch.setattr(owner, name, self._unless_off(name, getattr(owner, name)))
+
+    def _unless_off(self, name: str, act: Callable[..., object]) -> Callable[..., object]:
+        def acted(*arguments: object) -> object:
+            if not self.left:
+                raise OSError(5, "no power")
+            self.left -= 1
+            self.done.append(name)
+            return act(*arguments)
+
+        return acted
+
+
+@pytest.mark.parametrize("lasts", range(4))
+@pytest.mark.parametrize("last", ["whole", "torn"])
+def test_whenever_the_power_goes_there_is_a_whole_one(
+    tmp_path: Path, last: str, lasts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    for _ in range(2):
+        store.write(CONTENT)
+    if last == "torn":
+        (tmp_path / FILE_NAME).write_bytes(b"torn")
+    after = replace(CHECKPOINT, tick=9).to_bytes()
+    act = partial(store.keep, CHECKPOINT) if last == "torn" else partial(store.write, after)
+    with monkeypatch.context() as patch:
+        Power(lasts, patch)
+        with pytest.raises((DeployError, OSError), match="no power"):
+            act()
+    assert replace(store.read(), tick=7) == CHECKPOINT
+
+
+def test_content_is_on_the_disk_before_it_has_a_name_and_its_name_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[tuple[str, int]] = []
+
+    def fsync(handle: int) -> None:
+        path = Path(f"/proc/self/fd/{handle}").resolve()
+        written.append((path.name, path.stat().st_size if path.is_file() else -1))
+
+    store, before = Store(tmp_path), len(list(Path("/proc/self/fd").iterdir()))
+    store.write(CONTENT)
+    power = Power(9, monkeypatch)
+    monkeypatch.setattr(os, "fsync", fsync)
+    store.write(CONTENT)
+    assert [name for name, _ in written] == [".checkpoint.msgpack.draft", tmp_path.name]
+    assert written[0][1] == len(CONTENT)
+    assert power.done == ["replace", "replace"]
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+def test_the_one_that_is_gone_on_from_stays_alone_and_all_can_be_removed(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for _ in range(2):
+        store.write(CONTENT)
+    store.keep(CHECKPOINT)
+    assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
+    store.write(CONTENT)
+    store.clear()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_that_is_too_large_or_can_not_be_read_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    store.write(CONTENT)
+    with monkeypatch.context() as patch:
+        patch.setattr("deploy.checkpoints.store.LARGEST_BYTES", len(CONTENT))
+        assert store.read() == CHECKPOINT
+        patch.setattr("deploy.checkpoints.store.LARGEST_BYTES", len(CONTENT) - 1)
+        with pytest.raises(InputError, match=f"must be at most {len(CONTENT) - 1} bytes"):
+            store.read()
+    (tmp_path / FILE_NAME).unlink()
+    (tmp_path / FILE_NAME).mkdir()
+    with pytest.raises(InputError, match=r"checkpoint\.msgpack: Is a directory"):
+        store.read()
+
+
 def test_where_none_is_whole_what_is_the_matter_with_each_is_said(tmp_path: Path) -> None:
     (tmp_path / FILE_NAME).write_bytes(CONTENT[:-1])
     (tmp_path / BEFORE).write_bytes(b"something else")
@@ -91,6 +182,26 @@ def test_where_none_is_whole_what_is_the_matter_with_each_is_said(tmp_path: Path
 def test_another_format_is_refused_by_its_number() -> None:
     with pytest.raises(InputError, match="of format 7: this version reads format 1"):
         Checkpoint.from_bytes(MAGIC + (7).to_bytes(2, "little") + CONTENT[len(MAGIC) + 2 :])
+
+
+@pytest.mark.parametrize("content", [MAGIC, MAGIC + bytes(33), b"x" * 99], ids=repr)
+def test_what_is_shorter_than_its_head_or_begins_otherwise_is_none(content: bytes) -> None:
+    with pytest.raises(InputError, match="not a checkpoint, or cut at its beginning"):
+        Checkpoint.from_bytes(content)
+
+
+@pytest.mark.parametrize("values", [[], {}, {"tick": 1}], ids=repr)
+def test_a_whole_file_of_something_else_is_refused(values: object) -> None:
+    head, body = CONTENT[: len(MAGIC) + 2], encode(values, {})
+    with pytest.raises(InputError, match="must hold scene_name, scene, bound"):
+        Checkpoint.from_bytes(head + sha256(head + body).digest() + body)
+
+
+def test_the_first_tick_may_be_over_and_the_counts_are_those_of_the_bus() -> None:
+    assert Checkpoint.from_bytes(replace(CHECKPOINT, tick=1, dead=(0,)).to_bytes()).tick == 1
+    counts = CHECKPOINT.all_counts()
+    assert (counts.sent, counts.delivered, counts.lost, counts.late) == (4, 3, 2, 1)
+    assert (dict(counts.refused), dict(counts.tally)) == (CHECKPOINT.refused, CHECKPOINT.tally)
 
 
 @given(st.integers(0, len(CONTENT) - 1), st.integers(1, 255))
@@ -106,7 +217,12 @@ def test_a_changed_byte_is_noticed_wherever_it_is(place: int, change: int) -> No
     [
         ("tick", "seven", "tick: must be int"),
         ("states", {"a": b""}, "states: must map int to bytes"),
-        ("dead", (-1,), "dead: must be numbers from 0"),
+        ("tick", 0, "tick: must be at least 1"),
+        ("reporter", 3, "reporter: must be bytes or NoneType"),
+        ("bound", {"python": "3", "numpy": 2}, "bound: must map str to str"),
+        ("refused", {"a": 1}, "refused: must map tuple to int"),
+        ("resumed", (True,), "resumed: must be numbers from 0"),
+        ("dead", (0, -1), "dead: must be numbers from 0"),
         ("counts", (1, 2), "counts: must be four numbers"),
     ],
 )
