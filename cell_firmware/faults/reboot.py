@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import ClassVar, Literal, final
 
 from bus.fault import CellTarget, Injected, Time
@@ -26,7 +27,9 @@ class RebootFault(CellTarget, CellFault):
 
     def span(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
         """Until programs start."""
-        return tick_at(self.at_s), tick_at(self.at_s + self.delay_s)
+        # of the decimals as they are given: 0.1 and 0.2 are 0.3, and no tick more
+        starts_s = Fraction(repr(self.at_s)) + Fraction(repr(self.delay_s))
+        return tick_at(self.at_s), tick_at(float(starts_s))
 
     def pause(self, tick: int, injected: Injected[CellFault], pause: Pause) -> None:
         """All is forgotten; what came over the lines meanwhile nobody has heard."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol, cast, final
 
@@ -172,7 +171,7 @@ class Console:
         """The tick from which a fault that begins at ``tick`` doesn't act any more."""
 
         def from_now(span_s: float) -> int:
-            return tick + math.ceil(span_s * 1e9 / self._scene.tick_ns)
+            return tick + self._scene.tick_at(span_s)
 
         if for_s is not None:
             return from_now(for_s)

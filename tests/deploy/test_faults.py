@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from bus.fault import Injected
 from cell_firmware.faults.fault import Pause
+from cell_firmware.faults.reboot import RebootFault
 from deploy.errors import InputError
 from deploy.faults.add import AddFault
 from deploy.faults.crash import CrashFault
@@ -110,6 +113,13 @@ def test_a_plant_in_which_nothing_turns_has_no_faults_to_look_at() -> None:
 def test_what_is_added_is_away_from_the_first_tick_to_its_own() -> None:
     (one,) = injected(_with({"kind": "add", "at_s": 1.0, "cell": [0, 1]}))
     assert (one.first, one.end, one.cells.tolist()) == (0, 245, [1])
+
+
+def test_a_reboot_lasts_as_its_decimals_say() -> None:
+    (one,) = injected(_with({"kind": "reboot", "at_s": 0.1, "delay_s": 0.2, "cell": [0, 1]}))
+    assert (one.first, one.end) == (25, 74)
+    fault = RebootFault(at_s=0.1, delay_s=0.2, cell=(0, 1))
+    assert fault.span(lambda at_s: math.ceil(Fraction(repr(at_s)) * 1_000)) == (100, 300)
 
 
 ABSENT = [RemoveFault(kind="remove", cell=(0, 1)), AddFault(kind="add", at_s=1.0, cell=(0, 1))]
