@@ -37,6 +37,13 @@ def test_a_request_as_long_as_may_be_is_read() -> None:
     assert read_request(b'{"do": "list"}'.ljust(65_536)).do == "list"
 
 
+def test_a_request_is_read_that_is_as_long_as_may_be_and_no_longer() -> None:
+    request = b'{"do": "list"}'
+    assert read_request(request.ljust(65_536)).do == "list"
+    with pytest.raises(RequestError, match="must be at most 65536 bytes"):
+        read_request(request.ljust(65_537))
+
+
 def test_of_twenty_problems_all_are_told() -> None:
     fault = {"kind": "crash", "cell": [1, 1], **{f"k{i}": 0 for i in range(20)}}
     with pytest.raises(RequestError) as caught:

@@ -1,0 +1,119 @@
+"""Where runs that go on can be spoken to, and what comes of speaking to one."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bus.errors import TransportError
+from deploy.errors import DeployError, InputError
+from deploy.live.address import FILE_NAME, Address, find
+from deploy.live.operator import ask_run
+from deploy.live.request import RequestError
+
+HERE = Address("one", "tcp/127.0.0.1:7447", os.getpid())
+NOBODY = 2**22 + 1
+"""No process has this number."""
+
+
+def test_a_run_is_found_in_its_folder_as_long_as_its_note_is_there(tmp_path: Path) -> None:
+    HERE.write(tmp_path)
+    assert find(tmp_path) == HERE
+    Address.remove(tmp_path)
+    Address.remove(tmp_path)
+    with pytest.raises(InputError, match="no run goes on there"):
+        find(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "note",
+    [
+        {"run": "one", "connect": "tcp/x:1", "pid": NOBODY},
+        {"run": "one", "pid": os.getpid()},
+        {"run": "one", "connect": "tcp/x:1", "pid": "many"},
+        [],
+        None,
+    ],
+    ids=repr,
+)
+def test_a_note_that_nobody_answers_for_is_none(note: object, tmp_path: Path) -> None:
+    (tmp_path / FILE_NAME).write_text("{" if note is None else json.dumps(note))
+    with pytest.raises(InputError, match="no run goes on there"):
+        find(tmp_path)
+
+
+def test_without_a_folder_it_is_the_last_run_below_runs_that_still_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="no run goes on below runs/"):
+        find(None)
+    for began, (name, pid) in enumerate([("b", os.getpid()), ("c", os.getpid()), ("a", NOBODY)]):
+        folder = tmp_path / "runs" / name
+        folder.mkdir(parents=True)
+        Address(name, "tcp/x:1", pid).write(folder)
+        os.utime(folder / FILE_NAME, (began, began))
+    assert find(None).run == "c"
+
+
+class Plant:
+    """What answers, and whether whoever asked left."""
+
+    def __init__(self, answer: bytes | Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.answer, self.left, self.asked = answer, False, list[Any]()
+        monkeypatch.setattr("deploy.live.operator.operator_session", self._session)
+        monkeypatch.setattr("bus.transports.zenoh.questions.ask", self._ask)
+
+    def _session(self, *_: object) -> Any:
+        return SimpleNamespace(close=lambda: setattr(self, "left", True))
+
+    def _ask(self, _endpoint: object, key: str, payload: bytes, timeout_s: float) -> bytes:
+        self.asked.append((key, json.loads(payload), timeout_s))
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+def test_an_answer_is_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = Plant(b'{"ok": true, "run": "one"}', monkeypatch)
+    assert ask_run("tcp/x:1", {"do": "list"}, 3.0) == {"ok": True, "run": "one"}
+    ((_, request, timeout_s),) = plant.asked
+    assert (request, timeout_s, plant.left) == ({"do": "list"}, 3.0, True)
+
+
+def test_a_refusal_is_told_with_all_its_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = Plant(b'{"ok": false, "problems": ["a", "b"]}', monkeypatch)
+    with pytest.raises(RequestError) as refused:
+        ask_run("tcp/x:1", {"do": "list"}, 3.0)
+    assert refused.value.problems == ("a", "b")
+    assert plant.left
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (TransportError("no run answers"), "tcp/x:1: no run answers"),
+        (b"{", "what answers there is no run"),
+        (b"\xff", "what answers there is no run"),
+        (b"[" * 100_000, "what answers there is no run"),
+        (b"[]", "what answers there is no run"),
+        (b'{"ok": 1}', "what answers there is no run"),
+        (b'{"ok": false}', "what answers there is no run"),
+        (b'{"ok": 0, "problems": []}', "what answers there is no run"),
+        (b'{"problems": []}', "what answers there is no run"),
+    ],
+    ids=lambda value: repr(value)[:30],
+)
+def test_what_is_no_answer_of_a_run_is_said_and_left(
+    answer: bytes | Exception, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = Plant(answer, monkeypatch)
+    with pytest.raises(DeployError, match=told) as failed:
+        ask_run("tcp/x:1", {"do": "list"}, 3.0)
+    assert not isinstance(failed.value, RequestError)
+    assert plant.left
