@@ -177,6 +177,58 @@ def test_a_fault_of_one_cell_is_joined_to_a_running_array_to_the_same_effect(
         assert (scheduled.step() == live.step()).all(), tick
 
 
+LIE = {"kind": "lie", "mode": "factor", "by": 3}
+SLOW = {"kind": "slow_clock", "factor": 0.3}
+HANG = {"kind": "hang"}
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [(HANG, SLOW, LIE), (LIE, SLOW, HANG), (HANG, HANG, {"kind": "crash"}), (SLOW, SLOW), (LIE, LIE)],
+)
+@pytest.mark.parametrize("windows", [0, 2])
+def test_faults_joined_one_by_one_act_and_count_as_if_they_had_been_there_from_the_start(
+    windows: int, tables: tuple[dict[str, Any], ...], grid: Grid, lockstep: Any
+) -> None:
+    lattice = grid(1, 2)
+    own = clocks(lattice, 3_000, -4_000, windows=windows) if windows else None
+    timed = ({**table, "first": 5 + 3 * i, "end": 11 + 4 * i} for i, table in enumerate(tables))
+    faults = struck(lattice, *({"cell": (0, 0), **table} for table in timed))
+    scheduled = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, own, faults)
+    live = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, own)
+    for tick in range(28):
+        for fault in faults:
+            if fault.first == tick:
+                live.shards[0].inject(fault, live.sites[0], lattice)
+        assert (scheduled.step() == live.step()).all(), tick
+    assert scheduled.shards[0].counted() == live.shards[0].counted()
+
+
+def test_a_cell_that_is_away_drives_nothing_and_one_that_is_reset_while_it_hangs_keeps_low_pins(
+    grid: Grid, lockstep: Any
+) -> None:
+    found, counted = driven(grid, lockstep, 9, {"kind": "crash"}, first=3, end=6)
+    assert found[:, 0, 0].tolist() == [1, 2, 3, 0, 0, 0, 1, 2, 3]
+    assert counted == {"faults.crash.periods": 3, "faults.begun_anew": 1}
+    reset = {"kind": "reboot", "first": 5, "end": 5}
+    found, counted = driven(grid, lockstep, 9, {"kind": "hang", "first": 0, "end": 1}, HANG, reset, first=3)
+    assert found[:, 0, 0].tolist() == [0, 1, 2, 2, 2, 0, 0, 0, 0]
+    assert counted == {"faults.hang.periods": 7, "faults.reboot.periods": 0, "faults.begun_anew": 1}
+
+
+@pytest.mark.parametrize(("first", "end"), [(13, 26), (14, 27)])
+def test_with_clocks_of_their_own_cells_stand_in_the_periods_whose_pins_change_while_the_fault_acts(
+    first: int, end: int, grid: Grid, lockstep: Any
+) -> None:
+    own = clocks(grid(1, 2), 0, 0, windows=3)
+    found, counted = driven(grid, lockstep, 40, HANG, first=first, end=end, clocks=own)
+    free, _ = driven(grid, lockstep, 40, clocks=own)
+    changes, without = (np.flatnonzero(np.diff(x, prepend=0.0)) for x in (found[:, 0, 0], free[:, 0, 0]))
+    stood = (without >= first) & (without < end)
+    assert changes.tolist() == without[~stood].tolist()
+    assert counted["faults.hang.periods"] == stood.sum() == 4
+
+
 @pytest.mark.parametrize("factor", [0.0, 1.0, 0.1234567])
 def test_factors_that_are_none_or_have_too_many_places_are_refused(factor: float) -> None:
     with pytest.raises(ValidationError, match="factor"):

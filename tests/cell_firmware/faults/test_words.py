@@ -132,6 +132,51 @@ def test_a_random_lie_is_between_the_least_and_the_greatest_that_the_link_has_br
     assert share.std() > 0.2
 
 
+def test_what_sticks_stays_stuck_when_the_link_was_silent_for_a_while(grid: Grid, lockstep: Any) -> None:
+    silence = {"kind": "link_down", "first": 7, "end": 9}
+    heard, _ = told(grid, lockstep, 14, {"kind": "lie", "mode": "stuck"}, silence, first=5, end=12)
+    assert [heard[tick, 0, 1][3] for tick in (7, 8)] == [None, None]
+    assert field(heard, "real", range(5, 7)) == [0.5] * 2
+    assert field(heard, "real", range(9, 12)) == [0.5] * 3
+
+
+def test_a_random_lie_keeps_to_what_was_heard_where_all_of_that_is_negative(
+    grid: Grid, lockstep: Any
+) -> None:
+    lies = ({"kind": "lie", "mode": "offset", "by": -100}, {"kind": "lie", "mode": "random"})
+    heard, _ = told(grid, lockstep, 30, *lies, first=5)
+    assert max(field(heard, "real", range(5, 30))) <= 28 / 8 - 100
+    assert max(field(heard, "small", range(5, 30))) <= 28 - 100
+
+
+def test_every_link_has_lies_of_its_own(grid: Grid, lockstep: Any) -> None:
+    heard, _ = told(grid, lockstep, 12, {"kind": "lie", "mode": "random", "share": 1.0}, size=(2, 2), first=2)
+    links = [(row, column, side) for row in (0, 1) for column in (0, 1) for side in range(4)]
+    said = [[heard[tick, row, column][side] for tick in range(4, 12)] for row, column, side in links]
+    known = [tuple(one[0] for one in words) for words in said if None not in words]
+    assert len(known) == len(set(known)) == 8
+
+
+def test_a_cell_that_begins_anew_hears_nothing_of_what_came_before(grid: Grid, lockstep: Any) -> None:
+    heard, counted = told(grid, lockstep, 6, {"kind": "reboot"}, first=3, end=3)
+    assert counted["faults.begun_anew"] == 1
+    assert heard[0, 0, 0] == [None] * 4, "its first period after the reset, which it counts from 0 again"
+    assert heard[1, 0, 0][1] == (3 / 8, 3, True)
+
+
+@pytest.mark.parametrize(
+    ("fault", "first"), [({"kind": "lie", "mode": "offset", "by": 50}, 9), ({"kind": "babble"}, 10)]
+)
+def test_with_clocks_of_their_own_words_are_changed_in_periods_that_begin_a_tick_before_they_act(
+    fault: dict[str, Any], first: int, grid: Grid, lockstep: Any
+) -> None:
+    heard, counted = told(grid, lockstep, 20, fault, windows=1, first=10, end=13)
+    plain, _ = told(grid, lockstep, 20, windows=1)
+    other = [tick for tick in range(19) if heard[tick, 0, 1][3] != plain[tick, 0, 1][3]]
+    assert other == [first, first + 1, first + 2], "what is babbled is heard a period after it was said"
+    assert counted[f"faults.{fault['kind']}.messages"] == 3
+
+
 @pytest.mark.parametrize(
     ("settings", "rule"),
     [
