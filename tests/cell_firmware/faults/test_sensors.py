@@ -76,6 +76,8 @@ def test_a_delayed_sensor_says_what_it_said_so_many_ticks_before_the_fault_s_fir
     assert (said == expected).all()
     assert (levels == expected_level).all()
     assert wrong == (said ^ bits).sum() > 0
+    bits, level, said, levels, _ = readings(30, fault)
+    assert (levels[:4, 3] == level[0, 3]).all()
     bits, _, said, _, _ = readings(30, fault, levels=False)
     assert (said[:4, 3] == bits[0, 3]).all(), "before the run there is nothing: what was said first"
     assert (said[4:, 3] == bits[:-4, 3]).all()
