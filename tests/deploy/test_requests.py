@@ -33,10 +33,6 @@ def test_add_is_refused_live_and_what_to_do_instead_is_said() -> None:
         read_request(json.dumps(asked).encode())
 
 
-def test_a_request_as_long_as_may_be_is_read() -> None:
-    assert read_request(b'{"do": "list"}'.ljust(65_536)).do == "list"
-
-
 def test_a_request_is_read_that_is_as_long_as_may_be_and_no_longer() -> None:
     request = b'{"do": "list"}'
     assert read_request(request.ljust(65_536)).do == "list"
