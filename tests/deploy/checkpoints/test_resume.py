@@ -73,6 +73,13 @@ def test_options_that_are_other_than_the_run_s(asked: dict[str, Any], told: str)
         options_of(replace(CHECKPOINT, options=THEN), RunOptions(**asked))
 
 
+def test_options_that_no_run_has_are_refused() -> None:
+    with pytest.raises(InputError, match=r"the checkpoint's options are processes$"):
+        options_of(CHECKPOINT, RunOptions())
+    with pytest.raises(InputError, match="the checkpoint's options are"):
+        options_of(replace(CHECKPOINT, options={**THEN, "realtime": 1.0}), RunOptions())
+
+
 def test_versions_that_are_other_are_named_with_both() -> None:
     check(CHECKPOINT, {"numpy": "2"})
     with pytest.raises(InputError, match=r"numpy \(then 2, now 3\); python \(then unknown, now 4\)"):

@@ -1,0 +1,58 @@
+"""What of a run is kept, and what goes on from it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar, cast
+
+import pytest
+
+from bus.memory import Remembers, remember
+from deploy.checkpoints.keeping import about_run, go_on, keeper_of
+from deploy.errors import InputError
+from deploy.processes.plan import RunOptions, plan
+from deploy.scene_files import load_scene
+from tests.deploy.checkpoints.test_store import CHECKPOINT
+
+
+class Part:
+    """Something of a run that remembers a number."""
+
+    remembers: ClassVar[Remembers] = Remembers("value")
+
+    def __init__(self, value: Any = 0) -> None:
+        self.value, self.shown = value, list[int]()
+
+    def show(self, events: int) -> None:
+        """Of the ledger."""
+        self.shown.append(events)
+
+
+@pytest.mark.parametrize(("recorded", "events"), [({}, 0), ({"/events": 4, "/tick": 7}, 4)])
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.parametrize("asked", [True, False])
+def test_all_of_the_plant_s_process_is_as_it_was(
+    asked: bool, kept: bool, recorded: dict[str, int], events: int
+) -> None:
+    checkpoint = replace(
+        CHECKPOINT,
+        process=remember(Part(1)),
+        ledger=remember(Part(2)),
+        reporter=remember(Part(3)) if kept else None,
+        recorded=recorded,
+    )
+    process, ledger, reporter = Part(), Part(), Part()
+    go_on(checkpoint, cast("Any", process), cast("Any", ledger), cast("Any", reporter if asked else None))
+    assert (process.value, ledger.value, reporter.value) == (1, 2, 3 if asked and kept else 0)
+    assert ledger.shown == [events]
+
+
+def test_a_plant_that_can_not_be_kept_is_said_before_anything_starts() -> None:
+    scene, options = load_scene("elliptic"), RunOptions(checkpoint_s=1.0)
+    stranger = cast("Any", Part(object()))
+    with pytest.raises(InputError, match="--checkpoint: this plant can't be kept: memory holds a builtins"):
+        about_run(scene, plan(scene, options, "RUN"), options, stranger, None, live=False)
+    options = RunOptions()
+    assert about_run(scene, plan(scene, options, "RUN"), options, stranger, None, live=False) is None
+    nothing = cast("Any", None)
+    assert keeper_of(None, options, nothing, nothing, nothing, None, None, 1.0) is None
