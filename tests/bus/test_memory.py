@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, ClassVar, NamedTuple, cast
 
@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from bus.errors import MemoryRefusedError
 from bus.memory import Remembers, recall, remember
-from bus.memory_codec import decode, encode
+from bus.memory_codec import decode, encode, is_record
 
 packed: Callable[[object], bytes] = cast("Any", msgpack).packb
 
@@ -244,6 +244,7 @@ def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, ane
         ((Wheel(),), [Wheel()], "must be other objects"),
         ([[], Wheel()], [[Wheel()], Wheel()], r"held\[0\]: must be an object"),
         ({"a": Wheel(), "b": 4}, {"a": Wheel(), "b": 3}, r"held\[b\]: must be an object"),
+        (3, "text", "must be a str, is a int"),
         ([1], {}, "must be a dict, is a list"),
         ({}, [1], "must be a list, is a dict"),
         (np.zeros(2), np.zeros((2, 1)), "must be 2 dimensions of float64, is 1"),
@@ -345,3 +346,35 @@ def test_an_array_that_no_array_is_written_as_is_refused(told: list[Any]) -> Non
 def test_an_array_has_as_many_objects_as_places() -> None:
     with pytest.raises(MemoryRefusedError, match="1 objects for an array of 2"):
         decode(packed(msgpack.ExtType(3, packed([[2], [None]]))), {})
+
+
+@pytest.mark.parametrize(("fields", "read"), [(256, True), (257, False)])
+def test_an_array_has_so_many_fields_and_no_more(fields: int, read: bool) -> None:
+    told = [[[f"f{i}", "<u1", []] for i in range(fields)], [1], bytes(fields)]
+    data = packed(msgpack.ExtType(1, packed(told)))
+    if read:
+        assert len(decode(data, {}).dtype) == fields
+        return
+    with pytest.raises(MemoryRefusedError, match="an array of 257 fields"):
+        decode(data, {})
+
+
+@dataclass(frozen=True)
+class Derived:
+    level: int
+    twice: int = field(init=False)
+
+
+class Named(tuple[int, ...]):
+    pass
+
+
+class Fields:
+    _fields = ("a",)
+
+
+@pytest.mark.parametrize("kind", [Derived, Named, Fields, Wheel, Pair(1, "r"), Reading(1), int])
+def test_a_record_is_a_class_of_values_that_are_made_of_their_parts(kind: Any) -> None:
+    assert is_record(Pair)
+    assert is_record(Reading)
+    assert not is_record(kind)
