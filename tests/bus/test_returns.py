@@ -238,6 +238,26 @@ def test_who_comes_back_keeps_whatever_comes_until_its_first_tick_is_known() -> 
         collector.take(1, bytes([104 + EARLY_TICKS, 1]))
 
 
+def test_a_frame_that_is_over_takes_nothing_with_it_that_is_still_to_come() -> None:
+    counts = Counts()
+    collector = _collector(counts)
+    collector.take(0, bytes([0, 1]))
+    assert collector.close(0).values == [1, 0]
+    assert (collector.now, collector.slot(1).values, collector.slot(1).missing) == (1, [0, 0], 2)
+    collector.take(1, bytes([0, 5]))
+    assert counts.late == 1
+    for tick in (2, 3, 5):
+        collector.take(0, bytes([tick, tick]))
+    collector.close(1)
+    assert collector.slot(2).values == [2, 0]
+    collector.close(3)
+    assert (collector.now, collector.early(0), collector.slot(5).values) == (4, 1, [5, 0])
+    collector.bury([NEVER, 6])
+    assert (collector.missing(5), collector.missing(6)) == ([1], [0])
+    collector.close(6)
+    assert collector.slot(7).missing == 1
+
+
 def test_only_what_was_said_from_a_tick_on_is_void_and_may_be_said_again() -> None:
     collector = _collector(Counts())
     for tick in range(3):
