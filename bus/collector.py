@@ -83,7 +83,7 @@ class Collector:
             )
         slot = self._current if tick == self.now else self.slot(tick)
         if slot.have[part]:
-            raise WireError(self._kind, "duplicate", f"tick {tick} came already")
+            raise self._duplicate(tick)
         slot.values[part] = value
         slot.have[part] = 1
         slot.missing -= 1
@@ -94,10 +94,15 @@ class Collector:
         if part not in self._expected or not self.now <= tick <= self.now + EARLY_TICKS:
             self._counts.late += 1
             return
-        slot = self.slot(tick)  # nobody waits for it: what is missing stays as it is
-        slot.values[part] = value
+        slot = self.slot(tick)
+        if slot.have[part]:
+            raise self._duplicate(tick)
+        slot.values[part] = value  # nobody waits for it: what is missing stays as it is
         slot.have[part] = 1
         self._counts.delivered += 1
+
+    def _duplicate(self, tick: int) -> WireError:
+        return WireError(self._kind, "duplicate", f"tick {tick} came already")
 
     def expect(self, parts: Iterable[int]) -> None:
         """The senders of these, who are gone, may take part again: their word may come before the news of it."""

@@ -212,6 +212,8 @@ def test_what_comes_from_who_is_gone_is_kept_only_where_it_is_expected_back() ->
     collector.take(1, bytes([6, 3]))
     collector.take(1, bytes([7 + EARLY_TICKS, 4]))
     collector.take(1, bytes([8 + EARLY_TICKS, 5]))
+    with pytest.raises(WireError, match="tick 8 came already"):
+        collector.take(1, bytes([8, 9]))
     assert (counts.delivered, counts.late) == (2, 3)
     assert (collector.slot(8).values, collector.slot(8).missing) == ([0, 3], 1)
     collector.take(0, bytes([8, 1]))
