@@ -66,6 +66,9 @@ class _Draft:
 class Keeper:
     """Takes a checkpoint every so many seconds of wall time.
 
+    It begins with each so much earlier as the last took to be on the disk: then what has to be done again after a kill
+    is no more than that time, whenever the kill comes.
+
     The cells are asked a tick ahead and answer when they have driven that tick; meanwhile the plant goes on. It stands
     still only for its own part to be copied. A thread writes the file. One checkpoint is under way at a time, and one
     that can't be finished is given up: the run goes on.
@@ -104,7 +107,8 @@ class Keeper:
         self._host, self._ledger, self._recorder, self._reporter = host, ledger, recorder, reporter
         self._store, self._about, self._warn, self._clock = store, about, warn, clock
         self._begun = clock()
-        self._next = self._begun + every_s
+        self._last = self._begun
+        self._took_s = 0.0
         self._draft: _Draft | None = None
         self._writer: threading.Thread | None = None
         self._trouble: str | None = None
@@ -114,10 +118,11 @@ class Keeper:
         """A tick is about to begin, and nothing of it has happened; all before it are over."""
         draft = self._draft
         if draft is None:
-            if self._clock() >= self._next and self._writer is None:
-                self._next = self._clock() + self._every_s
+            due = self._last + self._every_s - self._took_s
+            if self._clock() >= due and self._writer is None:
+                self._last = self._clock()
                 self._host.ask(process.tick + 1)
-                self._draft = _Draft(process.tick + 1, self._clock())
+                self._draft = _Draft(process.tick + 1, self._last)
         elif draft.plant is None:
             process.report()
             self._host.note()
@@ -150,7 +155,7 @@ class Keeper:
         together = self._host.take_kept()
         if together is not None:
             self._draft = None
-            self._write(draft.plant, together, draft.mark)
+            self._write(draft.plant, together, draft)
         elif self._clock() > draft.asked + self._patience_s:
             self._draft = None
             shards = ", ".join(map(str, self._host.give_up()))
@@ -162,7 +167,7 @@ class Keeper:
     def _stop(self, why: str) -> None:
         """Take no more checkpoints."""
         self._host.give_up()
-        self._draft, self._next = None, float("inf")
+        self._draft, self._last = None, float("inf")
         self._warn(f"no more checkpoints: {why}")
 
     def close(self) -> None:
@@ -177,7 +182,7 @@ class Keeper:
             self._warn(f"no checkpoint: {self._trouble}")
             self._trouble = None
 
-    def _write(self, plant: Mapping[str, Any], together: Together, mark: int) -> None:
+    def _write(self, plant: Mapping[str, Any], together: Together, draft: _Draft) -> None:
         about, counts = self._about, together.counts
         checkpoint = Checkpoint(
             scene_name=about.scene_name,
@@ -192,15 +197,16 @@ class Keeper:
             **plant,
         )
         self._writer = threading.Thread(
-            target=self._put, args=(checkpoint, mark), name="checkpoint", daemon=True
+            target=self._put, args=(checkpoint, draft), name="checkpoint", daemon=True
         )
         self._writer.start()
 
-    def _put(self, checkpoint: Checkpoint, mark: int) -> None:
+    def _put(self, checkpoint: Checkpoint, draft: _Draft) -> None:
         """In a thread: first the recording, up to there, and then the checkpoint that counts on it."""
         try:
-            self._recorder.secure(mark)
+            self._recorder.secure(draft.mark)
             self._store.write(checkpoint.to_bytes())
             self.written.append(checkpoint.tick)
+            self._took_s = self._clock() - draft.asked
         except (DeployError, OSError, ValueError) as error:  # ValueError: the recording has been closed
             self._trouble = str(error)

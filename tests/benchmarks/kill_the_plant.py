@@ -2,8 +2,8 @@
 
 Every run is killed several times, also while it goes on from a checkpoint and while it writes one: after the first
 checkpoint that it leaves, at an instant drawn evenly from two intervals. Prints a line a kill; fails if a digest
-differs, a tick is missing in the recording or there twice, more than two intervals have to be done again (one, and what
-it takes to write a checkpoint), or a process is left.
+differs, a tick is missing in the recording or there twice, more than an interval has to be done again (and what a
+checkpoint takes longer to write than the one before it), or a process is left.
 
     python tests/benchmarks/kill_the_plant.py --instants 50
     python tests/benchmarks/kill_the_plant.py --instants 50 --processes each --scene prototype
@@ -22,11 +22,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from deploy.checkpoints.store import Store
-from deploy.recordings.replay import load
 from tests.system.killed import assert_whole, ended, kill_after, start
 
 KILLS_A_RUN = 5
+LATER_S = 0.1
+"""Wall time by which a checkpoint may come later than the one before lets expect, on a machine that does other work."""
 PACE = 2
 """Simulated seconds a wall second: a run that is over can't be killed."""
 
@@ -68,20 +68,17 @@ def _one(
         run = start(folder, *scene, "--realtime", PACE, "--checkpoint", asked.checkpoint, "--output", folder)
         while done < kills:
             delay_s = float(draw.uniform(0.0, 2.0 * asked.checkpoint))
-            reached = kill_after(run, last, delay_s)
-            if reached is None:
+            kill = kill_after(run, last, delay_s)
+            if kill is None:
                 break  # it was over before
             done += 1
-            left = Store(folder).read()
-            recorded = load(folder)
-            again_s = float(recorded.time_ns[-1] - left.time_ns) * 1e-9 / PACE
             print(
-                f"killed {delay_s:.3f} s after a checkpoint, at tick {recorded.tick[-1]}: goes on before tick "
-                f"{left.tick}, {again_s:.3f} s again",
+                f"killed {delay_s:.3f} s after a checkpoint: goes on before tick {kill.tick}, from one that was "
+                f"written {kill.age_s:.3f} s before",
                 flush=True,
             )
-            assert again_s <= 2.0 * asked.checkpoint, "more than one interval is done again"
-            last = reached
+            assert kill.age_s <= asked.checkpoint + LATER_S, "more than one interval is done again"
+            last = kill.tick
             run = start(folder, "--resume", folder, *(() if done == kills else ("--realtime", PACE)))
         if done:
             summary = ended(run)

@@ -6,16 +6,28 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from deploy.checkpoints.store import Store
+from deploy.checkpoints.store import BEFORE, FILE_NAME, Store
 from deploy.errors import InputError
 from deploy.recordings.replay import load
 from tests.system.running import Mdms, summary_of
 
 _PATIENCE_S = 120.0
+
+
+class Kill(NamedTuple):
+    """What a kill left.
+
+    Attributes:
+        tick: Before which tick the last checkpoint is.
+        age_s: Wall time since that was written, at the kill.
+    """
+
+    tick: int
+    age_s: float
 
 
 def start(output: Path, *arguments: object) -> Mdms:
@@ -33,11 +45,11 @@ def start(output: Path, *arguments: object) -> Mdms:
     return Mdms.started(command, output)
 
 
-def kill_after(mdms: Mdms, tick: int, delay_s: float) -> int | None:
+def kill_after(mdms: Mdms, tick: int, delay_s: float) -> Kill | None:
     """Kill a run's plant so long after it has a checkpoint of a later tick than that, and see that nothing is left.
 
     Returns:
-        Before which tick its last checkpoint is; None where the run was over before.
+        What that left; None where the run was over before.
     """
     deadline = time.monotonic() + _PATIENCE_S
     while reached(mdms.output) <= tick:
@@ -48,9 +60,16 @@ def kill_after(mdms: Mdms, tick: int, delay_s: float) -> int | None:
     time.sleep(delay_s)
     mdms.children()
     mdms.process.send_signal(signal.SIGKILL)
+    killed = time.time()
     mdms.process.communicate()
     mdms.assert_nothing_left()
-    return reached(mdms.output) if mdms.process.returncode == -signal.SIGKILL else None
+    if mdms.process.returncode != -signal.SIGKILL:
+        return None
+    # it may have been killed between two renames
+    written = max(
+        path.stat().st_mtime for path in map(mdms.output.joinpath, (FILE_NAME, BEFORE)) if path.exists()
+    )
+    return Kill(reached(mdms.output), killed - written)
 
 
 def reached(output: Path) -> int:

@@ -113,12 +113,12 @@ def test_a_killed_plant_is_taken_up_again_and_killed_again(tmp_path: Path) -> No
         start(folder, *scene, "--realtime", 1, "--checkpoint", 0.1, "--output", folder), 0, 0.13
     )
     assert first is not None
-    second = kill_after(start(folder, "--resume", folder, "--realtime", 1), first, 0.0)
+    second = kill_after(start(folder, "--resume", folder, "--realtime", 1), first.tick, 0.0)
     assert second is not None
     summary = ended(start(folder, "--resume", folder))
     assert summary["digest"] == whole.summary.digest
     assert len(summary["resumed"]) == 2
-    assert summary["resumed"][0] >= first
+    assert summary["resumed"][0] >= first.tick
     assert_whole(folder, summary["ticks"], summary["digest"])
 
 

@@ -180,9 +180,9 @@ def test_nobody_is_asked_anew_before_the_file_is_written_and_the_recording_is_sa
     run.tick(25.3)
     run.tick(25.4, answer=True)
     run.keeper.close()
-    run.tick(35.2)
+    run.tick(35.1)
     assert run.books.asked == [1, 6]
-    run.tick(35.3)
+    run.tick(35.2)
     assert run.books.asked == [1, 6, 9]
 
 
@@ -195,3 +195,14 @@ def test_a_long_tick_before_the_plant_s_own_part_costs_no_checkpoint(tmp_path: P
     run.keeper.close()
     assert run.warned == []
     assert run.keeper.written == [1]
+
+
+def test_the_next_begins_so_much_earlier_as_the_last_took_to_be_on_the_disk(tmp_path: Path) -> None:
+    run = Scenery(tmp_path)
+    run.tick(10.0)
+    run.tick(12.0, answer=True)
+    run.keeper.close()
+    run.tick(17.9)
+    assert run.books.asked == [1]
+    run.tick(18.0)
+    assert run.books.asked == [1, 4]
