@@ -34,7 +34,7 @@ def test_a_run_is_found_in_its_folder_as_long_as_its_note_is_there(tmp_path: Pat
     "note",
     [
         {"run": "one", "connect": "tcp/x:1", "pid": NOBODY},
-        {"run": "one", "pid": os.getpid()},
+        {"run": "one", "pid": 1},
         {"run": "one", "connect": "tcp/x:1", "pid": "many"},
         [],
         None,

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from deploy.cli import main
-from tests.system.conftest import SMALL
 from tests.system.running import Mdms
+from tests.system.small import small_scene
 
 ASKED = ("--fault", "crash", "--share", "0,0.5", "--seeds", "3", "--duration", "0.3")
 LEFT = ("campaign.csv", "campaign.json")
@@ -20,7 +20,7 @@ LEFT = ("campaign.csv", "campaign.json")
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scene") / "small.toml"
-    path.write_text(SMALL)
+    path.write_text(small_scene())
     return path
 
 
