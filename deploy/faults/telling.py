@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 _DID = {"crash": "crashed", "token_lost": "went away"}
 """What a cell did that is lost, by the fault's kind, where that is not the word for it."""
+_BACK = "respawn"
+"""The kind of those that tell of cells that were lost and take part again."""
 OUT = ("remove", "add")
 """Kinds of which cells are not in the array while they act."""
 
@@ -43,22 +45,41 @@ def turned(
 
 
 def lines(faults: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A run's faults, each in a line: ``crash of 3 cells at 1.2 s, repaired at 2 s``; ``3,4 crashed at 2.00294 s``."""
+    """A run's faults, each in a line: ``crash of 3 cells at 1.2 s, repaired at 2 s``; ``3,4 crashed at 2.00294 s``.
+
+    Cells that were lost together share one.
+    """
     ends = {fault["number"]: fault["time_s"] for fault in faults if fault.get("phase") == "ends"}
     return [
-        _lasting(fault, ends.get(fault["number"])) if "phase" in fault else _lost(fault)
-        for fault in faults
-        if fault.get("phase") != "ends"
+        _lost(alike) if "phase" not in alike[0] else _lasting(alike[0], ends.get(alike[0].get("number")))
+        for alike in _together(faults)
+        if alike[0].get("phase") != "ends"
     ]
 
 
 def marks(faults: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
-    """When faults begin or end, and a few words, as a picture's marks have them."""
+    """When faults begin or end, cells are lost or come back, and a few words, as a picture's marks have them."""
     return [
-        (float(fault["time_s"]), _mark(fault))
-        for fault in faults
-        if "phase" in fault and (fault["kind"] != "add" or fault["phase"] == "ends")
+        (
+            float(alike[0]["time_s"]),
+            _mark(alike[0]) if "phase" in alike[0] else f"{_whom(alike, 'cell ')} lost",
+        )
+        for alike in _together(faults)
+        if alike[0]["kind"] != "add" or alike[0]["phase"] == "ends"
     ]
+
+
+def lost_for_good(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], float]:
+    """Each cell that was lost and did not come back, and when."""
+    lost: dict[tuple[int, int], float] = {}
+    for fault in faults:
+        if fault["kind"] == _BACK:
+            for row, column in fault["cells"]:
+                lost.pop((row, column), None)
+        elif "phase" not in fault:
+            row, column = fault["cell"]
+            lost.setdefault((row, column), float(fault["time_s"]))
+    return lost
 
 
 def out_of_array(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], float | None]:
@@ -75,16 +96,32 @@ def out_of_array(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], f
     return out
 
 
-def _lost(fault: Mapping[str, Any]) -> str:
-    """A cell that died, for good."""
-    row, column = fault["cell"]
-    return f"{row},{column} {_DID.get(fault['kind'], fault['kind'])} at {fault['time_s']:g} s"
+def _together(faults: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
+    """Faults one by one, but cells that were lost at once, and alike."""
+    found: dict[object, list[Mapping[str, Any]]] = {}
+    for place, fault in enumerate(faults):
+        found.setdefault(place if "phase" in fault else (fault["kind"], fault["time_s"]), []).append(fault)
+    return list(found.values())
+
+
+def _whom(lost: Sequence[Mapping[str, Any]], one: str = "") -> str:
+    """Which cell was lost, or how many."""
+    row, column = lost[0]["cell"]
+    return f"{one}{row},{column}" if len(lost) == 1 else counted(len(lost), "cell")
+
+
+def _lost(alike: Sequence[Mapping[str, Any]]) -> str:
+    """Cells that died."""
+    kind, time_s = alike[0]["kind"], alike[0]["time_s"]
+    return f"{_whom(alike)} {_DID.get(kind, kind)} at {time_s:g} s"
 
 
 def _mark(fault: Mapping[str, Any]) -> str:
     """``cell 3,4 plugged in``; ``3 cells: wheel stuck ends``."""
     if fault["kind"] in OUT:
         return f"{_cells(fault, 'cell ')} {'plugged in' if fault['phase'] == 'ends' else 'pulled'}"
+    if fault["kind"] == _BACK:
+        return f"{_cells(fault, 'cell ')} back"
     return f"{_cells(fault, 'cell ')}: {_kind(fault)}{' ends' if fault['phase'] == 'ends' else ''}"
 
 
@@ -101,6 +138,8 @@ def _kind(fault: Mapping[str, Any]) -> str:
 def _lasting(fault: Mapping[str, Any], end_s: float | None) -> str:
     """One that begins, and may end."""
     struck = _cells(fault)
+    if fault["kind"] == _BACK:
+        return f"{struck} came back at {fault['time_s']:g} s"
     if fault["kind"] == "add":
         return f"{struck} not there yet" if end_s is None else f"{struck} plugged in at {end_s:g} s"
     if fault["kind"] == "remove":

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.faults.telling import OUT, out_of_array
+from deploy.faults.telling import OUT, lost_for_good, out_of_array
 from deploy.track import Track
 
 if TYPE_CHECKING:
@@ -147,16 +147,6 @@ def _draw_arrows(axes: Axes, track: Track) -> None:
     axes.set_title(f"wheels, longest arrow {fastest:.3g} m/s", loc="right", color=_ARROW, fontsize=8, pad=4)
 
 
-def lost_cells(track: Track) -> dict[tuple[int, int], float]:
-    """Each cell that was lost, and when."""
-    lost: dict[tuple[int, int], float] = {}
-    for fault in track.faults:
-        if "phase" not in fault and fault.get("cell") is not None:
-            row, column = fault["cell"]
-            lost.setdefault((row, column), float(fault["time_s"]))
-    return lost
-
-
 def struck_cells(track: Track) -> set[tuple[int, int]]:
     """Cells that a fault struck which begins and ends, and that were in the array all the time."""
     return {
@@ -187,7 +177,7 @@ def _draw_faults(axes: Axes, track: Track) -> None:
     _draw_squares(axes, track, away, facecolors="white", edgecolors=_PULLED, linestyles=(0, (2, 1.5)))
     struck = [index[cell] for cell in struck_cells(track) if cell in index]
     _draw_squares(axes, track, struck, edgecolors=LOST)
-    lost = [index[cell] for cell in lost_cells(track) if cell in index]
+    lost = [index[cell] for cell in lost_for_good(track.faults) if cell in index]
     _draw_squares(axes, track, lost, facecolors="#fbd9d3", edgecolors=LOST)
     _draw_crosses(axes, track, lost)
 

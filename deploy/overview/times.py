@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deploy.faults.telling import marks as marks_of
-from deploy.overview.scenery import LABEL, LOST, colour, incidents, lost_cells
+from deploy.overview.scenery import LABEL, LOST, colour, incidents
 from deploy.track import Track
 
 if TYPE_CHECKING:
@@ -65,9 +65,8 @@ def draw_times(panels: Sequence[Axes], track: Track, *, stacked: bool) -> None:
 
 
 def _mark(axes: Axes, track: Track, *, labelled: bool) -> None:
-    """A dashed line at each outcome and each lost cell; words on the first few."""
+    """A dashed line at each outcome and each fault; words on the first few."""
     marks = [(time_s, words) for time_s, words, _ in incidents(track)]
-    marks += [(time_s, f"cell {row},{column} lost") for (row, column), time_s in lost_cells(track).items()]
     marks += marks_of(track.faults)
     begin, end = axes.get_xlim()
     for place, (time_s, words) in enumerate(sorted(marks)):

@@ -9,7 +9,7 @@ import numpy as np
 from bus.fault import Injected
 from cell_firmware.faults.reboot import RebootFault
 from deploy.faults.crash import CrashFault
-from deploy.faults.telling import lines, marks, out_of_array, turned
+from deploy.faults.telling import lines, lost_for_good, marks, out_of_array, turned
 
 
 def fault(kind: str, phase: str, time_s: float, *cells: tuple[int, int], number: int = 0) -> dict[str, Any]:
@@ -55,9 +55,10 @@ def test_cells_out_of_the_array_are_told_with_when_they_came_back() -> None:
     assert out_of_array([*both, fault("remove", "ends", 3.0, (0, 0))]) == {(0, 0): None}
 
 
-def test_marks_are_those_of_faults_that_begin_or_end() -> None:
+def test_marks_are_those_of_faults_that_begin_or_end_and_of_cells_that_are_lost() -> None:
     assert marks(RUN) == [
         (1.2, "3 cells: crash"),
+        (0.5, "cell 3,4 lost"),
         (1.5, "cell 2,2: wheel stuck"),
         (1.6, "2 cells pulled"),
         (1.7, "cell 1,1 plugged in"),
@@ -65,6 +66,16 @@ def test_marks_are_those_of_faults_that_begin_or_end() -> None:
         (2.5, "2 cells plugged in"),
         (3.0, "cell 6,6 pulled"),
     ]
+
+
+def test_cells_that_are_lost_together_share_a_line_and_are_not_lost_for_good_where_they_come_back() -> None:
+    gone = [{"kind": "token_lost", "time_s": 0.7, "cell": [row, 0], "detail": ""} for row in range(3)]
+    back = {"kind": "respawn", "phase": "happens", "time_s": 0.9, "cell": None, "cells": [[0, 0], [2, 0]]}
+    told = [LOST, *gone, back]
+    assert lines(told) == ["3,4 crashed at 0.5 s", "3 cells went away at 0.7 s", "2 cells came back at 0.9 s"]
+    assert marks(told) == [(0.5, "cell 3,4 lost"), (0.7, "3 cells lost"), (0.9, "2 cells back")]
+    assert lost_for_good(told) == {(3, 4): 0.5, (1, 0): 0.7}
+    assert lost_for_good([*told, {**gone[0], "time_s": 1.0}]) == {(3, 4): 0.5, (1, 0): 0.7, (0, 0): 1.0}
 
 
 def test_a_fault_that_turns_is_told_with_its_time_and_whom_it_strikes() -> None:

@@ -137,8 +137,8 @@ def test_the_table_names_lost_cells_faults_and_lost_messages() -> None:
 
 
 def test_the_table_says_how_many_more_faults_there_are_than_it_names() -> None:
-    faults = [{"kind": "failed", "time_s": 2.0, "cell": [3, column]} for column in range(9)]
-    assert "3,3 failed at 2 s; and 5 more" in printed(summary(faults=faults))
+    faults = [{"kind": "failed", "time_s": 2.0 + column, "cell": [3, column]} for column in range(9)]
+    assert "3,3 failed at 5 s; and 5 more" in printed(summary(faults=faults))
 
 
 def test_the_table_says_why_a_run_did_not_end_well() -> None:
