@@ -45,6 +45,7 @@ class Collector:
         now: The first tick that is not over.
         since: For each part, the tick from which its sender takes part.
         until: For each part, the tick from which it is gone.
+        latest: The last tick that a frame can be of yet: a later one is refused.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Collector:
         self.now = 0
         self.since = [0] * len(blank)
         self.until = [NEVER] * len(blank)
+        self.latest = NEVER
         self._deaths = False
         self._expected: set[int] = set()
         self._any_tick = False
@@ -74,6 +76,10 @@ class Collector:
             WireError: Not such a payload, too far ahead, or the second of its tick.
         """
         tick, value = self._decode(part, payload)
+        if tick > self.latest:
+            raise WireError(
+                self._kind, "ahead", f"tick {tick}: must be at most {self.latest}, the last begun"
+            )
         if tick < self.now or not self.since[part] <= tick < self.until[part]:
             self._take_gone(part, tick, value)
             return

@@ -31,8 +31,10 @@ from bus.wire import Control, DriveFrame, Mask, Report, SenseFrame, check_sense,
 _POLL_S: Final = 0.01
 """How often to ask for matches, of which no event tells."""
 _STATE_POLL_S: Final = 0.5
+_PATIENCE: Final = 9
+"""Deadlines more for a shard that says that it still computes."""
 _BEFORE: Final = -1
-"""In place of a shard: all sides of a run before it was resumed."""
+"""In place of a tick: before the first. In place of a shard: all sides of a run before it was resumed."""
 
 
 @final
@@ -55,6 +57,7 @@ class Host:
 
     Attributes:
         counts: Payloads of this side so far.
+        unreported: Cells (indices) that took part to the end and whose shards' counts ``stop`` did not get.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class Host:
         self._clock = clock
         self._form: HostForm = FORMS[form].host(self._wiring)
         self.counts = Counts()
+        self.unreported: list[int] = []
         self._tick = 0
         self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
         self._control = endpoint.publisher(plant_key(run, "control"))
@@ -85,6 +89,7 @@ class Host:
         self._state_wanted = False
         self._roll = Roll(self._form, partition.lattice)
         self._drives = Collector("drive", self._form.blank_drives, self._form.decode_drive, self.counts)
+        self._drives.latest = _BEFORE  # nobody can know what to drive before it has sensed
         self._inbox = Dispatcher(endpoint, self.counts, self._roll.take)
         for key, unit in self._form.drive_units.items():
             self._inbox.routes[key] = (self._drives.take, unit)
@@ -155,6 +160,17 @@ class Host:
         else:
             self.control(start)
 
+    def absent(self, timeout_s: float) -> set[int]:
+        """Shards of which a cell has not appeared yet.
+
+        Args:
+            timeout_s: Wall seconds to wait for news first.
+        """
+        # Whoever wakes us wants what is happening already.
+        with contextlib.suppress(WokenError):
+            self._inbox.read(timeout_s)
+        return self._roll.absent(self._wiring.partition.shard_of)
+
     def resume(self, tick: int, dead: Sequence[int], counts: Counts) -> None:
         """Goes on at ``tick`` where another side of the same run was; before the barrier.
 
@@ -181,11 +197,15 @@ class Host:
         puts = list(zip(self._sense, self._form.sense_payloads(frame), strict=True))
         if not self._muster.all:
             puts = [put for put, until in zip(puts, self._drives.until, strict=True) if until > frame.tick]
+        self._drives.latest = frame.tick
         self._endpoint.put_all(puts)
         self.counts.sent += len(puts)
 
     def gather(self, tick: int) -> tuple[DriveFrame, list[Loss]]:
         """Waits until every live cell's drive for ``tick`` is there, or its cell is given up.
+
+        A cell is given up after ``stall.deadline_s``; a shard that keeps saying that it still computes gets ten times
+        that.
 
         Args:
             tick: Must go up from call to call.
@@ -199,8 +219,9 @@ class Host:
         """
         self._tick = tick
         slot = self._drives.slot(tick)
-        deadline = self._clock() + self._stall.deadline_s
         read, clock = self._inbox.read, self._clock
+        deadline = clock() + self._stall.deadline_s
+        latest = deadline + _PATIENCE * self._stall.deadline_s
         while True:
             if self._roll.gone or self._reported.failed:
                 self._muster.lose_failed(tick, self._reported.take_failed())
@@ -208,7 +229,8 @@ class Host:
             if slot.missing <= 0:
                 break
             if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
-                self._muster.lose_silent(tick)
+                self._muster.lose_silent(tick, self._reported.take_busy(tick) if clock() < latest else ())
+                deadline = min(clock() + self._stall.deadline_s, latest)
         drive = self._form.join_drives(self._drives.close(tick).values)
         if not self._muster.all:
             drive[~self._muster.live(tick)] = 0.0
@@ -289,7 +311,9 @@ class Host:
             self._state.put(payload)
 
     def stop(self, detail: str = "", deadline_s: float = 2.0) -> Counts:
-        """Tells the cells to stop and waits until their tokens are gone.
+        """Tells the cells to stop and waits until their tokens are gone and their counts are here.
+
+        A token may go before the report that was put before it has come.
 
         Args:
             detail: Why, for the cells' logs.
@@ -299,12 +323,18 @@ class Host:
             The counts of all sides: this one's, and those that the shards reported as they left.
         """
         self.control(Control("stop", self._tick, (), detail))
+        counts = self._reported.counts
+        shards = self._muster.shards(self._tick)
         deadline = self._clock() + deadline_s
-        while self._roll.alive and (left := deadline - self._clock()) > 0:
+        while (self._roll.alive or not counts.keys() >= set(shards)) and (
+            left := deadline - self._clock()
+        ) > 0:
             # Whoever wakes us wants what is happening already.
             with contextlib.suppress(WokenError):
                 self._inbox.read(left)
-        return sum(self._reported.counts.values(), self.counts)
+        cells = self._wiring.partition.cells
+        self.unreported = sorted(i for s in shards if s not in counts for i in cells(s).tolist())
+        return sum(counts.values(), self.counts)
 
     def close(self) -> None:
         """Takes the plant's token back; members take that for its end."""

@@ -55,6 +55,29 @@ def plant_key(run: str, leaf: Literal["state", "control", "alive", "operator"]) 
     return f"mdms/{run}/plant/{leaf}"
 
 
+def message_kinds(run: str, form: Literal["packed", "cells"], units: int) -> dict[str, int]:
+    """Key expression of each kind of message of a run, and how many of that kind a tick has at most.
+
+    Args:
+        run: Name of the run.
+        form: The wire form.
+        units: Number of shards in the packed form, of cells in the other.
+
+    Returns:
+        In the order in which a tick's messages are sent.
+    """
+    prefix = f"mdms/{run}"
+    unit = f"{prefix}/shard/*" if form == "packed" else f"{prefix}/cell/*/*"
+    return {
+        f"{prefix}/plant/control": units,
+        f"{prefix}/plant/state": 1,
+        f"{unit}/sense": units,
+        f"{unit}/to/*": units * len(SIDES),
+        **{f"{prefix}/shard/*/{leaf}": units for leaf in ("memory", "registers", "report")},
+        f"{unit}/drive": units,
+    }
+
+
 def owner_of(key: str) -> str:
     """Whose a key of a run is, in words: ``cell 3,4``, ``shard 2`` or ``plant``."""
     match key.split("/")[2:]:

@@ -31,6 +31,8 @@ from bus.wire import Control, DriveFrame, LinkFrame, Mask
 
 _POLL_S: Final = 0.01
 _LINK_POLL_S: Final = 0.001
+_ANSWER_S: Final = 1.0
+"""Wall seconds that a shard whose cells have all failed stays for the plant's answer."""
 """How often to look for messages where they come after the senses, as no cell of ours sends them."""
 
 
@@ -90,6 +92,7 @@ class Member:
         self._form: MemberForm = FORMS[form].member(wiring, shard)
         self.counts = Counts()
         self._tick = 0
+        self._answer_until = 0.0
         self._declared: list[str] = []
         lives = Lives(len(partition.lattice))
         self._incoming = Incoming(wiring, shard, self._form, lives, self.counts)
@@ -229,7 +232,12 @@ class Member:
             if told.stop is not None:
                 return told.stop
             if company.none_live(tick):
-                return Control("stop", tick, (), "no cell of this shard takes part any more")
+                # The token must not go before the report has come: the plant would take the cells' process for dead.
+                left = self._answer_until - self._clock()
+                if not told.unanswered or told.plant_lost or left <= 0:
+                    return Control("stop", tick, (), "no cell of this shard takes part any more")
+                read(left, 1)
+                continue
             if not missing:
                 if tick + 1 == told.asked and self._remembering is not None:
                     self._remembering.note(self._incoming.taken_in(tick))
@@ -321,6 +329,8 @@ class Member:
         index = sorted(int(i) for i in cells)
         names = tuple(self._lattice.cells[i] for i in index)
         self._reports.failed(names, tick, detail)
+        self._told.unanswered.update(index)
+        self._answer_until = self._clock() + _ANSWER_S
         self.retire(index, tick)
 
     def hang(self, cell: int, tick: int, detail: str) -> None:
@@ -329,6 +339,10 @@ class Member:
         Call it before ``publish`` of that tick.
         """
         self._reports.hung(self._lattice.cells[cell], tick, detail)
+
+    def busy(self, tick: int) -> None:
+        """Tells the plant that the shard still computes ``tick``: it waits for longer. From any thread."""
+        self._reports.busy(tick)
 
     def close(self) -> None:
         """Reports this side's counts and takes the tokens back."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import final
 
 import numpy as np
@@ -54,7 +54,7 @@ class Muster:
         self._tell = tell
         self._lives = Lives(len(partition.lattice))
         self._losses: list[Loss] = []
-        shards = [partition.shard_of[cells[0]] for cells in form.unit_cells]
+        shards = self._unit_shards = [int(partition.shard_of[cells[0]]) for cells in form.unit_cells]
         units = [[u for u, own in enumerate(shards) if own == s] for s in range(partition.count)]
         self.returns = Returns(roll, units, matched)
 
@@ -90,9 +90,10 @@ class Muster:
         self._roll.gone.difference_update(gone)
         self._lose_units([unit for unit in gone if self._drives.until[unit] > tick], tick, "token lost")
 
-    def lose_silent(self, tick: int) -> None:
-        """Gives up units whose drive for ``tick`` has not come."""
-        self._lose_units(self._drives.missing(tick), tick, "stalled")
+    def lose_silent(self, tick: int, busy: Collection[int] = ()) -> None:
+        """Gives up units whose drive for ``tick`` has not come, but for those of the shards that are ``busy``."""
+        missing = self._drives.missing(tick)
+        self._lose_units([u for u in missing if self._unit_shards[u] not in busy], tick, "stalled")
 
     def take_losses(self) -> list[Loss]:
         """Who was lost since the last call, ascending."""

@@ -42,6 +42,10 @@ class Reports:
         """``cells``, which come back, can be sent to."""
         self._put(Report("linked", tick, cells))
 
+    def busy(self, tick: int) -> None:
+        """The shard still computes ``tick``; not counted, as it depends on the wall clock."""
+        self.publisher.put(encode_report(Report("busy", tick)))
+
     def _put(self, report: Report) -> None:
         self.publisher.put(encode_report(report))
         self._counts.sent += 1
@@ -82,6 +86,7 @@ class Reported:
         self._hung: dict[Cell, Report] = {}
         self.failed: dict[Cell, Report] = {}
         self.counts: dict[int, Counts] = {}
+        self._busy: dict[int, int] = {}
 
     def take(self, shard: int, payload: bytes) -> None:
         """Takes in what a shard reports.
@@ -92,6 +97,8 @@ class Reported:
         report = decode_report(payload, len(self._lattice))
         if report.kind == "counts":
             self.counts[shard] = Counts.reported(report.counts, report.tally)
+        elif report.kind == "busy":
+            self._busy[shard] = report.tick
         elif report.kind == "linked":
             cells = [self._lattice.index(cell) for cell in report.cells if cell in self._lattice]
             self._linked(shard, cells)
@@ -117,6 +124,11 @@ class Reported:
             (report.detail, [self._lattice.index(cell) for cell, one in told.items() if one == report])
             for report in dict.fromkeys(told.values())
         ]
+
+    def take_busy(self, tick: int) -> set[int]:
+        """Shards that have said since the last call that they still compute ``tick``."""
+        busy, self._busy = self._busy, {}
+        return {shard for shard, at in busy.items() if at == tick}
 
     def take_hung(self) -> list[Report]:
         """Programs that have hung since the last call, and why; their cells still take part."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bus.errors import BarrierError
 from bus.forms.form import HostForm
 from bus.lattice import Lattice
@@ -36,6 +39,12 @@ class Roll:
     def complete(self) -> bool:
         """Whether every unit is ready."""
         return len(self.ready) == len(self._form.unit_cells)
+
+    def absent(self, shard_of: NDArray[np.int64]) -> set[int]:
+        """Shards with a unit whose token has never stood; ``shard_of``: ``(n,)``, the shard of every cell."""
+        seen = self.alive | self.left
+        units = enumerate(self._form.unit_cells)
+        return {int(shard_of[int(i)]) for unit, cells in units if unit not in seen for i in cells}
 
     def take(self, event: Alive) -> None:
         """Takes note of a token that came or went; other tokens than the form's are none of ours."""

@@ -30,6 +30,7 @@ class Told:
         joining: Records of cells that come back, which the shard has not answered yet.
         joined: The tick from which the shard's own cells take part again, once it is known.
         asked: The tick before which the plant wants to know what the shard remembers.
+        unanswered: Cells (indices) that the shard reported as failed, until the plant has told that they are lost.
     """
 
     def __init__(self, lattice: Lattice, company: Company, token: str, counts: Counts) -> None:
@@ -45,6 +46,7 @@ class Told:
         self.joining: list[Control] = []
         self.joined: int | None = None
         self.asked = -1
+        self.unanswered: set[int] = set()
 
     def take_token(self, event: Alive) -> None:
         """Takes note of a token that came or went; somebody else's is none of ours."""
@@ -82,6 +84,7 @@ class Told:
                     self.joined = control.tick
             case "lost":
                 self._company.lose(cells, control.tick)
+                self.unanswered.difference_update(cells)
         self._counts.delivered += 1
 
     def take_faults(self) -> list[Control]:

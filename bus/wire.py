@@ -69,11 +69,11 @@ class Control:
 class Report:
     """A shard's word to the plant.
 
-    Cells that ``failed``, whose program is ``hung``, or that can be sent to again (``linked``); or its final
-    ``counts``.
+    Cells that ``failed``, whose program is ``hung``, or that can be sent to again (``linked``); that the shard is still
+    ``busy`` with ``tick``; or its final ``counts``.
     """
 
-    kind: Literal["failed", "hung", "linked", "counts"]
+    kind: Literal["failed", "hung", "linked", "busy", "counts"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -151,7 +151,7 @@ def encode_control(control: Control) -> bytes:
 
 
 _CONTROLS: Final = ("start", "keep", "lost", "joining", "joined", "fault", "stop")
-_REPORTS: Final = ("failed", "hung", "linked", "counts")
+_REPORTS: Final = ("failed", "hung", "linked", "busy", "counts")
 _CONTROL: Final = layout("kind", "cells", "detail")
 _REPORT: Final = layout("kind", "cells", "detail", "counts", "tally")
 

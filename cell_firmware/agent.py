@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Final, final
+from types import TracebackType
+from typing import Final, Protocol, final
 
 import numpy as np
 
@@ -39,6 +42,38 @@ Inject = Callable[[Control], None]
 """What carries out a control record of kind ``fault`` on the shard, before the tick in which it acts, or WireError."""
 
 
+Hopeless = Callable[[tuple[int, int], str, str], None]
+"""Told the cell, the problem and the stack of a program that does not return and could not be interrupted."""
+
+
+class Watch(Protocol):
+    """Sees to it that a step of the cells' programs comes to an end: ``with watch:`` around the step."""
+
+    @property
+    def given_up(self) -> bool:
+        """Whether the step was given up: nobody waits for what it came to."""
+        ...
+
+    def __enter__(self) -> object:
+        """The step begins."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """The step is over."""
+        ...
+
+    def close(self) -> None:
+        """Stop watching."""
+        ...
+
+
+Watched = Callable[[Callable[[], None], Hopeless], Watch]
+"""Makes the watch of an agent. The watch calls the first now and then while a step takes long, and the second where it
+can't bring a program to an end. Both calls come from another thread."""
+
+
 async def run(
     shard: Shard,
     member: Member,
@@ -46,12 +81,14 @@ async def run(
     inject: Inject | None = None,
     records: tuple[type, ...] = (),
     first: int = 0,
+    watched: Watched | None = None,
 ) -> Ended:
     """Runs a shard tick by tick until it is told to stop.
 
     ``member.ready()`` comes before, closing the member and its endpoint after. Cells that the member was
     told to retire stop at their tick. A cell whose firmware fails is reported to the plant, with its
-    traceback, and the others go on: whether the run does is the plant's to say.
+    traceback, and the others go on: whether the run does is the plant's to say. An error in the step itself is a
+    failure of all cells of the shard, and ends it.
 
     Args:
         shard: The cells, before tick 0 or as they were remembered.
@@ -60,6 +97,7 @@ async def run(
         inject: What carries out faults that come while it runs; None: they are let be.
         records: What the cells' programs may remember beyond plain values.
         first: The shard's first tick.
+        watched: Makes what sees to it that programs return; None: nobody looks.
 
     Raises:
         HostLostError: The plant went away.
@@ -68,7 +106,17 @@ async def run(
         asyncio.CancelledError: Cancelled; the gather thread has ended by then.
     """
     agent = _Agent(shard, member, endpoint, asyncio.get_running_loop(), inject, records, first)
-    return await agent.run()
+    return await agent.run(watched)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Trouble:
+    """Cells that failed in a tick, and what the others do in it; None: nothing."""
+
+    tick: int
+    failures: Sequence[FirmwareFailed]
+    outputs: ShardOutputs | None
 
 
 @final
@@ -101,16 +149,21 @@ class _Agent:
         self._end: Final[asyncio.Future[str]] = loop.create_future()
         self._thread: Final = threading.Thread(target=self._gather, name="gather", daemon=True)
         self._stopping = False
-        self._failed: tuple[int, ShardOutputs] | None = None
+        self._failed: _Trouble | None = None
+        self._watch: Watch | None = None
         self._ticks = 0
         self._failures: list[FirmwareFailed] = []
         self._told: set[str] = set()
 
-    async def run(self) -> Ended:
+    async def run(self, watched: Watched | None) -> Ended:
+        if watched is not None:
+            self._watch = watched(self._busy, self._hopeless)
         self._thread.start()
         try:
             detail = await self._end
         finally:
+            if self._watch is not None:
+                self._watch.close()
             self._stopping = True
             if self._thread.is_alive():
                 self._endpoint.wake()
@@ -147,14 +200,14 @@ class _Agent:
         failed, self._failed = self._failed, None
         if failed is None:
             return False
-        tick, outputs = failed
         index = dict(zip(self._shard.names, self._shard.indices.tolist(), strict=True))
         alike: dict[str, list[int]] = {}
-        for failure in outputs.failures:
+        for failure in failed.failures:
             alike.setdefault(_text(failure), []).append(index[failure.cell])
         for detail, cells in alike.items():
-            self._member.fail(cells, tick, detail)
-        self._publish(tick, outputs)
+            self._member.fail(cells, failed.tick, detail)
+        if failed.outputs is not None:
+            self._publish(failed.tick, failed.outputs)
         return True
 
     def _hop(self, callback: object, *arguments: object) -> None:
@@ -184,24 +237,46 @@ class _Agent:
                 )
             sense, links = gathered
             heard = None if links is None else Links(links.sent, links.message)
-            outputs = self._shard.step(
-                tick,
-                sense.presence,
-                sense.encoder_m,
-                heard,
-                sense.level,
-                label=sense.label,
-                camera=sense.picture,
-            )
-            self._ticks += 1
-            if outputs.failures:
-                self._failures += outputs.failures
-                self._failed = (tick, outputs)
-                self._endpoint.wake()
-            else:
-                self._publish(tick, outputs)
-        except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
-            self._break(error)
+            with nullcontext() if self._watch is None else self._watch:
+                outputs = self._shard.step(
+                    tick,
+                    sense.presence,
+                    sense.encoder_m,
+                    heard,
+                    sense.level,
+                    label=sense.label,
+                    camera=sense.picture,
+                )
+        except BaseException as error:  # noqa: BLE001 - whatever comes out of a step is its cells' failure
+            self._fall(tick, error)
+            return
+        if self._watch is not None and self._watch.given_up:
+            self._end.set_result("a program did not return in time")
+            return
+        self._ticks += 1
+        if outputs.failures:
+            self._trouble(_Trouble(tick, outputs.failures, outputs))
+            return
+        try:
+            self._publish(tick, outputs)
+        except Exception as error:  # noqa: BLE001 - what a program made can't be sent, shown or kept
+            self._fall(tick, error)
+
+    def _fall(self, tick: int, error: BaseException) -> None:
+        """No cell of the shard can go on: the step itself failed."""
+        if isinstance(error, FirmwareFailed):
+            failures = (error,)
+        else:
+            trace = "".join(traceback.format_exception(error))
+            problem = f"{type(error).__name__}: {error}"
+            failures = tuple(FirmwareFailed(cell, tick, problem, trace) for cell in self._shard.alive)
+        self._trouble(_Trouble(tick, failures, None))
+
+    def _trouble(self, trouble: _Trouble) -> None:
+        """Hand the cells that failed to the thread that keeps the member's books."""
+        self._failures += trouble.failures
+        self._failed = trouble
+        self._endpoint.wake()
 
     def _finish(self, detail: str) -> None:
         """The thread has ended: what it had yet to report is reported here."""
@@ -217,6 +292,15 @@ class _Agent:
     def _break(self, error: Exception) -> None:
         if not self._end.done():
             self._end.set_exception(error)
+
+    # --- in the watch's thread --------------------------------------------------------------------
+
+    def _busy(self) -> None:
+        self._member.busy(self._shard.tick)
+
+    def _hopeless(self, cell: tuple[int, int], problem: str, trace: str) -> None:
+        tick = self._shard.tick
+        self._trouble(_Trouble(tick, (FirmwareFailed(cell, tick, problem, trace),), None))
 
     # --- in either --------------------------------------------------------------------------------
 

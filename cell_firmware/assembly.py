@@ -89,7 +89,7 @@ def assemble(
         clocks: None where all cells step at once, by the plant's clock.
         faults: None where nothing happens to cells or their links.
         live: Whether more may happen to them that is not known yet.
-        metered: Whether every cell counts its messages.
+        metered: Whether every cell of a firmware with messages counts them.
 
     Raises:
         SettingError: Settings of the board that don't go together.
@@ -98,7 +98,7 @@ def assemble(
         firmware,
         wheels_of(spec, effects, motors),
         _links(firmware, spec, effects, clocks, disturbed=live or faults is not None),
-        MessageMeter() if metered else None,
+        MessageMeter() if metered and firmware.message is not None else None,
     )
     if effects.cop is not None:
         from cell_firmware.watchdog import Watchdog

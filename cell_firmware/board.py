@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.message_values import can_settle, draft_of, drafting, settled
 from cell_firmware.meter import MessageMeter
 from cell_firmware.parts import LinkPart, Part, WheelPart
 
@@ -76,6 +77,8 @@ class Board(Controller):
         self.meter = meter
         parts: dict[str, Part | None] = {_WHEELS: wheels, _LINKS: links, _METER: meter}
         self._parts = {name: part for name, part in parts.items() if part is not None}
+        draft = None if firmware.message is None else draft_of(firmware.message)
+        self._draft = None if draft == firmware.message else draft
 
     @property
     def message(self) -> np.dtype[Any] | None:
@@ -98,33 +101,52 @@ class Board(Controller):
         Raises:
             FirmwareFailed: The firmware's ``init`` raised, or made no arrays with a row per cell.
         """
+        program = self._begun(cells, "init", lambda rows: self.firmware.init(cells.take(rows)))
+        parts = {name: frozen(part.init(cells)) for name, part in self._parts.items()}
+        return ControllerState(cells, {_PROGRAM: program, **parts})
+
+    def _begun(self, cells: Cells, what: str, make: Callable[[NDArray[np.int64]], Any]) -> State:
+        """The program's state before its first step, of the cells of these rows together.
+
+        Raises:
+            FirmwareFailed: As ``init``; names the first cell that fails alone.
+        """
         n = len(cells)
         try:
-            program = frozen(_checked_state(self.firmware.init(cells), None, n))
+            program = frozen(_checked_state(make(np.arange(n)), None, n))
             _check_observed(self.firmware, program)
-        except Exception as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
+        except BaseException as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
             problem, trace = _described(error)
         else:
-            parts = {name: frozen(part.init(cells)) for name, part in self._parts.items()}
-            return ControllerState(cells, {_PROGRAM: program, **parts})
-        if n > 1:  # find the first cell that fails alone
+            return program
+        if n > 1:
             for i in range(n):
-                self.init(cells.take(np.array([i])))
-        raise FirmwareFailed(cells.name(0), 0, f"init: {problem}", trace)
+                row = np.array([i])
+                self._begun(cells.take(row), what, lambda _, row=row: make(row))
+        raise FirmwareFailed(cells.name(0), 0, f"{what}: {problem}", trace)
 
     def idle(self, now: Instant, state: ControllerState) -> ControllerState:
         """What every part says that goes on."""
         after = {name: frozen(part.idle(now, state.parts[name])) for name, part in self._parts.items()}
         return ControllerState(state.cells, {**state.parts, **after})
 
-    def after_reset(self, state: ControllerState) -> ControllerState:
-        """The program as after power-on, and what each part says that it keeps."""
-        begun = self.init(state.cells).parts
+    def after_reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
+        """The program as after power-on, or as its ``warm_start`` has it; and what each part says that it keeps."""
+        cells, memory = state.cells, state.parts[_PROGRAM]
+
+        def make(rows: NDArray[np.int64]) -> State:
+            if not warm:
+                return self.firmware.init(cells.take(rows))
+            return self.firmware.warm_start(
+                cells.take(rows), {name: array[rows] for name, array in memory.items()}
+            )
+
+        program = self._begun(cells, "warm_start" if warm else "init", make)
         kept = {
             name: frozen(part.after_reset(state.cells, state.parts[name]))
             for name, part in self._parts.items()
         }
-        return ControllerState(state.cells, {**begun, **kept})
+        return ControllerState(cells, {_PROGRAM: program, **kept})
 
     def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
         """Whole messages, of what came over the lines."""
@@ -187,18 +209,23 @@ class Board(Controller):
         """Steps the firmware, all cells at once; if that fails, each alone."""
         n = len(cells)
         try:
-            state, outputs = _checked(self.firmware.step(before, inputs), before, self.firmware.message, n)
-        except Exception as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
+            with drafting(self.firmware, self._draft):
+                result = self.firmware.step(before, inputs)
+            state, outputs = _checked(result, before, self.firmware.message, n)
+        except BaseException as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
             problem, trace = _described(error)
             if n == 1:
                 failed = FirmwareFailed(cells.name(0), tick, problem, trace)
                 return _Done(before, np.zeros((1, 2)), None, {0: failed})
             return self._one_by_one(tick, cells, before, inputs, f"{problem} (all {n} cells at once)", trace)
         speed, failures = _speeds(tick, cells, outputs)
-        if outputs.outbox is not None:
-            for i, problem in _not_finite(outputs.outbox):
+        outbox, message = outputs.outbox, self.firmware.message
+        if outbox is not None and message is not None:
+            values, misfits = settled(outbox.message, outbox.sent, message)
+            for i, problem in misfits.items():
                 failures.setdefault(i, FirmwareFailed(cells.name(i), tick, problem))
-        return _Done(state, speed, outputs.outbox, failures, outputs.served)
+            outbox = Outbox(outbox.sent, values)
+        return _Done(state, speed, outbox, failures, outputs.served)
 
     def _one_by_one(
         self, tick: int, cells: Cells, before: State, inputs: Inputs, problem: str, trace: str
@@ -234,8 +261,8 @@ class Board(Controller):
 def _speeds(tick: int, cells: Cells, outputs: Outputs) -> tuple[Floats, dict[int, FirmwareFailed]]:
     """The speeds that firmware wants, zero where that is no number; and who failed, for that or by its own account."""
     failures = {
-        i: FirmwareFailed(cells.name(i), tick, _last_line(trace), trace)
-        for i, trace in (outputs.failed or {}).items()
+        i: FirmwareFailed(cells.name(i), tick, _last_line(text), text if "\n" in text else "")
+        for i, text in (outputs.failed or {}).items()
     }
     speed = np.asarray(outputs.speed_m_s, dtype=np.float64)
     finite = np.isfinite(speed)
@@ -270,13 +297,12 @@ def _check_outbox(outbox: Any, message: np.dtype[Any] | None, n: int) -> None:
         raise _BadOutput("the firmware sends messages but declares no message type")
     if not isinstance(outbox, Outbox):
         raise _BadOutput(f"outbox must be an Outbox, not {type(outbox).__name__}")
-    for name, array, dtype in (
-        ("sent", outbox.sent, np.dtype(np.bool_)),
-        ("message", outbox.message, message),
-    ):
-        found: Any = array
-        if not isinstance(found, np.ndarray) or found.shape != (n, 4) or found.dtype != dtype:  # pyright: ignore[reportUnknownMemberType]
-            raise _BadOutput(f"outbox.{name} must be {dtype} of shape ({n}, 4), not {_kind(found)}")
+    sent: Any = outbox.sent
+    if _kind(sent) != f"bool of shape ({n}, 4)":
+        raise _BadOutput(f"outbox.sent must be bool of shape ({n}, 4), not {_kind(sent)}")
+    found: Any = outbox.message
+    if not isinstance(found, np.ndarray) or found.shape != (n, 4) or not can_settle(found.dtype, message):  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+        raise _BadOutput(f"outbox.message must be {message} of shape ({n}, 4), not {_kind(found)}")
 
 
 def _checked_state(state: Any, before: State | None, n: int) -> State:
@@ -306,24 +332,7 @@ def _kind(value: Any) -> str:
     return type(value).__name__
 
 
-def _not_finite(outbox: Outbox) -> list[tuple[int, str]]:
-    """Cells that send a message with a float in it that is none, and the field's name."""
-    found: list[tuple[int, str]] = []
-    for name in outbox.message.dtype.names or ():
-        values = outbox.message[name]
-        if values.dtype.kind != "f":
-            continue
-        finite: Bools = np.isfinite(values)
-        if finite.all():
-            continue
-        bad: Bools = outbox.sent & ~finite.reshape(*finite.shape[:2], -1).all(axis=2)
-        found += [
-            (i, f"message field {name} is not finite") for i in np.flatnonzero(bad.any(axis=1)).tolist()
-        ]
-    return found
-
-
-def _described(error: Exception) -> tuple[str, str]:
+def _described(error: BaseException) -> tuple[str, str]:
     """The problem in a line, and the traceback where firmware raised."""
     if isinstance(error, _BadOutput):
         return str(error), ""

@@ -15,8 +15,9 @@ BOARDS: Final[Mapping[BoardName, Mapping[str, Mapping[str, Any]]]] = {
     "hc11": {
         # crystals of +-50 ppm, and boards that were not switched on in the same instant
         "clock": {"error_ppm": 50.0},
-        # encoders of 64 counts on the motor's shaft, gears of 30 to 1, as sold together
-        "encoder": {"counts_per_revolution": 1920},
+        # 16 cycles a turn of the motor's shaft, all four edges counted by a decoder chip a wheel, gears of 30 to 1; the
+        # processor's own pulse accumulator counts one edge of four, 480 a revolution
+        "encoder": {"counts_per_revolution": 1920, "decoder": "hctl2016"},
         # output compare at 1 kHz: two channels cost a twentieth of the processor's time
         "pwm": {"levels": 2000},
         "fixed_point": {},

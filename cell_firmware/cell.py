@@ -13,6 +13,7 @@ import numpy as np
 from bus.lattice import SIDES, Lattice
 from bus.memory_codec import is_record
 from bus.readings import Picture
+from cell_firmware.errors import MessageValueError
 from cell_firmware.firmware import (
     Bools,
     Cells,
@@ -25,6 +26,9 @@ from cell_firmware.firmware import (
     Outputs,
     State,
 )
+from cell_firmware.firmware_files import modules_beside
+from cell_firmware.message_values import Field, fields_of, misfit
+from cell_firmware.plain_registers import registers_of, unrecorded
 from cell_firmware.program import Program
 from cell_firmware.theory import Theory
 
@@ -104,6 +108,17 @@ class CellFirmware(Program, ABC):
     def init(self, cell: Cell) -> Any:
         """The state before tick 0."""
 
+    def warm_start(self, cell: Cell, state: Any) -> Any:  # noqa: ARG002
+        """The state after a watchdog's reset (effect ``cop``): by default that of ``init``.
+
+        Memory keeps its power in such a reset; start-up code clears what a program doesn't set aside.
+
+        Args:
+            cell: That is reset.
+            state: What the last step that ended returned, or ``init``.
+        """
+        return self.init(cell)
+
     @abstractmethod
     def step(self, state: Any, inputs: CellInputs) -> tuple[Any, CellOutputs]:
         """One control period."""
@@ -128,6 +143,7 @@ class PerCell(Firmware):
         self.firmware = firmware
         self.observed = firmware.observed  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self.message = firmware.message  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
+        self._fields = {} if self.message is None else fields_of(self.message)
 
     def check(self, lattice: Lattice) -> None:
         """Asks the firmware."""
@@ -168,45 +184,53 @@ class PerCell(Firmware):
             states[i] = self.firmware.init(_cell(cells, i))
         return {"cell": states}
 
-    def shown(self, state: State) -> State:
-        """Of the cells' own states what is ``observed``, as float64: NaN where a cell has no numbers there.
+    def warm_start(self, cells: Cells, state: State) -> State:
+        """Asks the firmware for each cell."""
+        states = np.empty(len(cells), dtype=object)
+        for i in range(len(cells)):
+            states[i] = self.firmware.warm_start(_cell(cells, i), state["cell"][i])
+        return {"cell": states}
 
-        A cell's state may be a mapping with that key, or anything with that attribute.
-        """
-        name = self.observed
-        if name is None or not any(_has(own, name) for own in state["cell"]):
-            return {}
-        values = [_numbers(own, name) for own in state["cell"]]
-        shape = next((value.shape for value in values if value is not None), ())
-        blank = np.full(shape, np.nan)
-        fit = [blank if value is None or value.shape != shape else value for value in values]
-        return {name: np.stack(fit)}
+    def shown(self, state: State) -> State:
+        """The numbers in the cells' own states, by name, ``observed`` among them."""
+        return registers_of(state["cell"], self.observed)
+
+    def unrecorded(self, cells: Cells) -> str | None:
+        """Why the cells' variables can't be recorded, or not all of them; None if they can."""
+        return unrecorded(self.firmware.init(_cell(cells, 0)))
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """Steps each cell on plain values."""
         n = len(inputs.presence)
         states = state["cell"].copy()
         speed = np.zeros((n, 2))
-        outbox = None if self.message is None else Outbox.empty(n, self.message)
+        message = self.firmware.message
+        outbox = None if message is None else Outbox.empty(n, message)
         failed: dict[int, str] = {}
         served = np.ones(n, dtype=np.bool_)
         for i in range(n):
             try:
                 states[i], outputs = _pair(self.firmware.step(states[i], _inputs(inputs, i)))
                 speed[i] = _speed(outputs)
-                _send(outputs.outbox, outbox, i)
                 served[i] = bool(outputs.served)
-            except Exception:  # noqa: BLE001 - whatever a user's program raises is that cell's failure
+                _send(outputs.outbox, outbox, self._fields, i)
+            except MessageValueError as error:
+                failed[i] = str(error)
+            except BaseException:  # noqa: BLE001 - whatever a user's program raises, SystemExit too, is that cell's failure
                 failed[i] = traceback.format_exc()
         return {"cell": states}, Outputs(speed, outbox, failed or None, None if served.all() else served)
 
 
 def records_of(firmware: Firmware) -> tuple[type, ...]:
-    """What a program's cells may remember beyond plain values: dataclasses and named tuples that its file knows."""
+    """What a program's cells may remember beyond plain values: dataclasses and named tuples that its file knows.
+
+    Those of modules beside its file are among them.
+    """
     if not isinstance(firmware, PerCell):
         return ()
-    known = type(firmware.firmware).step.__globals__
-    return tuple(kind for kind in known.values() if is_record(kind))
+    step = type(firmware.firmware).step
+    known = [*map(vars, modules_beside(step.__module__)), step.__globals__]
+    return tuple(kind for names in known for kind in names.values() if is_record(kind))
 
 
 def _cell(cells: Cells, i: int) -> Cell:
@@ -219,21 +243,6 @@ def _cell(cells: Cells, i: int) -> Cell:
         tuple((x, y) for x, y in cells.sensors_m.tolist()),
         cells.pitch_m,
     )
-
-
-def _has(state: Any, name: str) -> bool:
-    return name in state if isinstance(state, Mapping) else hasattr(state, name)
-
-
-def _numbers(state: Any, name: str) -> Floats | None:
-    """A variable of a cell's state as numbers; None where it has none there, or not yet."""
-    if not _has(state, name):
-        return None
-    value: Any = state[name] if isinstance(state, Mapping) else getattr(state, name)  # pyright: ignore[reportUnknownVariableType]
-    try:
-        return None if value is None else np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
 
 
 def _inputs(inputs: Inputs, i: int) -> CellInputs:
@@ -292,20 +301,35 @@ def _number(value: Any) -> float:
     return float(value)  # pyright: ignore[reportUnknownArgumentType]
 
 
-def _send(messages: Mapping[str, Message | None], outbox: Outbox | None, i: int) -> None:
-    for side, message in messages.items():
+def _send(
+    messages: Mapping[str, Message | None], outbox: Outbox | None, fields: Mapping[str, Field], i: int
+) -> None:
+    """Puts a cell's messages into the outbox.
+
+    Raises:
+        MessageValueError: A value doesn't fit its field.
+    """
+    for side in messages:
         if side not in SIDES:
             raise ValueError(f"outbox has a side {side!r}; sides are {', '.join(SIDES)}")
+    last: Message | None = None
+    values: tuple[Any, ...] = ()
+    for s, side in enumerate(SIDES):
+        message = messages.get(side)
         if message is None:
             continue
         if outbox is None:
             raise ValueError("outbox holds a message, but the firmware declares no message type")
-        names: tuple[str, ...] = outbox.message.dtype.names or ()
-        if set(message) != set(names):
-            raise ValueError(
-                f"message to the {side} has fields {sorted(message)}; its type has {sorted(names)}"
-            )
-        s = SIDES.index(side)
-        for name in names:
-            outbox.message[name][i, s] = message[name]
+        if message is not last:  # most programs tell all sides the same
+            _check_values(message, side, fields)
+            values, last = tuple(message[name] for name in fields), message
+        outbox.message[i, s] = values
         outbox.sent[i, s] = True
+
+
+def _check_values(message: Message, side: str, fields: Mapping[str, Field]) -> None:
+    if message.keys() != fields.keys():
+        raise ValueError(f"message to the {side} has fields {sorted(message)}; its type has {sorted(fields)}")
+    for name, its in fields.items():
+        if not its.fits(message[name]):
+            raise MessageValueError(misfit(name, side, message[name], its.type))

@@ -156,11 +156,15 @@ class Controller(ABC):
             FirmwareFailed: A cell's program does not begin; names the cell.
         """
 
-    def after_reset(self, state: ControllerState) -> ControllerState:
-        """The state after a reset without loss of power: by default as after power-on.
+    def after_reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:  # noqa: ARG002
+        """The state after a reset: by default as after power-on.
 
         Args:
             state: Before it, of the cells that are reset.
+            warm: Whether the memory has kept its power, as in a watchdog's reset.
+
+        Raises:
+            FirmwareFailed: A cell's program does not begin; names the cell.
         """
         return self.init(state.cells)
 

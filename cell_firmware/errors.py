@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 
 class FirmwareError(Exception):
@@ -58,6 +58,10 @@ class SettingError(FirmwareError):
         return f"{dotted(self.path)} = {self.value}: {self.rule}"
 
 
+class MessageValueError(FirmwareError):
+    """A value that a message's field can't carry: not a number, out of its type's range, or not finite."""
+
+
 class FirmwareFailed(FirmwareError):
     """A cell's firmware raised, or returned something that no drive or link can take.
 
@@ -78,6 +82,19 @@ class FirmwareFailed(FirmwareError):
     def __str__(self) -> str:
         line = f"firmware of cell {self.cell[0]},{self.cell[1]} failed in tick {self.tick}: {self.problem}"
         return f"{line}\n{self.trace}" if self.trace else line
+
+
+class NeverReturned(BaseException):
+    """A program was interrupted because it had not returned for too long.
+
+    No Exception, so that a program that catches its own errors doesn't catch this one. Raised by a watching thread
+    in the program's own, where it can be raised by its class alone: a run derives one that says how long is too long.
+    """
+
+    problem: ClassVar[str] = "the program did not return"
+
+    def __str__(self) -> str:
+        return self.problem
 
 
 def dotted(path: tuple[str | int, ...]) -> str:

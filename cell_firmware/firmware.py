@@ -230,6 +230,17 @@ class Firmware(Program, ABC):
     def init(self, cells: Cells) -> State:
         """The state before tick 0: arrays by name, each with one row per cell."""
 
+    def warm_start(self, cells: Cells, state: State) -> State:  # noqa: ARG002
+        """The state after a watchdog's reset (effect ``cop``): by default that of ``init``.
+
+        Memory keeps its power in such a reset; start-up code clears what a program doesn't set aside.
+
+        Args:
+            cells: That are reset.
+            state: What the last step that ended returned for them, or ``init``.
+        """
+        return self.init(cells)
+
     @abstractmethod
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """One control period of every cell."""

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import importlib.util
 import inspect
 import pkgutil
-import sys
 import traceback
 from pathlib import Path
 from types import ModuleType
@@ -17,10 +15,12 @@ from pydantic import ValidationError
 
 from bus.errors import WireError
 from bus.wire import check_message
-from cell_firmware import protocols
+from cell_firmware import firmware_files, protocols
 from cell_firmware.cell import CellFirmware, PerCell
 from cell_firmware.errors import FirmwareError, ParametersError
 from cell_firmware.firmware import Firmware
+from cell_firmware.firmware_files import import_file
+from cell_firmware.hooks import guard, refusals
 from cell_firmware.parameter_errors import problems
 from cell_firmware.specs import CellsSpec
 
@@ -34,7 +34,7 @@ FirmwareClass = type[Firmware] | type[CellFirmware]
 
 
 def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
-    """The firmware that a scene asks for, with its parameters.
+    """The firmware that a scene asks for, with its parameters; its hooks are guarded, see `cell_firmware.hooks`.
 
     Args:
         spec: What the scene says of its cells.
@@ -45,19 +45,16 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
         FirmwareError: There is no such firmware, or its file can't be loaded.
     """
     found = find(spec.firmware, folder)
-    try:
-        parameters = found.Parameters.model_validate(spec.parameters)
-    except ValidationError as error:
-        raise ParametersError(spec.firmware, problems(error, found.Parameters, spec.parameters)) from None
-    try:
+    with refusals(spec.firmware, "Parameters"):
+        try:
+            parameters = found.Parameters.model_validate(spec.parameters)
+        except ValidationError as error:
+            raise ParametersError(spec.firmware, problems(error, found.Parameters, spec.parameters)) from None
+    with refusals(spec.firmware, "__init__()"):
         firmware = found(parameters)
-    except FirmwareError:
-        raise
-    except Exception as error:
-        raise FirmwareError(
-            f"firmware {spec.firmware!r} failed on creation:\n{traceback.format_exc()}"
-        ) from error
-    return PerCell(firmware) if isinstance(firmware, CellFirmware) else firmware
+    program = PerCell(firmware) if isinstance(firmware, CellFirmware) else firmware
+    guard(program, spec.firmware)
+    return program
 
 
 def find(name: str, folder: Path | None = None) -> FirmwareClass:
@@ -123,36 +120,32 @@ def _imported(name: str, module: str) -> ModuleType:
                 "(a file can be given by its path)"
             ) from None
         raise _import_failed(name, error) from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise _import_failed(name, error) from error
 
 
 def _from_file(name: str, path: Path) -> ModuleType:
     if not path.is_file():
         raise FirmwareError(f"firmware {name!r}: there is no file {path}")
-    module_name = f"mdms_firmware_{path.stem}"
-    spec = importlib.util.spec_from_file_location(module_name, path)
-    if spec is None or spec.loader is None:
-        raise FirmwareError(f"firmware {name!r}: {path} is not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # dataclasses and pydantic look their module up while it loads
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[module_name]
+        return import_file(path)
+    except (Exception, SystemExit) as error:
         raise _import_failed(name, error) from error
-    return module
 
 
-def _import_failed(name: str, error: Exception) -> FirmwareError:
+def _import_failed(name: str, error: Exception | SystemExit) -> FirmwareError:
     """What went wrong in a line, and below it where: in the firmware, not in what imported it."""
-    where = error.__traceback__
-    while where is not None and (
-        "importlib" in (file := where.tb_frame.f_code.co_filename) or file == __file__
-    ):
-        where = where.tb_next
-    trace = "".join(traceback.format_exception(type(error), error, where)).rstrip()
+    told = traceback.TracebackException.from_exception(error)
+    told.stack = traceback.StackSummary.from_list(
+        [frame for frame in told.stack if not _imports(frame.filename)]
+    )
+    trace = "".join(told.format()).rstrip()
     return FirmwareError(f"firmware {name!r} can't be loaded: {type(error).__name__}: {error}\n{trace}")
+
+
+def _imports(file: str) -> bool:
+    """Whether a frame's file is of what imports, not of the firmware."""
+    return "importlib" in file or file in (__file__, firmware_files.__file__)
 
 
 def _defined(module: ModuleType) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
@@ -50,6 +50,9 @@ class CellsSpec(Spec):
     """The firmware's own, validated by it."""
     board: Board | None = None
     """A board by name, or ``{ name, without }``: asks for all its effects but those, as if ``effects`` named them."""
+    on_failure: Literal["stop", "isolate"] = "stop"
+    """When a program fails: ``stop`` ends the run in that tick with status ``failed``; ``isolate`` gives up that cell
+    alone, and its wheels do what ``stall.policy`` says."""
     speed_loop: SpeedLoopSpec | None = None
     """Gains of the speed loop; only a scene with motors has one, and gets the defaults if it says nothing."""
 

@@ -27,9 +27,9 @@ class Watchdog(Around):
 
     A program that raises hangs: it no longer serves, the pins keep what they had, and nothing is sent. One that runs
     but doesn't serve (``Outputs.served``) goes on until it is reset. What a reset keeps is the crystal, the divider,
-    and what parts of the board say of themselves (``Part.after_reset``, ``Part.idle``); all other memory is as after
-    power-on. The wheels are at 0 until the program starts, at the first control instant after ``reboot_s``; till then
-    its start-up code serves.
+    what parts of the board say of themselves (``Part.after_reset``, ``Part.idle``), and of the program's memory what
+    the program says (``warm_start``); all else is as after power-on. The wheels are at 0 until the program starts, at
+    the first control instant after ``reboot_s``; till then its start-up code serves.
 
     Args:
         controller: Of the cells.
@@ -113,7 +113,7 @@ class Watchdog(Around):
             "drive": np.where(over[:, None], 0.0, watch["drive"]),
             "resets": watch["resets"] + over,
         }
-        return inner.put(rows, self.controller.after_reset(inner.take(rows))), after
+        return inner.put(rows, self.controller.after_reset(inner.take(rows), warm=True)), after
 
     def counted(self, state: ControllerState) -> dict[str, int]:
         """Programs that hung and cells that were reset; and what the cells' controller has counted."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import re
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -36,6 +37,9 @@ _ALONE = {
     "--docs": ("docs", re.compile(r"[^-].*")),
 }
 """Options that may stand without a value: what they mean then, and what a value looks like."""
+
+_COMPLETING = "_MDMS_COMPLETE"
+"""Environment variable by which a shell asks for completions, in place of running a command."""
 
 _HELP = """A Modular Distributed Manipulator System in software.
 
@@ -76,17 +80,23 @@ def application(arguments: Sequence[str]) -> typer.Typer:
         help=_flowing(_HELP),
         epilog=_epilog(),
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode="rich",
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback()(_top)
-    wanted = next((argument for argument in arguments if not argument.startswith("-")), None)
+    words = arguments if _COMPLETING not in os.environ else _words_to_complete()
+    wanted = next((word for word in words if not word.startswith("-")), None)
     for name, summary in COMMANDS.items():
         function: Any = _function(name) if name == wanted else _not_imported
         app.command(name, short_help=summary, help=_flowing(function.__doc__ or ""))(function)
     return app
+
+
+def _words_to_complete() -> list[str]:
+    """What stands on the shell's line after the program's name."""
+    line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
+    return line.split()[1:]
 
 
 def _epilog() -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
@@ -93,23 +91,3 @@ class Conduct:
                 self.console.retell(cells, tick)
         if self.console is not None:
             self.console.attend(tick)
-
-
-def pacer(factor: float) -> Callable[[int], None]:
-    """Something that waits, before a tick, until its simulated time has come on the wall clock.
-
-    Args:
-        factor: Simulated seconds a wall second.
-    """
-    begun: float | None = None
-
-    def pace(start_ns: int) -> None:
-        nonlocal begun
-        now = time.monotonic()
-        if begun is None:
-            begun = now - start_ns * 1e-9 / factor
-        ahead = begun + start_ns * 1e-9 / factor - now
-        if ahead > 0:
-            time.sleep(ahead)
-
-    return pace

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, final
 
 from bus.counts import Counts
 from deploy.faults.schedule import crash_aborts
-from deploy.output import parcel_outcomes
+from deploy.losses import failure, lines, nobody
+from deploy.output import parcel_outcomes, validity
 from deploy.refused import DENIED, MALFORMED, MESSAGE, Refused, total
-from deploy.summary import Messages, Summary
+from deploy.summary import Messages, ProtocolMessages, Summary
 
 if TYPE_CHECKING:
     from deploy.ledger import Ledger
@@ -48,14 +49,23 @@ class Ending:
         self.status, self.reason = status, reason
 
     def take(self, ended: Ended, ledger: Ledger) -> None:
-        """Tell why the policy ``abort`` ended the run, if it did."""
-        if ended.died:
+        """Tell what ended the run before its time, or that nobody was left at its end."""
+        cells, period_ns = ledger.cells, ledger.period_ns
+        if ended.failed:
+            ledger.note(ended.losses)
+            self.by("failed", failure(ended.failed, cells, period_ns))
+            self.detail = ended.failed[0].detail
+        elif ended.nobody:
+            self.by("failed", nobody(ledger.found, cells, period_ns))
+            self.detail = next((loss.detail for loss in ledger.found if loss.detail), "")
+        elif ended.died:
             ledger.died(ledger.ticks, ended.died)
             cell = ledger.cells_lost[-len(ended.died)]
             self.by("failed", crash_aborts(cell, ledger.time_ns * 1e-9))
         elif ended.losses:
             ledger.lost(ended.losses)
-            self.by(ended.status, f"{ledger.describe(ended.losses)}; stall.policy is abort")
+            told = "; ".join(lines(ended.losses, cells, period_ns))
+            self.by(ended.status, f"{told}; stall.policy is abort")
             self.detail = next((loss.detail for loss in ended.losses if loss.detail), "")
 
 
@@ -87,6 +97,7 @@ def summary_of(
         resumed: Ticks before which it was taken up again.
     """
     counts = ending.counts
+    firmware = _firmware(scene)
     rows = refused.rows(counts)
     messages = Messages(
         sent=counts.sent,
@@ -95,6 +106,7 @@ def summary_of(
         late=counts.late,
         denied=total(rows, DENIED, MESSAGE),
         malformed=total(rows, MALFORMED),
+        protocol=_protocol_messages(firmware, counts.tally),
     )
     return Summary(
         status=ending.status,
@@ -104,7 +116,7 @@ def summary_of(
         duration_s=scene.duration_s,
         simulated_s=ledger.time_ns * 1e-9,
         cells=len(plant.array),
-        firmware=_firmware(scene),
+        firmware=firmware,
         processes=plan.workers,
         transport=plan.transport,
         solver=scene.solver.accuracy(),
@@ -113,6 +125,7 @@ def summary_of(
         startup_s=ending.startup_s,
         parcels=parcel_outcomes(plant),
         support_changes=plant.support_changes,
+        **validity(plant, scene),
         messages=messages,
         refused=rows,
         faults=ledger.faults,
@@ -136,6 +149,15 @@ def _firmware(scene: Scene) -> dict[str, str | int]:
     return {"name": scene.cells.firmware.rpartition("/")[2], "form": firmware.form, "message_bytes": size}
 
 
+def _protocol_messages(
+    firmware: Mapping[str, str | int], tally: Mapping[str, int]
+) -> ProtocolMessages | None:
+    """Messages between cells, as the cells counted them; None for firmware without messages."""
+    if not firmware["message_bytes"]:
+        return None
+    return ProtocolMessages(sent=tally.get("messages.sent", 0), heard=tally.get("messages.heard", 0))
+
+
 def _of_effects(tally: Mapping[str, int]) -> dict[str, int]:
-    """What effects counted; what cells count of their messages is for the protocol's report."""
+    """What effects counted; what cells count of their messages stands with the bus's."""
     return {name: number for name, number in sorted(tally.items()) if not name.startswith("messages.")}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from deploy.errors import DeployError, InputError
+from deploy.errors import DeployError
 
 
 @contextmanager
@@ -16,7 +17,8 @@ def written_whole(path: Path) -> Generator[Path]:
     Raises:
         DeployError: It can't be written.
     """
-    draft = path.with_name(f".{path.name}.draft")
+    # Of this process alone: `mdms plot` may draw what the run itself is drawing.
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
     try:
         yield draft
         draft.replace(path)
@@ -37,16 +39,14 @@ def write_text(path: Path, text: str) -> None:
         draft.write_text(text, encoding="utf-8")
 
 
-def made_folder(wanted: Path) -> Path:
-    """Make the folder that ``--output`` names, if it isn't there; what is in it stays.
+def sync_folder(folder: Path) -> None:
+    """Have a folder's names, such as that of a file just renamed, survive a loss of power.
 
     Raises:
-        InputError: It can't be made.
+        OSError: As the operating system has it.
     """
+    handle = os.open(folder, os.O_RDONLY)
     try:
-        wanted.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise InputError(f"output {wanted}: is a file, must be a folder") from None
-    except OSError as error:
-        raise InputError(f"output {wanted}: can't be made: {error.strerror or error}") from None
-    return wanted
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, final
+from typing import Any, Final, final
+
+from plant import stop
+
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 @final
@@ -26,8 +31,9 @@ class Interruption:
     """Notes SIGINT and SIGTERM, and raises Interrupted only where that leaves nothing half done.
 
     A signal raises at once inside `allowed` and whenever `waits` says that the run only waits; elsewhere at
-    the next `check`. Whatever was set before is restored by `watching`. In a thread other than the main one
-    signals are left alone.
+    the next `check`. Python hears of a signal when compiled code returns, so a thread hears of it too, and has the
+    plants' solvers return (`plant.stop`). Whatever was set before is restored by `watching`. In a thread other than
+    the main one signals are left alone.
 
     Attributes:
         requested: Whether a signal has come.
@@ -51,7 +57,7 @@ class Interruption:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {number: signal.signal(number, self._note) for number in _SIGNALS}
         hook = sys.unraisablehook
 
         def unraisable(lost: sys.UnraisableHookArgs) -> None:
@@ -63,7 +69,8 @@ class Interruption:
 
         sys.unraisablehook = unraisable
         try:
-            yield
+            with _solvers_stopped():
+                yield
         finally:
             sys.unraisablehook = hook
             for number, handler in before.items():
@@ -99,3 +106,27 @@ class Interruption:
         if not self._raised and (self._allowed or self.waits()):
             self._raised = True
             raise Interrupted
+
+
+@contextmanager
+def _solvers_stopped() -> Generator[None]:
+    """Have solvers' calls end when one of the two signals comes in here, whatever code runs then."""
+    ours, wakes = socket.socketpair()
+    wakes.setblocking(False)
+
+    def watch() -> None:
+        while numbers := ours.recv(64):
+            if any(number in _SIGNALS for number in numbers):
+                stop.request()
+
+    watcher = threading.Thread(target=watch, name="mdms-signals", daemon=True)
+    watcher.start()
+    before = signal.set_wakeup_fd(wakes.fileno(), warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        wakes.close()
+        watcher.join()
+        ours.close()
+        stop.withdraw()

@@ -9,6 +9,8 @@ from bus.fault import turns
 from bus.memory import Remembers
 from deploy.digest import Digest
 from deploy.faults.telling import turned
+from deploy.losses import found, kind_of, lines
+from deploy.mishaps import Mishaps
 
 if TYPE_CHECKING:
     from bus.counts import Loss
@@ -19,8 +21,6 @@ if TYPE_CHECKING:
     from deploy.recordings.recorder import Recorder
     from plant.records import TickRecord
     from plant.reports import Event
-
-_WORDS = {"token lost": "its process went away", "stalled": "it did not answer in time"}
 
 
 @final
@@ -34,10 +34,12 @@ class Ledger:
         recorder: Where ticks, events and faults are written.
         progress: What shows how far the run has come.
         policy: What the wheels of a cell do that goes away.
-        warn: Told of every loss, one line.
+        warn: Told of every loss, and of parcels that tip or fall, one line.
         injected: Faults that begin and end on the way.
 
     Attributes:
+        cells: As given.
+        period_ns: As given.
         ticks: Ticks that are over.
         time_ns: Simulated time reached.
         faults: Injected and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``; of those that begin
@@ -63,13 +65,14 @@ class Ledger:
         warn: Callable[[str], None],
         injected: Sequence[Injected[FaultSpec]] = (),
     ) -> None:
-        self._cells = cells
-        self._period_ns = period_ns
+        self.cells = cells
+        self.period_ns = period_ns
         self._digest = digest
         self._recorder = recorder
         self._progress = progress
         self._policy = policy
         self.warn = warn
+        self._mishaps = Mishaps(warn)
         self.ticks = 0
         self.time_ns = 0
         self.faults: list[Mapping[str, Any]] = []
@@ -130,17 +133,18 @@ class Ledger:
         self._turns.pop(0)
         for one in self._injected:
             if tick in (one.first, one.end):
-                fault = turned(one, tick, self._period_ns, self._cells)
+                fault = turned(one, tick, self.period_ns, self.cells)
                 self.faults.append(fault)
                 self._recorder.fault(fault)
 
     def registers(self, shown: Shown) -> None:
         """Record what the cells showed of themselves."""
-        self._recorder.registers(shown.tick, shown.tick * self._period_ns, shown.registers)
+        self._recorder.registers(shown.tick, shown.tick * self.period_ns, shown.registers)
 
     def _take_events(self, events: Sequence[Event]) -> None:
         for event in events:
             self._recorder.event(event_record(event))
+        self._mishaps.take(events)
         self._progress.events += len(events)
 
     def died(self, tick: int, cells: Sequence[int]) -> None:
@@ -150,17 +154,21 @@ class Ledger:
 
     def lost(self, losses: Sequence[Loss]) -> None:
         """Note cells that were found lost, and say so: once for those that were lost alike."""
-        for loss in losses:
-            self._fault(loss.tick, loss.reason.replace(" ", "_"), loss.cell, loss.detail)
+        self.note(losses)
         then = "the run ends" if self._policy == "abort" else f"wheels {self._policy}"
-        for line in self._lines(losses):
+        for line in lines(losses, self.cells, self.period_ns):
             self.warn(f"{line}; {then}")
+
+    def note(self, losses: Sequence[Loss]) -> None:
+        """Note cells that were found lost."""
+        for loss in losses:
+            self._fault(loss.tick, kind_of(loss), loss.cell, loss.detail)
 
     def rejoined(self, tick: int, cells: Sequence[int]) -> None:
         """Note that cells take part again from ``tick`` on."""
-        places = [self._cells[cell] for cell in cells]
+        places = [self.cells[cell] for cell in cells]
         fault = {
-            "time_s": tick * self._period_ns * 1e-9,
+            "time_s": tick * self.period_ns * 1e-9,
             "kind": "respawn",
             "phase": "happens",
             "cell": list(places[0]) if len(places) == 1 else None,
@@ -181,34 +189,21 @@ class Ledger:
                 continue
             self._hung.add(problem)
             row, column = report.cells[0]
-            since = f"tick {report.tick} ({report.tick * self._period_ns * 1e-9:g} s)"
+            since = f"tick {report.tick} ({report.tick * self.period_ns * 1e-9:g} s)"
             self.warn(
                 f"the program of cell {row},{column} hangs from {since} until it is reset (others that hang for the "
                 f"same reason are counted, not told): {report.detail}"
             )
 
-    def describe(self, losses: Sequence[Loss]) -> str:
-        """Which cells were lost, when, and why, in one line."""
-        return "; ".join(self._lines(losses))
-
-    def _lines(self, losses: Sequence[Loss]) -> list[str]:
-        """A line for all that were lost alike."""
-        alike: dict[tuple[int, str], list[str]] = {}
-        for loss in losses:
-            row, column = self._cells[loss.cell]
-            why = _WORDS.get(loss.reason) or _last_line(loss.detail) or loss.reason
-            alike.setdefault((loss.tick, why), []).append(f"{row},{column}")
-        lines: list[str] = []
-        for (tick, why), names in alike.items():
-            more = f" and {len(names) - 6} more" if len(names) > 6 else ""
-            cells = f"cell{'s' if len(names) > 1 else ''} {' '.join(names[:6])}{more}"
-            lines.append(f"{cells} lost in tick {tick} ({tick * self._period_ns * 1e-9:g} s): {why}")
-        return lines
+    @property
+    def found(self) -> list[Loss]:
+        """Losses of cells so far that nobody asked for, those of cells that came back included."""
+        return found(self.faults, self.cells)
 
     def _fault(self, tick: int, kind: str, cell: int, detail: str) -> None:
-        place = self._cells[cell]
+        place = self.cells[cell]
         fault = {
-            "time_s": tick * self._period_ns * 1e-9,
+            "time_s": tick * self.period_ns * 1e-9,
             "kind": kind,
             "cell": list(place),
             "tick": tick,
@@ -230,8 +225,3 @@ def event_record(event: Event) -> dict[str, Any]:
         "position_m": event.position_m,
         "detail": event.detail,
     }
-
-
-def _last_line(text: str) -> str:
-    lines = [line for line in text.splitlines() if line.strip()]
-    return lines[-1].strip() if lines else ""

@@ -1,30 +1,24 @@
-"""What a run or a simulation leaves behind: its name, its folder, its header and its picture."""
+"""Name, header, versions and picture of a run or a simulation."""
 
 from __future__ import annotations
 
-import itertools
 import platform
 import re
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.errors import DeployError, InputError
-from deploy.files import made_folder
+from deploy.errors import DeployError
 from deploy.interruption import Interrupted, Interruption
 from deploy.overview.picture import FILE_NAME as PICTURE
 from deploy.overview.picture import draw_overview
-from deploy.protocol_report.report import CSV as PROTOCOL_CSV
-from deploy.protocol_report.report import PICTURE as PROTOCOL_PICTURE
 from deploy.recordings.format import Header
-from deploy.summary import FILE_NAME as SUMMARY
 from deploy.summary import ParcelOutcome, Summary
 from deploy.track import Exit
 
@@ -42,52 +36,6 @@ def run_name(scene: Scene, suffix: str) -> str:
     """A name for the run that can stand in a key expression and a file name."""
     stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(scene.name).stem).strip("-_")
     return f"{stem[:40] or 'scene'}-{suffix}"
-
-
-def output_folder(scene: Scene, wanted: Path | None) -> Path:
-    """Make the folder for everything the run leaves behind.
-
-    Args:
-        scene: Gives the default its name: ``runs/SCENE-YYYYmmdd-HHMMSS``, numbered where that exists.
-        wanted: The folder asked for; may exist.
-
-    Raises:
-        InputError: It can't be made.
-    """
-    if wanted is None:
-        return new_folder(run_name(scene, time.strftime("%Y%m%d-%H%M%S")))
-    return _without_last_run(made_folder(wanted))
-
-
-def new_folder(name: str) -> Path:
-    """Make a folder under ``runs/``, numbered where there is one of that name.
-
-    Raises:
-        InputError: It can't be made.
-    """
-    first = folder = Path("runs") / name
-    for number in itertools.count(2):
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            folder = first.with_name(f"{first.name}-{number}")
-        except OSError as error:
-            raise InputError(f"output {folder}: can't be made: {error.strerror or error}") from None
-        else:
-            break
-    return folder
-
-
-def _without_last_run(folder: Path) -> Path:
-    """Remove what a run before left beside its recording, which would pass for this one's if it is cut short."""
-    for name in (SUMMARY, PICTURE, PROTOCOL_CSV, PROTOCOL_PICTURE):
-        try:
-            (folder / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"output {folder}: can't replace {name} there: {error.strerror or error}"
-            ) from None
-    return folder
 
 
 def header(run: str, scene: Scene, array: CellArray, footprints_m: Sequence[NDArray[np.float64]]) -> Header:
@@ -130,6 +78,21 @@ def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
         ParcelOutcome.of(numbers, status.state, status.time_s, status.detail)
         for numbers, status in zip(plant.state, plant.status, strict=True)
     ]
+
+
+def validity(plant: Plant, scene: Scene) -> dict[str, Any]:
+    """What limits how far a run's course can be believed, as the fields of a summary."""
+    outrun = [
+        (float(since_s), i) for i, since_s in enumerate(plant.outrun_s) if since_s <= plant.time_ns * 1e-9
+    ]
+    captured = np.flatnonzero(plant.captured).tolist()
+    return {
+        "events_left_out": plant.events_left_out,
+        "law_not_valid": [{"parcel": i, "since_s": since_s} for since_s, i in sorted(outrun)],
+        "captured": {"capture_m": getattr(scene.solver, "capture_m", 0.0), "parcels": captured}
+        if captured
+        else None,
+    }
 
 
 def left(

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
-from deploy.cautions import cautions_of
+from deploy.cautions import cautions_of, cautions_of_registers
+from deploy.errors import InputError
 from deploy.faults.schedule import lasting
 from deploy.output import run_name
 from deploy.processes.plan import plan
@@ -67,6 +68,8 @@ def prepared(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -> P
     planned = plan(scene, options, run_name(scene, secrets.token_hex(4)))
     live = options.realtime is not None or options.replay is not None
     cautions = cautions_of(scene)
+    if options.registers is not None:
+        cautions += cautions_of_registers(scene)
     reporter = _reporter(scene, planned.partition.lattice, options.protocol_report)
     replayed, script = None, ()
     if options.replay is not None:
@@ -74,6 +77,10 @@ def prepared(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -> P
         from deploy.recordings.replay import load
 
         replayed = load(options.replay)
+        if options.output is not None and options.output.resolve() == replayed.path.parent.resolve():
+            raise InputError(
+                f"--replay {options.replay}: would be overwritten by --output {options.output}: name another folder"
+            )
         script = script_of(replayed, scene)
     return Prepared(
         scene,

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 from deploy.checkpoints.keeping import about_run
 from deploy.checkpoints.store import Store
-from deploy.course import Course
 from deploy.digest import Digest
 from deploy.ending import Ending, summary_of
 from deploy.errors import DeployError
+from deploy.execution import Execution
 from deploy.interruption import Interruption
 from deploy.ledger import Ledger
 from deploy.live.address import announced
-from deploy.output import drawn, header, illustrate, left, output_folder
+from deploy.output import drawn, header, illustrate, left
+from deploy.output_folder import output_folder, remove_results
+from deploy.output_lock import OutputLock
 from deploy.plants import load_plant
 from deploy.prepared import Prepared, prepared
 from deploy.processes.plan import RunOptions
@@ -42,6 +45,7 @@ def run(
     quiet: bool = False,
     interruption: Interruption | None = None,
     resumed: Checkpoint | None = None,
+    lock: OutputLock | None = None,
 ) -> Outcome:
     """Run the whole system once.
 
@@ -54,9 +58,11 @@ def run(
         quiet: Show no progress and no warnings on stderr.
         interruption: The caller's, where it watches for signals itself.
         resumed: From which to go on, in ``options.output``: scene and options are its own.
+        lock: On ``options.output`` where the caller holds it, having looked for the checkpoint there.
 
     Raises:
-        InputError: Bad input, such as a scene that the plant refuses; nothing was started.
+        InputError: Bad input, such as a scene that the plant refuses, or an output folder to which another process
+            is writing; nothing was started.
         Interrupted: SIGINT or SIGTERM came before the run had a recording.
     """
     begun = time.monotonic()
@@ -64,17 +70,29 @@ def run(
     with interruption.watching():
         with interruption.allowed():
             asked = prepared(scene, options or RunOptions(), resumed)
-        return _Run(asked, interruption, begun, quiet=quiet).go()
+        with ExitStack() as locked:
+            return _Run(asked, interruption, begun, lock, locked, quiet=quiet).go()
 
 
 @final
 class _Run:
     """One run, from its processes to the picture."""
 
-    def __init__(self, asked: Prepared, interruption: Interruption, begun: float, *, quiet: bool) -> None:
+    def __init__(
+        self,
+        asked: Prepared,
+        interruption: Interruption,
+        begun: float,
+        lock: OutputLock | None,
+        locked: ExitStack,
+        *,
+        quiet: bool,
+    ) -> None:
         self.asked = asked
         self.interruption = interruption
         self.begun = begun
+        self.lock = lock
+        self.locked = locked
         self.quiet = quiet
         self.about: About | None = None
         self.ending = Ending()
@@ -84,17 +102,17 @@ class _Run:
         asked = self.asked
         for line in asked.cautions:
             self._warn(f"caution: {line}")
-        with System(asked.plan, asked.scene, asked.options.listen, asked.options.keys) as system:
+        with System(asked.plan, asked.scene, asked.options) as system:
             with self.interruption.allowed():
                 plant = load_plant(asked.scene, self._warn)
                 self.about = about_run(
                     asked.scene, asked.plan, asked.options, plant, asked.resumed, live=asked.live
                 )
             system.open()
+            if asked.options.listen is not None and system.locator:
+                self._warn(f"listeners and operators connect to {system.locator}")
             self.interruption.check()
-            folder = output_folder(asked.scene, asked.options.output)
-            if asked.resumed is None:
-                Store(folder).clear()
+            folder = self._folder()
             ledger, refused = self._record(system, plant, folder)
         self._compare(ledger.digest)
         summary = summary_of(
@@ -113,6 +131,16 @@ class _Run:
             summary = left(summary, folder, leave, self._warn)
         return Outcome(summary, self.ending.detail)
 
+    def _folder(self) -> Path:
+        """The output folder, locked until the run is over."""
+        scene, wanted = self.asked.scene, self.asked.options.output
+        if self.asked.resumed is None:
+            return self.locked.enter_context(output_folder(scene, wanted, self._warn))
+        assert wanted is not None, "this is a bug: a run goes on in no folder"
+        if self.lock is None:
+            self.locked.enter_context(OutputLock(wanted, self._warn))
+        return wanted
+
     def _record(self, system: System, plant: Plant, folder: Path) -> tuple[Ledger, Refused]:
         """The run itself, recorded."""
         scene, resumed = self.asked.scene, self.asked.resumed
@@ -125,6 +153,8 @@ class _Run:
             ) as recorder,
             Progress(scene.duration_ns, quiet=self.quiet) as progress,
         ):
+            if resumed is not None:  # not before its recording is whole: a full disk is to cost nothing
+                remove_results(folder)
             warn = partial(self._warn, progress=progress)
             ledger = Ledger(
                 plant.array.lattice.cells,
@@ -137,7 +167,7 @@ class _Run:
                 injected=self.asked.lasting,
             )
             refused = Refused(system.refusals, warn)
-            course = Course(
+            execution = Execution(
                 self.asked,
                 self.about,
                 system,
@@ -149,7 +179,7 @@ class _Run:
                 self.ending,
             )
             with announced(run, system.locator, folder):
-                course.run(self.begun)
+                execution.run(self.begun)
             self._close(recorder, ledger.digest)
         return ledger, refused
 

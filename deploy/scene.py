@@ -15,6 +15,7 @@ from bus.specs import StallSpec
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
 from deploy.effects.registry import EffectsSpec
 from deploy.faults.registry import Fault
+from deploy.goal import GoalSpec
 from deploy.scene_checks import cross_problems, normal_parameters
 from deploy.scene_errors import CROSS
 from plant.friction.registry import FrictionSpec
@@ -25,8 +26,16 @@ if TYPE_CHECKING:
     from bus.lattice import Lattice
     from cell_firmware.clocks import ArrayClocks
 
-_ASIDE = {"title": True, "stall": {"deadline_s", "lease_s", "start_s"}}
-"""What a run cannot show in what it does: words, and limits on the wall clock."""
+_ASIDE = {
+    "title": True,
+    "goal": True,
+    "stall": {"deadline_s", "lease_s", "start_s"},
+    "solver": {"max_steps_per_s", "max_evaluations_per_s"},
+    "rest_speed_m_s": True,
+    "effects": {"encoder": {"decoder"}},
+}
+"""Values that a run cannot show in its results: words, the campaigns' criterion, limits on the wall clock and on work,
+the speed that counts as rest, and what costs only a processor's time."""
 
 _UNSAID: dict[str, object] = {"destination": None, "to": [], "order": "turn"}
 """Keys of a parcel or a feed that say nothing so: a run is described without them."""
@@ -46,6 +55,8 @@ class Scene(Spec):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Of everything that is left to chance."""
     gravity_m_s2: Positive = 9.81
+    rest_speed_m_s: Positive | None = None
+    """A parcel none of whose corners moves faster is at rest; left out: 1e-5 pitches a second."""
     array: ArraySpec
     cells: CellsSpec = CellsSpec()
     parcels: tuple[ParcelSpec, ...] = ()
@@ -54,6 +65,7 @@ class Scene(Spec):
     faults: tuple[Fault, ...] = ()
     solver: SolverSpec = ExactSpec()
     stall: StallSpec = StallSpec()
+    goal: GoalSpec | None = None
 
     _name: str = PrivateAttr("scene")
 
@@ -147,6 +159,7 @@ class Scene(Spec):
             effects=self.effects.of_plant(),
             solver=self.solver,
             gravity_m_s2=self.gravity_m_s2,
+            rest_speed_m_s=self.rest_speed_m_s,
             seed=self.seed,
         )
 
@@ -154,8 +167,8 @@ class Scene(Spec):
         """What is simulated, as bytes: the same for every way of writing the same scene.
 
         Sorted JSON of all values, defaults and the firmware's own included. Left out is what cannot change
-        what is simulated: the title, the limits on the wall clock, the folder of a firmware's file, effects that
-        are absent. The code of user firmware is not covered.
+        what is simulated: the title, the goal, the limits on the wall clock, the folder of a firmware's file,
+        effects that are absent. The code of user firmware is not covered.
         """
         data = self.model_dump(mode="json", exclude=_ASIDE)
         data["effects"] = {name: table for name, table in data["effects"].items() if table is not None}
@@ -164,11 +177,14 @@ class Scene(Spec):
             for key, silence in _UNSAID.items():
                 if parcel.get(key) == silence:
                     del parcel[key]
+        if data["effects"].get("parcel_contact", {}).get("bounce_speed_m_s", 0) is None:
+            del data["effects"]["parcel_contact"]["bounce_speed_m_s"]
         data["faults"] = [
             {key: value for key, value in fault.items() if value is not None} for fault in data["faults"]
         ]
         data["cells"]["firmware"] = self.cells.firmware.rpartition("/")[2]
         del data["cells"]["board"]  # its effects are written out
+        del data["cells"]["on_failure"]  # changes no tick before a failure
         data["cells"]["parameters"] = normal_parameters(self.cells)
         data["cells"]["speed_loop"] = self.speed_loop and self.speed_loop.model_dump(mode="json")
         for key in ("missing", "cells"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import ValidationError
@@ -13,6 +13,7 @@ from cell_firmware.faults.fault import CellFault
 from cell_firmware.specs import CellsSpec
 from deploy.effects.registry import EffectsSpec
 from deploy.faults.registry import Fault
+from deploy.room import too_many_cells, too_many_parcels
 from deploy.scene_errors import Path, Problem, problems_of, strictly
 from plant.array import CellArray
 from plant.faults.fault import PlantFault
@@ -44,6 +45,9 @@ def cross_problems(
         faults: Valid faults by their number in the scene.
         parcels: Likewise the scene's own parcels.
     """
+    too_large = list(_too_large(array, effects, parcels))
+    if too_large:
+        return too_large  # all else is checked on the array that there is no room for
     problems = [Problem(path, rule, value) for path, value, rule in disagreements(friction, effects, solver)]
     if effects is not None:
         problems += [Problem(path, rule, value) for path, value, rule in unknown_exits(parcels, effects)]
@@ -70,6 +74,19 @@ def cross_problems(
         if array is not None:
             problems += _unfit_faults(array, cells, faults)
     return problems
+
+
+def _too_large(
+    array: ArraySpec | None, effects: EffectsSpec | None, parcels: Mapping[int, ParcelSpec]
+) -> Iterator[Problem]:
+    """What of a scene can't fit in this machine's memory."""
+    if array is not None and (rule := too_many_cells(array.count)):
+        side = "rows" if array.rows >= array.columns else "columns"
+        yield Problem(("array", side), rule, getattr(array, side))
+    feeders = None if effects is None else effects.feeders
+    fed = 0 if feeders is None else feeders.total
+    if rule := too_many_parcels(len(parcels) + fed):
+        yield Problem(("effects", "feeders") if fed else ("parcels",), rule)
 
 
 def _board_problems(cells: CellsSpec, effects: EffectsSpec) -> list[Problem]:
@@ -117,21 +134,25 @@ def _firmware_problems(
     array: ArraySpec | None, cells: CellsSpec, effects: EffectsSpec | None
 ) -> list[Problem]:
     from cell_firmware import loader
+    from cell_firmware.hooks import refusals
 
     try:
         model = loader.find(cells.firmware).Parameters
     except FirmwareError as error:
         return [Problem(_FIRMWARE, str(error))]
     try:
-        strictly(model, cells.parameters)
-    except ValidationError as error:
-        return problems_of(error, cells.parameters, model, _PARAMETERS)
-    try:
+        with refusals(cells.firmware, "Parameters"):
+            try:
+                strictly(model, cells.parameters)
+            except ValidationError as error:
+                return problems_of(error, cells.parameters, model, _PARAMETERS)
         firmware = loader.load(cells)
         if array is not None:
             lattice = array.lattice()
             firmware.check(lattice)
             firmware.check_places(lattice, CellArray(array).positions_m, array.pitch_m)
+        needed = () if effects is None else firmware.needed()
+        firmware.subscribes()  # nobody needs the answer yet: a refusal belongs before the run
     except ParametersError as error:
         return [Problem((*_PARAMETERS, *p.path), p.message, p.value) for p in error.problems]
     except FirmwareError as error:
@@ -140,7 +161,7 @@ def _firmware_problems(
         return []
     return [
         Problem(("effects", name), f"is missing: with these parameters {cells.firmware} needs it", None)
-        for name in firmware.needed()
+        for name in needed
         if getattr(effects, name) is None
     ]
 

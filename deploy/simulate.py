@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.cautions import tell_cautions
 from deploy.digest import Digest
 from deploy.errors import InputError
 from deploy.faults.schedule import (
@@ -26,12 +27,15 @@ from deploy.faults.schedule import (
 from deploy.faults.telling import turned
 from deploy.interruption import Interrupted, Interruption
 from deploy.ledger import event_record
-from deploy.output import exits, illustrate, output_folder, parcel_outcomes
+from deploy.mishaps import Mishaps
+from deploy.output import exits, illustrate, parcel_outcomes, validity
+from deploy.output_folder import output_folder
 from deploy.plants import load_plant, status_of
 from deploy.progress import Progress
+from deploy.room import too_many_samples
 from deploy.summary import Outcome, Summary
 from deploy.track import Track, while_there
-from plant.errors import PlantError
+from plant.errors import PlantError, PlantHalted, PlantStopped
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -67,7 +71,8 @@ def simulate(
         interruption: The caller's, where it watches for signals itself.
 
     Raises:
-        InputError: The scene's firmware has no field to simulate, or the plant refuses the scene.
+        InputError: The scene's firmware has no field to simulate, the plant refuses the scene, or another process is
+            writing to the output folder.
         Interrupted: SIGINT or SIGTERM came before the simulation began.
     """
     interruption = interruption or Interruption()
@@ -116,7 +121,8 @@ def in_parts(
         samples: Of a part, at most.
 
     Raises:
-        PlantUnstable: The motion of a parcel can't be followed.
+        PlantUnstable: The motion of a parcel can't be followed; the part that was reached has been given.
+        PlantStopped: Somebody asked for the end of a part; likewise.
     """
     from plant.undriven import Undriven
 
@@ -130,7 +136,12 @@ def in_parts(
         while now_ns < until_ns:
             check()
             drives = undriven.instead(speeds)
-            part = plant.trajectory(drives, min(now_ns + samples * period_ns, until_ns), period_ns)
+            try:
+                part = plant.trajectory(drives, min(now_ns + samples * period_ns, until_ns), period_ns)
+            except PlantHalted as halted:
+                if halted.reached is not None:
+                    yield halted.reached
+                raise
             now_ns = int(part.time_ns[-1])
             yield part
         if now_ns >= end_ns:
@@ -168,11 +179,17 @@ class _Simulation:
         self.cells_lost: list[tuple[int, int]] = []
         self.lasting = of_plant(lasting(self.scene))
         self.time_ns = 0
+        self.cautions: tuple[str, ...] = ()
 
     def go(self, output: Path | None, *, picture: bool) -> Outcome:
         """Everything; see `simulate`."""
         with self.interruption.allowed():
             from plant.array import CellArray
+
+            rule = too_many_samples(self.scene.ticks, self.scene.parcel_count)
+            if rule:
+                raise InputError(f"scene {self.named.name}: duration_s = {self.named.duration_s:g}: {rule}")
+            self.cautions = tell_cautions(self.named, self._warn)
 
             array = CellArray(self.scene.array)
             speeds = field_speeds(self.scene, array.positions_m)
@@ -185,22 +202,26 @@ class _Simulation:
         for fault in of_cells_alone(self.named):
             self._warn(f"{fault} is left out: simulate has no cells")
         self.interruption.check()
-        folder = output_folder(self.named, output)
+        with output_folder(self.named, output, self._warn, recorded=False) as folder:
+            return Outcome(self._simulated(plant, speeds, folder, picture=picture))
+
+    def _simulated(self, plant: Plant, speeds: Floats, folder: Path, *, picture: bool) -> Summary:
+        """Simulate, and leave what came of it in the folder."""
         started = time.monotonic()
         with Progress(self.scene.duration_ns, quiet=self.quiet) as progress:
             try:
                 self._advance(plant, speeds, progress)
-            except Interrupted:
+            except (Interrupted, PlantStopped):
                 self._end("interrupted", f"interrupted at {self.time_ns * 1e-9:g} s of simulated time")
             except PlantError as error:
-                self._end(status_of(error), f"{error} (after {self.time_ns * 1e-9:g} s)")
+                self._end(status_of(error), f"{error}; the first {self.time_ns * 1e-9:g} s are kept")
         wall_s = time.monotonic() - started
         summary = self._summary(plant, folder, wall_s, started - self.begun)
         summary.write(folder)
         if picture and self.status != "interrupted":
-            track = self._track(plant, summary.digest)
+            track = self._track(plant)
             summary = illustrate(summary, lambda: track, folder, self.interruption)
-        return Outcome(summary)
+        return summary
 
     # --- the simulation itself --------------------------------------------------------------------
 
@@ -208,8 +229,10 @@ class _Simulation:
         """Run from death to death and to the end, in slices; sets samples, events and status."""
         self.times.append(np.zeros(1, dtype=np.int64))
         self.states.append(plant.state[None])
+        mishaps = Mishaps(progress.say)
         for part in in_parts(self.scene, plant, speeds, check=self.interruption.check, fell=self._fall):
             self._take(part, progress)
+            mishaps.take(part.events)
 
     def _take(self, part: Trajectory, progress: Progress) -> None:
         self.times.append(part.time_ns[1:])
@@ -248,7 +271,7 @@ class _Simulation:
             digest.tick(tick, nothing, none, states[tick])
         return digest.hexdigest
 
-    def _track(self, plant: Plant, digest: str | None) -> Track:
+    def _track(self, plant: Plant) -> Track:
         scene, array = self.scene, plant.array
         events = [event_record(event) for event in self.events]
         time_s = np.concatenate(self.times).astype(np.float64) * 1e-9
@@ -267,7 +290,6 @@ class _Simulation:
             faults=self.faults,
             rails_m=scene.effects.rails_m(),
             status=self.status,
-            digest=digest,
         )
 
     def _summary(self, plant: Plant, folder: Path, wall_s: float, startup_s: float) -> Summary:
@@ -288,9 +310,11 @@ class _Simulation:
             startup_s=startup_s,
             parcels=parcel_outcomes(plant),
             support_changes=plant.support_changes,
+            **validity(plant, scene),
             faults=self.faults,
             cells_lost=self.cells_lost,
             feeders=plant.traffic(),
+            cautions=self.cautions,
             digest=self._digest(),
             output=str(folder),
         )

@@ -27,7 +27,7 @@ class ParcelOutcome:
     """Where a parcel ended.
 
     Attributes:
-        state: ``waiting``, ``moving``, ``at_rest``, ``tipped`` or ``off_array``.
+        state: ``waiting``, ``moving``, ``at_rest``, ``tipped``, ``off_array`` or ``delivered``.
         time_s: Since when it is in that state.
         detail: About which edge it tipped, or whatever else there is to say.
     """
@@ -57,10 +57,35 @@ class ParcelOutcome:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Messages:
-    """Messages on the bus.
+class ProtocolMessages:
+    """Messages between the programs of neighbouring cells, whatever carried them.
+
+    Cells whose process was killed from outside are not in the counts.
 
     Attributes:
+        sent: Messages that programs gave to a link with a neighbour at its end.
+        heard: Messages that programs were given. Messages that were lost or replaced, or are on their way as the run
+            ends, are sent and not heard.
+    """
+
+    sent: int
+    heard: int
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Messages:
+    """Payloads on the bus, and the cells' own messages apart from them.
+
+    A payload is a frame of the lockstep: senses, drives, or all messages across one border in one tick. Messages within
+    a process need no payload.
+
+    Attributes:
+        sent: Payloads put, once for every receiver.
+        delivered: Payloads taken in.
+        lost: Payloads waited for and given up.
+        late: Payloads of a tick that was over, or of a cell given up before.
+        protocol: The cells' own messages; None where their firmware has none.
         denied: Payloads, subscriptions, tokens and queries that somebody had no leave for.
         malformed: Payloads that could not be read.
     """
@@ -71,6 +96,7 @@ class Messages:
     late: int = 0
     denied: int = 0
     malformed: int = 0
+    protocol: ProtocolMessages | None = None
 
 
 @final
@@ -90,6 +116,12 @@ class Summary:
         processes: Worker processes; 0 where everything ran in one process.
         transport: ``zenoh``, ``memory``, or None without a bus.
         solver: ``name``, and ``tolerance`` or ``step_s``.
+        events_left_out: Events of parcels that are listed nowhere, as there were too many of one parcel in one call of
+            the solver. An ``outrun`` among them is missing from ``law_not_valid``.
+        law_not_valid: Of each parcel that outran a wheel which the friction law takes to be faster: ``parcel`` and
+            ``since_s``, in the order of time.
+        captured: Where chatter was captured, so that positions are right to ``capture_m`` and not to the solver's
+            tolerance: ``capture_m``, and ``parcels``; None: it was not.
         wall_s: The run itself, without start-up.
         support_changes: How often a cell came under or out from under a parcel's load.
         faults: Scheduled, live and found: each at least ``time_s`` and ``kind``.
@@ -121,6 +153,9 @@ class Summary:
     startup_s: float
     parcels: Sequence[ParcelOutcome]
     support_changes: int
+    events_left_out: int = 0
+    law_not_valid: Sequence[Mapping[str, Any]] = ()
+    captured: Mapping[str, Any] | None = None
     messages: Messages = field(default_factory=Messages)
     faults: Sequence[Mapping[str, Any]] = ()
     cells_lost: Sequence[tuple[int, int]] = ()

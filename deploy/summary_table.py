@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from itertools import groupby
 from math import hypot
 from operator import itemgetter
@@ -70,15 +69,21 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
         *_firmware(summary),
         ("solver", _solver(summary)),
         ("supports", f"changed {summary.support_changes:,} times"),
+        *_validity(summary),
     ]
     messages = summary.messages
+    if messages.protocol is not None:
+        told = messages.protocol
+        lines.append(("messages", f"{told.sent:,} sent by cells to neighbours, {told.heard:,} heard"))
     if messages.sent or messages.lost:
         trouble = "".join(
             f", {number:,} {name}"
-            for name, number in asdict(messages).items()
-            if number and name not in ("sent", "delivered")
+            for name in ("lost", "late", "denied", "malformed")
+            if (number := getattr(messages, name))
         )
-        lines.append(("messages", f"{messages.sent:,} sent, {messages.delivered:,} delivered{trouble}"))
+        lines.append(
+            ("frames", f"{messages.sent:,} sent on the bus, {messages.delivered:,} delivered{trouble}")
+        )
     lines += _refused(summary.refused)
     lines += [("caution", caution) for caution in summary.cautions]
     lines += _effects(summary.effects)
@@ -126,6 +131,28 @@ def _solver(summary: Summary) -> str:
         f"{name} {value:g}" for name, value in summary.solver.items() if isinstance(value, float | int)
     ]
     return ", ".join([str(summary.solver.get("name", "")), *settings])
+
+
+def _validity(summary: Summary) -> Iterator[tuple[str, str]]:
+    """What limits how far the course can be believed: a law out of its range, chatter that was captured."""
+    if summary.events_left_out:
+        why = "too many of one parcel in one solver call; since when a law is not valid may be among them"
+        yield "events", f"{summary.events_left_out:,} left out: {why}"
+    if summary.law_not_valid:
+        parcel, since_s = (summary.law_not_valid[0][key] for key in ("parcel", "since_s"))
+        more = len(summary.law_not_valid) - 1
+        others = f", and {counted(more, 'parcel')} later" if more else ""
+        yield "law", f"not valid since {since_s:.4g} s: parcel {parcel} outruns a wheel{others}"
+    if summary.captured is not None:
+        numbers = [str(number) for number in summary.captured["parcels"]]
+        whose = f"of parcel{'s' if len(numbers) > 1 else ''} {', '.join(numbers[:_MANY])}"
+        if len(numbers) > _MANY:
+            whose = f"of {len(numbers):,} parcels"
+        capture_m = summary.captured["capture_m"]
+        yield (
+            "chatter",
+            f"captured: positions {whose} to {capture_m:g} m (solver.capture_m), not to the tolerance",
+        )
 
 
 def _refused(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:

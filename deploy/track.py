@@ -32,7 +32,6 @@ class Track:
         faults: Faults, each at least ``time_s`` and ``kind``; ``cell`` where it has one.
         rails_m: Corners of each fixed guide rail.
         status: How the run ended; None where that is not known.
-        digest: Of the run, in hexadecimal; None where there is none.
     """
 
     title: str
@@ -49,7 +48,6 @@ class Track:
     faults: Sequence[Mapping[str, Any]] = ()
     rails_m: Sequence[Sequence[tuple[float, float]]] = ()
     status: str | None = None
-    digest: str | None = None
 
 
 def while_there(

@@ -1,7 +1,8 @@
-"""Small words for people."""
+"""Texts for people: numbers in words, lines on stderr."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 
 
@@ -18,3 +19,14 @@ def short(value: float) -> str:
 def point(values: Iterable[float]) -> str:
     """``(0.1, -2)``."""
     return f"({', '.join(short(value) for value in values)})"
+
+
+def say(line: str) -> None:
+    """Write a line of this program to stderr, at once."""
+    sys.stderr.write(f"mdms: {line}\n")
+    sys.stderr.flush()
+
+
+def silent(line: str) -> None:
+    """Take a line in the place of `say`, and write nothing."""
+    del line

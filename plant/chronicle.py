@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from bus.memory import Remembers
 from plant.array import CellArray
-from plant.errors import PlantUnstable
+from plant.errors import PlantHalted, PlantStopped, PlantUnstable
 from plant.reports import Event, ParcelStatus
 from plant.solvers.solver import Advance, Solver
+from plant.specs import PlantSpec
+from plant.stiffness import beyond_steps
+from plant.wheels import Floats
 
 WHY = {
-    "endless_steps": "no step is short enough for the tolerance, time after time",
+    "no_step": "the integrator finds no step short enough for its tolerance",
     "no_loads": "no set of loads balances the parcel; this is a bug",
     "not_solved": "a step's problem was not solved to rounding; this is a bug",
 }
@@ -29,16 +32,23 @@ class Chronicle:
         array: the cells.
         solver: where parcels are; one that tips is stopped there.
         status: of each parcel; changed as they tip.
+        spec: the scene's physics, with parcels that are fed: says why a motion is hard to follow.
 
     Attributes:
         support_changes: changes of support sets so far.
+        left_out: events that solvers found and did not list so far.
+        outrun_s: ``(m,)`` when each parcel first outran a wheel that its law takes to be faster, s; NaN: never.
+        halted: the first that ended a parcel's motion which is no outcome; None: nothing did.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("support_changes")
+    remembers: ClassVar[Remembers] = Remembers("support_changes", "left_out", "outrun_s")
 
-    def __init__(self, array: CellArray, solver: Solver, status: list[ParcelStatus]) -> None:
-        self._array, self._solver, self._status = array, solver, status
+    def __init__(self, array: CellArray, solver: Solver, status: list[ParcelStatus], spec: PlantSpec) -> None:
+        self._array, self._solver, self._status, self._spec = array, solver, status, spec
         self.support_changes = 0
+        self.left_out = 0
+        self.outrun_s: Floats = np.full(len(status), np.nan)
+        self.halted: PlantHalted | None = None
 
     def tipped(self, there: NDArray[np.int64]) -> NDArray[np.int64]:
         """Those of some parcels that tipped on the array, and stand there."""
@@ -47,11 +57,11 @@ class Chronicle:
     def events(self, done: Advance, start_s: float) -> list[Event]:
         """What happened to a parcel in a move that began at ``start_s``.
 
-        Raises:
-            PlantUnstable: its motion can't be followed.
+        Where its motion can't be followed, or was to end, ``halted`` says so.
         """
         i = done.parcel
         self.support_changes += done.changes
+        self.left_out += done.left_out
         names, places = self._array.lattice.cells, self._array.positions_m
         events = [
             Event(
@@ -61,11 +71,13 @@ class Chronicle:
             else Event(start_s + after_s, kind, i, (), self._place(i))
             for after_s, kind, cell in done.events
         ]
+        if np.isnan(self.outrun_s[i]):
+            self.outrun_s[i] = next((event.time_s for event in events if event.kind == "outrun"), np.nan)
         if done.ending == "tipped":
             self._solver.state[i, 3:] = 0.0
             events.append(self._tip(i, start_s + done.moved_s, done.edge))
         elif done.ending != "moving":
-            self._unstable(i, start_s + done.moved_s, done)
+            self._halt(i, start_s + done.moved_s, done)
         return events
 
     def _place(self, i: int) -> tuple[float, float]:
@@ -87,11 +99,23 @@ class Chronicle:
         self._status[i] = ParcelStatus(outcome, time_s, detail)
         return Event(time_s, outcome, i, cells, place, detail)
 
-    def _unstable(self, i: int, time_s: float, done: Advance) -> None:
+    def _halt(self, i: int, time_s: float, done: Advance) -> None:
+        """Keep why a parcel's motion ended, if none ended before."""
+        if self.halted is not None and self.halted.time_s <= time_s:
+            return
         x, y = self._place(i)
         where = f"parcel {i} at t = {time_s:.6g} s, x = {x:.6g} m, y = {y:.6g} m"
         named = "the supports"
         if done.culprit >= 0:
             named = "cell {},{}".format(*self._array.lattice.cells[done.culprit])
-        why = WHY | {"endless_changes": f"support changes without end, the last about {named}"}
-        raise PlantUnstable(f"{where}: {why.get(done.ending, 'the motion is no longer finite')}")
+        match done.ending:
+            case "stopped":
+                self.halted = PlantStopped(f"stopped on the way: {where}", time_s)
+                return
+            case "endless_changes":
+                why = f"support changes without end, the last about {named}"
+            case "endless_steps":
+                why = beyond_steps(self._spec, i, self._array.positions_m[self._solver.under(i)] - (x, y))
+            case ending:
+                why = WHY.get(ending, "the motion is no longer finite")
+        self.halted = PlantUnstable(f"{where}: {why}", time_s)

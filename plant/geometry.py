@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+ADJACENT = 1e-9
+"""Polygons that overlap by no more than this share of the lesser one's extent are beside each other."""
 Vertices = Sequence[tuple[float, float]]
 
 
@@ -99,15 +101,17 @@ def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, NDAr
     """Depth in m and place ``(2,)`` in m of the overlap of two convex polygons, or None.
 
     Both are ``(m, 2)``, counter-clockwise. Separating axes: the depth is the least penetration over all edge
-    normals, the place the middle of the corners of either that lie deepest in the other.
+    normals, the place the middle of the corners of either that lie deepest in the other. Polygons that overlap by no
+    more than ``ADJACENT`` of the lesser one's extent only touch: places are decimals, and rounded.
     """
     least, place = np.inf, np.zeros(2)
+    touching = -ADJACENT * min(float(np.ptp(a, axis=0).max()), float(np.ptp(b, axis=0).max()))
     for first, second in ((a, b), (b, a)):
         normal, offset = edges(first)
         gap = second @ normal.T - offset
         inside = gap.min(axis=0)
         edge = int(np.argmax(inside))
-        if inside[edge] >= 0.0:
+        if inside[edge] >= touching:
             return None
         if -inside[edge] < least:
             least = -float(inside[edge])

@@ -157,6 +157,8 @@ class Moves:
             times_s, out = whole.times_s[first:last] - begin, whole.out[first:last]
             leg = Leg(wheels.begin(), self.grip, end - begin, times_s, out)
             events += self._go(leg, start_s + begin)
+            if self._chronicle.halted is not None:
+                break
             wheels.end(leg.motion, end)
             if reading is not None and sense is not None:
                 reading.at(end, sense(), wheels.slowed_m)

@@ -11,10 +11,17 @@ from numpy.typing import NDArray
 from bus.memory import Remembers
 from plant import geometry
 from plant.broad_phase import close_boxes, close_pairs
+from plant.reports import Event
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Place = tuple[float, float]
+
+
+def meeting(time_s: float, kind: str, first: int, second: int, depth_m: float, place: Place) -> Event:
+    """A change of an `OverlapWatch` as the plant tells it."""
+    deep = f", {depth_m:.3g} m deep" if depth_m else ""
+    return Event(time_s, kind, first, (), place, f"with parcel {second}{deep}")
 
 
 @final

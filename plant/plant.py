@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar, final
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 from bus.memory import Remembers
 from plant.array import CellArray
 from plant.chronicle import Chronicle
-from plant.errors import PlantError
+from plant.errors import PlantError, PlantHalted
 from plant.moves import Moves
-from plant.overlap import OverlapWatch
+from plant.overlap import OverlapWatch, meeting
 from plant.parts import make_scanners, make_spots, make_traffic, make_wheels
 from plant.reading import Reading
 from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
@@ -76,9 +77,9 @@ class Plant:
         bodies = self._solver.bodies
         radius: Floats = np.array([body.radius_m for body in bodies])
         self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in bodies]
-        self._chronicle = Chronicle(self.array, self._solver, self.status)
+        self._chronicle = Chronicle(self.array, self._solver, self.status, spec.with_fed())
         self._overlaps = OverlapWatch([body.footprint_m for body in bodies], radius)
-        self._rest = RestWatch(radius)
+        self._rest = RestWatch(radius, spec.slow_m_s)
         check_standing(spec, self._solver, n)
         self._traffic = make_traffic(spec, self._solver, self.status, self._overlaps)
         there = np.arange(len(bodies)) if self._traffic is None else self._traffic.there
@@ -122,6 +123,21 @@ class Plant:
     def support_changes(self) -> int:
         """Changes of support sets so far."""
         return self._chronicle.support_changes
+
+    @property
+    def events_left_out(self) -> int:
+        """Events of parcels so far that solvers found and did not list: too many of one parcel in one call."""
+        return self._chronicle.left_out
+
+    @property
+    def outrun_s(self) -> Floats:
+        """``(m,)`` when each parcel first outran a wheel that its law takes to be faster, s; NaN: never. Read-only."""
+        return _read_only(self._chronicle.outrun_s)
+
+    @property
+    def captured(self) -> NDArray[np.bool_]:
+        """``(m,)`` parcels whose chatter was captured so far: ``solver.capture_m`` governs their places."""
+        return self._solver.captured
 
     @property
     def wheel_speed(self) -> Floats:
@@ -223,7 +239,8 @@ class Plant:
 
         Raises:
             PlantError: drives for another number of cells, a time in the past, or instants that are not in between.
-            PlantUnstable: the motion of a parcel can't be followed.
+            PlantUnstable: the motion of a parcel can't be followed. Parcels are where the call found them.
+            PlantStopped: somebody asked for the call's end; likewise.
         """
         reading = None
         if timing is not None:
@@ -240,8 +257,13 @@ class Plant:
         self, drives: Floats, until_ns: int, acts_s: Floats | None = None, reading: Reading | None = None
     ) -> list[Event]:
         """Move on, and take notice of what is the case then: see `advance`."""
-        start_ns, before = self._now_ns, self.state
-        events = self._move(drives, until_ns, self._none, None, acts_s, reading)
+        start_ns, before, status = self._now_ns, self.state, list(self.status)
+        try:
+            events = self._move(drives, until_ns, self._none, None, acts_s, reading)
+        except PlantHalted as halted:
+            self._chronicle.halted = halted
+            self._put_back(before, start_ns, status)
+            raise
         after = self.state
         if self._rest.may_change(after, self._moves.live):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
@@ -268,7 +290,9 @@ class Plant:
         Where parcels come and go, or push each other, it goes from sample to sample, as `advance` would.
 
         Raises:
-            PlantUnstable: the motion of a parcel can't be followed.
+            PlantUnstable: the motion of a parcel can't be followed. What all parcels reached is ``reached``, and
+                parcels are where it ends.
+            PlantStopped: somebody asked for the call's end; likewise.
         """
         times = np.arange(self._now_ns, until_ns, sample_ns, dtype=np.int64)
         if len(times) == 0 or times[-1] != until_ns:
@@ -279,8 +303,21 @@ class Plant:
         if self._traffic is not None or (self._contact is not None and self._contact.resolves):
             return Trajectory(times, state, self._step_by_step(drives, times, state))
         after_s: Floats = (times[1:] - start_ns).astype(np.float64) * 1e-9
-        events = [*self._untold, *self._move(drives, until_ns, after_s, state)]
+        status = list(self.status)
+        try:
+            events = [*self._untold, *self._move(drives, until_ns, after_s, state)]
+        except PlantHalted as halted:
+            # the sample at the very end may be of parcels that did not come so far
+            known = max(1, int(np.searchsorted(times, math.floor(halted.time_s * 1e9))))
+            self._put_back(state[known - 1], int(times[known - 1]), status)
+            told = [event for event in (*self._untold, *halted.events) if event.time_s <= halted.time_s]
+            halted.reached = self._noted(times[:known], state[:known], told)
+            raise
         self._untold = []
+        return self._noted(times, state, events)
+
+    def _noted(self, times: NDArray[np.int64], state: Floats, events: list[Event]) -> Trajectory:
+        """A course of parcels through some instants, with who rests and who overlaps on it."""
         self._note_rest(state, times)
         if self._contact is None:
             for k in self._overlaps.close_calls(state):
@@ -288,11 +325,23 @@ class Plant:
         events.sort(key=lambda event: event.time_s)
         return Trajectory(times, state, events)
 
+    def _put_back(self, state: Floats, time_ns: int, status: list[ParcelStatus]) -> None:
+        """Have parcels ``(m, 6)`` where they were at an instant; ``status`` as it was when the call began."""
+        self._solver.state[:] = state
+        self._now_ns = time_ns
+        for i, (now, before) in enumerate(zip(self.status, status, strict=True)):
+            if now.time_s > time_ns * 1e-9:
+                self.status[i] = before
+
     def _step_by_step(self, drives: Floats, times_ns: NDArray[np.int64], state: Floats) -> list[Event]:
         """Move on from instant to instant; fill ``state[1:]`` with the parcels' states there."""
         events: list[Event] = []
         for k, until_ns in enumerate(times_ns[1:].tolist(), start=1):
-            events.extend(self._step(drives, until_ns))
+            try:
+                events.extend(self._step(drives, until_ns))
+            except PlantHalted as halted:
+                halted.reached = Trajectory(times_ns[:k], state[:k], events)
+                raise
             state[k] = self.state
         events.sort(key=lambda event: event.time_s)
         return events
@@ -314,6 +363,8 @@ class Plant:
             )
         if until_ns < self._now_ns:
             raise PlantError(f"until_ns = {until_ns} is in the past: it is {self._now_ns} ns already")
+        if self._chronicle.halted is not None:
+            raise self._chronicle.halted
         span = (until_ns - self._now_ns) * 1e-9
         start = self._now_ns * 1e-9
         # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
@@ -322,6 +373,9 @@ class Plant:
             events = self._moves.through(run, span, start, reading, self.sense)
         else:
             events = self._moves.sampled(run, span, start, times_s, samples[1:])
+        if self._chronicle.halted is not None:
+            self._chronicle.halted.events = events
+            raise self._chronicle.halted
         passed = self._wheels.elapse(run, span, None if reading is None else reading.asked_s)
         if reading is not None:
             reading.turned(passed)
@@ -335,17 +389,8 @@ class Plant:
 
     def _meetings(self, state: Floats, time_s: float) -> list[Event]:
         """Parcels that have come to overlap, and those that no longer do."""
-        return [
-            Event(
-                time_s,
-                kind,
-                first,
-                (),
-                place,
-                f"with parcel {second}" + (f", {depth:.3g} m deep" if depth else ""),
-            )
-            for kind, first, second, depth, place in self._overlaps.changes(state, self._moves.there)
-        ]
+        changes = self._overlaps.changes(state, self._moves.there)
+        return [meeting(time_s, *change) for change in changes]
 
 
 def _read_only(array: Floats) -> Floats:

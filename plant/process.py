@@ -62,6 +62,7 @@ class PlantProcess:
         duration_ns: Of the run.
         schedule: Indices of the cells that die for good at the start of a tick, by tick.
         stall: What happens when a cell goes unscheduled; the scheduled dead follow the same policy.
+        stops: Whether a program that fails ends the run, whatever ``stall`` says.
         observer: Told of every tick when it is over, before anything of the next is awaited; what it raises
             ends the run between two ticks.
         pace: Called with a tick's start, ns, before the tick begins; may wait.
@@ -102,6 +103,7 @@ class PlantProcess:
         duration_ns: int,
         schedule: Mapping[int, tuple[int, ...]],
         stall: StallSpec,
+        stops: bool = False,
         observer: Callable[[TickRecord], None],
         pace: Callable[[int], None] | None = None,
         timing: Callable[[int], Timing] | None = None,
@@ -118,6 +120,7 @@ class PlantProcess:
         self._duration_ns = duration_ns
         self._schedule = schedule
         self._abort = stall.policy == "abort"
+        self._stops = stops
         self._observer = observer
         self._pace = pace
         self._sense = plant.sense()
@@ -133,7 +136,7 @@ class PlantProcess:
         self.waiting = False
 
     def run(self) -> Ended:
-        """Run to the end of the duration, or to the first loss where the policy is ``abort``.
+        """Run to the end of the duration, or to the first loss that ends the run.
 
         Raises:
             PlantError: The plant could not advance.
@@ -147,11 +150,34 @@ class PlantProcess:
                 self.report()
                 return Ended("failed", died=dying)
             losses = self.step()
-            if losses and abort:
-                stalled = all(loss.reason == "stalled" for loss in losses)
-                return Ended("stalled" if stalled else "failed", tuple(losses))
+            if losses and (ended := self._ended(losses)):
+                return ended
         self.report()
-        return Ended("ok")
+        return Ended("failed", nobody=True) if self._nobody() else Ended("ok")
+
+    def _ended(self, losses: Sequence[Loss]) -> Ended | None:
+        """How the run ends with these losses; None: it goes on."""
+        failed = tuple(loss for loss in losses if loss.reason == "failed")
+        if failed and self._stops:
+            return Ended("failed", tuple(losses), failed=failed)
+        if self._abort:
+            stalled = all(loss.reason == "stalled" for loss in losses)
+            return Ended("stalled" if stalled else "failed", tuple(losses))
+        return None
+
+    def _nobody(self) -> bool:
+        """Whether no program drives any wheel any more, and for one cell at least not because the scene says so."""
+        gone = self._undriven.mask
+        if gone is None or not gone.all():
+            return False
+        ordered = np.zeros(len(gone), dtype=np.bool_)
+        for tick, cells in self._schedule.items():
+            if tick < self.tick:
+                ordered[list(cells)] = True
+        if self._faults is not None:
+            harm = self._faults.harm(self.tick - 1, live=False)
+            ordered |= harm.dead | harm.gone
+        return not ordered.all()
 
     def revive(self, cells: Sequence[int]) -> None:
         """Cells that were lost take part again from the next tick on."""
@@ -172,7 +198,7 @@ class PlantProcess:
             self._faults.plan(self.tick)
 
     def step(self) -> Sequence[Loss]:
-        """One tick. Returns the cells that were found lost in it; under ``abort`` the plant then stays."""
+        """One tick. Returns the cells that were found lost in it; where that ends the run the plant then stays."""
         tick, start_ns, sense, plant = self.tick, self.time_ns, self._sense, self._plant
         if self._faults is not None and tick >= self._faults.next_turn:
             self._turn(self._faults, tick)
@@ -182,7 +208,7 @@ class PlantProcess:
             died = self._undriven.bury(died, self._drives)
         drives, losses = self._exchange(tick, start_ns, sense, died)
         if losses:
-            if self._abort:
+            if self._ended(losses):
                 return losses
             self._undriven.bury([loss.cell for loss in losses], self._drives)
         drives = self._undriven.instead(drives)

@@ -53,11 +53,16 @@ class Ended:
     """How the loop ended.
 
     Attributes:
-        status: ``ok`` at the end of the duration; ``failed`` or ``stalled`` where the policy is ``abort``.
-        losses: Cells found lost, for which it was aborted.
+        status: ``ok`` at the end of the duration; ``failed`` or ``stalled`` where the policy is ``abort``; ``failed``
+            where a program failed and that ends the run, and where no cell is left at the end.
+        losses: Cells found lost in the tick in which it ended.
         died: Cells whose scheduled death it was aborted for, for good or until they are repaired.
+        failed: Of the losses, the cells whose program failed, where that ended it.
+        nobody: Whether no cell was left at the end of the duration, though the scene did not order it.
     """
 
     status: Status
     losses: tuple[Loss, ...] = ()
     died: tuple[int, ...] = ()
+    failed: tuple[Loss, ...] = ()
+    nobody: bool = False

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-ParcelState = Literal["waiting", "moving", "at_rest", "tipped", "off_array"]
+ParcelState = Literal["waiting", "moving", "at_rest", "tipped", "off_array", "delivered"]
 
 
 @final
@@ -74,7 +74,7 @@ class ParcelStatus:
 
     Attributes:
         state: ``waiting`` off the surface to be fed; ``moving``; ``at_rest``; ``tipped``, and it stays where it tipped
-            and carries no wheel; ``off_array``, tipped across the outer edge or carried through an exit.
+            and carries no wheel; ``off_array``, tipped across the outer edge; ``delivered``, carried through an exit.
         time_s: since when.
         detail: about which edge it tipped, for which feeder it waits, through which exit it left.
     """

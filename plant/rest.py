@@ -12,9 +12,6 @@ from plant.reports import Floats, ParcelState, ParcelStatus
 
 Numbers = NDArray[np.int64]
 
-REST_SPEED_M_S = 1e-6
-"""A parcel none of whose corners moves faster, or gains speed faster than this per second, is at rest."""
-
 
 @final
 class RestWatch:
@@ -22,15 +19,16 @@ class RestWatch:
 
     Args:
         radius: ``(m,)`` farthest corner of each parcel from its centre of mass, m.
+        slow_m_s: a parcel none of whose corners moves faster, or gains speed faster than this a second, is at rest.
     """
 
     remembers: ClassVar[Remembers] = Remembers("_resting")
 
-    def __init__(self, radius: Floats) -> None:
+    def __init__(self, radius: Floats, slow_m_s: float) -> None:
         from plant.kernels import entry  # compiles or loads: only where a plant is really built
 
         self._entry: Any = entry
-        self._radius = radius
+        self._radius, self._slow_m_s = radius, slow_m_s
         self._resting: NDArray[np.bool_] = np.zeros(len(radius), dtype=np.bool_)
 
     def may_change(self, state: Floats, which: Numbers) -> bool:
@@ -40,7 +38,7 @@ class RestWatch:
             state: ``(m, 6)``, now.
             which: Parcels that are watched.
         """
-        return self._entry.any_slow(state, self._radius, self._resting, which, REST_SPEED_M_S)
+        return self._entry.any_slow(state, self._radius, self._resting, which, self._slow_m_s)
 
     def changes(
         self, states: Floats, times_ns: NDArray[np.int64], which: Numbers
@@ -57,9 +55,9 @@ class RestWatch:
         scale = np.ones((len(which), 3))
         scale[:, 2] = self._radius[which]
         speed = states[:, which, 3:] * scale
-        slow = np.max(np.abs(speed), axis=2) < REST_SPEED_M_S
+        slow = np.max(np.abs(speed), axis=2) < self._slow_m_s
         span_s = np.diff(times_ns)[:, None] * 1e-9
-        steady = np.max(np.abs(np.diff(speed, axis=0)), axis=2) < REST_SPEED_M_S * span_s
+        steady = np.max(np.abs(np.diff(speed, axis=0)), axis=2) < self._slow_m_s * span_s
         still = slow[1:] & slow[:-1] & steady
         at_end = still[-1]
         differs = still != at_end

@@ -10,6 +10,7 @@ from bus.spec import Spec
 from plant.spec import tagged
 
 Tolerance = Annotated[float, Field(ge=1e-14, le=1e-2, allow_inf_nan=False)]
+StepsPerSecond = Annotated[float, Field(ge=1e3, le=1e12, allow_inf_nan=False)]
 Accuracy = dict[str, str | float]
 """Name of a solver, and what its accuracy hangs on."""
 
@@ -57,6 +58,8 @@ class ExactSpec(Spec):
     """Metres at the footprint, over the run."""
     capture_m: Annotated[float, Field(gt=0, le=1e-2, allow_inf_nan=False)] = 1e-6
     """Chatter below this amplitude is captured."""
+    max_steps_per_s: StepsPerSecond = 200_000.0
+    """Steps of one parcel in a simulated second beyond which its motion is given up."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -78,6 +81,8 @@ class ImplicitSpec(Spec):
     """Metres at the footprint, a second of motion or a jump of the force; not used where ``step_s`` is given."""
     step_s: Annotated[float, Field(gt=0, le=1.0, allow_inf_nan=False)] | None = None
     """Steps of this length, none longer; left out: steps as the tolerance asks."""
+    max_steps_per_s: StepsPerSecond = 1_000_000.0
+    """Steps of one parcel in a simulated second beyond which its motion is given up; not used with ``step_s``."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -105,6 +110,8 @@ class QuasiStaticSpec(Spec):
     """Metres at the footprint, a second of motion; not used where ``step_s`` is given."""
     step_s: Annotated[float, Field(ge=1e-9, le=1.0, allow_inf_nan=False)] | None = None
     """Steps of this length, none longer; left out: steps as the tolerance asks."""
+    max_steps_per_s: StepsPerSecond = 1_000_000.0
+    """Steps of one parcel in a simulated second beyond which its motion is given up; not used with ``step_s``."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -153,6 +160,8 @@ class SciPySpec(Spec):
     """``rtol`` and ``atol``: of one step, in SI units."""
     max_step_s: Annotated[float, Field(ge=1e-9, allow_inf_nan=False)] | None = None
     """No step is longer; left out: as long as the tolerance lets it. What a step hides is shorter than it."""
+    max_evaluations_per_s: StepsPerSecond = 1_000_000.0
+    """Right-hand sides of one parcel in a simulated second beyond which its motion is given up."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -169,6 +178,8 @@ class HeyokaSpec(Spec):
     name: Literal["heyoka"]
     tolerance: Annotated[float, Field(ge=1e-16, le=1e-2, allow_inf_nan=False)] = 1e-12
     """Of a step, relative, in SI units where a value is below 1."""
+    max_steps_per_s: StepsPerSecond = 200_000.0
+    """Steps of one parcel in a simulated second beyond which its motion is given up."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""

@@ -15,6 +15,9 @@ from plant.friction.registry import FrictionSpec
 from plant.parcel_spec import ParcelSpec
 from plant.solver_specs import ExactSpec, SolverSpec
 
+REST_TIME_S = 1e5
+"""A parcel that takes longer to move by a pitch is at rest."""
+
 
 class ArraySpec(Spec):
     """The lattice of cells, centred on the origin; row 0 at the bottom, column 0 at the left."""
@@ -46,6 +49,11 @@ class ArraySpec(Spec):
         if self.cells == () or len(self.missing) == self.rows * self.columns:
             raise ValueError("the array has no cells")
         return self
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return self.rows * self.columns - len(self.missing) if self.cells is None else len(self.cells)
 
     def lattice(self) -> Lattice:
         """The cells that exist."""
@@ -121,6 +129,8 @@ class PlantSpec(Spec):
     effects: PlantEffects = PlantEffects()
     solver: SolverSpec = ExactSpec()
     gravity_m_s2: Positive = 9.81
+    rest_speed_m_s: Positive | None = None
+    """A parcel none of whose corners moves faster is at rest; left out: 1e-5 pitches a second."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Of everything that is left to chance."""
 
@@ -132,6 +142,12 @@ class PlantSpec(Spec):
         for path, value, rule in (*misplaced(self.array, self.effects), *unknown_exits(own, self.effects)):
             raise ValueError(f"{'.'.join(map(str, path))} {value}: {rule}")
         return self
+
+    @property
+    def slow_m_s(self) -> float:
+        """A parcel none of whose corners moves faster, or gains speed faster than this a second, is at rest."""
+        given = self.rest_speed_m_s
+        return self.array.pitch_m / REST_TIME_S if given is None else given
 
     def with_fed(self) -> PlantSpec:
         """The same with all parcels that will ever be fed, after the scene's own."""

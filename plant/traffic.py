@@ -150,7 +150,7 @@ class Traffic:
             if self._status[i].rides:
                 self.there = self.there[self.there != i]
                 self._state[i, 3:] = 0.0
-                self._status[i] = ParcelStatus("off_array", time_ns * 1e-9, f"through exit {gate.name}")
+                self._status[i] = ParcelStatus("delivered", time_ns * 1e-9, f"through exit {gate.name}")
                 transit_ns = time_ns - self._since_ns[i]
                 gate.transit_ns.append(transit_ns)
                 text = f"through exit {gate.name} after {transit_ns * 1e-9:.6g} s"

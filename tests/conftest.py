@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -49,3 +50,20 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         for names in GROUPS
     ]
     assert [compiler.wait() for compiler in compilers] == [0] * len(GROUPS)
+
+
+FOLDERS = {
+    "system": ("system",),
+    "stability": ("stability",),
+    "studies": ("deploy/accuracy", "deploy/campaign", "deploy/effect_study", "deploy/orientations"),
+    "kernels": ("plant",),
+}
+"""Folders of a mark."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of a tier by their folder; ``slow`` is marked where a test stands."""
+    for item in items:
+        for name, folders in FOLDERS.items():
+            if any(Path(__file__).parent / folder in item.path.parents for folder in folders):
+                item.add_marker(name)

@@ -56,6 +56,7 @@ def test_every_contract_holds() -> None:
     assert broken_contracts(ROOT) == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "line", "broken"),
     [

@@ -62,6 +62,7 @@ def test_an_empty_file_is_refused_as_the_page_says(tmp_path: Path) -> None:
     assert done.stderr.strip().replace(str(tmp_path), "…") in PAGE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "command", "said"), RUNS)
 def test_a_command_of_the_page_prints_what_it_says(
     number: int, command: str, said: str, tmp_path: Path

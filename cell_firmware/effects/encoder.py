@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Final, Self, final
+from typing import Annotated, ClassVar, Final, Literal, Self, final
 
 from pydantic import Field
 
@@ -18,15 +18,19 @@ _TURN: Final = 2.0 * 3.141592653589793
 class EncoderSpec(CellEffectSpec):
     """Speed loops read whole encoder counts modulo 256, not the exact travel.
 
-    The first wheel's encoder is on the pulse accumulator, of which there is one; the second wheel's is counted by an
-    interrupt on input capture, in software with the same 8 bits. Both count forwards and backwards.
+    Without a decoder chip the first wheel's encoder is on the pulse accumulator, of which there is one, and the second
+    wheel's is counted by an interrupt on input capture, in software with the same 8 bits: one edge of one channel a
+    count. With one, each wheel's chip counts all four edges, and the program reads its low byte. All count both ways.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     states: ClassVar[tuple[str, ...]] = ("counts of every encoder",)
     rung: ClassVar[int | None] = 42
     counts_per_revolution: Annotated[int, Field(ge=1, le=65_536)] = 256
-    """Of a wheel."""
+    """Of a wheel, as they are counted: a decoder counts each cycle of its two channels four times."""
+    decoder: Literal["hctl2016"] | None = None
+    """Quadrature decoder of each wheel; None: the processor's own accumulator and input capture. Costs no interrupts;
+    the numbers of a run don't depend on it."""
     wheel_radius_m: Positive | None = None
     """By default the motors', 0.03 where they have none; where both say one, they must agree."""
 

@@ -45,7 +45,7 @@ class SensorSpec(CellEffectSpec):
     false_negative: Probability = 0.0
     """The same of one with a parcel over it, that it says there is not."""
     debounce_ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)] = 1
-    """How many times in a row a change has to be read to be believed."""
+    """How many readings in a row a change has to be seen in to be believed; a cell has one reading a period."""
     latency_ticks: Annotated[int, Field(ge=0, le=LONGEST_TICKS)] = 0
     """How many ticks later than without the effect the cell sees a reading."""
 
@@ -125,13 +125,17 @@ class _Errors(Stage):
 
 @final
 class _Debounce(Stage):
-    """Counts how long each bit has been read as other than it is believed to be."""
+    """Counts in how many readings in a row each bit was other than it is believed to be.
+
+    A reading counts once: where cells have clocks of their own an exchange may find a cell with no new one.
+    """
 
     remembers: ClassVar[Remembers] = Remembers("_believed", "_read")
 
     def __init__(self, ticks: int, site: Site) -> None:
         super().__init__()
         self._ticks = ticks
+        self._site = site
         shape = (len(site.cells), site.sensors)
         self._believed = np.zeros(shape, dtype=np.bool_)
         self._read = np.zeros(shape, dtype=np.int64)
@@ -139,10 +143,14 @@ class _Debounce(Stage):
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Holds each bit until its change has been read often enough."""
-        del tick
         other = inputs.presence ^ self._believed
-        self.count("bounces", ~other & (self._read > 0), alive)
+        back = ~other & (self._read > 0)
         read = np.where(other, self._read + 1, 0)
+        fresh = self._site.fresh(tick)
+        if fresh is not None:
+            back &= fresh[:, None]
+            read = np.where(fresh[:, None], read, self._read)
+        self.count("bounces", back, alive)
         changed = read >= self._ticks
         self._believed = self._believed ^ changed
         self._read = np.where(changed, 0, read)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bus.effect import EffectSpec
 from bus.lattice import SIDES
 from bus.memory import Remembers
+from cell_firmware.clocks import NEVER, Clocks
 from cell_firmware.firmware import Bools, Inputs
 from cell_firmware.specs import CellsSpec
 
@@ -31,6 +32,7 @@ class Site:
         levels: Whether sensors have levels.
         said: Type of what programs say, which ``message`` carries; None: that itself.
         tick_ns: From one exchange to the next.
+        clocks: The cells' clocks, which say in which exchange a cell has a new reading; None: all have in each.
     """
 
     cells: NDArray[np.int64]
@@ -40,6 +42,14 @@ class Site:
     levels: bool = False
     said: np.dtype[Any] | None = None
     tick_ns: int = 0
+    clocks: Clocks | None = None
+
+    def fresh(self, tick: int) -> Bools | None:
+        """Cells with a reading of their own in an exchange, ``(n,)``; None: all have one.
+
+        The pins of the others say what they last read.
+        """
+        return None if self.clocks is None else self.clocks.instants(tick - 1) != NEVER
 
     def sensor_places(self) -> NDArray[np.int64]:
         """``(n sensors,)``: a number for every sensor that is its own in the whole array."""

@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 
 @final
 class BabbleFault(CellTarget, CellFault):
-    """Cells that send random bytes to all their neighbours in every control period in which their program runs.
+    """Cells that send random bytes to all their neighbours, in every control period in which their program runs.
 
     Where links hand over whole messages, each is a message of random bytes; on serial lines bytes follow one another
     without a pause, so that no message ever ends there.

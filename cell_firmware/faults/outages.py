@@ -48,11 +48,11 @@ class Outages(FaultAround):
         }
         return self.outer(inner, own)
 
-    def after_reset(self, state: ControllerState) -> ControllerState:
+    def after_reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
         """What the cells' controller keeps of itself; pins are low, and what a reset was to do is done."""
         own = state.parts[self.part]
         after = {**own, "drive": np.zeros_like(own["drive"]), "reset": np.zeros_like(own["reset"])}
-        return self.outer(self.controller.after_reset(self.inner(state)), after)
+        return self.outer(self.controller.after_reset(self.inner(state), warm=warm), after)
 
     def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
         """What came over the lines; and what faults say."""

@@ -18,7 +18,7 @@ from cell_firmware.firmware import Floats, Inputs
 
 @final
 class SensorDelayFault(SensorFault):
-    """Sensors that say in every tick what they said so many before; where the run is younger, what they said first."""
+    """Sensors that lag: they say in every tick what they said so many before, in a younger run what they said first."""
 
     called: ClassVar[str] = "sensor_delay"
     kind: Literal["sensor_delay"] = "sensor_delay"

@@ -67,10 +67,10 @@ class Words(FaultAround):
             own.update({_named(tamper, name): array for name, array in tamper.begin(n).items()})
         return self.outer(inner, own)
 
-    def after_reset(self, state: ControllerState) -> ControllerState:
+    def after_reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
         """What the cells' controller keeps of itself; faults know nothing of resets."""
         own = state.parts[self.part]
-        return self.outer(self.controller.after_reset(self.inner(state)), own)
+        return self.outer(self.controller.after_reset(self.inner(state), warm=warm), own)
 
     def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
         """Whole messages, as faults left them."""

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, final
+from typing import Annotated, Final, Literal, final
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
-from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
 from cell_firmware.kit.faces import total
 from cell_firmware.kit.places import Value, lay, misplaced
-from cell_firmware.kit.recall import Patience, still_counts
+from cell_firmware.kit.recall import Patience
 from cell_firmware.kit.spectra import Links, explicit_cautions, relaxed
 from cell_firmware.specs import Finite, Spec, Vector
 from cell_firmware.theory import Theory
+
+_LONGER: Final = 4
+"""So many times the longest silence that a cell has known to end must pass before it takes a neighbour for gone.
+
+With bursts of exponential length the longest of m is about ln m means long: one that is 4 times as long has a chance
+of 1 in m to the fourth, so cells err a few times at first and then no more.
+"""
 
 
 class AverageConsensusParameters(Spec):
@@ -31,7 +39,10 @@ class AverageConsensusParameters(Spec):
     weight: Literal["metropolis"] | Annotated[float, Field(gt=0, allow_inf_nan=False)] = "metropolis"
     """Of a link: ``1 / (1 + d)``, d being the greater number of neighbours of its two cells, or the same for all."""
     patience: Patience = 20
-    """After how many silent periods a neighbour is taken for gone, and what was lent to it is called in."""
+    """After how many silent periods at least a neighbour is taken for gone, and what was lent to it is called in.
+
+    A cell that has known a neighbour to speak again after s silent periods waits 4 s from then on, if that is more.
+    """
     velocity_m_s: Vector = (0.0, 0.0)
     """Wheels run at this times the cell's estimate."""
 
@@ -46,15 +57,19 @@ class AverageConsensus(Firmware):
         f_ij[k] = (f_ij[k-1] - f_ji[k-1]) / 2 + w_ij (x_j[k-1] - x_i[k-1])
 
     with what the neighbour's message of tick k - 1 tells of ``f_ji`` and ``x_j``. Where none comes the flow stays as it
-    is, and after ``patience`` silent periods it is set to 0. On links that lose nothing ``f_ji = -f_ij`` to the last
-    bit, and this is ``x[k] = (I - L_w) x[k-1]`` of Xiao & Boyd. A lost message makes the two ends differ, which the
-    next exchange undoes: at rest the flows are opposite, so that the sum of the estimates is that of what the cells
-    have. A cell that dies takes with it what it had, and nothing else: the others come to their own mean. What cells
-    have may change, and the mean is followed.
+    is. On links that lose nothing ``f_ji = -f_ij`` to the last bit, and this is ``x[k] = (I - L_w) x[k-1]`` of Xiao &
+    Boyd. A lost message makes the two ends differ, which the next exchange undoes: at rest the flows are opposite, so
+    that the sum of the estimates is that of what the cells have. What cells have may change, and the mean is followed.
+
+    A cell that dies takes with it what it had, and nothing else: a flow is set to 0 after ``patience`` silent periods,
+    or 4 times the longest silence that any side of the cell has broken, and the others come to their own mean. Nobody
+    can tell a long silence from a death: where links are silent for longer, estimates are off by as much as the flows
+    until cells have learnt how long silences last, and the mean is exact in the limit though links go on like that.
 
     Source: Xiao & Boyd, "Fast linear iterations for distributed averaging", Systems & Control Letters 53 (2004), with
     its constant and Metropolis weights; flows kept at both ends after Jesus, Baquero & Almeida, "Flow updating:
-    fault-tolerant aggregation for dynamic networks", J. Parallel Distrib. Comput. 78 (2015).
+    fault-tolerant aggregation for dynamic networks", J. Parallel Distrib. Comput. 78 (2015); patience that grows with
+    silences after Chandra & Toueg, "Unreliable failure detectors for reliable distributed systems", J. ACM 43 (1996).
     """
 
     Parameters = AverageConsensusParameters
@@ -99,7 +114,11 @@ class AverageConsensus(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """What cells have and take the mean for, ``(n,)``; what has flown to them over each side, ``(n, 4)``."""
+        """What cells have and take the mean for, ``(n,)``; what has flown to them over each side, ``(n, 4)``.
+
+        For how many periods each side has been silent, ``(n, 4)``, -1 before its first word; and the longest silence
+        after which a side of the cell has spoken again, ``(n,)``.
+        """
         given = self._given(cells.row, cells.column)
         has_neighbour = cells.has_neighbour
         neighbours = sum(has_neighbour[:, side].astype(np.uint8) for side in range(4))
@@ -107,7 +126,8 @@ class AverageConsensus(Firmware):
             "given": given,
             "value": given,
             "flow": np.zeros(has_neighbour.shape),
-            "counts": np.zeros(has_neighbour.shape, dtype=np.int16),
+            "silent": np.full(has_neighbour.shape, -1),
+            "longest": np.zeros(len(cells), dtype=np.int64),
             "neighbours": np.asarray(neighbours),
         }
 
@@ -115,18 +135,19 @@ class AverageConsensus(Firmware):
         """Level every link from which a word has come, and add up."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
-        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
+        silent, longest = _silences(inbox.received, state["silent"], state["longest"])
+        there = silent < np.maximum(self.parameters.patience, _LONGER * longest)[:, None]
         theirs, own = inbox.message, state["value"][:, None]
         level = self._weight(state["neighbours"][:, None], theirs["neighbours"]) * (theirs["value"] - own)
         levelled = (state["flow"] - theirs["flow"]) / 2.0 + level
-        flow = np.where(inbox.received, levelled, np.where(counts > 0, state["flow"], 0.0))
+        flow = np.where(inbox.received, levelled, np.where(there, state["flow"], 0.0))
         given = _seen(inputs) if self.parameters.source == "presence" else state["given"]
         value = given + total(flow)
 
         outbox = Outbox.to_all(self.message, value=value, neighbours=state["neighbours"], flow=value)
         outbox.message["flow"] = flow
         speed = value[:, None] * np.array(self.parameters.velocity_m_s)
-        after = {**state, "given": given, "value": value, "flow": flow, "counts": counts}
+        after = {**state, "given": given, "value": value, "flow": flow, "silent": silent, "longest": longest}
         return after, Outputs(speed, outbox)
 
     def _given(self, row: np.ndarray, column: np.ndarray) -> Floats:
@@ -137,6 +158,20 @@ class AverageConsensus(Firmware):
     def _weight(self, own: np.ndarray, theirs: np.ndarray) -> Floats | float:
         weight = self.parameters.weight
         return 1.0 / (1.0 + np.maximum(own, theirs)) if weight == "metropolis" else weight
+
+
+def _silences(
+    received: Bools, silent: NDArray[np.int64], longest: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """For how many periods each side has been silent, and the longest silence that a side has broken.
+
+    Args:
+        received: ``(n, 4)``: did a word come?
+        silent: ``(n, 4)``, the answer of the period before; -1 for a side that has never spoken.
+        longest: ``(n,)``, likewise.
+    """
+    broken = np.where(received, silent, 0).max(axis=1)
+    return np.where(received, 0, silent + (silent >= 0)), np.maximum(longest, broken)
 
 
 def _seen(inputs: Inputs) -> Floats:

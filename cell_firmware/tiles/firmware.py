@@ -25,8 +25,10 @@ from cell_firmware.tiles.words import (
     OPPOSITES,
     TALK,
     Doing,
+    ahead_by,
     doing,
     exit_of,
+    is_word,
     newest_words,
     side,
     version,
@@ -105,7 +107,7 @@ class TileFirmware(Firmware):
         good = super().credible(messages)
         for name in ("own", *NEIGHBOURS):
             told = messages[name].astype(np.int64)
-            good &= (doing(told) <= Doing.PUSH) & (exit_of(told) <= self._kinds)
+            good &= is_word(told) & (doing(told) <= Doing.PUSH) & (exit_of(told) <= self._kinds)
         return good & (messages["label"] <= self._kinds)
 
     def theory(self, lattice: Lattice) -> Theory:
@@ -213,7 +215,7 @@ class TileFirmware(Firmware):
         """The word of the own tile from now on, where a cell leads; adds to ``after`` what it remembers of that."""
         last = np.where(own > 0, own, state["last"])
         after["last"] = last
-        own = np.where(takes_over, last + (_AFRESH << 40), own)
+        own = np.where(takes_over, ahead_by(last, _AFRESH), own)
         over = rounds.ended(state, after, leads)
         after["sure"] = np.where(takes_over, 0, after["sure"])
         full = after["sure"] > state["sure"]
@@ -227,7 +229,7 @@ class TileFirmware(Firmware):
         expects, has = Doing.EXPECT, now >> 2 >= Doing.HOLD
         got = changed & (was >> 2 < Doing.HOLD) & has
         after["came"] = np.where(got, np.where(was >> 2 == expects, was & 3, 4), state["came"])
-        after["held"] = np.where(has & ~got, np.minimum(state["held"] + 1, MASK_16), 0)
+        after["held"] = np.where(has & ~got, np.minimum(state["held"] + 1, state["settle"]), 0)
         granted = changed & (now >> 2 == expects)
         after["turn"] = np.where(granted, now & 3, state["turn"])
         after["sure"] = np.where(changed, 0, after["sure"])

@@ -1,11 +1,15 @@
-"""What cells of a tile tell each other, so that it acts as one: words in 64 bits of which the greater is the newer.
+"""Messages of a tile's cells, so that the tile acts as one: words and pulses, of which the newest counts.
 
-A *word* is what a tile's leader has decided. From the highest bit down: version (16 bits: more is newer), freshness
-(8: for how many ticks it is still believed), what the tile does (8), for which exit its parcel is (8), ticket (16: the
-version of the wish that it grants). A *pulse* is the leader's sign of life: precedence (8), round (16), freshness (8).
-Both are told again and again, by all who have heard of them; whoever passes them on, or keeps them, takes one off the
-freshness. So of two the greater counts, a message that is lost changes nothing, and what nobody refreshes dies out
-in as many ticks as it was fresh, however it goes round.
+A *word* is what a tile's leader has decided. From bit 55 down: version (16 bits), freshness (8: for how many ticks it
+is still believed), what the tile does (8), for which exit its parcel is (8), ticket (16: the version of the wish that
+it grants). A *pulse* is the leader's sign of life: precedence (8), round (16), freshness (8). Both are told again and
+again, by all who have heard of them; whoever passes them on, or keeps them, takes one off the freshness. So of two the
+newer counts, a message that is lost changes nothing, and what nobody refreshes dies out in as many ticks as it was
+fresh, however it goes round.
+
+Versions and rounds are serial numbers of 16 bits (RFC 1982): after 65,535 comes 0, and of two the newer is the one that
+is fewer than 32,768 steps ahead of the other. Words and pulses live for 255 ticks at most, and a leader that takes over
+skips 16 versions, so all that are told of at one time lie within a fraction of that.
 """
 
 from __future__ import annotations
@@ -23,7 +27,11 @@ Ints = NDArray[np.int64]
 OPPOSITES: Final = np.array([2, 3, 0, 1])
 MASK_16: Final = 0xFFFF
 MASK_8: Final = 0xFF
+_HALF: Final = 1 << 15
 _FRESH: Final = 1 << 32
+_VERSION: Final = 40
+"""Bits of a word below its version."""
+_WORD_BITS: Final = 56
 NEIGHBOURS: Final = ("north", "east", "south", "west")
 TALK: Final = [
     ("pulse", "<u4"),
@@ -56,12 +64,23 @@ class Doing(IntEnum):
 
 def word(version: Ints, fresh: int, doing: Ints, exit_: Ints, ticket: Ints) -> Ints:
     """Packs a word; ``doing`` is four times what the tile does, plus the side."""
-    return (version & MASK_16) << 40 | fresh << 32 | doing << 24 | exit_ << 16 | ticket & MASK_16
+    return (version & MASK_16) << _VERSION | fresh << 32 | doing << 24 | exit_ << 16 | ticket & MASK_16
 
 
 def version(words: Ints) -> Ints:
     """Version of each."""
-    return words >> 40
+    return words >> _VERSION & MASK_16
+
+
+def ahead_by(words: Ints, versions: int) -> Ints:
+    """Words with versions that are so many newer, all else alike."""
+    below = (1 << _VERSION) - 1
+    return (version(words) + versions & MASK_16) << _VERSION | words & below
+
+
+def is_word(words: Ints) -> Bools:
+    """Whether nothing is set outside a word's bits."""
+    return words >> _WORD_BITS == 0
 
 
 def doing(words: Ints) -> Ints:
@@ -90,8 +109,20 @@ def older(words: Ints) -> Ints:
 
 
 def older_pulse(pulses: Ints) -> Ints:
-    """The same of pulses."""
+    """Pulses a tick later, or one cell farther on: 0 where one is no longer fresh."""
     return np.where(pulses & MASK_8 > 1, pulses - 1, 0)
+
+
+def _ahead(serials: Ints, known: Bools) -> Ints:
+    """``(n, k)``: how far serial numbers lie ahead of the first known one of their row, plus 32,768; -1 if unknown."""
+    first = np.take_along_axis(serials, known.argmax(axis=1)[:, None], axis=1)
+    return np.where(known, serials - first + _HALF & MASK_16, -1)
+
+
+def newest(words: Ints) -> Ints:
+    """``(n,)``: the newest of ``(n, k)`` words of one tile, of the same version the freshest; 0 where none is known."""
+    order = _ahead(version(words), words > 0) << _VERSION | words & (1 << _VERSION) - 1
+    return np.maximum(np.take_along_axis(words, order.argmax(axis=1)[:, None], axis=1)[:, 0], 0)
 
 
 def newest_words(own: Ints, around: Ints, inbox: Inbox, mate: Bools, used: Bools) -> tuple[Ints, Ints]:
@@ -107,32 +138,38 @@ def newest_words(own: Ints, around: Ints, inbox: Inbox, mate: Bools, used: Bools
     Returns:
         Both from now on.
     """
-    message = inbox.message
-    theirs = older(message["own"])
-    own = np.maximum(older(own), np.where(mate, theirs, 0).max(axis=1))
-    around = np.maximum(older(around), np.where(mate | ~used[:, None], 0, theirs))
-    told = np.stack([message[name] for name in NEIGHBOURS], axis=2)
-    return own, np.maximum(around, np.where(mate[:, :, None], older(told), 0).max(axis=1))
+    message, n = inbox.message, len(own)
+    heard = np.empty((n, 5, 5), dtype=np.int64)  # of which tile, its own last; from whom, itself first
+    heard[:, :4, 0], heard[:, 4, 0] = around, own
+    for tile, name in enumerate((*NEIGHBOURS, "own")):
+        heard[:, tile, 1:] = np.where(mate, message[name], 0)
+    beyond = np.where(mate | ~used[:, None], 0, message["own"])
+    for number in range(4):  # either is 0
+        heard[:, number, 1 + number] += beyond[:, number]
+    found = newest(older(heard.reshape(5 * n, 5))).reshape(n, 5)
+    return found[:, 4], found[:, :4]
 
 
 def gathered(state: Any, inbox: Inbox) -> tuple[Ints, Ints, Ints, Ints]:
     """The newest pulse that a cell has heard of its own tile, and what has been gathered in that round.
 
     Returns:
-        Pulse; bits of the cells that have answered, and of those with a parcel over them; the label that was read.
+        Pulse; bits of the cells that have answered, and of those with a parcel over them; the label that was read by
+        any cell, of several that differ the greatest.
     """
     mate, message = state["mate"], inbox.message
     pulses = np.empty((len(mate), 5), dtype=np.int64)
     pulses[:, 0] = state["pulse"]
     pulses[:, 1:] = np.where(mate, message["pulse"], 0)
     pulses = older_pulse(pulses)
-    rounds = pulses >> 8
-    newest = rounds.max(axis=1)
-    same = (rounds == newest[:, None]) & (newest > 0)[:, None]
+    precedence = pulses >> 24
+    first = (precedence == precedence.max(axis=1)[:, None]) & (pulses > 0)
+    ahead = _ahead(pulses >> 8 & MASK_16, first)
+    same = first & (ahead == ahead.max(axis=1)[:, None])
     pulse = np.where(same, pulses, 0).max(axis=1)
     together: list[Ints] = []
-    for name in ("alive", "covered", "label"):
+    for name, joined in (("alive", np.bitwise_or), ("covered", np.bitwise_or), ("label", np.maximum)):
         of_all = np.empty((len(mate), 5), dtype=np.int64)
         of_all[:, 0], of_all[:, 1:] = state[name], message[name]
-        together.append(np.bitwise_or.reduce(np.where(same, of_all, 0), axis=1))
+        together.append(joined.reduce(np.where(same, of_all, 0), axis=1))
     return pulse, together[0], together[1], together[2]

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.plants import status_of
 from deploy.simulate import field_speeds, in_parts
-from plant.errors import PlantError, PlantUnstable
+from plant.errors import PlantError
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -96,7 +97,7 @@ def follow(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | Non
             f"took longer than {limit_s:.3g} s, at {times[-1][-1]:.6g} s of simulated time",
         )
     except PlantError as error:
-        status, reason = "unstable" if isinstance(error, PlantUnstable) else "failed", str(error)
+        status, reason = status_of(error), str(error)
     wall_s = time.perf_counter() - begun
     return Course(
         np.concatenate(times),

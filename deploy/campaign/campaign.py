@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from deploy.campaign.report import Report
 from deploy.campaign.rows import rows_of
 from deploy.errors import InputError
 from deploy.interruption import Interrupted, Interruption
+from deploy.words import say, silent
 
 if TYPE_CHECKING:
     from deploy.campaign.asked import Asked
@@ -32,7 +32,7 @@ class Campaign:
     Attributes:
         asked: What was asked for.
         cases: What that means.
-        folder: Where results go, those of runs done before included.
+        folder: Where results go, those of runs done before included; locked by the caller (``deploy.output_lock``).
         quiet: Show no progress and no warnings on stderr.
     """
 
@@ -52,7 +52,7 @@ class Campaign:
             The report, of all runs that are over.
 
         Raises:
-            InputError: Another process works on the campaign.
+            InputError: A line of the file of runs that are over makes no sense.
             DeployError: No worker can be started, or a result can't be written.
         """
         with Journal(self.folder) as journal:
@@ -109,7 +109,7 @@ class Campaign:
         for place, ending in executor.carry_out(with_seed(case.scene, seed) for case, seed in runs):
             case, seed = runs[place]
             undisturbed = journal.undisturbed.get(case.undisturbed_key(seed))
-            outcome = judged(ending, undisturbed, self.asked.within_m)
+            outcome = judged(ending, undisturbed, case.criterion)
             journal.add_run(case, seed, outcome)
             progress.advance(failed=outcome.status != "ok")
 
@@ -124,7 +124,7 @@ class Campaign:
             if kind not in seen:
                 seen.add(kind)
                 with suppress(InputError):  # every run of it will say so
-                    load_plant(case.scene, _silent if self.quiet else _say)
+                    load_plant(case.scene, silent if self.quiet else say)
 
     def _report(self, journal: Journal, status: str, reason: str) -> Report:
         outcomes = journal.runs
@@ -141,12 +141,3 @@ class Campaign:
             rows=rows,
             folder=self.folder,
         )
-
-
-def _say(line: str) -> None:
-    sys.stderr.write(f"mdms: {line}\n")
-    sys.stderr.flush()
-
-
-def _silent(line: str) -> None:
-    del line

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from bus.fault import CellTarget, FaultSpec
+from deploy.campaign.criterion import Criterion, criterion_of
 from deploy.campaign.grid import FAULT, Axis, check_size, combinations, seeds_of
 from deploy.errors import InputError
 from deploy.faults.registry import KINDS
@@ -36,6 +37,7 @@ class Case:
         values: What is varied, by key.
         scene: What runs.
         undisturbed: What that is compared with; None: with nothing.
+        criterion: What makes a run of it a success.
         beside: Names the undisturbed scene, seed aside: cases that are compared with the same have the same; empty
             where there is none.
     """
@@ -44,6 +46,7 @@ class Case:
     values: dict[str, Any]
     scene: Scene
     undisturbed: Scene | None
+    criterion: Criterion
     beside: str = ""
 
     def undisturbed_key(self, seed: int) -> str:
@@ -113,11 +116,13 @@ def cases_of(asked: Asked, text: str) -> Cases:
         own = [one for one in varied if one.path[0] != FAULT]
         faulty = [*fault, *(one for one in varied if one.path[0] == FAULT)]
         undisturbed = scene_with([*own, *against]) if fault or against else None
+        scene = scene_with([*own, *(_placed(one, place) for one in faulty)])
         return Case(
             number,
             {axis.key: value for axis, value in zip(axes, values, strict=True)},
-            scene_with([*own, *(_placed(one, place) for one in faulty)]),
+            scene,
             undisturbed,
+            criterion_of(asked, scene, compared=undisturbed is not None),
             "" if undisturbed is None else sha256(undisturbed.canonical()).hexdigest()[:16],
         )
 

@@ -21,16 +21,21 @@ class ParcelEnd:
     """How one parcel ended.
 
     Attributes:
-        state: ``waiting``, ``moving``, ``at_rest``, ``tipped`` or ``off_array``.
+        state: As ``plant.reports.ParcelStatus`` has it.
         time_s: Since when.
-        left: Whether it left through an exit.
+        place_m: Of its centre of mass, in world coordinates.
         corners_m: Of its footprint, in world coordinates.
     """
 
     state: str
     time_s: float
-    left: bool
+    place_m: tuple[float, float]
     corners_m: Corners
+
+    @property
+    def left(self) -> bool:
+        """Whether it left through an exit."""
+        return self.state == "delivered"
 
     @property
     def there(self) -> bool:
@@ -91,12 +96,11 @@ def ending_of(scene: Scene) -> Ending:
 def _parcels(course: Course) -> tuple[ParcelEnd, ...]:
     from plant.geometry import placed
 
-    left = {event.parcel for event in course.events if event.kind == "left"}
     return tuple(
         ParcelEnd(
             fate.state,
             fate.time_s,
-            number in left,
+            (float(course.states[number, 0]), float(course.states[number, 1])),
             tuple((float(x), float(y)) for x, y in placed(footprint, course.states[number])),
         )
         for number, (fate, footprint) in enumerate(zip(course.fates, course.footprints_m, strict=True))

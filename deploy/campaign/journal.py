@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -30,13 +29,13 @@ class Journal:
     """The runs that are over, in the file and at hand.
 
     A line is written in one go and flushed: whatever ends the campaign, only the last can be torn, and that is dropped
-    when the file is opened again. It is locked while it is open.
+    when the file is opened again.
 
     Args:
-        folder: The campaign's.
+        folder: The campaign's, locked by the caller (``deploy.output_lock``).
 
     Raises:
-        InputError: Another process goes on with the campaign right now, or a line of the file makes no sense.
+        InputError: A line of the file makes no sense.
         DeployError: The file can't be opened.
 
     Attributes:
@@ -53,11 +52,7 @@ class Journal:
         except OSError as error:
             raise DeployError(f"can't open {self._path}: {error.strerror or error}") from None
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._read()
-        except BlockingIOError:
-            self._file.close()
-            raise InputError(f"{folder}: another process works on this campaign") from None
         except BaseException:
             self._file.close()
             raise

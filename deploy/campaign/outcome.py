@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 if TYPE_CHECKING:
+    from deploy.campaign.criterion import Criterion
     from deploy.campaign.ending import Ending, ParcelEnd
 
 
@@ -36,21 +37,22 @@ class Outcome:
     wall_s: float
 
 
-def judged(ending: Ending, undisturbed: Ending | None, within_m: float | None) -> Outcome:
+def judged(ending: Ending, undisturbed: Ending | None, criterion: Criterion) -> Outcome:
     """Judge a run.
 
     It has *succeeded* if its status is ``ok``; no parcel tipped, fell off the array (left it other than through an
     exit) or was misrouted; every parcel that rests in the undisturbed run rests here or has left, and every one that
-    left there has left here; and the error is at most ``within_m``, where there is such a limit.
+    left there has left here; and what the criterion demands holds.
 
     The *error* is the largest distance, at the end, of any corner of a parcel's footprint from where it is in the
-    undisturbed run, over the parcels that are there in both; None where there is none. The *time* is when the last
+    undisturbed run, over the parcels that are there in both. Without an undisturbed run it is the largest distance of a
+    parcel's centre of mass from the criterion's place. None where there is none. The *time* is when the last
     parcel came to rest or left; None unless every parcel did.
 
     Args:
         ending: Of the run.
-        undisturbed: Of the run that it is compared with; None: with nothing, and there is no error.
-        within_m: The largest error of a success; None: any.
+        undisturbed: Of the run that it is compared with; None: with nothing.
+        criterion: Demands on the run.
     """
     status, reason = ending.status, ending.reason
     if status == "ok" and undisturbed is not None and undisturbed.status != "ok":
@@ -66,10 +68,11 @@ def judged(ending: Ending, undisturbed: Ending | None, within_m: float | None) -
             digest=ending.digest,
             wall_s=ending.wall_s,
         )
-    error_m = None if undisturbed is None else error_of(ending, undisturbed)
-    flaw = _flaw(ending, undisturbed)
-    if not flaw and within_m is not None and error_m is not None and error_m > within_m:
-        flaw = f"{error_m:.3g} m from where the undisturbed run ends"
+    if undisturbed is not None:
+        error_m = error_of(ending, undisturbed)
+    else:
+        error_m = None if criterion.place_m is None else distance_of(ending, criterion.place_m)
+    flaw = _flaw(ending, undisturbed) or _unmet(ending, error_m, criterion)
     return Outcome(
         status=status,
         reason=flaw,
@@ -87,7 +90,7 @@ def _flaw(ending: Ending, undisturbed: Ending | None) -> str:
     for number, parcel in enumerate(ending.parcels):
         if parcel.state == "tipped":
             return f"parcel {number} tipped"
-        if parcel.state == "off_array" and not parcel.left:
+        if parcel.state == "off_array":
             return f"parcel {number} fell off the array"
     if ending.misrouted:
         return f"{ending.misrouted} misrouted"
@@ -96,6 +99,18 @@ def _flaw(ending: Ending, undisturbed: Ending | None) -> str:
             return f"parcel {number} has not left"
         if other.state == "at_rest" and not _done(parcel):
             return f"parcel {number} is {parcel.state}"
+    return ""
+
+
+def _unmet(ending: Ending, error_m: float | None, criterion: Criterion) -> str:
+    """The criterion's demand that isn't met; empty: all are."""
+    for number, parcel in enumerate(ending.parcels):
+        if criterion.delivered and not parcel.left and parcel.state != "waiting":
+            return f"parcel {number} is {parcel.state}, not delivered"
+        if criterion.at_rest and not _done(parcel):
+            return f"parcel {number} is {parcel.state}"
+    if criterion.within_m is not None and error_m is not None and error_m > criterion.within_m:
+        return f"{error_m:.3g} m from {criterion.reference}"
     return ""
 
 
@@ -118,6 +133,11 @@ def error_of(ending: Ending, undisturbed: Ending) -> float | None:
         for corner, other in zip(one.corners_m, there.corners_m, strict=False)
     ]
     return max(distances, default=None)
+
+
+def distance_of(ending: Ending, place_m: tuple[float, float]) -> float | None:
+    """The largest distance of a parcel's centre of mass from a place, m; None where no parcel is there."""
+    return max((math.dist(one.place_m, place_m) for one in ending.parcels if one.there), default=None)
 
 
 def time_of(ending: Ending) -> float | None:

@@ -6,19 +6,18 @@ import contextlib
 import itertools
 import signal
 import socket
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self, final
 
 from deploy.campaign.ending import Ending
 from deploy.campaign.worker import PRELOAD, Work
 from deploy.processes.launch import Crew, WorkerError, describe_exit
+from deploy.processes.socket_folder import SocketFolder
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -100,8 +99,7 @@ class Pool:
         self._stillborn = 0
         """Workers that ended before they came, since the last that did come."""
         with contextlib.ExitStack() as stack:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="mdms-"))
-            address = str(Path(folder) / "desk")
+            address = str(stack.enter_context(SocketFolder()).path / "desk")
             self._door = stack.enter_context(socket.socket(socket.AF_UNIX))
             self._door.bind(address)
             self._door.listen(jobs)

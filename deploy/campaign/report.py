@@ -67,7 +67,8 @@ class Report:
             "varied": {axis.key: axis.values for axis in self.cases.axes},
             "seeds": self.cases.seeds,
             "against": _against(self.asked),
-            "within_m": self.asked.within_m,
+            "criterion": criterion_words(self.cases),
+            "within_m": self.cases.cases[0].criterion.within_m,
             "confidence": self.asked.confidence,
             "runs": len(self.outcomes),
             "failed": failed,
@@ -106,6 +107,12 @@ class Report:
         """
         write_text(self.folder / JSON_NAME, self.to_json(indent=2) + "\n")
         write_text(self.folder / CSV_NAME, self.to_csv())
+
+
+def criterion_words(cases: Cases) -> str:
+    """Demands on a success, in one line; those of the first case where a varied value changes them."""
+    told = [case.criterion.words() for case in cases.cases]
+    return told[0] if len(set(told)) == 1 else f"{told[0]}; varied from case to case"
 
 
 def _against(asked: Asked) -> str | None:

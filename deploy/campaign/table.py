@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
+from deploy.campaign.report import criterion_words
 from deploy.words import counted, short
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def print_report(report: Report) -> None:
     if console.width < needed:  # a line too long is better than a number cut off
         console = Console(highlight=False, width=needed)
     console.print(heading(report), markup=False, soft_wrap=True)
+    console.print(f"success: {criterion_words(report.cases)}", markup=False, soft_wrap=True)
     console.print()
     console.print(table)
     failed = list(report.failed())

@@ -9,12 +9,13 @@ from typing import Final, final
 
 from deploy.checkpoints.checkpoint import LARGEST_BYTES, Checkpoint
 from deploy.errors import DeployError, InputError
+from deploy.files import sync_folder
 
 FILE_NAME: Final = "checkpoint.msgpack"
 BEFORE: Final = "checkpoint-before.msgpack"
 """The one before the last."""
-_DRAFT: Final = ".checkpoint.msgpack.draft"
-NAMES: Final = (FILE_NAME, BEFORE, _DRAFT)
+DRAFT: Final = ".checkpoint.msgpack.draft"
+NAMES: Final = (FILE_NAME, BEFORE, DRAFT)
 
 
 @final
@@ -77,7 +78,7 @@ class Store:
             if aside and self._last.exists():
                 self._last.replace(self._before)
             self._draft.replace(self._last)
-            _sync(self._folder)
+            sync_folder(self._folder)
         except OSError as error:
             raise DeployError(f"can't write {self._last}: {error.strerror or error}") from error
 
@@ -86,12 +87,3 @@ class Store:
         for path in (self._draft, self._before, self._last):
             with suppress(FileNotFoundError):
                 path.unlink()
-
-
-def _sync(folder: Path) -> None:
-    """Have the folder's names survive a loss of power."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,7 +17,8 @@ from deploy.commands.options import (
     load_scene,
 )
 from deploy.errors import InputError
-from deploy.files import made_folder
+from deploy.output_lock import locked_folder
+from deploy.words import say, silent
 
 if TYPE_CHECKING:
     from deploy.accuracy.report import Report
@@ -99,12 +99,13 @@ def accuracy(
     from dataclasses import replace
 
     from deploy.accuracy.study import Plan, study
+    from deploy.cautions import tell_cautions
     from deploy.interruption import Interruption
 
     if target is not None and not 0.0 < target < float("inf"):
         raise InputError(f"--target {target}: must be > 0, metres")
     if docs is not None:
-        _write_page(scene, docs, repeats, _silent if quiet else _say)
+        _write_page(scene, docs, repeats, silent if quiet else say)
         return
     if scene is None:
         raise InputError("accuracy: which SCENE? (`mdms scenes` lists those that are bundled)")
@@ -112,12 +113,14 @@ def accuracy(
     interruption = Interruption()
     with interruption.watching(last=True), interruption.allowed():
         plan = replace(Plan.of(quick=quick, repeats=repeats), sampling=sampling and target is None)
-        report = study(found, plan, say=_silent if quiet else _say, look=interruption.check)
-        folder = None if output is None else made_folder(output)
-        if folder is not None:
-            from deploy.accuracy.files import write_report
+        tell = silent if quiet else say
+        tell_cautions(found, tell)
+        with locked_folder(output, tell) as folder:  # before the work: it would be for nothing
+            report = study(found, plan, say=tell, look=interruption.check)
+            if folder is not None:
+                from deploy.accuracy.files import write_report
 
-            write_report(report, folder)
+                write_report(report, folder)
     _tell(report, target, folder, as_json=as_json)
 
 
@@ -128,7 +131,7 @@ def _write_page(scene: str | None, docs: Path, repeats: int | None, say: Callabl
     if scene is not None:
         raise InputError(f"--docs {docs}: takes no SCENE: the page has its own")
     interruption = Interruption()
-    with interruption.watching(last=True), interruption.allowed():
+    with interruption.watching(last=True), interruption.allowed(), locked_folder(docs, say):
         print(write(docs, repeats=REPEATS if repeats is None else repeats, say=say))
 
 
@@ -145,12 +148,3 @@ def _tell(report: Report, target: float | None, folder: Path | None, *, as_json:
             print(f"\n{folder}")
     if target is not None and report.cheapest(target) is None:
         raise typer.Exit(1)
-
-
-def _say(line: str) -> None:
-    sys.stderr.write(f"mdms: {line}\n")
-    sys.stderr.flush()
-
-
-def _silent(line: str) -> None:
-    del line

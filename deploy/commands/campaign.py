@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deploy.commands.completion import fault_kinds
 from deploy.commands.options import (
     HOW,
     DurationOption,
@@ -17,6 +19,7 @@ from deploy.commands.options import (
     SetOption,
 )
 from deploy.errors import InputError
+from deploy.words import say, silent
 
 if TYPE_CHECKING:
     from deploy.campaign.asked import Asked
@@ -29,6 +32,7 @@ FaultOption = Annotated[
     str | None,
     typer.Option(
         "--fault",
+        autocompletion=fault_kinds,
         rich_help_panel=_VARIED,
         metavar="KIND",
         help="Add a fault of this kind to the scene. Its keys are set by --set fault.KEY=VALUE and varied by "
@@ -91,7 +95,8 @@ WithinOption = Annotated[
         "--within",
         rich_help_panel=_JUDGED,
         metavar="METRES",
-        help="The largest error of a success. Default: any.",
+        help="The largest error of a success. Default: what the scene's \\[goal] says; without either the campaign is "
+        "refused.",
     ),
 ]
 ConfidenceOption = Annotated[
@@ -169,17 +174,18 @@ def campaign(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a scene many times, over seeds, faults and parameters: success, error and time with confidence intervals.
+    r"""Run a scene many times, over seeds, faults and parameters: success, error and time with confidence intervals.
 
     Every run is the whole system, cells and messages included, in one process; as many at a time as there are
     processors. Its digest is that of mdms run. A run that fails, hangs or is killed is kept with its seed, and the
     others go on. Leaves runs.jsonl, campaign.csv, campaign.json and campaign.png.
 
     A run has succeeded if its status is ok; no parcel tipped, fell off the array other than through an exit, or was
-    misrouted; and every parcel that rests, or has left, in the undisturbed run does so here (one that should rest may
-    also have left). The undisturbed run is that of the same scene and seed without the campaign's fault. The error is
-    the largest distance of a corner of a parcel from where it is in the undisturbed run, at the end; the time is when
-    the last parcel came to rest or left.
+    misrouted; every parcel that rests, or has left, in the undisturbed run does so here (one that should rest may
+    also have left); and the error is at most --within, or what the scene's \[goal] demands holds. The undisturbed run
+    is that of the same scene and seed without the campaign's fault. The error is the largest distance of a corner of a
+    parcel from where it is in the undisturbed run, at the end. Without such a run it is that of a parcel's centre of
+    mass from the goal's place. The time is when the last parcel came to rest or left.
 
     Cells that die at random; messages that get lost, by how many; a parameter:
 
@@ -213,8 +219,9 @@ def campaign(
             raise InputError(f"--output {output}: --resume {resume} goes on in its own folder")
         asked, text = _resumed(given, resume, other_versions=other_versions)
         folder = resume
-    report = _run(asked, text, folder, jobs, resumed=resume is not None, quiet=quiet)
-    _finish(report, picture=picture, as_json=as_json)
+    with ExitStack() as locked:
+        report = _run(asked, text, folder, jobs, locked, resumed=resume is not None, quiet=quiet)
+        _finish(report, picture=picture, as_json=as_json)
 
 
 def _texts(options: list[str] | None) -> tuple[str, ...] | None:
@@ -222,17 +229,24 @@ def _texts(options: list[str] | None) -> tuple[str, ...] | None:
 
 
 def _new(given: dict[str, Any], output: Path | None) -> tuple[Asked, str, Path | None]:
-    from deploy.campaign.asked import FILE_NAME, asked_for
+    from deploy.campaign.asked import asked_for
     from deploy.scene_files import bundled_names, scene_text
 
     scene = given["scene"]
     if scene is None:
         raise InputError("campaign: which SCENE? (`mdms scenes` lists those that are bundled)")
-    if output is not None and (output / FILE_NAME).exists():
-        raise InputError(f"--output {output}: holds a campaign already; --resume {output} goes on with it")
+    if output is not None:
+        _check_new(output)
     text = scene_text(scene)
     folder = None if scene in bundled_names() else str(Path(scene).parent.resolve())
     return asked_for({**given, "folder": folder}), text, output
+
+
+def _check_new(folder: Path) -> None:
+    from deploy.campaign.asked import FILE_NAME
+
+    if (folder / FILE_NAME).exists():
+        raise InputError(f"--output {folder}: holds a campaign already; --resume {folder} goes on with it")
 
 
 def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tuple[Asked, str]:
@@ -247,26 +261,42 @@ def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tu
 
 
 def _run(
-    asked: Asked, text: str, folder: Path | None, jobs: int | None, *, resumed: bool, quiet: bool
+    asked: Asked,
+    text: str,
+    folder: Path | None,
+    jobs: int | None,
+    locked: ExitStack,
+    *,
+    resumed: bool,
+    quiet: bool,
 ) -> Report:
+    """Carry out a campaign; its folder is locked until ``locked`` closes."""
     import time
 
     from deploy.campaign.asked import write
     from deploy.campaign.campaign import Campaign
     from deploy.campaign.cases import cases_of
-    from deploy.files import made_folder
+    from deploy.cautions import cautions_of
     from deploy.interruption import Interruption
-    from deploy.output import new_folder, run_name, versions
+    from deploy.output import run_name, versions
+    from deploy.output_lock import OutputLock, locked_folder, new_folder
     from plant.solvers.crew import processors
 
     interruption = Interruption()
     with interruption.watching(last=True):
+        tell = silent if quiet else say
         with interruption.allowed():
             cases = cases_of(asked, text)
+            for line in dict.fromkeys(line for case in cases.cases for line in cautions_of(case.scene)):
+                tell(f"caution: {line}")
         if folder is None:
             folder = new_folder(run_name(cases.scene, f"campaign-{time.strftime('%Y%m%d-%H%M%S')}"))
-        if not resumed:
-            write(asked, text, versions(), made_folder(folder))
+        if resumed:
+            locked.enter_context(OutputLock(folder, tell, named="--resume"))
+        else:
+            locked.enter_context(locked_folder(folder, tell))
+            _check_new(folder)  # another may have begun one since
+            write(asked, text, versions(), folder)
         return Campaign(asked, cases, folder, quiet=quiet).run(jobs or processors(), interruption)
 
 

@@ -11,7 +11,7 @@ import typer
 from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
 from deploy.commands.poses import ParcelOption, check_parcel, numbers
 from deploy.errors import InputError
-from deploy.words import point, short
+from deploy.words import point, say, short
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -46,8 +46,11 @@ def constants(
       [cyan]mdms constants elliptic[/cyan]
       [cyan]mdms constants elliptic --at 0.1,0,30[/cyan]
     """
+    from deploy.cautions import tell_cautions
+
     found = load_scene(scene, sets)
     check_parcel(found, parcel)
+    tell_cautions(found, say)
     if at is not None:
         found = _posed(found, parcel, at)
     motion = _constants(found, parcel)

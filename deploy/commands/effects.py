@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +20,8 @@ from deploy.commands.options import (
     load_scene,
 )
 from deploy.errors import InputError
-from deploy.files import made_folder
+from deploy.output_lock import locked_folder
+from deploy.words import say, silent
 
 if TYPE_CHECKING:
     from deploy.effect_study.ladder import Climbed
@@ -86,17 +86,17 @@ def effects(
     if not 0.0 < tolerance_mm < float("inf"):
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must be greater than 0")
     found = load_scene(scene, sets, seed, duration, solver, tolerance)
-    tell = _silent if quiet else _tell
+    tell = silent if quiet else say
     interruption = Interruption()
     with interruption.watching(last=True), interruption.allowed():
-        from deploy.cautions import cautions_of
+        from deploy.cautions import tell_cautions
         from deploy.plants import load_plant
 
-        for line in cautions_of(found):
-            tell(f"caution: {line}")
+        tell_cautions(found, tell)
         load_plant(found, tell)  # whatever the plant refuses in the scene itself is bad input
         if ladder or output is not None:
-            _ladder(found, repeats, output, tell, as_json=as_json)
+            with locked_folder(output, tell) as folder:
+                _ladder(found, repeats, folder, tell, as_json=as_json)
         else:
             _study(found, repeats, tolerance_mm if advise else None, tell, as_json=as_json)
 
@@ -138,12 +138,11 @@ def _study(
 
 
 def _ladder(
-    scene: Scene, repeats: int, output: Path | None, tell: Callable[[str], None], *, as_json: bool
+    scene: Scene, repeats: int, folder: Path | None, tell: Callable[[str], None], *, as_json: bool
 ) -> None:
     from deploy.effect_study.ladder import climb, rungs
     from deploy.effect_study.report import ladder_json
 
-    folder = None if output is None else made_folder(output)
     climbed = climb(rungs(scene), repeats, tell)
     picture = None if folder is None else _draw(scene, climbed, folder)
     if as_json:
@@ -173,12 +172,3 @@ def _draw(scene: Scene, climbed: list[Climbed], folder: Path) -> Path:
 
 def _print_json(found: dict[str, Any]) -> None:
     print(json.dumps(found, indent=2, allow_nan=False))
-
-
-def _tell(line: str) -> None:
-    sys.stderr.write(f"mdms: {line}\n")
-    sys.stderr.flush()
-
-
-def _silent(line: str) -> None:
-    del line

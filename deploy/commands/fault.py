@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
+from inspect import cleandoc
 from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption, OperatorKeysOption, TimeoutOption
+from deploy.commands.completion import fault_kinds
+from deploy.commands.options import (
+    JsonOption,
+    OperatorKeysOption,
+    RunningAtOption,
+    RunningInOption,
+    TimeoutOption,
+    address_of,
+)
 from deploy.errors import InputError
 from deploy.overrides import Override, apply
 from deploy.words import counted
@@ -22,7 +30,9 @@ KindArgument = Annotated[
     str,
     typer.Argument(
         metavar="KIND",
-        help="Any kind that a scene may schedule; or list: which faults there are; or repair: of those by number.",
+        autocompletion=fault_kinds,
+        help="Any kind that a scene may schedule, listed above; or list: which faults the run has; or repair: of "
+        "those by number.",
     ),
 ]
 TargetArgument = Annotated[
@@ -43,17 +53,6 @@ ForOption = Annotated[
     float | None,
     typer.Option("--for", metavar="SECONDS", help="Simulated time until it is repaired. Default: never."),
 ]
-ConnectOption = Annotated[
-    str | None, typer.Option("--connect", metavar="ENDPOINT", help="Where the run's plant listens.")
-]
-RunOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--run",
-        metavar="DIR",
-        help="Or the folder that the run writes to. Default: the latest below runs/ that goes on.",
-    ),
-]
 
 
 def fault(
@@ -63,8 +62,8 @@ def fault(
     side: SideOption = None,
     sets: SetOption = None,
     for_s: ForOption = None,
-    connect: ConnectOption = None,
-    run: RunOption = None,
+    connect: RunningAtOption = None,
+    run: RunningInOption = None,
     keys: OperatorKeysOption = None,
     timeout: TimeoutOption = 5.0,
     as_json: JsonOption = False,
@@ -81,16 +80,15 @@ def fault(
       [cyan]mdms fault crash 0,0-2,2[/cyan]
       [cyan]mdms fault list[/cyan]
       [cyan]mdms fault repair 1[/cyan]
+
+    Kinds, whose keys are in docs/faults.md:
+
+    {kinds}
     """
     if not 0 < timeout < float("inf"):
         raise InputError(f"--timeout {timeout:g}: must be greater than 0")
-    if connect is not None and run is not None:
-        raise InputError("--connect and --run: give one of the two")
     requests = _requests(kind, target or [], side, sets or [], for_s)
-    if connect is None:
-        from deploy.live.address import find
-
-        connect = find(run).connect
+    connect = address_of(connect, run)
     from deploy.live.operator import ask_run
 
     for request in requests:
@@ -99,6 +97,18 @@ def fault(
             print(json.dumps(answer))
         else:
             _print(request, answer)
+
+
+def _kinds() -> str:
+    """Return a line for each kind of fault, as help shows it."""
+    from deploy.faults.registry import KINDS, gist
+
+    width = max(map(len, KINDS))
+    return "\n".join(f"  [cyan]{name:<{width}}[/cyan]  {gist(name)}" for name in KINDS)
+
+
+# Python 3.13 takes the indentation off docstrings, earlier versions don't
+fault.__doc__ = cleandoc(fault.__doc__ or "").replace("{kinds}", _kinds())
 
 
 def _requests(

@@ -8,6 +8,8 @@ from typing import Annotated, Final, final
 
 import typer
 
+from deploy.commands.completion import scene_keys, scenes
+from deploy.errors import InputError
 from deploy.overrides import Override
 from deploy.scene import Scene
 from deploy.scene_files import load_scene as load
@@ -17,14 +19,17 @@ HOW: Final = "How it is run"
 
 _SCENE: Final = "A scene file, or the name of a bundled scene."
 
-SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENE)]
-SceneUnlessArgument = Annotated[str | None, typer.Argument(metavar="SCENE", help=_SCENE)]
+SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENE, autocompletion=scenes)]
+SceneUnlessArgument = Annotated[
+    str | None, typer.Argument(metavar="SCENE", help=_SCENE, autocompletion=scenes)
+]
 """For commands that can do without, asked for something else."""
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
+        autocompletion=scene_keys,
         help="Set any value of the scene: dotted path, list items by number, value in TOML. Repeatable.",
     ),
 ]
@@ -65,6 +70,22 @@ OperatorKeysOption = Annotated[
         help="The run's keys, or the operator's folder of them, where it lets in only who has some.",
     ),
 ]
+RunningAtOption = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Where the run's plant listens: what its --listen says. Default: found by --run.",
+    ),
+]
+RunningInOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--run",
+        metavar="DIR",
+        help="Or the folder that the run writes to. Default: the latest below runs/ that goes on.",
+    ),
+]
 TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for an answer.")
 ]
@@ -97,7 +118,7 @@ class Asked:
 class AskedOfRun(Asked):
     """The same of a run, which may have its scene from one that it goes on with."""
 
-    scene: Annotated[str, typer.Argument(metavar="[SCENE]", help=_SCENE)] = ""
+    scene: Annotated[str, typer.Argument(metavar="[SCENE]", help=_SCENE, autocompletion=scenes)] = ""
 
     @property
     def changes(self) -> dict[str, object]:
@@ -149,3 +170,22 @@ def load_scene(
         if value is not None:
             overrides.append(Override(path, value, f"{option} {value}"))
     return load(scene, overrides)
+
+
+def address_of(connect: str | None, run: Path | None) -> str:
+    """Return the endpoint of the running system that a command is to speak to.
+
+    Args:
+        connect: Value of ``--connect``.
+        run: Value of ``--run``.
+
+    Raises:
+        InputError: Both are given, or no run goes on there.
+    """
+    if connect is not None:
+        if run is not None:
+            raise InputError("--connect and --run: give one of the two")
+        return connect
+    from deploy.live.address import find
+
+    return find(run).connect

@@ -12,7 +12,8 @@ import typer
 from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
 from deploy.commands.poses import ParcelOption, check_parcel, numbers
 from deploy.errors import InputError
-from deploy.files import made_folder
+from deploy.output_lock import locked_folder
+from deploy.words import say
 
 if TYPE_CHECKING:
     from deploy.orientations.sizes import SizeMap
@@ -69,6 +70,7 @@ def orientations(
       [cyan]mdms orientations elliptic --output study[/cyan]
       [cyan]mdms orientations elliptic --sizes 0.3:0.8:60,0.2:0.5:60 --output study[/cyan]
     """
+    from deploy.cautions import tell_cautions
     from deploy.interruption import Interruption
     from deploy.orientations.study import study
 
@@ -78,20 +80,22 @@ def orientations(
     ranges = None if sizes is None else _ranges(sizes)
     interruption = Interruption()
     with interruption.watching(last=True), interruption.allowed():
+        tell_cautions(found, say)
         asked = study(found, parcel, place)
-        if ranges is None:
-            _one(asked, output, as_json=as_json)
-        else:
-            _many(asked, ranges, output, as_json=as_json)
+        with locked_folder(output, say) as folder:
+            if ranges is None:
+                _one(asked, folder, as_json=as_json)
+            else:
+                _many(asked, ranges, folder, as_json=as_json)
 
 
-def _one(asked: Study, output: Path | None, *, as_json: bool) -> None:
+def _one(asked: Study, folder: Path | None, *, as_json: bool) -> None:
     profile = asked.profile()
     picture = None
-    if output is not None:
+    if folder is not None:
         from deploy.orientations.picture import FILE_NAME, draw_orientations
 
-        picture = made_folder(output) / FILE_NAME
+        picture = folder / FILE_NAME
         draw_orientations(asked, profile, picture)
     if as_json:
         found = {**_head(asked), **_plain(profile), "picture": picture and str(picture)}
@@ -104,10 +108,9 @@ def _one(asked: Study, output: Path | None, *, as_json: bool) -> None:
         print(f"\n{picture}")
 
 
-def _many(asked: Study, ranges: tuple[Floats, Floats], output: Path | None, *, as_json: bool) -> None:
+def _many(asked: Study, ranges: tuple[Floats, Floats], folder: Path | None, *, as_json: bool) -> None:
     from deploy.orientations.sizes import size_map
 
-    folder = None if output is None else made_folder(output)
     sizes = size_map(asked, *ranges)
     picture = None
     if folder is not None:

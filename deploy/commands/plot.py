@@ -21,7 +21,11 @@ RecordingArgument = Annotated[
 ]
 OutputOption = Annotated[
     Path | None,
-    typer.Option("--output", metavar="FILE", help="The PNG to write; default: beside the recording."),
+    typer.Option(
+        "--output",
+        metavar="FILE",
+        help="The picture to write: a PNG, SVG or PDF by its suffix. Default: a PNG beside the recording.",
+    ),
 ]
 KindOption = Annotated[
     Kind,
@@ -33,9 +37,19 @@ KindOption = Annotated[
 
 
 def plot(recording: RecordingArgument, output: OutputOption = None, kind: KindOption = Kind.overview) -> None:
-    """Draw a picture of a recording, whole or cut short."""
+    """Draw a picture of a recording, whole or cut short.
+
+    Beside the recording, or a PDF for print; and what the cells' protocol did:
+
+      [cyan]mdms plot runs/NAME[/cyan]
+      [cyan]mdms plot runs/NAME --output figure.pdf[/cyan]
+      [cyan]mdms plot runs/NAME --kind protocol --output protocol.svg[/cyan]
+    """
+    from deploy.picture import format_of
     from deploy.recordings.replay import load
 
+    if output is not None:
+        format_of(output)  # a wrong suffix is refused before a long recording is read
     run = load(recording)
     path = output or run.path.with_name(f"{kind.value}.png")
     if kind is Kind.protocol:

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption, OperatorKeysOption, TimeoutOption
+from deploy.commands.options import (
+    JsonOption,
+    OperatorKeysOption,
+    RunningAtOption,
+    RunningInOption,
+    TimeoutOption,
+    address_of,
+)
 from deploy.errors import InputError
 from deploy.words import counted, short
 
@@ -22,18 +29,13 @@ _SIDE_BY_SIDE = 6
 CellsArgument = Annotated[
     list[str] | None, typer.Argument(metavar="[ROW,COLUMN]...", help="Which cells. Default: all, in short.")
 ]
-ConnectOption = Annotated[
-    str,
-    typer.Option(
-        "--connect", metavar="ENDPOINT", help="Where the run's plant listens: what its --listen says."
-    ),
-]
 
 
 def registers(
     cells: CellsArgument = None,
     *,
-    connect: ConnectOption,
+    connect: RunningAtOption = None,
+    run: RunningInOption = None,
     keys: OperatorKeysOption = None,
     timeout: TimeoutOption = 5.0,
     as_json: JsonOption = False,
@@ -44,15 +46,15 @@ def registers(
 
     In one terminal, and in another:
 
-      [cyan]mdms run prototype --duration 60 --realtime --listen tcp/127.0.0.1:7447[/cyan]
-      [cyan]mdms registers 0,0 1,2 --connect tcp/127.0.0.1:7447[/cyan]
+      [cyan]mdms run prototype --duration 60 --realtime[/cyan]
+      [cyan]mdms registers 0,0 1,2[/cyan]
     """
     wanted = [_cell(text) for text in cells or ()]
     if not 0 < timeout < float("inf"):
         raise InputError(f"--timeout {timeout:g}: must be greater than 0")
     from deploy.watching import look
 
-    seen = look(connect, wanted, timeout, keys)
+    seen = look(address_of(connect, run), wanted, timeout, keys)
     if wanted:
         seen.cells = {cell: seen.cells[cell] for cell in wanted}
     if as_json:

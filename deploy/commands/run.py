@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -14,10 +15,12 @@ from deploy.commands.outcome import carry_out
 from deploy.commands.spread import spread
 from deploy.errors import InputError
 from deploy.processes.plan import Plan, Processes, RunOptions, plan
+from deploy.words import say, silent
 
 if TYPE_CHECKING:
     from deploy.checkpoints.checkpoint import Checkpoint
     from deploy.interruption import Interruption
+    from deploy.output_lock import OutputLock
     from deploy.scene import Scene
     from deploy.summary import Outcome
 
@@ -51,7 +54,18 @@ ListenOption = Annotated[
         "--listen",
         rich_help_panel=HOW,
         metavar="ENDPOINT",
-        help="Where the plant listens, such as tcp/127.0.0.1:7447. Default: a free loopback port.",
+        help="Where listeners and operators (mdms fault, mdms registers) connect, such as tcp/127.0.0.1:7447; with "
+        "port 0 a free one. Default: a free loopback port.",
+    ),
+]
+JoinOption = Annotated[
+    str | None,
+    typer.Option(
+        "--join",
+        rich_help_panel=HOW,
+        metavar="ENDPOINT",
+        help="Where processes of cells connect, such as tls/10.0.0.5:7448 for cells on other hosts. Default: a socket "
+        "that only you can open; with --keys a free loopback port.",
     ),
 ]
 KeysOption = Annotated[
@@ -68,7 +82,7 @@ InsecureOption = Annotated[
     typer.Option(
         "--insecure",
         rich_help_panel=HOW,
-        help="Listen beyond this host without keys: anybody who reaches it can drive the run.",
+        help="Listen where anybody can come in without keys: whoever reaches --join can drive the run.",
     ),
 ]
 RealtimeOption = Annotated[
@@ -152,6 +166,7 @@ def run(
     transport: TransportOption = "zenoh",
     wire: WireOption = None,
     listen: ListenOption = None,
+    join: JoinOption = None,
     keys: KeysOption = None,
     insecure: InsecureOption = False,
     realtime: RealtimeOption = None,
@@ -188,6 +203,7 @@ def run(
         transport=transport,
         wire=wire,
         listen=listen,
+        join=join,
         keys=keys,
         insecure=insecure,
         realtime=realtime,
@@ -199,25 +215,56 @@ def run(
         replay=replay,
         checkpoint_s=checkpoint,
     )
-    if resume is None:
-        if not asked.scene:
-            raise InputError("mdms run: name a SCENE, or a run to go on with: --resume DIR")
-        scene, resumed = asked.load(), None
-    else:
-        scene, options, resumed = taken_up(resume, asked, options)
-    if show_plan:
-        print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)
-        return
+    with ExitStack() as held:
+        lock = None
+        if resume is None:
+            if not asked.scene:
+                raise InputError("mdms run: name a SCENE, or a run to go on with: --resume DIR")
+            scene, resumed = asked.load(), None
+        else:
+            check_unchanged(resume, asked)
+            if not show_plan:
+                lock = held.enter_context(lock_of(resume, quiet=asked.quiet))
+            scene, options, resumed = taken_up(resume, options)
+        if show_plan:
+            print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)
+            return
 
-    def work(interruption: Interruption) -> Outcome:
-        from deploy.run import run as run_scene
+        def work(interruption: Interruption) -> Outcome:
+            from deploy.run import run as run_scene
 
-        return run_scene(scene, options, quiet=asked.quiet, interruption=interruption, resumed=resumed)
+            return run_scene(
+                scene, options, quiet=asked.quiet, interruption=interruption, resumed=resumed, lock=lock
+            )
 
-    carry_out("the run", work, as_json=asked.as_json)
+        carry_out("the run", work, as_json=asked.as_json)
 
 
-def taken_up(folder: Path, asked: AskedOfRun, options: RunOptions) -> tuple[Scene, RunOptions, Checkpoint]:
+def check_unchanged(folder: Path, asked: AskedOfRun) -> None:
+    """Refuse to change what runs.
+
+    Raises:
+        InputError: Names the options.
+    """
+    if asked.changes:
+        given = ", ".join(asked.changes)
+        raise InputError(f"--resume {folder}: the run goes on as it began: leave out {given}")
+
+
+def lock_of(folder: Path, *, quiet: bool) -> OutputLock:
+    """Lock the folder of a run before its checkpoint is looked for: until then another process may write there.
+
+    Raises:
+        InputError: There is no such folder, or another process is writing there.
+    """
+    from deploy.output_lock import OutputLock
+
+    if not folder.is_dir():
+        raise InputError(f"--resume {folder}: there is no such folder")
+    return OutputLock(folder, silent if quiet else say, named="--resume")
+
+
+def taken_up(folder: Path, options: RunOptions) -> tuple[Scene, RunOptions, Checkpoint]:
     """The run in a folder, to go on with it.
 
     Raises:
@@ -225,9 +272,6 @@ def taken_up(folder: Path, asked: AskedOfRun, options: RunOptions) -> tuple[Scen
     """
     from deploy.checkpoints.resume import found, options_of, scene_of
 
-    if asked.changes:
-        given = ", ".join(asked.changes)
-        raise InputError(f"--resume {folder}: the run goes on as it began: leave out {given}")
     checkpoint = found(folder)
     return scene_of(checkpoint), replace(options_of(checkpoint, options), output=folder), checkpoint
 
@@ -261,7 +305,8 @@ def print_plan(made: Plan, *, as_json: bool) -> None:
         table.add_row(f"[cyan]{process.name}[/cyan]", process.where, _span(process.cells))
     console.print(table)
     if plant.listen is not None:
-        console.print(f"The plant listens on {plant.listen}; the others connect to it.", soft_wrap=True)
+        console.print(f"Cells join the plant at {plant.join}.", soft_wrap=True)
+        console.print(f"Listeners and operators connect to {plant.listen}.", soft_wrap=True)
     console.print(f"Cells are ready when: {first.ready}.", soft_wrap=True)
     console.print(f"The run begins when: {plant.ready}.", soft_wrap=True)
 

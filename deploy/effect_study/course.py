@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, final
 
 from bus.errors import BusError
 from cell_firmware.effects.registry import CellEffects
-from deploy.cell_times import cell_times
 from deploy.errors import DeployError
-from deploy.faults.schedule import active, deaths, rests
+from deploy.losses import failure, nobody
 from deploy.output import run_name
-from deploy.plants import load_plant, status_of
+from deploy.plants import load_plant, process_of, status_of
 from deploy.processes.plan import RunOptions, plan
 from deploy.processes.system import System
-from deploy.readings import camera_of, readings_of
+from deploy.readings import readings_of
 from deploy.simulate import field_speeds
+from deploy.words import say
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _plant_alone(scene: Scene) -> Course:
     from plant.array import CellArray
 
     speeds = field_speeds(scene, CellArray(scene.array).positions_m)
-    plant = load_plant(scene, _say)
+    plant = load_plant(scene, say)
     events: list[Event] = []
     period_ns, end_ns = scene.tick_ns, scene.duration_ns
     status, reason = "ok", ""
@@ -122,15 +122,15 @@ def _with_cells(scene: Scene, digest: Digest | None) -> Course:
 
     status, reason = "ok", ""
     started = time.perf_counter()
-    with System(plan(scene, options, run_name(scene, secrets.token_hex(4))), scene, None) as system:
-        plant = load_plant(scene, _say)
+    with System(plan(scene, options, run_name(scene, secrets.token_hex(4))), scene, options) as system:
+        plant = load_plant(scene, say)
         try:
             system.open()
             process = _process(scene, system, plant, observe)
             started = time.perf_counter()
             ended = process.run()
-            status, reason = ended.status, _why(ended)
             lost.extend(ended.losses)
+            status, reason = ended.status, _why(ended, lost, plant, scene.tick_ns)
         except (BusError, DeployError) as error:
             status, reason = "failed", str(error)
         except PlantError as error:
@@ -142,25 +142,16 @@ def _with_cells(scene: Scene, digest: Digest | None) -> Course:
 def _process(
     scene: Scene, system: System, plant: Plant, observe: Callable[[TickRecord], None]
 ) -> PlantProcess:
-    from plant.process import PlantProcess
-
     readings = readings_of(scene, plant.sense())
-    return PlantProcess(
-        plant,
-        system.start(plant.array, readings),
-        tick_ns=scene.tick_ns,
-        duration_ns=scene.duration_ns,
-        schedule=deaths(scene),
-        stall=scene.stall,
-        timing=cell_times(scene),
-        camera=camera_of(scene, readings),
-        faults=active(scene),
-        rests=rests(scene),
-        observer=observe,
-    )
+    return process_of(scene, plant, system.start(plant.array, readings), readings, observe)
 
 
-def _why(ended: Ended) -> str:
+def _why(ended: Ended, lost: Sequence[Loss], plant: Plant, period_ns: int) -> str:
+    cells = plant.array.lattice.cells
+    if ended.failed:
+        return failure(ended.failed, cells, period_ns)
+    if ended.nobody:
+        return nobody(lost, cells, period_ns)
     return "" if ended.status == "ok" else "a cell was lost, and stall.policy is abort"
 
 
@@ -179,8 +170,3 @@ def _course(
         cells_lost=cells_lost,
         wall_s=wall_s,
     )
-
-
-def _say(line: str) -> None:
-    sys.stderr.write(f"mdms: {line}\n")
-    sys.stderr.flush()

@@ -74,9 +74,7 @@ def compare(one: Course, other: Course) -> Influence:
 
 def _there(course: Course) -> set[int]:
     """Parcels that have come and have not left by an exit; one that tipped lies where it tipped."""
-    left = {event.parcel for event in course.events if event.kind == "left"}
-    waiting = {number for number, fate in enumerate(course.fates) if fate.state == "waiting"}
-    return set(range(len(course.fates))) - left - waiting
+    return {n for n, fate in enumerate(course.fates) if fate.state not in ("waiting", "delivered")}
 
 
 def _displacement(one: Course, other: Course, number: int) -> float:

@@ -93,8 +93,9 @@ def _notes(row: Row, solver: str) -> Iterable[str]:
         yield f"not toggled: {row.reason}"
         return
     if row.settings is not None and not row.on:
-        given = ((key, value) for key, value in row.settings.items() if value not in (None, []))
-        yield f"tried with {', '.join(f'{key} = {_plain(value)}' for key, value in given)}"
+        given = [(key, value) for key, value in row.settings.items() if value not in (None, [])]
+        told = ", ".join(f"{key} = {_plain(value)}" for key, value in given)
+        yield f"tried with {told or 'its defaults'}"
     if row.solver != solver:
         yield f"both under {row.solver}, as {solver} doesn't know it"
     if row.beside:

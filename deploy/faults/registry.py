@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, get_args
 
 from pydantic import BeforeValidator, Field
@@ -61,3 +62,9 @@ Fault = Annotated[Annotated[AnyFault, Field(discriminator="kind")], BeforeValida
 """A scene's ``[[faults]]`` are told apart by ``kind``."""
 
 KINDS: dict[str, type[AnyFault]] = {kind.called: kind for kind in get_args(AnyFault)}
+
+
+def gist(kind: str) -> str:
+    """Return a few words on a kind of fault: how its description begins."""
+    first = (KINDS[kind].__doc__ or "").partition("\n")[0].replace("``", "").rstrip(".")
+    return re.split(r"[.,:;] ", first, maxsplit=1)[0]

@@ -9,7 +9,7 @@ from deploy.faults.module import AbsentModules
 
 @final
 class RemoveFault(AbsentModules):
-    """Cells that are pulled out of the array at ``at_s`` and, where ``until_s`` says so, plugged in again."""
+    """Cells that are pulled out of the array at ``at_s``, and plugged in again where ``until_s`` says so."""
 
     called: ClassVar[str] = "remove"
     kind: Literal["remove"]

@@ -1,11 +1,20 @@
-"""The access control of the plant's session, as Zenoh reads it."""
+"""The access control of the plant's sessions, as Zenoh reads it.
+
+A folder of keys has one for all roles. The session that cells join takes the part of the cells' roles, the session for
+listeners and operators takes the operators' part.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from deploy.keys.roles import PLANT, Role
+from deploy.keys.limits import QUESTION_LIMITS
+from deploy.keys.roles import OPERATOR, OPERATORS, PLANT, Role
+
+if TYPE_CHECKING:
+    from bus.transports.zenoh.identity import Gate
 
 _SUBJECT: Final = {"certificate": "cert_common_names", "password": "usernames"}
 """By what Zenoh knows a session."""
@@ -20,15 +29,16 @@ _MESSAGES: Final = {
 _OUT: Final = "what the plant lets out"
 
 
-def access_control(roles: Iterable[Role], kind: str) -> dict[str, Any]:
+def access_control(roles: Iterable[Role], kind: str | None) -> dict[str, Any]:
     """Zenoh's ``access_control``: nobody may do anything but what their role says.
 
-    All traffic passes the plant's session, and is checked as it comes in. What goes out is not: it goes to whoever
+    All traffic passes the plant's sessions, and is checked as it comes in. What goes out is not: it goes to whoever
     subscribed, and subscribing is what is checked.
 
     Args:
         roles: Who there is.
-        kind: ``certificate`` or ``password``: how they prove who they are.
+        kind: ``certificate`` or ``password``: how they prove who they are. None: not at all, everybody has the
+            only role.
     """
     others = [role for role in roles if role.name != PLANT]
     rules = [_rule(_OUT, ["egress"], ["put", "reply", *_DECLARED], ["**"])]
@@ -45,9 +55,30 @@ def access_control(roles: Iterable[Role], kind: str) -> dict[str, Any]:
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": role.name, _SUBJECT[kind]: [role.name]} for role in others],
+        "subjects": [
+            {"id": role.name, **({} if kind is None else {_SUBJECT[kind]: [role.name]})} for role in others
+        ],
         "policies": policies,
     }
+
+
+def part_of(access: dict[str, Any], *, operators: bool) -> dict[str, Any]:
+    """The part of an access control for the session of operators, or for the session that cells join."""
+    kept = {name for one in access["subjects"] if ((name := one["id"]) == OPERATOR) == operators}
+    policies = [
+        {**one, "subjects": own}
+        for one in access["policies"]
+        if (own := [s for s in one["subjects"] if s in kept])
+    ]
+    subjects = [one for one in access["subjects"] if one["id"] in kept]
+    return {**access, "subjects": subjects, "policies": policies}
+
+
+def open_gate() -> Gate:
+    """Let anybody listen to a run and ask for live commands, and do nothing else."""
+    from bus.transports.zenoh.identity import Gate
+
+    return Gate(None, json.dumps(access_control([OPERATORS], None)), json.dumps(QUESTION_LIMITS))
 
 
 _DECLARED: Final = ["declare_subscriber", "declare_queryable", "liveliness_token"]

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, final
 from pydantic import ValidationError
 
 from deploy.errors import InputError
+from deploy.keys.access import part_of
 from deploy.keys.folder import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, About
-from deploy.keys.limits import size_limits
+from deploy.keys.limits import QUESTION_LIMITS, size_limits
 from deploy.keys.roles import OPERATOR, PLANT, Cut, roles_of
 from deploy.words import counted
 
@@ -26,13 +27,13 @@ def identity_of(folder: Path, role: str) -> Identity:
         role: Its name.
 
     Raises:
-        InputError: A file is missing, or others than its owner can read what is secret.
+        InputError: A file is missing, or others than its owner can read what is secret or change what is trusted.
     """
     from bus.transports.zenoh.identity import Certificate, Password
 
     if (folder / PASSWORD).exists():
         return Password(role, _secret(folder / PASSWORD).read_text(encoding="utf-8").strip())
-    authority, certificate = _there(folder / AUTHORITY), _there(folder / CERTIFICATE)
+    authority, certificate = _sound(folder / AUTHORITY), _sound(folder / CERTIFICATE)
     return Certificate(str(authority), str(certificate), str(_secret(folder / KEY)))
 
 
@@ -63,9 +64,13 @@ class Keyring:
     """
 
     def __init__(self, folder: Path) -> None:
+        if not (folder / KEYS).exists():
+            raise InputError(
+                f"--keys {folder}: is no folder of keys, there is no {KEYS}: mdms keys DIR SCENE makes one"
+            )
         self._folder = folder.absolute()
         try:
-            self.about = About.model_validate_json(_there(folder / KEYS).read_bytes())
+            self.about = About.model_validate_json(_sound(folder / KEYS).read_bytes())
         except ValidationError as error:
             raise InputError(
                 f"{folder / KEYS}: {error.errors()[0]['msg']}; mdms keys makes a new one"
@@ -100,21 +105,28 @@ class Keyring:
                 _check(identity, role)
 
     def gate(self, cut: Cut) -> Gate:
-        """What the plant's session needs, for cells that are cut like this."""
+        """Gate of the session that cells join, for cells that are cut like this; operators may do nothing there."""
+        return self._gate(size_limits(cut), operators=False)
+
+    def outer_gate(self) -> Gate:
+        """Gate of the session for listeners and operators; cells may do nothing there."""
+        return self._gate(QUESTION_LIMITS, operators=True)
+
+    def _gate(self, limits: list[dict[str, Any]], *, operators: bool) -> Gate:
         from bus.transports.zenoh.identity import Gate
 
         own = self._folder / PLANT
         users = str(_secret(own / USERS)) if self.about.kind == "password" else None
-        limits = json.dumps(size_limits(cut))
-        return Gate(identity_of(own, PLANT), self._access(), limits, users)
+        access = json.dumps(part_of(self._access(), operators=operators))
+        return Gate(identity_of(own, PLANT), access, json.dumps(limits), users)
 
     def of_cells(self, cut: Cut) -> tuple[Path, ...]:
         """The folder of each process of cells, by shard."""
         return tuple(self._folder / cut.role(shard) for shard in range(cut.partition.count))
 
-    def _access(self) -> str:
+    def _access(self) -> dict[str, Any]:
         """The access control without its comments, of which Python's JSON knows nothing."""
-        path = _there(self._folder / ACCESS)
+        path = _sound(self._folder / ACCESS)
         lines = path.read_text(encoding="utf-8").splitlines()
         try:
             access: dict[str, Any] = json.loads(
@@ -124,7 +136,7 @@ class Keyring:
             raise InputError(f"{path}: {error}") from None
         if not access.get("enabled") or access.get("default_permission") != "deny":
             raise InputError(f"{path}: must be enabled, and deny what no rule allows")
-        return json.dumps(access)
+        return access
 
 
 def _told(roles: dict[str, tuple[tuple[int, int], ...]], wire: str) -> str:
@@ -145,6 +157,17 @@ def _check(identity: Identity, role: str) -> None:
 def _there(path: Path) -> Path:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file: mdms keys makes it")
+    return path
+
+
+def _sound(path: Path) -> Path:
+    """A file that says whom to trust: none but its owner may change or replace it."""
+    for changed in (_there(path), path.parent):
+        mode = changed.stat().st_mode
+        if mode & 0o022:
+            raise InputError(
+                f"{changed}: others can change it, mode {mode & 0o777:04o}: chmod go-w {changed}"
+            )
     return path
 
 

@@ -25,7 +25,10 @@ _QUESTION: Final = 1 << 17
 
 
 def size_limits(cut: Cut) -> list[dict[str, Any]]:
-    """Zenoh's ``low_pass_filter``: what is longer is dropped as it comes in, and counted as denied."""
+    """Zenoh's ``low_pass_filter`` of the session that cells join.
+
+    Messages that are longer are dropped as they come in, and counted as denied.
+    """
     shards = range(cut.partition.count)
     cells = max(len(cut.partition.cells(shard)) for shard in shards)
     links = max(len(cut.partition.outgoing(shard)) for shard in shards)
@@ -39,9 +42,12 @@ def size_limits(cut: Cut) -> list[dict[str, Any]]:
         _limit("report", [shard_key("*", None, "report")], _ENVELOPE + report),
         _limit("registers", [shard_key("*", None, "registers")], _ENVELOPE + _REGISTERS * cells),
         _limit("memory", [shard_key("*", None, "memory")], _ENVELOPE + CELL_LIMIT * (cells + 1)),
-        _limit("question", [plant_key("*", "operator")], _QUESTION, "query"),
     ]
 
 
 def _limit(name: str, keys: list[str], size: int, message: str = "put") -> dict[str, Any]:
     return {"id": name, "flows": ["ingress"], "messages": [message], "key_exprs": keys, "size_limit": size}
+
+
+QUESTION_LIMITS: Final = [_limit("question", [plant_key("*", "operator")], _QUESTION, "query")]
+"""Zenoh's ``low_pass_filter`` of the session for listeners and operators."""

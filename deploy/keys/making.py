@@ -6,7 +6,8 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Final
@@ -15,6 +16,8 @@ from deploy.errors import DeployError, InputError
 from deploy.keys.access import access_control
 from deploy.keys.folder import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, About, Kind
 from deploy.keys.roles import PLANT, Cut, Role, roles_of
+from deploy.output_lock import OutputLock
+from deploy.words import say
 
 LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
 """Names of the plant's host that certificates hold for unasked."""
@@ -27,7 +30,15 @@ _BYTES: Final = 32
 
 
 def make(
-    folder: Path, scene: str, cut: Cut, kind: Kind, *, hosts: Iterable[str], days: int, force: bool
+    folder: Path,
+    scene: str,
+    cut: Cut,
+    kind: Kind,
+    *,
+    hosts: Iterable[str],
+    days: int,
+    force: bool,
+    warn: Callable[[str], None] = say,
 ) -> About:
     """Makes the keys of every process of a run, and of operators.
 
@@ -41,37 +52,76 @@ def make(
         hosts: Names and addresses of the plant's host beside loopback's.
         days: How long certificates hold.
         force: Replace keys that are there.
+        warn: Told, in one line, that files can't be locked there.
 
     Raises:
-        InputError: The folder is there already, a host's name is none, or certificates can't be made here.
+        InputError: The folder is there already or is the working one, another process makes it at this time, a host's
+            name is none, or certificates can't be made here.
         DeployError: It can't be written.
     """
+    if folder.resolve() == Path.cwd():
+        raise InputError(
+            f"mdms keys: DIR must name a folder to be made, not {str(folder)!r}, the working one"
+        )
     if folder.exists() and not _may_go(folder, force=force):
         raise InputError(_there(folder, force=force))
-    roles = roles_of(cut)
-    draft = folder.with_name(f".{folder.name}.draft")
+    names = (*LOOPBACK, *hosts) if kind == "certificate" else ()
     try:
-        shutil.rmtree(draft, ignore_errors=True)
-        draft.mkdir(mode=0o700, parents=True)
-        for role in roles:
-            (draft / role.name).mkdir(mode=0o700)
-        if kind == "certificate":
-            names = (*LOOPBACK, *hosts)
-            until = _certificates(draft, roles, names, days)
-        else:
-            names, until = (), _passwords(draft, roles)
-        cells = {role.name: role.cells for role in roles}
-        about = About(kind=kind, scene=scene, wire=cut.wire, roles=cells, hosts=names, until=until)
-        access = json.dumps(access_control(roles, kind), indent=1)
-        _write(draft / ACCESS, f"{_HEAD}{access}\n".encode())
-        _write(draft / KEYS, f"{about.model_dump_json(indent=1)}\n".encode())
-        if folder.exists():
-            shutil.rmtree(folder)
-        draft.rename(folder)
+        with _draft(folder, warn) as draft:
+            about = _fill(draft, scene, cut, kind, names, days)
+            if folder.exists():
+                if not _may_go(folder, force=force):  # another process has made it since
+                    raise InputError(_there(folder, force=force))
+                shutil.rmtree(folder)
+            draft.rename(folder)
     except OSError as error:
         raise DeployError(f"can't write {folder}: {error.strerror or error}") from error
+    return about
+
+
+@contextmanager
+def _draft(folder: Path, warn: Callable[[str], None]) -> Generator[Path]:
+    """Give a new folder beside the one to be made; no other process makes that one meanwhile.
+
+    Raises:
+        InputError: Another process does already.
+        OSError: It can't be made.
+    """
+    place = folder.with_name(f".{folder.name}.draft")
+    while True:
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        try:
+            lock = OutputLock(place, warn, named="mdms keys: draft")
+        except InputError:
+            if place.is_dir():
+                raise
+        else:
+            break  # else the holder before removed it just now
+    draft = place / "keys"
+    try:
+        with lock:
+            try:
+                shutil.rmtree(draft, ignore_errors=True)  # of a process that was killed
+                draft.mkdir(mode=0o700)
+                yield draft
+            finally:
+                shutil.rmtree(draft, ignore_errors=True)
     finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        with suppress(OSError):  # the next process has come already
+            place.rmdir()
+
+
+def _fill(draft: Path, scene: str, cut: Cut, kind: Kind, names: tuple[str, ...], days: int) -> About:
+    """Write the keys of every role, and what they are for."""
+    roles = roles_of(cut)
+    for role in roles:
+        (draft / role.name).mkdir(mode=0o700)
+    until = _certificates(draft, roles, names, days) if kind == "certificate" else _passwords(draft, roles)
+    cells = {role.name: role.cells for role in roles}
+    about = About(kind=kind, scene=scene, wire=cut.wire, roles=cells, hosts=names, until=until)
+    access = json.dumps(access_control(roles, kind), indent=1)
+    _write(draft / ACCESS, f"{_HEAD}{access}\n".encode())
+    _write(draft / KEYS, f"{about.model_dump_json(indent=1)}\n".encode())
     return about
 
 

@@ -41,6 +41,12 @@ class Role:
     asks: tuple[str, ...] = ()
 
 
+OPERATORS: Final = Role(
+    OPERATOR, hears=("mdms/**",), watches=("mdms/**",), asks=(plant_key(_ANY, "operator"),)
+)
+"""Who listens to a run from outside and asks for live commands."""
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class Cut:
@@ -72,8 +78,7 @@ def roles_of(cut: Cut) -> tuple[Role, ...]:
     The plant's own session is where access is controlled: it needs leave for nothing.
     """
     cells = (_cells(cut, shard) for shard in range(cut.partition.count))
-    operator = Role(OPERATOR, hears=("mdms/**",), watches=("mdms/**",), asks=(plant_key(_ANY, "operator"),))
-    return Role(PLANT), *cells, operator
+    return Role(PLANT), *cells, OPERATORS
 
 
 def _cells(cut: Cut, shard: int) -> Role:

@@ -26,11 +26,11 @@ _Box = tuple[float, float, float, float]
 
 
 def draw_overview(run: Recording | Track, path: str | Path) -> None:
-    """Draw a run as a PNG, without a display; the file is written whole or not at all.
+    """Draw a run, without a display; the file is written whole or not at all.
 
     Args:
         run: A recording, whole or cut, or the track of a simulation.
-        path: The file to write.
+        path: The file to write, a PNG, SVG or PDF by its suffix.
 
     Raises:
         DeployError: It can't be written.
@@ -98,6 +98,4 @@ def _subtitle(track: Track) -> str:
     ]
     parts.append(f"{track.time_s[-1]:.4g} s" if len(track.time_s) else "no ticks")
     parts.append("recording cut" if track.status is None else track.status)
-    if track.digest:
-        parts.append(f"digest {track.digest[:12]}")
     return "  ·  ".join(parts)

@@ -8,6 +8,7 @@ from typing import Protocol, final
 
 from bus.transport import Endpoint
 from deploy.processes.launch import Crew, WorkerError
+from deploy.processes.nursery import one_line
 from deploy.processes.plan import Plan
 from deploy.processes.worker import Order, serve
 
@@ -50,6 +51,10 @@ class CellsSide(Protocol):
 
     def trouble(self, timeout_s: float) -> bool:
         """Whether anything has gone wrong, waiting up to ``timeout_s`` for it."""
+        ...
+
+    def programs_failed(self) -> bool:
+        """Whether programs that failed are all that has gone wrong, and others may yet fail."""
         ...
 
     def check(self) -> None:
@@ -97,6 +102,12 @@ class WorkerProcesses:
         self._crew.poll(timeout_s)
         return bool(self._crew.failures or self._crew.ended or self._crew.gone)
 
+    def programs_failed(self) -> bool:
+        """Whether programs that failed are all that has gone wrong."""
+        while self._crew.poll():
+            pass
+        return self._crew.programs_failed
+
     def check(self) -> None:
         """Raise WorkerError if a worker has failed or ended."""
         self._crew.check()
@@ -104,7 +115,7 @@ class WorkerProcesses:
     def details(self) -> str:
         """Tracebacks of the workers that raised."""
         crew = self._crew
-        return "\n".join(f"{crew.name(failure.worker)}: {failure.detail}" for failure in crew.failures)
+        return "\n".join(f"{crew.name(failure.worker)}: {failure.detail}" for failure in crew.told())
 
     def close(self, grace_s: float) -> None:
         """End every worker and their parent."""
@@ -122,7 +133,7 @@ class WorkerThread:
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
         self._thread: threading.Thread | None = None
-        self._error: Exception | None = None
+        self._error: BaseException | None = None
         self._over = threading.Event()
 
     def start(self, order: Order) -> None:
@@ -131,7 +142,7 @@ class WorkerThread:
         def work() -> None:
             try:
                 serve(order, 0, self._endpoint)
-            except Exception as error:  # noqa: BLE001 - whatever it is, `check` raises it
+            except BaseException as error:  # noqa: BLE001 - whatever it is, `check` raises it
                 self._error = error
             finally:
                 self._over.set()
@@ -152,10 +163,14 @@ class WorkerThread:
         """Whether the agents have ended, as they don't before they are told to."""
         return self._over.wait(timeout_s)
 
+    def programs_failed(self) -> bool:
+        """All programs begin in one call, which names the lowest cell: no other is still to fail."""
+        return False
+
     def check(self) -> None:
         """Raise WorkerError if an agent has raised."""
         if self._error is not None:
-            raise WorkerError(f"cells: {' '.join(str(self._error).split())}") from self._error
+            raise WorkerError(f"cells: {one_line(self._error)}") from self._error
         if self._over.is_set():
             raise WorkerError("cells: the agents ended before the run did")
 

@@ -33,6 +33,9 @@ _NURSERY = (
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """A worker's arrays are small: pools of threads would cost memory in each and gain nothing."""
 
+_PROGRAM = "FirmwareFailed"
+"""Kind of the failure of a cell's program."""
+
 _PATIENCE_S = 2.0
 """How long each step of ending a worker by signals may take."""
 
@@ -206,12 +209,25 @@ class Crew:
         while self.poll():
             pass
         if self.failures:
-            failure = self.failures[0]
+            failure = self.told()[0]
             raise WorkerError(f"{self.name(failure.worker)}: {failure.error}")
         for worker, status in self.ended.items():
             raise WorkerError(f"{self.name(worker)} ended before the run did: {describe_exit(status)}")
         if self.gone:
             raise WorkerError("the process that starts workers ended before the run did")
+
+    def told(self) -> list[Failure]:
+        """The failures in the order to tell them: programs that failed first, then by worker.
+
+        Workers are numbered as their cells, so the program that is named does not depend on which worker was faster.
+        """
+        return sorted(self.failures, key=lambda failure: (failure.kind != _PROGRAM, failure.worker))
+
+    @property
+    def programs_failed(self) -> bool:
+        """Whether programs that failed are all that has gone wrong, and some have."""
+        failed = {failure.worker for failure in self.failures if failure.kind == _PROGRAM}
+        return not self.gone and len(failed) == len(self.failures) > 0 and failed.issuperset(self.ended)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until every worker has ended; False if some still run after ``timeout_s``."""

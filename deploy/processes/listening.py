@@ -1,61 +1,131 @@
-"""Where the plant may listen: beyond this host only for those who prove who they are."""
+"""Endpoints of a run: which of them only this host reaches, and what others need to be let in."""
 
 from __future__ import annotations
 
 import ipaddress
 import re
+import socket
+from collections.abc import Sequence
 from typing import Final, Literal
 
 from deploy.errors import InputError
 
 Kind = Literal["certificate", "password"]
+Option = Literal["--listen", "--join"]
+"""``--listen``: for listeners and operators. ``--join``: for processes of cells."""
 
-_ENDPOINT: Final = re.compile(r"(?P<protocol>[a-z_-]+)/(?P<address>[^/].*)")
-_LOCAL: Final = ("unixsock-stream", "unixpipe")
+_ENDPOINT: Final = re.compile(r"(?P<protocol>[a-z_-]+)/(?P<address>\S.*)")
+_HOST_AND_PORT: Final = re.compile(
+    r"(?P<host>\[[0-9A-Za-z:.%]+\]|[^\s\[\]:,\"'/\\?#]+):\d+(?P<more>[?#][^\s,\"'\\]*)?"
+)
+_INTERFACE: Final = re.compile(r"[#;&](?:iface|bind)=(?P<interface>[^;&#]*)")
+_SOCKET: Final = "unixsock-stream"
+_LOCAL: Final = (_SOCKET, "unixpipe")
 """Protocols that don't leave the host."""
 
 
 def free_port(kind: Kind | None) -> str:
-    """What the plan says of an endpoint that is chosen as the run begins."""
+    """The plan's words for an endpoint on loopback that is chosen as the run begins."""
     return f"{'tls' if kind == 'certificate' else 'tcp'}/127.0.0.1 (a free port)"
 
 
-def check_listening(listen: str, kind: Kind | None, *, insecure: bool) -> None:
+def joined_at(kind: Kind | None) -> str:
+    """The plan's words for the endpoint that cells join where none is named."""
+    return f"{_SOCKET} (a private folder)" if kind is None else free_port(kind)
+
+
+def socket_in(folder: str) -> str:
+    """Endpoint of a Unix socket in a folder."""
+    return f"{_SOCKET}/{folder}/run"
+
+
+def check_listening(endpoint: str, kind: Kind | None, *, insecure: bool, option: Option = "--listen") -> None:
     """Whether the plant may listen there.
 
     Args:
-        listen: ``PROTOCOL/ADDRESS``.
+        endpoint: ``PROTOCOL/ADDRESS``.
         kind: How processes prove who they are; None: not at all.
-        insecure: Whether anybody may join who can reach it.
+        insecure: Whether anybody may come in who can reach it.
+        option: What it is for.
 
     Raises:
-        InputError: It is no endpoint, it is not TLS though certificates are to be shown, or strangers could join, or
-            with passwords listen.
+        InputError: It is not one endpoint, it is not TLS though certificates are to be shown, or strangers could come
+            in, or with passwords listen.
     """
-    match = _ENDPOINT.fullmatch(listen)
+    match = _ENDPOINT.fullmatch(endpoint)
     if match is None:
-        raise InputError(f"--listen {listen}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
+        raise InputError(f"{option} {endpoint}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
+    if match["protocol"] not in _LOCAL and _HOST_AND_PORT.fullmatch(match["address"]) is None:
+        raise InputError(
+            f"{option} {endpoint}: must be one endpoint, PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447"
+        )
     if kind == "certificate":
         if match["protocol"] != "tls":
             raise InputError(
-                f"--listen {listen}: with these keys it must be tls/, such as tls/{match['address']}"
+                f"{option} {endpoint}: with these keys it must be tls/, such as tls/{match['address']}"
             )
         return
     if match["protocol"] == "tls":
         raise InputError(
-            f"--listen {listen}: tls/ needs certificates: --keys DIR, made by mdms keys DIR SCENE"
+            f"{option} {endpoint}: tls/ needs certificates: --keys DIR, made by mdms keys DIR SCENE"
         )
-    if insecure or match["protocol"] in _LOCAL or _is_loopback(host_of(listen)):
+    if not insecure:
+        _check_reach(endpoint, kind, option)
+
+
+def check_opened(
+    endpoint: str, addresses: Sequence[str], kind: Kind | None, *, insecure: bool, option: Option = "--listen"
+) -> None:
+    """Whether the addresses that a session listens on are as private as the endpoint that was asked for.
+
+    Args:
+        endpoint: What was asked for.
+        addresses: Where the session listens.
+        kind: How processes prove who they are; None: not at all.
+        insecure: Whether anybody may come in who can reach it.
+        option: What it is for.
+
+    Raises:
+        InputError: One of them leaves this host, or Zenoh names none.
+    """
+    if insecure or kind == "certificate":
+        return
+    if not addresses:
+        raise InputError(
+            f"{option} {endpoint}: Zenoh doesn't say where it listens then: use tcp/, or --insecure"
+        )
+    for address in addresses:
+        _check_reach(address, kind, option)
+
+
+def _check_reach(endpoint: str, kind: Kind | None, option: Option) -> None:
+    """Raise InputError where more can reach an endpoint than may."""
+    if is_local(endpoint):
+        if option == "--join" and kind is None and not endpoint.startswith(f"{_SOCKET}/"):
+            raise InputError(
+                f"{option} {endpoint}: anybody on this host could drive the run's wheels: use {_SOCKET}/PATH, or "
+                "--keys DIR (mdms keys DIR SCENE makes them), or --insecure"
+            )
         return
     if kind == "password":
         raise InputError(
-            f"--listen {listen}: leaves this host, and with passwords what is said goes unencrypted: use certificates "
-            "(mdms keys without --passwords), or --insecure"
+            f"{option} {endpoint}: leaves this host, and with passwords what is said goes unencrypted: use "
+            "certificates (mdms keys without --passwords), or --insecure"
         )
+    done = "listen to the run and disturb it" if option == "--listen" else "join"
     raise InputError(
-        f"--listen {listen}: leaves this host, and anybody who reaches it could join: use --keys DIR "
+        f"{option} {endpoint}: leaves this host, and anybody who reaches it could {done}: use --keys DIR "
         "(mdms keys DIR SCENE makes them), or --insecure"
     )
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this host reaches an endpoint: by its protocol, or by every address of its host's name."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol in _LOCAL:
+        return True
+    interface = _INTERFACE.search(address)
+    return (interface is None or interface["interface"] == "lo") and _is_loopback(host_of(endpoint))
 
 
 def host_of(endpoint: str) -> str:
@@ -72,8 +142,9 @@ def near(endpoint: str) -> str:
 
 
 def _is_loopback(host: str) -> bool:
-    """Whether it is on the loopback interface by its very name."""
+    """Whether a host's name stands for loopback addresses alone."""
     try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
+        found = socket.getaddrinfo(host, None) if host else []
+        return bool(found) and all(ipaddress.ip_address(one[4][0]).is_loopback for one in found)
+    except (OSError, ValueError):
         return False

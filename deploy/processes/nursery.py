@@ -115,11 +115,11 @@ class _Nursery:
             threading.Thread(target=_die_with, args=(self._channel.fileno(),), daemon=True).start()
             order(worker)
             status = 0
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is told to the main process
+        except BaseException as error:  # noqa: BLE001 - whatever it is, it is told to the main process
             self._report(
                 worker,
                 "failed",
-                error=_one_line(error),
+                error=one_line(error),
                 kind=type(error).__name__,
                 detail=_told(error),
             )
@@ -138,9 +138,8 @@ class _Nursery:
             content["error"] = str(more.get("error", ""))[: _LINE_LIMIT // 8]
             content["detail"] = "... " + str(more.get("detail", ""))[-_LINE_LIMIT // 8 :]
             line = json.dumps(content) + "\n"
-        with contextlib.suppress(
-            BrokenPipeError
-        ):  # the main process has gone, and its socket ends all of this
+        # where the main process has gone, its socket ends all of this
+        with contextlib.suppress(BrokenPipeError):
             os.write(self._report_fd, line.encode())
 
     def _reap(self) -> None:
@@ -190,7 +189,7 @@ def _told(error: BaseException) -> str:
     return str(error) if isinstance(error, FirmwareFailed) else traceback.format_exc()
 
 
-def _one_line(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """The first and the last line of an error's text: what failed and, of a traceback, why."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if lines and lines[0].endswith(lines[-1]):

@@ -12,7 +12,8 @@ from bus.lattice import Lattice
 from bus.partition import Partition
 from deploy.errors import InputError
 from deploy.keys.roles import Cut
-from deploy.processes.listening import check_listening, free_port
+from deploy.processes.listening import Option, check_listening, free_port, joined_at
+from deploy.room import too_many_workers
 
 if TYPE_CHECKING:
     from deploy.scene import Scene
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 Transport = Literal["zenoh", "memory"]
 Wire = Literal["packed", "cells"]
 Processes = int | Literal["each"]
+_Endpoints = tuple[str | None, str | None]
+"""For listeners and operators, and for processes of cells."""
 
 ONE_WORKER_CELLS = 1_000
 """Up to here a second worker costs more in messages than it saves in work."""
@@ -35,7 +38,9 @@ class RunOptions:
             by the number of cells and processor cores.
         transport: What carries the messages; ``memory`` needs ``processes`` 0.
         wire: The wire form; None: ``packed``, but ``cells`` where each cell has a process of its own.
-        listen: Endpoint on which the plant listens; None: a free loopback port.
+        listen: Endpoint for listeners and operators; None: a free loopback port.
+        join: Endpoint for processes of cells; None: a socket in a folder of this user's alone, or with keys a free
+            loopback port.
         realtime: Simulated seconds a wall second; None: as fast as it goes.
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
@@ -44,7 +49,7 @@ class RunOptions:
         replay: Folder of a recorded run of the scene: what was done to that one is done again; None: nothing is.
         protocol_report: Look at the protocol's field every so many ticks, and report; None: not.
         keys: Folder that ``mdms keys`` has made: whom to let in, and what each may do; None: anybody, anything.
-        insecure: Listen beyond this host though anybody could join.
+        insecure: Listen where anybody could come in.
         checkpoint_s: Leave a checkpoint every so many seconds of wall time; None: none.
     """
 
@@ -52,6 +57,7 @@ class RunOptions:
     transport: Transport = "zenoh"
     wire: Wire | None = None
     listen: str | None = None
+    join: str | None = None
     realtime: float | None = None
     output: Path | None = None
     picture: bool = True
@@ -74,7 +80,8 @@ class PlannedProcess:
         role: ``plant`` or ``cells``.
         where: ``this process``, ``a thread of this process`` or ``a process of its own``.
         cells: ``(row, column)`` of the cells that run in it.
-        listen: Endpoint it listens on, or None.
+        listen: Endpoint on which it listens for listeners and operators, or None.
+        join: Endpoint on which it listens for processes of cells, or None.
         connect: Endpoint it connects to, or None.
         ready: What has to happen before the first tick.
     """
@@ -84,6 +91,7 @@ class PlannedProcess:
     where: str
     cells: tuple[tuple[int, int], ...]
     listen: str | None
+    join: str | None
     connect: str | None
     ready: str
 
@@ -133,6 +141,7 @@ class Plan:
                     "where": process.where,
                     "cells": [f"{row},{column}" for row, column in process.cells],
                     "listen": process.listen,
+                    "join": process.join,
                     "connect": process.connect,
                     "ready": process.ready,
                 }
@@ -150,9 +159,35 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
     lattice = scene.lattice()
     setting = _processes(options, lattice)
     workers = len(lattice) if setting == "each" else setting
+    if rule := too_many_workers(workers, len(lattice)):
+        raise InputError(f"--processes {setting}: {rule}")
     kind = _kind_of_keys(options)
-    if options.listen is not None:
-        check_listening(options.listen, kind, insecure=options.insecure)
+    asked: dict[Option, str | None] = {"--listen": options.listen, "--join": options.join}
+    for option, endpoint in asked.items():
+        if endpoint is not None:
+            check_listening(endpoint, kind, insecure=options.insecure, option=option)
+    _check(options, scene, workers)
+    try:
+        partition = Partition.even(lattice, max(1, workers))
+    except PartitionError:
+        raise InputError(
+            f"--processes {workers}: must be each or 0..{len(lattice)}, the number of cells"
+        ) from None
+    wire: Wire = options.wire or ("cells" if setting == "each" else "packed")
+    return Plan(
+        run=run,
+        scene=scene.name,
+        setting=setting,
+        workers=workers,
+        transport=options.transport,
+        wire=wire,
+        partition=partition,
+        processes=tuple(_listed(partition, workers, setting, _endpoints(options, kind), scene.stall.start_s)),
+    )
+
+
+def _check(options: RunOptions, scene: Scene, workers: int) -> None:
+    """Refuse options that are out of range, or that the scene or the workers don't go with."""
     for name, ticks in (("registers", options.registers), ("protocol-report", options.protocol_report)):
         if ticks is not None and ticks < 1:
             raise InputError(f"--{name} {ticks}: must be a number of ticks from 1")
@@ -172,29 +207,12 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         raise InputError(f"--checkpoint {options.checkpoint_s:g}: must be greater than 0")
     if options.checkpoint_s is not None and options.replay is not None:
         raise InputError("--checkpoint: a run that repeats another can't be kept; leave one of the two out")
-    try:
-        partition = Partition.even(lattice, max(1, workers))
-    except PartitionError:
-        raise InputError(
-            f"--processes {workers}: must be each or 0..{len(lattice)}, the number of cells"
-        ) from None
-    wire: Wire = options.wire or ("cells" if setting == "each" else "packed")
-    return Plan(
-        run=run,
-        scene=scene.name,
-        setting=setting,
-        workers=workers,
-        transport=options.transport,
-        wire=wire,
-        partition=partition,
-        processes=tuple(_listed(partition, workers, setting, _endpoint(options, kind), scene.stall.start_s)),
-    )
 
 
 def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | None:
     """How processes prove who they are; None: not at all."""
     if options.transport == "memory":
-        for name, value in (("listen", options.listen), ("keys", options.keys)):
+        for name, value in (("listen", options.listen), ("join", options.join), ("keys", options.keys)):
             if value is not None:
                 raise InputError(f"--{name}: the memory transport has no endpoint; leave one of the two out")
     if options.keys is None:
@@ -204,8 +222,10 @@ def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | N
     return Keyring(options.keys).about.kind
 
 
-def _endpoint(options: RunOptions, kind: Literal["certificate", "password"] | None) -> str | None:
-    return None if options.transport == "memory" else options.listen or free_port(kind)
+def _endpoints(options: RunOptions, kind: Literal["certificate", "password"] | None) -> _Endpoints:
+    if options.transport == "memory":
+        return None, None
+    return options.listen or free_port(kind), options.join or joined_at(kind)
 
 
 def _processes(options: RunOptions, lattice: Lattice) -> Processes:
@@ -222,15 +242,17 @@ def _processes(options: RunOptions, lattice: Lattice) -> Processes:
 
 
 def _listed(
-    partition: Partition, workers: int, setting: Processes, endpoint: str | None, start_s: float
+    partition: Partition, workers: int, setting: Processes, endpoints: _Endpoints, start_s: float
 ) -> list[PlannedProcess]:
+    listen, join = endpoints
     cells = partition.lattice.cells
     plant = PlannedProcess(
         name="plant",
         role="plant",
         where="this process",
         cells=(),
-        listen=endpoint,
+        listen=listen,
+        join=join,
         connect=None,
         ready=f"all {len(cells)} cells alive and ready within {start_s:g} s",
     )
@@ -245,7 +267,8 @@ def _listed(
                 where=where,
                 cells=own,
                 listen=None,
-                connect=endpoint,
+                join=None,
+                connect=join,
                 ready="firmware loaded, the plant and every neighbour's process reached",
             )
         )

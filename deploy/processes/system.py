@@ -1,4 +1,4 @@
-"""The parts of a running system, put together: the plant's endpoint, the lockstep's host, and the cells."""
+"""The parts of a running system, put together: the plant's endpoints, the lockstep's host, and the cells."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
-from bus.errors import BusError, TransportError
-from deploy.errors import InputError
+from bus.errors import BusError
 from deploy.processes.cells_side import CellsSide, WorkerProcesses, WorkerThread
 from deploy.processes.listening import host_of, near
-from deploy.processes.plan import Plan
+from deploy.processes.plan import Plan, RunOptions
 from deploy.processes.worker import Order, Resumed, connected, controller_of, faults_of
 
 if TYPE_CHECKING:
@@ -24,14 +23,18 @@ if TYPE_CHECKING:
     from bus.transports.zenoh.questions import Questions
     from bus.transports.zenoh.refusals import Watch
     from deploy.keys.keyring import Keyring
+    from deploy.processes.access import Access
     from deploy.scene import Scene
     from plant.array import CellArray
 
-_STOP_S = 2.0
+_STOP_S = 5.0
 """Wall time that the cells get to leave when they are told to stop."""
 
 _LEAVE_S = 0.5
 """The least that they get from leaving the bus to their end."""
+
+_LATE = 0.25
+"""Of the time until every cell must be ready, that workers which are not there get to say why."""
 
 _WATCH_S = 0.05
 """How often the barrier's watch looks whether it is still needed."""
@@ -39,31 +42,33 @@ _WATCH_S = 0.05
 
 @final
 class System:
-    """One run's endpoint, host and cells; leaving the context ends whatever was started.
+    """One run's endpoints, host and cells; leaving the context ends whatever was started.
 
     Args:
         plan: What to start.
         scene: What runs.
-        listen: Endpoint on which the plant listens; None: a free loopback port.
-        keys: Folder with the run's keys; None: anybody is let in.
+        options: How; of these the endpoints, the keys, and whether strangers may come in.
 
     Attributes:
-        locator: Where it listens; empty before ``open`` and where it doesn't.
-        refusals: What the plant's session refuses, where it doesn't let anybody in.
+        locator: Where listeners and operators connect; empty before ``open`` and where nobody can.
+        refusals: What the plant's sessions refuse, where they don't let anybody in.
+        unreported: Cells (indices) that took part to the end and whose counts did not come in time.
 
     Raises:
         InputError: The keys don't fit, or don't hold.
     """
 
-    def __init__(self, plan: Plan, scene: Scene, listen: str | None, keys: Path | None = None) -> None:
+    def __init__(self, plan: Plan, scene: Scene, options: RunOptions) -> None:
         self._plan = plan
         self._scene = scene
-        self._listen = listen
-        self._keyring = None if keys is None else _keyring(keys, plan, listen)
+        self._options = options
+        self._keyring = None if options.keys is None else _keyring(options.keys, plan, options)
         self.refusals: Watch | None = None
+        self._access: Access | None = None
         self._endpoint: Endpoint | None = None
         self._cells: CellsSide | None = None
         self.locator = ""
+        self.unreported: list[int] = []
         self._host: Host | None = None
         self._order: Order | None = None
         self._running = False
@@ -80,10 +85,10 @@ class System:
         self.stop()
 
     def open(self) -> None:
-        """Open the plant's endpoint.
+        """Open the plant's endpoints.
 
         Raises:
-            InputError: The port is in use, or the endpoint makes no sense.
+            InputError: A port is in use, or an endpoint makes no sense, or more can reach it than may.
         """
         if self._plan.transport == "memory":
             from bus.transports.memory import MemoryBus
@@ -92,16 +97,13 @@ class System:
             self._endpoint = bus.endpoint()
             self._cells = WorkerThread(bus.endpoint())
             return
-        from bus.transports.zenoh import open_hub
+        from deploy.processes.access import Access
 
-        try:
-            gate = None if self._keyring is None else self._keyring.gate(self._plan.cut)
-            hub = open_hub(self._listen, lease_s=self._scene.stall.lease_s, gate=gate)
-        except TransportError as error:
-            raise InputError(str(error)) from None
-        self._endpoint, self.locator, self.refusals = hub, near(hub.locator), hub.refusals
+        self._access = Access(self._plan, self._scene.stall, self._options, self._keyring)
+        hub = self._access.open()
+        self._endpoint, self.refusals, self.locator = hub, hub.refusals, self._access.locator
         self._cells = self._processes or WorkerThread(
-            connected(self.locator, self._keys(), 0, self._scene.stall)
+            connected(self._access.join, self._keys(), 0, self._scene.stall)
         )
 
     def _keys(self) -> tuple[Path, ...]:
@@ -146,7 +148,7 @@ class System:
             partition=plan.partition,
             wire=plan.wire,
             run=plan.run,
-            connect=self.locator,
+            connect="" if self._access is None else self._access.join,
             readings=readings,
             wanted=wanted,
             metered=metered,
@@ -189,13 +191,7 @@ class System:
 
     def questions(self, key: str) -> Questions | None:
         """Where others may ask something while the run goes on; None where nobody can."""
-        if self._plan.transport == "memory":
-            return None
-        from bus.transports.zenoh import ZenohEndpoint
-        from bus.transports.zenoh.questions import Questions
-
-        assert isinstance(self._endpoint, ZenohEndpoint)
-        return Questions(self._endpoint, key)
+        return None if self._access is None else self._access.questions(key)
 
     def _barrier(self, host: Host, endpoint: Endpoint, cells: CellsSide) -> None:
         """The host's barrier, cut short by a worker that fails."""
@@ -211,6 +207,7 @@ class System:
         watcher = threading.Thread(target=watch, name="start-up watch", daemon=True)
         watcher.start()
         failed: BusError | None = None
+        deadline = time.monotonic() + self._scene.stall.start_s
         try:
             host.barrier()
         except BusError as error:
@@ -218,7 +215,17 @@ class System:
         finally:
             over.set()
             watcher.join()
+        if failed and not trouble.is_set():
+            # A worker that began late on a busy machine finds only now that its program doesn't return.
+            late = deadline + _LATE * self._scene.stall.start_s
+            while host.absent(0.0) and time.monotonic() < late and not cells.trouble(_WATCH_S):
+                pass
+            deadline = late
         if failed or trouble.is_set():
+            # Which program is named must not depend on which worker was faster: the others get until the deadline.
+            while cells.programs_failed() and time.monotonic() < deadline:
+                if all(cells.ended(shard) for shard in host.absent(_WATCH_S)):
+                    break
             cells.check()  # why a worker is not there says more than that it is not
         if failed:
             raise failed
@@ -245,20 +252,23 @@ class System:
         try:
             if self._host is not None:
                 counts = self._host.stop(detail, deadline - time.monotonic())
+                self.unreported = self._host.unreported if self._running else []
         finally:
             try:
                 for side in (self._cells, self._processes):
                     if side is not None:
                         side.close(max(deadline - time.monotonic(), _LEAVE_S) if self._running else 0.0)
             finally:
-                if self._endpoint is not None:
-                    self._endpoint.close()
+                for opened in (self._access, self._endpoint):
+                    if opened is not None:
+                        opened.close()
         return counts
 
 
-def _keyring(folder: Path, plan: Plan, listen: str | None) -> Keyring:
+def _keyring(folder: Path, plan: Plan, options: RunOptions) -> Keyring:
     from deploy.keys.keyring import Keyring
 
     keyring = Keyring(folder)
-    keyring.check(plan.cut, None if listen is None else host_of(near(listen)))
+    for endpoint in (options.listen, options.join):
+        keyring.check(plan.cut, None if endpoint is None else host_of(near(endpoint)))
     return keyring

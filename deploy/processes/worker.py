@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from queue import SimpleQueue
+from threading import Thread
+from typing import TYPE_CHECKING, Final, final
 
 from bus.errors import WireError
 from bus.keys import plant_key
@@ -27,6 +31,9 @@ if TYPE_CHECKING:
     from cell_firmware.shard import Shard
     from deploy.scene import Scene
     from plant.array import CellArray
+
+_BEGIN: Final = 0.6
+"""Of the time until every cell must be ready, that the programs of a shard may take to begin."""
 
 
 @final
@@ -119,8 +126,9 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     from cell_firmware import agent
     from cell_firmware.cell import records_of
     from cell_firmware.loader import load
+    from deploy.processes.overrun import Overseer
 
-    cells, site = make_shard(order, shard)
+    cells, site = _begun(order, shard)
     records = records_of(load(order.scene.cells))
     if order.keeps:
         remember(cells, records)  # a program whose memory can't be kept is told of before the run begins
@@ -148,13 +156,46 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     if first is not None:
         cells.begin(first)
         inject = _injector(order, cells, site)
-        ended = asyncio.run(agent.run(cells, member, endpoint, inject, records, first))
+        watched = partial(Overseer, order.scene.stall.deadline_s, "stall.deadline_s")
+        ended = asyncio.run(agent.run(cells, member, endpoint, inject, records, first, watched))
         doomed = order.alone and _doomed(order, shard, schedule, first + ended.ticks)
         # Whoever had no cells left from the beginning stays none the less: the start waits for all.
         absent = order.resumed is not None and shard not in order.resumed.states
         if (doomed or absent) and _next_tick_came(order.run, len(order.array), endpoint):
             os.kill(os.getpid(), signal.SIGKILL)
     member.close()
+
+
+def _begun(order: Order, shard: int) -> tuple[Shard, Site]:
+    """Make a shard under the deadline of its programs' ``init``.
+
+    Raises:
+        FirmwareError: The firmware can't be loaded or initialised, or an ``init`` does not return.
+    """
+    from cell_firmware.errors import FirmwareFailed
+    from deploy.processes.overrun import Overseer
+
+    made: SimpleQueue[tuple[Shard, Site] | BaseException] = SimpleQueue()
+
+    def hopeless(cell: tuple[int, int], problem: str, trace: str) -> None:
+        made.put(FirmwareFailed(cell, 0, f"init: {problem}", trace))
+
+    limit_s, rule = _BEGIN * order.scene.stall.start_s, f"{_BEGIN:g} of stall.start_s"
+    with closing(Overseer(limit_s, rule, hopeless=hopeless)) as watch:
+
+        def make() -> None:
+            try:
+                with watch:
+                    made.put(make_shard(order, shard))
+            except BaseException as error:  # noqa: BLE001 - raised again in the shard's own thread
+                made.put(error)
+
+        # In another thread: an init that waits in C can't be interrupted, and must not keep this thread from saying so.
+        Thread(target=make, name="init", daemon=True).start()
+        found = made.get()
+    if isinstance(found, BaseException):
+        raise found
+    return found
 
 
 def _recall(resumed: Resumed, shard: int, cells: Shard, records: tuple[type, ...], member: Member) -> None:
@@ -225,14 +266,16 @@ def make_shard(order: Order, index: int) -> tuple[Shard, Site]:
     scene, array, readings = order.scene, order.array, order.readings
     faults = faults_of(scene)
     controller = controller_of(scene, faults, live=order.live, metered=order.metered)
+    cells, clocks = order.partition.cells(index), scene.clocks()
     site = Site(
-        order.partition.cells(index),
+        cells,
         readings.sensors,
         controller.message,
         scene.seed,
         levels=readings.levels,
         said=controller.said,
         tick_ns=scene.tick_ns,
+        clocks=None if clocks is None else clocks.all.take(cells),
     )
     stages = scene.effects.stages(site)
     if faults is not None:

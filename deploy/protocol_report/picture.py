@@ -40,12 +40,12 @@ Floats = NDArray[np.float64]
 
 
 def draw_protocol(reporter: Reporter, report: ProtocolReport, path: Path) -> None:
-    """Draw a protocol's run as a PNG.
+    """Draw a protocol's run.
 
     Args:
         reporter: Watched it.
         report: What it came to.
-        path: The file to write.
+        path: The file to write, a PNG, SVG or PDF by its suffix.
 
     Raises:
         DeployError: It can't be written.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from bus.memory import Remembers
 from bus.registers import Shown, Wanted
-from deploy.errors import InputError
+from cell_firmware.errors import FirmwareError
 from deploy.protocol_report.load import link_load
 from deploy.protocol_report.rate import Rate, fitted
 from deploy.protocol_report.report import ProtocolReport, course, disturbances, ratio, told_by, verdict
@@ -46,7 +45,7 @@ class Reporter:
         snapshots: Of the field.
 
     Raises:
-        InputError: The firmware raised when it was asked for its theory.
+        FirmwareError: The firmware raised when it was asked for its theory.
     """
 
     remembers: ClassVar[Remembers] = Remembers("notes", "_limit", "residuals", "snapshots")
@@ -175,14 +174,11 @@ class Reporter:
     def _theory(self, firmware: Firmware) -> Theory | None:
         try:
             return firmware.theory(self.lattice)
-        except ModuleNotFoundError as error:
-            self.notes.append(f"what theory says needs {error.name}, which is not installed")
+        except FirmwareError as error:
+            if not isinstance(error.__cause__, ModuleNotFoundError):
+                raise
+            self.notes.append(f"what theory says needs {error.__cause__.name}, which is not installed")
             return None
-        except Exception as error:
-            trace = traceback.format_exc().rstrip()
-            raise InputError(
-                f"scene {self.scene.name}: firmware {self.scene.cells.firmware!r} can't tell its theory:\n{trace}"
-            ) from error
 
 
 def deaths_of(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], int]:

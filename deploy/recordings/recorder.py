@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import DeployError, InputError
+from deploy.files import sync_folder
 from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, FILE_NAME, PARCELS, REGISTERS, TICK, Header
 from deploy.recordings.json_text import json_bytes, parcels_text
 from deploy.recordings.mcap_file import McapFile
@@ -101,8 +102,10 @@ class Recorder:
         file = McapFile(draft, header, CHUNK_BYTES)
         try:
             self._last = copy_beginning(self.path, file, kept)
+            file.flush()  # a sync alone leaves the last chunk in this process
             file.sync()
             draft.replace(self.path)
+            sync_folder(self.path.parent)
         except BaseException:
             file.abandon()
             draft.unlink(missing_ok=True)

@@ -139,7 +139,6 @@ class Recording:
             faults=self.faults,
             rails_m=_rails(header["scene"]),
             status=self.status,
-            digest=self.digest,
         )
 
 

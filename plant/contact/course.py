@@ -22,6 +22,23 @@ def later(motion: WheelMotion, after_s: float) -> WheelMotion:
     return WheelMotion(motion.steady, motion.decay * math.exp(-motion.rate * after_s), motion.rate)
 
 
+STILL_THERE = ("moving", "tipped")
+"""Endings of a parcel's motion that others can go on beside."""
+
+
+@final
+class CourseEnded(Exception):
+    """A parcel's motion can't be followed, or was to end: there is no course to look at.
+
+    Attributes:
+        done: how far it came, times from the start of the course.
+    """
+
+    def __init__(self, done: Advance) -> None:
+        super().__init__(done.ending)
+        self.done = done
+
+
 @final
 class Course:
     """The free motion of a group's parcels from where they are now.
@@ -41,7 +58,11 @@ class Course:
         self.start[group.moving] = solver.state[group.parcels]
 
     def at(self, times: Floats) -> Floats:
-        """``(k, b, 6)`` states at ``times`` ``(k,)`` in seconds from the start, ascending and after it."""
+        """``(k, b, 6)`` states at ``times`` ``(k,)`` in seconds from the start, ascending and after it.
+
+        Raises:
+            CourseEnded: a parcel did not come so far.
+        """
         group = self._group
         out = np.empty((len(times), len(self._solver.state), 6))
         self._solver.restore(self._kept)
@@ -51,6 +72,8 @@ class Course:
         states[:] = group.still
         states[:, group.moving] = out[:, group.parcels]
         for one in news:
+            if one.ending not in STILL_THERE:
+                raise CourseEnded(one)
             if one.ending != "moving":
                 states[times > one.moved_s, np.searchsorted(group.names, one.parcel), 3:] = 0.0
         return states

@@ -31,6 +31,7 @@ class Group(NamedTuple):
         inverse: ``(b, 2)`` one over mass, 1/kg, and over moment of inertia, 1/(kg m²); 0 for what stands.
         pull: ``(b, PULL_SIZE)``: see ``plant.kernels.meetings``.
         still: ``(b, 6)`` states of those that stand.
+        slow: m/s: what closes no faster doesn't bounce.
     """
 
     names: Integers
@@ -40,6 +41,7 @@ class Group(NamedTuple):
     inverse: Floats
     pull: Floats
     still: Floats
+    slow: float
 
     @property
     def parcels(self) -> Integers:
@@ -102,6 +104,7 @@ class Bodies:
         traction: the law, which bounds what parcels can do.
         gravity: m/s².
         pitch: of the array, m.
+        slow: m/s: what closes no faster doesn't bounce.
 
     Attributes:
         parcels: how many; the rails are numbered after them.
@@ -118,7 +121,9 @@ class Bodies:
         traction: Traction,
         gravity: float,
         pitch: float,
+        slow: float,
     ) -> None:
+        self._slow = slow
         self.parcels = len(parcels)
         points = [geometry.counter_clockwise(rail) for rail in rails]
         middle = [rail.mean(axis=0) for rail in points]
@@ -170,4 +175,5 @@ class Bodies:
             self._inverse[names] * moving[:, None],
             self.pull[names],
             still,
+            self._slow,
         )

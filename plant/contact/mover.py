@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bus.memory import Remembers
 from plant.broad_phase import close_pairs
 from plant.contact.bounds import fastest
-from plant.contact.course import Course
+from plant.contact.course import STILL_THERE, Course
 from plant.contact.group import Bodies, Group
 from plant.contact.report import Told, events
 from plant.contact.resolve import Drive, Resolution
@@ -59,6 +59,7 @@ class ContactMover:
             scene.friction.traction(),
             scene.gravity_m_s2,
             scene.array.pitch_m,
+            rules.slow_m_s(scene.array.pitch_m),
         )
         self.resolves = rules.mode == "resolved"
         self._met: set[Pair] = set()
@@ -101,7 +102,7 @@ class ContactMover:
             leg: how far, and on which wheels; no states are asked for on it where contacts are resolved.
             start_s: when it begins.
         """
-        drive = Drive(leg.motion, leg.grip, fastest(leg.motion))
+        drive = Drive(leg.motion, leg.grip, fastest(leg.motion), start_s)
         move = self._resolve if self.resolves else self._watch
         news, told = move(live, fixed, drive, leg)
         self._events += events(told, self._bodies.parcels, start_s)
@@ -172,6 +173,8 @@ class ContactMover:
         involved = np.intersect1d(live, pairs)
         start = self._solver.keep(involved)
         news = self._solver.advance(live, leg)
+        if any(one.ending not in STILL_THERE for one in news):
+            return news, told
         end = self._solver.keep(involved)
         if len(times_s):
             pairs = self._crossing(pairs, drive.wheels, times_s, out, states, mask)

@@ -16,12 +16,13 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.contact.course import Course, later
+from plant import stop
+from plant.contact.course import STILL_THERE, Course, CourseEnded, later
 from plant.contact.group import Group, make_work
 from plant.contact.report import Told, telling
 from plant.contact.search import Search
 from plant.effects.parcel_contact import ParcelContactSpec
-from plant.errors import PlantUnstable
+from plant.errors import PlantStopped, PlantUnstable
 from plant.kernels import contact_layout as to
 from plant.solvers.solver import Advance, Rewindable
 from plant.wheels import WheelMotion
@@ -44,11 +45,13 @@ class Drive(NamedTuple):
         motion: of the wheels, from the start of the call.
         grip: as for ``Solver.advance``.
         wheels: m/s, the fastest wheel.
+        start_s: when the call begins.
     """
 
     motion: WheelMotion
     grip: Floats
     wheels: float
+    start_s: float
 
 
 @final
@@ -90,20 +93,27 @@ class Resolution:
 
         Raises:
             PlantUnstable: contacts follow each other without end, or can't be solved.
+            PlantStopped: somebody asked for the end of the call.
         """
         now, steps = 0.0, MANY * len(self.group.pairs) + math.ceil(span_s / self._rules.step_s)
         while now < span_s:
             steps -= 1
             if steps < 0:
-                raise PlantUnstable(f"contacts without end {self._where(self._states())}")
+                raise PlantUnstable(f"contacts without end {self._where(now)}", self._drive.start_s + now)
+            if stop.requested():
+                raise PlantStopped(f"stopped {self._where(now)}", self._drive.start_s + now)
             self._strike(now)
             before = self._states()
             soonest = float(self._kernels.together(self.group, before, self._work))
             together = self._work.marks == to.TOGETHER
             longest = self._longest(soonest, span_s - now) if together.any() else span_s - now
-            step = self._free(now, longest, np.flatnonzero(~together))
+            try:
+                step = self._free(now, longest, np.flatnonzero(~together))
+            except CourseEnded as ended:
+                self._take(ended.done, now)
+                return
             if together.any():
-                self._hold(before, step)
+                self._hold(before, now, step)
             now = span_s if step >= span_s - now else now + step
             self.strayed += np.hypot(*(self._states() - before)[:, :2].T)
             self._note_apart(now)
@@ -125,15 +135,18 @@ class Resolution:
             if not np.array_equal(states[body], self._solver.state[parcel]):
                 self._solver.put(parcel, states[body])
 
-    def _settled(self, outcome: int, states: Floats) -> None:
+    def _settled(self, outcome: int, now: float) -> None:
         """Raise where a problem of impulses has no solution within reach."""
         if outcome != to.DONE:
             what = "don't settle" if outcome == to.NOT_SETTLED else "can't part what overlaps"
-            raise PlantUnstable(f"the impulses between touching bodies {what} {self._where(states)}")
+            raise PlantUnstable(
+                f"the impulses between touching bodies {what} {self._where(now)}", self._drive.start_s + now
+            )
 
-    def _where(self, states: Floats) -> str:
-        x, y = states[self.group.moving, :2].mean(axis=0)
-        return f"among parcels {self.group.parcels.tolist()} near x = {x:.6g} m, y = {y:.6g} m"
+    def _where(self, now: float) -> str:
+        x, y = self._states()[self.group.moving, :2].mean(axis=0)
+        named, at_s = self.group.parcels.tolist(), self._drive.start_s + now
+        return f"among parcels {named} at t = {at_s:.6g} s near x = {x:.6g} m, y = {y:.6g} m"
 
     # --- impacts ----------------------------------------------------------------------------------
 
@@ -141,7 +154,7 @@ class Resolution:
         """Change velocities where bodies that touch close on each other."""
         states, work = self._states(), self._work
         count, outcome = self._kernels.meet(self.group, states, work)
-        self._settled(outcome, states)
+        self._settled(outcome, now)
         if count:
             self._note_begun(now, count, states)
             # past a limit bouncing ends: two walls that close on a parcel would never let it
@@ -149,8 +162,8 @@ class Resolution:
             outcome, fastest = self._kernels.collide(
                 self.group, count, states, bounce, self._rules.friction, work
             )
-            self._settled(outcome, states)
-            self._impacts += fastest > to.SLOW_M_S
+            self._settled(outcome, now)
+            self._impacts += fastest > self.group.slow
             self._note_bounced(now, count, states)
         self._put(states)
 
@@ -177,6 +190,8 @@ class Resolution:
             step = span if found is None else float(search.times[found.known])
         for one in course.go(step):
             self._take(one, now)
+            if one.ending not in STILL_THERE:
+                return span
         return step
 
     def _take(self, one: Advance, now: float) -> None:
@@ -188,12 +203,11 @@ class Resolution:
             state[3:] = 0.0
             self.group = self.group.stopped(int(np.searchsorted(self.group.names, one.parcel)), state)
 
-    def _hold(self, before: Floats, step: float) -> None:
+    def _hold(self, before: Floats, now: float, step: float) -> None:
         """Correct velocities and places after a free step of pairs that stay together."""
         states = self._states()
-        self._settled(
-            self._kernels.hold(self.group, before, states, step, self._rules.friction, self._work), states
-        )
+        outcome = self._kernels.hold(self.group, before, states, step, self._rules.friction, self._work)
+        self._settled(outcome, now + step)
         self._put(states)
 
     # --- what is told --------------------------------------------------------------------------------
@@ -214,7 +228,7 @@ class Resolution:
         """Pairs that touch, and open faster than what stays together."""
         self._kernels.opening(count, states, self._work)
         for pair in sorted(self.met):
-            if self._work.opens[pair] > to.SLOW_M_S:
+            if self._work.opens[pair] > self.group.slow:
                 self.met.remove(pair)
                 self._tell(now, "apart", pair, count, states)
 

@@ -13,6 +13,9 @@ from bus.effect import EffectSpec
 from bus.spec import NotNegative, Positive, Vector
 from plant.geometry import PolygonError, check_convex
 
+SLOW_PITCHES_S = 1e-2
+"""What meets no faster doesn't bounce, in pitches a second."""
+
 
 @final
 class ParcelContactSpec(EffectSpec):
@@ -25,6 +28,8 @@ class ParcelContactSpec(EffectSpec):
     """``report_only`` finds contacts and leaves the motion as it is."""
     restitution: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
     """Newton's: speed of parting over speed of meeting."""
+    bounce_speed_m_s: Positive | None = None
+    """What meets no faster doesn't bounce: where bouncing ends; left out: 0.01 pitches a second."""
     friction: NotNegative = 0.0
     """Coulomb coefficient at the touching edges."""
     rails: tuple[tuple[Vector, ...], ...] = ()
@@ -36,6 +41,11 @@ class ParcelContactSpec(EffectSpec):
     def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """The defaults, without rails: parcels push each other."""
         return cls()
+
+    def slow_m_s(self, pitch_m: float) -> float:
+        """What meets no faster doesn't bounce, m/s."""
+        given = self.bounce_speed_m_s
+        return SLOW_PITCHES_S * pitch_m if given is None else given
 
     @field_validator("rails")
     @classmethod

@@ -47,10 +47,10 @@ class ActiveFaults:
         self.plan(tick + 1)
         return self.harm(tick)
 
-    def harm(self, tick: int) -> Harm:
-        """What is the matter in a tick."""
+    def harm(self, tick: int, *, live: bool = True) -> Harm:
+        """What is the matter in a tick, because of the scene's faults alone if ``live`` is false."""
         harm = Harm.none(self._cells)
         for injected in self._faults:
-            if injected.acts(tick):
+            if injected.acts(tick) and (live or not injected.live):
                 injected.fault.harm(injected.cells, harm)
         return harm

@@ -15,7 +15,7 @@ from plant.kernels.modes import settled
 from plant.kernels.motion import onto_surfaces, surface_rates
 from plant.kernels.outrun import outrunning, watch
 from plant.kernels.roots import horner
-from plant.kernels.samples import fill
+from plant.kernels.samples import fill, may_go_on
 from plant.kernels.series import taylor
 from plant.kernels.slips import underside
 from plant.kernels.turning import next_turn
@@ -171,28 +171,35 @@ def dwell(ser, y, par):
 
 
 @kernel
-def advance(surface, parcel, work, span, budget, times, out, events):
+def advance(surface, parcel, work, stop, span, budget, steps, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
 
     Args:
         surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
         parcel: ``plant.kernels.parcels.Parcel``: footprint, constants and state; changed in place.
         work: ``plant.solvers.exact.Work``: scratch.
+        stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         span: s; 0 only finds the loads and whether the parcel stands.
         budget: events allowed in this call before the motion is called unstable.
+        steps: ``(2,)`` steps allowed: at once, and more for each second reached.
         times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way.
         out: ``(k, 6)``: those states.
         events: ``(capacity, 4)``: log.
 
     Returns:
-        Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
+        Seconds moved: ``span``, or less where the parcel tipped, the motion is unstable or the call was to end
+        (``ctl[STATUS]``).
     """
     y, ctl, par, ser = parcel.y, parcel.ctl, parcel.par, work.ser
     now, sampled, used, instant, changed = 0.0, 0, 0, 0, False
+    taken = ctl[at.N_STEPS]
     ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = ctl[at.N_LAST] = 0
     if span == 0.0:
         ctl[at.STATUS] = prepare(surface, parcel, work, 0.0, 1.0, events)
     while now < span and ctl[at.STATUS] == at.MOVING:
+        ctl[at.STATUS] = may_go_on(stop, ctl[at.N_STEPS] - taken, steps, now)
+        if ctl[at.STATUS] != at.MOVING:
+            break
         e = exp(-par[at.RATE] * now) if par[at.RATE] > 0.0 else 0.0
         if e < DECAYED:
             e = 0.0
@@ -219,6 +226,7 @@ def advance(surface, parcel, work, span, budget, times, out, events):
             count, earliest, instant = 0, min(1.0, calm / step), min(instant, crowd - AFTER_DWELL)
             used += 1
             ctl[at.N_CHANGES] += 1
+            ctl[at.N_CAPTURES] += 1
         else:
             count, earliest = search(surface, parcel, work, order, step)
         ends_at = now + earliest * step

@@ -7,9 +7,7 @@ from typing import Final
 TOUCH_M: Final = 1e-9
 """Bodies nearer than this touch."""
 NEAR_M: Final = 1e-7
-"""Pairs as near, and as slow as `SLOW_M_S`, stay together."""
-SLOW_M_S: Final = 1e-3
-"""What closes no faster doesn't bounce: where bouncing ends."""
+"""Pairs as near, and as slow as ``Group.slow``, stay together."""
 
 # ── pull: float64 (bodies, PULL_SIZE), what bounds a body's accelerations
 PER_SLIP: Final = 0  # of a corner, over the fastest slip, 1/s

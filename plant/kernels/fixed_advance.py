@@ -96,7 +96,7 @@ def step(surface, parcel, work, scheme, now, h):
 
 
 @kernel
-def advance(surface, parcel, work, scheme, span, times, out, events):
+def advance(surface, parcel, work, scheme, stop, span, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
 
     Args:
@@ -104,19 +104,24 @@ def advance(surface, parcel, work, scheme, span, times, out, events):
         parcel: ``plant.kernels.parcels.Parcel``: footprint, constants and state; changed in place.
         work: ``plant.solvers.implicit.Work``: law of the parcel, and scratch.
         scheme: ``plant.solvers.fixed_step.Scheme``: the method's coefficients.
+        stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         span: s; 0 only finds the loads and whether the parcel stands.
         times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way; steps end there.
         out: ``(k, 6)``: those states.
         events: ``(capacity, 4)``: log.
 
     Returns:
-        Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
+        Seconds moved: ``span``, or less where the parcel tipped, the motion is unstable or the call was to end
+        (``ctl[STATUS]``).
     """
     y, ctl, longest = parcel.y, parcel.ctl, work.pace[im.FIXED]
     now, sampled = 0.0, 0
     ctl[at.N_LOGGED] = 0
     ctl[at.STATUS] = look(surface, parcel, work)
     while now < span and ctl[at.STATUS] == at.MOVING:
+        if stop[0] != 0:
+            ctl[at.STATUS] = at.STOPPED
+            break
         target = times[sampled] if sampled < times.shape[0] else span
         left = target - now
         # equal steps up to where a state is asked for, none longer than said

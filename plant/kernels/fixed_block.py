@@ -11,7 +11,7 @@ from plant.kernels.springs import surface_under
 
 
 @kernel
-def advance_block(surface, parcels, work, laws, paces, block, span, times, out, events, report):
+def advance_block(surface, parcels, work, stop, laws, paces, block, span, times, out, events, report):
     """Move the parcels of ``block`` by ``span`` seconds, as many as the log is sure to have room for.
 
     All as for ``plant.kernels.implicit_block.advance_block``, but that ``work`` is a
@@ -27,7 +27,7 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
         begin_turn(work.pulls, laws, paces, i)
         log = events[used : used + LOG_CAPACITY]
         moved = advance(
-            surface_under(surface, i), parcel, work.pulls, work.scheme, span, times, out[:, i], log
+            surface_under(surface, i), parcel, work.pulls, work.scheme, stop, span, times, out[:, i], log
         )
         end_turn(work.pulls, paces, i)
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)

@@ -38,7 +38,7 @@ def struck(group, rows, ends, count, before, restitution, friction, after):
     for n in range(count):
         row = rows[n]
         closing = -leaving(row, before[ends[n, 0]], before[ends[n, 1]])
-        row[to.WANTED] = restitution * closing if closing > to.SLOW_M_S else 0.0
+        row[to.WANTED] = restitution * closing if closing > group.slow else 0.0
         row[to.FRICTION] = friction
         row[to.PUSH_N] = row[to.PUSH_T] = 0.0
     return settle(rows, ends, count, group.inverse, after)
@@ -69,7 +69,7 @@ def meet(group, states, work):
 def collide(group, count, states, restitution, friction, work):
     """Give bodies that touch their velocities after an impact.
 
-    Every point that closed faster than ``SLOW_M_S`` opens at ``restitution`` times that speed at least, every other
+    Every point that closed faster than ``group.slow`` opens at ``restitution`` times that speed at least, every other
     doesn't close. With friction, or with several points, that rule can add energy; then the impact is the mixture of it
     and of one without restitution that adds none. Both keep to the rules of contact and friction, so the mixture does.
 

@@ -17,7 +17,7 @@ from plant.kernels.impacts import allowed, strike
 from plant.kernels.implicit_step import EPSILON, grasp, new_velocity, regime
 from plant.kernels.jit import kernel
 from plant.kernels.loads import settle
-from plant.kernels.samples import fill, sampled_until
+from plant.kernels.samples import fill, may_go_on, sampled_until
 from plant.kernels.springs import reach, smooth, touches
 from plant.kernels.step_news import note_changes, note_outrun, remember, same
 from plant.kernels.wheel_speeds import extrapolate, keep, slow, tabulate, take_back
@@ -40,10 +40,6 @@ MANY = 20.0
 """... more than this many at once are chatter: steps across them need be no shorter than ..."""
 SHORT = 1e-4
 """... this, s, in which a parcel strays by some nanometres."""
-STEPS_PER_SECOND = 1e6
-"""Attempted steps in a simulated second beyond which the motion is given up, ..."""
-STEPS_PER_CALL = 100_000.0
-"""... plus this many a call."""
 FARTHEST = 1e9
 """A parcel this many pitches away has no cells under it."""
 
@@ -270,34 +266,38 @@ def step(surface, parcel, work, now, left, events):
 
 
 @kernel
-def advance(surface, parcel, work, span, times, out, events):
+def advance(surface, parcel, work, stop, span, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
 
     Args:
         surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
         parcel: ``plant.kernels.parcels.Parcel``: footprint, constants and state; changed in place.
         work: ``plant.solvers.implicit.Work``: law and pace of the parcel, and scratch.
+        stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         span: s; 0 only finds the loads and whether the parcel stands.
         times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way; steps end there.
         out: ``(k, 6)``: those states.
         events: ``(capacity, 4)``: log.
 
     Returns:
-        Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
+        Seconds moved: ``span``, or less where the parcel tipped, the motion is unstable or the call was to end
+        (``ctl[STATUS]``).
     """
-    y, ctl = parcel.y, parcel.ctl
-    now, sampled, attempts = 0.0, 0, 0
+    y, ctl, steps = parcel.y, parcel.ctl, work.pace[im.STEPS_LEFT :]
+    now, sampled, taken = 0.0, 0, ctl[at.N_STEPS]
+    steps[0] = min(steps[0], steps[1])
     ctl[at.N_LOGGED] = 0
     ctl[at.STATUS] = find_loads(surface, parcel, work)
     while now < span and ctl[at.STATUS] == at.MOVING:
+        ctl[at.STATUS] = may_go_on(stop, ctl[at.N_STEPS] - taken, steps, now)
+        if ctl[at.STATUS] != at.MOVING:
+            break
         target = times[sampled] if sampled < times.shape[0] else span
         status, h, tries = step(surface, parcel, work, now, target - now, events)
-        attempts += tries
         ctl[at.N_STEPS] += tries
         now = target if h >= target - now else now + h
         ctl[at.STATUS] = status
-        if status == at.MOVING and attempts > STEPS_PER_CALL + STEPS_PER_SECOND * span:
-            ctl[at.STATUS] = im.ENDLESS_STEPS
         sampled = sampled_until(now, y, times, sampled, out)
+    steps[0] += steps[1] * now - (ctl[at.N_STEPS] - taken)
     fill(y, times, sampled, out)
     return now

@@ -12,13 +12,14 @@ from plant.kernels.wheel_speeds import full, hand_over
 
 
 @kernel
-def advance_block(surface, parcels, work, laws, paces, block, span, times, out, events, report):
+def advance_block(surface, parcels, work, stop, laws, paces, block, span, times, out, events, report):
     """Move the parcels of ``block`` by ``span`` seconds, as many as the log is sure to have room for.
 
     Args:
         surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
         parcels: ``plant.kernels.parcels.Parcels``: all there are; those of the block are changed in place.
         work: ``plant.solvers.implicit.Work``: scratch, into which a parcel's law and pace are copied for its turn.
+        stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         laws: ``(m, LAW_SIZE)``: each parcel's law; see ``plant.kernels.implicit_layout``.
         paces: ``(m, PACE_SIZE)``: settings and memory of each parcel's steps; changed in place.
         block: ``(b,)`` which parcels.
@@ -40,7 +41,7 @@ def advance_block(surface, parcels, work, laws, paces, block, span, times, out, 
         changes = parcel.ctl[at.N_EVENTS]
         begin_turn(work, laws, paces, i)
         log = events[used : used + LOG_CAPACITY]
-        moved = advance(surface_under(surface, i), parcel, work, span, times, out[:, i], log)
+        moved = advance(surface_under(surface, i), parcel, work, stop, span, times, out[:, i], log)
         hand_over(work, parcel, span - moved)
         end_turn(work, paces, i)
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)

@@ -27,7 +27,9 @@ TOLERANCE: Final = 2  # m at the footprint
 NEXT: Final = 3  # step to try next, s (changes as the parcel moves)
 CROWD: Final = 4  # support changes of late (changes)
 OUTRUN: Final = 5  # 1 while the parcel outruns a wheel that the law takes to be faster (changes)
-PACE_SIZE: Final = 6
+STEPS_LEFT: Final = 6  # of those allowed so far (changes)
+STEPS_PER_SECOND: Final = 7  # allowed; infinite where steps are fixed
+PACE_SIZE: Final = 8
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
 AX, AY, SX, SY, B, C, GX, GY, LX, LY = range(10)
@@ -40,8 +42,7 @@ LISTED, WRITTEN = range(2)
 """In ``slowing.ctl``: rows in use; rows handed over."""
 
 # ── further statuses
-ENDLESS_STEPS: Final = 5
-NOT_SOLVED: Final = 6
+NOT_SOLVED: Final = 7
 
 UNITY: Final = 1.0
 ONE_PART: Final = 1

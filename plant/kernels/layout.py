@@ -78,6 +78,9 @@ TIPPED: Final = 1
 TOO_MANY_EVENTS: Final = 2
 NOT_FINITE: Final = 3
 NO_LOADS: Final = 4
+ENDLESS_STEPS: Final = 5
+STOPPED: Final = 6
+"""Somebody asked for the call to end; see ``plant.stop``."""
 
 # ── seg: float64 constants of one support set, measured about its centroid c
 N_ACTIVE: Final = 0  # sum of their stiffnesses: how many, where springs are equal

@@ -11,14 +11,15 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 LOG_CAPACITY: Final = 4096
-"""Events of one parcel kept per call; more are counted but not listed."""
+"""Events of one parcel kept per call; of more, the report says how many were left out."""
 
 # ── report: float64 (., REPORT_SIZE), a row for each parcel of a call to which something happened
 WHICH: Final = 0  # its number
 MOVED: Final = 1  # how far it came, s
 CHANGES: Final = 2  # of its supports
 LOGGED: Final = 3  # rows of the log that are its own, after those of the parcel reported before
-REPORT_SIZE: Final = 4
+LEFT_OUT: Final = 4  # events that the log had no room for
+REPORT_SIZE: Final = 5
 
 
 class Parcel(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from plant.kernels import implicit_layout as im
 from plant.kernels import layout as at
 from plant.kernels.jit import kernel
-from plant.kernels.parcels import CHANGES, LOG_CAPACITY, LOGGED, MOVED, WHICH, Parcel
+from plant.kernels.parcels import CHANGES, LEFT_OUT, LOG_CAPACITY, LOGGED, MOVED, WHICH, Parcel
 
 
 @kernel
@@ -29,11 +29,13 @@ def note_news(ctl, i, moved, changes, report, noted):
 
     Returns (rows of the report in use, rows of the log that it took).
     """
-    logged = min(ctl[at.N_LOGGED], LOG_CAPACITY)
+    found = ctl[at.N_LOGGED]
+    logged = min(found, LOG_CAPACITY)
     if ctl[at.STATUS] == at.MOVING and ctl[at.N_EVENTS] == changes and logged == 0:
         return noted, logged
     row = report[noted]
-    row[WHICH], row[MOVED], row[CHANGES], row[LOGGED] = i, moved, ctl[at.N_EVENTS] - changes, logged
+    row[WHICH], row[MOVED], row[CHANGES] = i, moved, ctl[at.N_EVENTS] - changes
+    row[LOGGED], row[LEFT_OUT] = logged, found - logged
     return noted + 1, logged
 
 

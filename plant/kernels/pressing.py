@@ -33,13 +33,13 @@ def together(group, states, work):
         marks[p] = 0
     for n in range(count):
         speed = leaving(rows[n], states[ends[n, 0], 3:], states[ends[n, 1], 3:])
-        if rows[n, to.SPACE] <= to.NEAR_M and abs(speed) <= to.SLOW_M_S:
+        if rows[n, to.SPACE] <= to.NEAR_M and abs(speed) <= group.slow:
             marks[ends[n, to.PAIR]] = to.TOGETHER
     soonest = to.BEYOND
     count = gather(group, marks, to.TOGETHER, states, to.BEYOND, rows, ends)
     for n in range(count):
         speed = leaving(rows[n], states[ends[n, 0], 3:], states[ends[n, 1], 3:])
-        if rows[n, to.SPACE] > to.TOUCH_M and -speed > to.SLOW_M_S:
+        if rows[n, to.SPACE] > to.TOUCH_M and -speed > group.slow:
             soonest = min(soonest, rows[n, to.SPACE] / -speed)
     return soonest
 
@@ -62,7 +62,7 @@ def pressed(group, before, states, step, friction, work):
     for n in range(count):
         i, j, row = ends[n, 0], ends[n, 1], rows[n]
         closing = -leaving(row, states[i, 3:], states[j, 3:])
-        most = to.SLOW_M_S + grown(before[i], states[i], group.pull[i, to.RADIUS])
+        most = group.slow + grown(before[i], states[i], group.pull[i, to.RADIUS])
         most += grown(before[j], states[j], group.pull[j, to.RADIUS])
         if closing <= most and closing * step >= row[to.SPACE] - to.NEAR_M:
             row[to.WANTED] = 0.0 if row[to.SPACE] <= to.NEAR_M else -row[to.SPACE] / step

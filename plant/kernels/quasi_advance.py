@@ -14,7 +14,7 @@ from plant.kernels import layout as at
 from plant.kernels.implicit_advance import length
 from plant.kernels.jit import kernel
 from plant.kernels.quasi_step import velocity
-from plant.kernels.samples import fill, sampled_until
+from plant.kernels.samples import fill, may_go_on, sampled_until
 from plant.kernels.step_news import note_changes, remember
 
 JUMP = 1e-2
@@ -141,23 +141,26 @@ def step(surface, parcel, work, now, left, events):
 
 
 @kernel
-def advance(surface, parcel, work, span, times, out, events):
+def advance(surface, parcel, work, stop, span, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
 
     Args:
         surface: ``plant.kernels.surface.Surface``: the cells and their wheels.
         parcel: ``plant.kernels.parcels.Parcel``: footprint, constants and state; changed in place.
         work: ``plant.solvers.implicit.Work``: law and pace of the parcel, and scratch.
+        stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         span: s; 0 only finds the loads and whether the parcel stands.
         times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way; steps end there.
         out: ``(k, 6)``: those states.
         events: ``(capacity, 4)``: log.
 
     Returns:
-        Seconds moved: ``span``, or less where the parcel tipped or the motion is unstable (``ctl[STATUS]``).
+        Seconds moved: ``span``, or less where the parcel tipped, the motion is unstable or the call was to end
+        (``ctl[STATUS]``).
     """
     y, ctl, found = parcel.y, parcel.ctl, work.table[3]
-    now, sampled = 0.0, 0
+    now, sampled, taken, steps = 0.0, 0, ctl[at.N_STEPS], work.pace[im.STEPS_LEFT :]
+    steps[0] = min(steps[0], steps[1])
     ctl[at.N_LOGGED] = 0
     for k in range(6):
         work.begin[k] = y[k]
@@ -167,10 +170,14 @@ def advance(surface, parcel, work, span, times, out, events):
         for k in range(3):
             y[at.UX + k] = found[k]
     while now < span and ctl[at.STATUS] == at.MOVING:
+        ctl[at.STATUS] = may_go_on(stop, ctl[at.N_STEPS] - taken, steps, now)
+        if ctl[at.STATUS] != at.MOVING:
+            break
         target = times[sampled] if sampled < times.shape[0] else span
         status, h = step(surface, parcel, work, now, target - now, events)
         ctl[at.STATUS] = status
         now = target if h >= target - now else now + h
         sampled = sampled_until(now, y, times, sampled, out)
+    steps[0] += steps[1] * now - (ctl[at.N_STEPS] - taken)
     fill(y, times, sampled, out)
     return now

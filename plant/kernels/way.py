@@ -120,11 +120,14 @@ def in_turn(surface, hand):
 
 @kernel
 def book(log, ctl, logged, now):
-    """Have the events of a leg begun at ``now`` count from the call's start. Returns how many are logged by now."""
-    end = min(logged + ctl[at.N_LOGGED], log.shape[0])
-    for row in range(logged, end):
+    """Have the events of a leg begun at ``now`` count from the call's start.
+
+    Returns how many there have been by now, those that the log had no room for among them.
+    """
+    found = logged + ctl[at.N_LOGGED]
+    for row in range(logged, min(found, log.shape[0])):
         log[row, at.EV_TIME] += now
-    return end
+    return found
 
 
 @kernel

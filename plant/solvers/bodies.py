@@ -37,7 +37,8 @@ ENDINGS: dict[int, Ending] = {
     layout.TOO_MANY_EVENTS: "endless_changes",
     layout.NOT_FINITE: "not_finite",
     layout.NO_LOADS: "no_loads",
-    implicit_layout.ENDLESS_STEPS: "endless_steps",
+    layout.ENDLESS_STEPS: "endless_steps",
+    layout.STOPPED: "stopped",
     implicit_layout.NOT_SOLVED: "not_solved",
 }
 """How a call ended, by the kernels' codes."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.memory import Remembers
+from plant import stop
 from plant.array import CellArray
 from plant.kernels import layout
 from plant.kernels.parcels import Parcel, Parcels
@@ -58,6 +59,7 @@ class CompiledSolver(ABC):
         self.capacity: int = max((len(parcel.mem) for parcel in self.parcels), default=1)
         self.state: Floats = self.packed.y
         self.bodies: Sequence[Body] = [body_of(parcel) for parcel in self.parcels]
+        self._stop = stop.flag()
         self._still: Floats = np.zeros((len(array), 2))
         self._cover = SensorCover(array)
 
@@ -65,6 +67,11 @@ class CompiledSolver(ABC):
     def effort(self) -> int:
         """Steps of all parcels so far, those not accepted included."""
         return int(self.packed.ctl[:, layout.N_STEPS].sum())
+
+    @property
+    def captured(self) -> NDArray[np.bool_]:
+        """``(m,)`` parcels whose chatter was captured so far."""
+        return self.packed.ctl[:, layout.N_CAPTURES] > 0
 
     def under(self, index: int) -> NDArray[np.int64]:
         """The cells under a parcel now, in no order, its boundary included."""

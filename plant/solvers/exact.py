@@ -124,7 +124,7 @@ class Exact(LeggedSolver[Work]):
         spec: ExactSpec,
     ) -> None:
         from plant.kernels import entry  # compiles or loads: only where a plant is really built
-        from plant.kernels.block import ALLOWANCE_SIZE
+        from plant.kernels.block import ALLOWANCE_SIZE, LEFT, PER_SECOND, STEPS_LEFT, STEPS_PER_SECOND
 
         super().__init__(array, parcels, rate)
         self._entry: Any = entry
@@ -133,7 +133,8 @@ class Exact(LeggedSolver[Work]):
             _set_law(parcel.par, traction, given.mass_kg, gravity_m_s2)
             parcel.par[layout.TOLERANCE] = spec.tolerance
             parcel.par[layout.CAPTURE] = spec.capture_m
-            allowance[:] = EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem)
+            allowance[[LEFT, PER_SECOND]] = EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem)
+            allowance[[STEPS_LEFT, STEPS_PER_SECOND]] = spec.max_steps_per_s
 
     def _make_work(self) -> Work:
         return make_work(len(self._array), self.capacity)
@@ -147,6 +148,7 @@ class Exact(LeggedSolver[Work]):
             surface,
             self.packed,
             desk.work,
+            self._stop,
             self._allowance,
             block,
             span_s,
@@ -163,6 +165,7 @@ class Exact(LeggedSolver[Work]):
             errand.surface,
             self.packed,
             desk.work,
+            self._stop,
             self._allowance,
             block,
             errand.span_s,

@@ -18,7 +18,7 @@ from plant.errors import PlantError
 from plant.kernels import layout
 from plant.loads import NO_LOAD, ON_LINE
 from plant.solver_specs import HeyokaSpec
-from plant.solvers.restarted import Moving, NotFiniteError, Reached, RestartedSolver, StalledError
+from plant.solvers.restarted import EndedError, Moving, Reached, RestartedSolver
 from plant.solvers.solver import Leg
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Heyoka(RestartedSolver):
                 'solver.name = "heyoka": heyoka is not installed; it comes with the extra accuracy: '
                 "pip install 'mdms-emulator[accuracy]'"
             ) from None
-        super().__init__(scene, array)
+        super().__init__(scene, array, spec.max_steps_per_s)
         self._courses = [Course(self._hy, self, parcel, rate, spec.tolerance) for parcel in self._parcels]
 
     def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
@@ -74,18 +74,31 @@ class Heyoka(RestartedSolver):
         course.load(leg.motion, leg.grip)
         until_s, times_s = leg.span_s, leg.times_s
         wanted = np.flatnonzero(times_s > now_s)
-        outcome, _, _, steps, dense, _ = course.integrator.propagate_until(until_s, c_output=len(wanted) > 0)
-        self.effort += int(steps)
+        self.spend(parcel, 0)
+        ended: list[EndedError] = []
+
+        def goes_on(_: Any) -> bool:
+            try:
+                self.spend(parcel, 1)
+            except EndedError as error:
+                ended.append(error)
+            return not ended
+
+        outcome, _, _, _, dense, _ = course.integrator.propagate_until(
+            until_s, c_output=len(wanted) > 0, callback=goes_on
+        )
         kinds = self._hy.taylor_outcome
         if outcome == kinds.err_nf_state:
-            raise NotFiniteError
+            raise EndedError("not_finite")
         event = -int(outcome) - 1
-        if outcome != kinds.time_limit and not 0 <= event < course.events:
-            raise StalledError(str(outcome))
+        if outcome not in (kinds.time_limit, kinds.cb_stop) and not 0 <= event < course.events:
+            raise EndedError("no_step")
         at_s = until_s if outcome == kinds.time_limit else float(course.integrator.time)
         for k in wanted[times_s[wanted] <= at_s].tolist():
             leg.out[k] = course.state(dense(times_s[k]))
         parcel.shape.y[:] = course.state(course.integrator.state)
+        if ended:
+            raise EndedError(ended[0].ending, at_s)
         return course.reached(at_s, None if outcome == kinds.time_limit else event)
 
 

@@ -18,7 +18,7 @@ from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import implicit_layout, layout
 from plant.kernels.parcels import Parcel
-from plant.solver_specs import ImplicitSpec
+from plant.solver_specs import ImplicitSpec, QuasiStaticSpec
 from plant.solvers.slowing import Handed, Slowing, load_wheels, make_slowing
 from plant.solvers.solver import Advance, Leg
 from plant.solvers.springs import make_edges, make_rollers, make_springs
@@ -28,6 +28,8 @@ from plant.wheels import Floats
 
 FIRST_STEP_S = 1e-3
 """What a controlled run tries first."""
+UNBOUNDED = 1e300
+"""More steps than any run has."""
 
 
 class Work(NamedTuple):
@@ -98,6 +100,11 @@ def coefficients(traction: Traction, mass_kg: float, gravity_m_s2: float) -> Flo
     return law
 
 
+def steps_per_s(spec: ImplicitSpec | QuasiStaticSpec) -> float:
+    """Steps that a parcel may take in a simulated second; where their length is given, as many as it takes."""
+    return spec.max_steps_per_s if spec.step_s is None else UNBOUNDED
+
+
 def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
     """Settings and memory of one parcel's steps; see ``plant.kernels.implicit_layout``."""
     pace = np.zeros(implicit_layout.PACE_SIZE)
@@ -105,6 +112,7 @@ def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
     pace[implicit_layout.FIXED] = spec.step_s or 0.0
     pace[implicit_layout.TOLERANCE] = spec.tolerance
     pace[implicit_layout.NEXT] = FIRST_STEP_S
+    pace[[implicit_layout.STEPS_LEFT, implicit_layout.STEPS_PER_SECOND]] = steps_per_s(spec)
     return pace
 
 
@@ -162,7 +170,18 @@ class Implicit(ThreadedSolver[Work]):
         surface = surface._replace(springs=self._springs, edges=self._edges, rollers=self._rollers)
         laws, paces = self._laws, self._paces
         done = self._entry.advance_block(
-            surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report
+            surface,
+            self.packed,
+            desk.work,
+            self._stop,
+            laws,
+            paces,
+            block,
+            span_s,
+            times_s,
+            out,
+            desk.log,
+            desk.report,
         )
         if desk.work.slowing is not None:
             self._handed.take(desk.work.slowing, int(block[0]))

@@ -11,7 +11,7 @@ from typing import final
 
 from plant.array import CellArray
 from plant.solver_specs import QuasiStaticSpec
-from plant.solvers.implicit import Work, make_work
+from plant.solvers.implicit import Work, make_work, steps_per_s
 from plant.solvers.stepped import SteppedSolver
 from plant.specs import PlantSpec
 
@@ -32,7 +32,15 @@ class QuasiStatic(SteppedSolver[Work]):
     def __init__(self, scene: PlantSpec, spec: QuasiStaticSpec, array: CellArray, rate: float) -> None:
         from plant.kernels import quasi_entry  # compiles or loads: only where a plant is really built
 
-        super().__init__(scene, array, rate, quasi_entry, step_s=spec.step_s or 0.0, tolerance=spec.tolerance)
+        super().__init__(
+            scene,
+            array,
+            rate,
+            quasi_entry,
+            step_s=spec.step_s or 0.0,
+            tolerance=spec.tolerance,
+            steps_per_s=steps_per_s(spec),
+        )
 
     def _make_work(self) -> Work:
         return make_work(len(self._array), self.capacity)

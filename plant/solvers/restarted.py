@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.memory import Remembers
+from plant import stop
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels import layout
@@ -33,12 +34,18 @@ CHANGES_PER_MEMBER = 20
 """... plus this many for every cell that fits under it."""
 
 
-class NotFiniteError(ArithmeticError):
-    """A rate is no number."""
+class EndedError(ArithmeticError):
+    """An integration came neither to an event nor to the leg's end.
 
+    Args:
+        ending: why.
+        at_s: how far it came, the parcel's state being that of this instant; None: nowhere, the state is as it was.
+    """
 
-class StalledError(ArithmeticError):
-    """The integrator found no step short enough."""
+    def __init__(self, ending: Ending, at_s: float | None = None) -> None:
+        super().__init__(ending)
+        self.ending: Ending = ending
+        self.at_s = at_s
 
 
 @dataclass(slots=True)
@@ -51,16 +58,20 @@ class Moving:
         under: ``(n,)`` cells under it.
         supports: those of them that carry it.
         allowed: changes of supports until its motion counts as unstable.
+        effort_left: what the integrator may do until the motion is given up, counted as ``effort`` is.
         outrun: whether it outruns a wheel that the law takes to be faster.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("under", "supports", "allowed", "outrun", records=(Supports,))
+    remembers: ClassVar[Remembers] = Remembers(
+        "under", "supports", "allowed", "effort_left", "outrun", records=(Supports,)
+    )
 
     shape: Parcel
     mass_kg: float
     under: Cells
     supports: Supports | None
     allowed: float
+    effort_left: float
     outrun: bool = False
 
     def depth_m(self, points_m: Floats) -> Floats:
@@ -93,6 +104,7 @@ class RestartedSolver(ABC):
     Args:
         scene: the scene's physics.
         array: the surface.
+        effort_per_s: what the integrator may do for a parcel in a simulated second.
 
     Attributes:
         array: the surface.
@@ -104,20 +116,44 @@ class RestartedSolver(ABC):
 
     remembers: ClassVar[Remembers] = Remembers("effort", "_parcels", shared=("state",))
 
-    def __init__(self, scene: PlantSpec, array: CellArray) -> None:
+    def __init__(self, scene: PlantSpec, array: CellArray, effort_per_s: float) -> None:
         self.array = array
+        self._effort_per_s = effort_per_s
         self.traction: Traction = scene.friction.traction()
         self.effort = 0
         self._gravity = scene.gravity_m_s2
         self.state: Floats = np.zeros((len(scene.parcels), 6))
         self._parcels: list[Moving] = [
-            _moving(spec, array, self.state[i]) for i, spec in enumerate(scene.parcels)
+            _moving(spec, array, self.state[i], effort_per_s) for i, spec in enumerate(scene.parcels)
         ]
         self.bodies: Sequence[Body] = [body_of(parcel.shape) for parcel in self._parcels]
 
     def weight_n(self, parcel: Moving) -> float:
         """What its supports carry in all."""
         return parcel.mass_kg * self._gravity
+
+    @property
+    def captured(self) -> NDArray[np.bool_]:
+        """``(m,)``: these solvers capture no chatter."""
+        return np.zeros(len(self._parcels), dtype=np.bool_)
+
+    def spend(self, parcel: Moving, effort: int, at_s: float | None = None) -> None:
+        """Count what the integrator does for a parcel; called between any two of its steps.
+
+        Args:
+            parcel: whose.
+            effort: counted as ``effort`` is.
+            at_s: see ``EndedError``.
+
+        Raises:
+            EndedError: it has done more than it may, or somebody asks for the call's end.
+        """
+        self.effort += effort
+        parcel.effort_left -= effort
+        if stop.requested():
+            raise EndedError("stopped", at_s)
+        if parcel.effort_left < 0.0:
+            raise EndedError("endless_steps", at_s)
 
     def under(self, index: int) -> NDArray[np.int64]:
         """The cells under a parcel now, in no order, its boundary included."""
@@ -167,7 +203,11 @@ class RestartedSolver(ABC):
             self._settle(parcel)
         with np.errstate(all="ignore"):  # what overflows is told by its state
             while now < leg.span_s:
+                before = now
                 ending, now = self._next(parcel, leg, now, events)
+                # time gives back what it may take, up to one second's worth
+                effort = parcel.effort_left + self._effort_per_s * (now - before)
+                parcel.effort_left = min(effort, self._effort_per_s)
                 if ending != "moving":
                     break
         leg.out[leg.times_s > now] = parcel.shape.y
@@ -183,8 +223,7 @@ class RestartedSolver(ABC):
         Times count from the start of the leg.
 
         Raises:
-            NotFiniteError: a rate is no number.
-            StalledError: no step is short enough.
+            EndedError: a rate is no number, no step is short enough, there were too many, or it was to end.
         """
 
     def _next(
@@ -195,10 +234,8 @@ class RestartedSolver(ABC):
             return "tipped", now_s
         try:
             reached = self._integrate(parcel, leg, now_s)
-        except NotFiniteError:
-            return "not_finite", now_s
-        except StalledError:
-            return "endless_steps", now_s
+        except EndedError as ended:
+            return ended.ending, now_s if ended.at_s is None else ended.at_s
         events.extend(reached.noted)
         before = parcel.under, parcel.supports.carrying
         for cell in reached.crossed.tolist():
@@ -259,9 +296,9 @@ class RestartedSolver(ABC):
         return int(parcel.under[a]), int(parcel.under[b])
 
 
-def _moving(spec: ParcelSpec, array: CellArray, state: Floats) -> Moving:
+def _moving(spec: ParcelSpec, array: CellArray, state: Floats, effort: float) -> Moving:
     """A parcel at its start, which is put into ``state`` ``(6,)`` and kept there."""
     shape = make_parcel(spec, array)
     state[:] = shape.y
     shape = shape._replace(y=state)
-    return Moving(shape, spec.mass_kg, members(shape), None, float(CHANGES_PER_SECOND))
+    return Moving(shape, spec.mass_kg, members(shape), None, float(CHANGES_PER_SECOND), effort)

@@ -17,7 +17,7 @@ from plant.errors import PlantError
 from plant.kernels import layout
 from plant.loads import NO_LOAD, ON_LINE
 from plant.solver_specs import SciPySpec
-from plant.solvers.restarted import Moving, NotFiniteError, Reached, RestartedSolver, StalledError
+from plant.solvers.restarted import EndedError, Moving, Reached, RestartedSolver
 from plant.solvers.solver import Leg, SolverEvent
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class SciPy(RestartedSolver):
                 'solver.name = "scipy": SciPy is not installed; it comes with the extra accuracy: '
                 "pip install 'mdms-emulator[accuracy]'"
             ) from None
-        super().__init__(scene, array)
+        super().__init__(scene, array, spec.max_evaluations_per_s)
         self._spec = spec
 
     def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
@@ -74,9 +74,8 @@ class SciPy(RestartedSolver):
             atol=self._spec.tolerance,
             max_step=self._spec.max_step_s or np.inf,
         )
-        self.effort += int(found.nfev)
         if found.status < 0:
-            raise StalledError(found.message)
+            raise EndedError("no_step")
         at_s = until_s if found.status == 0 else float(found.t[-1])
         for k in wanted[times_s[wanted] <= at_s].tolist():
             leg.out[k] = found.sol(times_s[k])
@@ -112,6 +111,7 @@ class Forces:
     def __init__(self, solver: RestartedSolver, parcel: Moving, motion: WheelMotion, grip: Floats) -> None:
         supports = parcel.supports
         assert supports is not None
+        self._solver, self._parcel = solver, parcel
         cells = parcel.under[supports.carrying]
         self._law, self._mass, self._weight = solver.traction, parcel.mass_kg, solver.weight_n(parcel)
         self._turn = float(parcel.shape.par[layout.MASS_OVER_INERTIA])
@@ -144,6 +144,7 @@ class Forces:
 
     def __call__(self, t: float, y: Floats) -> Floats:
         """``dy/dt`` at ``t`` seconds after the start of the call."""
+        self._solver.spend(self._parcel, 1)
         law = self._law
         away = y[:2] - self._centroid
         load = self._weight * np.maximum(self._plane @ np.array([1.0, away[0], away[1]]), 0.0)[:, None]
@@ -156,7 +157,7 @@ class Forces:
         torque = float(np.sum(lever[:, 0] * pull[:, 1] - lever[:, 1] * pull[:, 0]))
         rate: Floats = np.array([y[3], y[4], y[5], force[0], force[1], self._turn * torque])
         if not np.isfinite(rate).all():
-            raise NotFiniteError
+            raise EndedError("not_finite")
         return rate
 
 

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from plant.wheels import Floats, WheelMotion, WheelRun
 
 Ending = Literal[
-    "moving", "tipped", "endless_changes", "endless_steps", "no_loads", "not_solved", "not_finite"
+    "moving",
+    "tipped",
+    "endless_changes",
+    "endless_steps",
+    "no_step",
+    "no_loads",
+    "not_solved",
+    "not_finite",
+    "stopped",
 ]
 
 
@@ -54,6 +62,7 @@ class Advance(NamedTuple):
         culprit: the cell about which supports change without end, or -1.
         changes: changes of its supports.
         events: those listed, in the order of time; without the tipping.
+        left_out: how many more there were, for which a kernel's log had no room.
     """
 
     parcel: int
@@ -63,6 +72,7 @@ class Advance(NamedTuple):
     culprit: int
     changes: int
     events: Sequence[SolverEvent]
+    left_out: int = 0
 
 
 class Leg(NamedTuple):
@@ -142,6 +152,11 @@ class Solver(Protocol):
     @property
     def effort(self) -> int:
         """What it has done so far, for all parcels together: steps, or evaluations of the right-hand side."""
+        ...
+
+    @property
+    def captured(self) -> NDArray[np.bool_]:
+        """``(m,)`` parcels whose chatter was captured so far: their places are right to ``capture_m``."""
         ...
 
     def under(self, index: int) -> NDArray[np.int64]:

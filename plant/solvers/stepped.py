@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bus.memory import Remembers
 from plant.array import CellArray
 from plant.kernels import implicit_layout, layout
-from plant.solvers.implicit import FIRST_STEP_S, coefficients
+from plant.solvers.implicit import FIRST_STEP_S, UNBOUNDED, coefficients
 from plant.solvers.springs import make_edges, make_springs
 from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import PlantSpec
@@ -29,6 +29,7 @@ class SteppedSolver(ThreadedSolver[Work]):
         entry: the kernel's module; ``entry.advance_block`` is called as ``plant.kernels.implicit_block``'s is.
         step_s: length of a step; 0 where the tolerance tells it.
         tolerance: m at the footprint; 0 where steps are of one length.
+        steps_per_s: that a parcel may take in a simulated second.
     """
 
     remembers: ClassVar[Remembers] = Remembers(shared=("_paces", "_springs.moments", "_edges.share"))
@@ -42,6 +43,7 @@ class SteppedSolver(ThreadedSolver[Work]):
         *,
         step_s: float = 0.0,
         tolerance: float = 0.0,
+        steps_per_s: float = UNBOUNDED,
     ) -> None:
         super().__init__(array, scene.parcels, rate)
         self._entry: Any = entry
@@ -56,11 +58,23 @@ class SteppedSolver(ThreadedSolver[Work]):
         self._paces[:, implicit_layout.FIXED] = step_s
         self._paces[:, implicit_layout.TOLERANCE] = tolerance
         self._paces[:, implicit_layout.NEXT] = FIRST_STEP_S
+        self._paces[:, [implicit_layout.STEPS_LEFT, implicit_layout.STEPS_PER_SECOND]] = steps_per_s
 
     def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
         surface = surface._replace(springs=self._springs, edges=self._edges)
         laws, paces = self._laws, self._paces
         return self._entry.advance_block(
-            surface, self.packed, desk.work, laws, paces, block, span_s, times_s, out, desk.log, desk.report
+            surface,
+            self.packed,
+            desk.work,
+            self._stop,
+            laws,
+            paces,
+            block,
+            span_s,
+            times_s,
+            out,
+            desk.log,
+            desk.report,
         )

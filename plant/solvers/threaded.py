@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.array import CellArray
-from plant.kernels.parcels import CHANGES, LOG_CAPACITY, LOGGED, MOVED, REPORT_SIZE, WHICH
+from plant.kernels.parcels import CHANGES, LEFT_OUT, LOG_CAPACITY, LOGGED, MOVED, REPORT_SIZE, WHICH
 from plant.kernels.surface import Surface
 from plant.solvers.bodies import LoggedEvents
 from plant.solvers.compiled import CompiledSolver
@@ -130,5 +130,9 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
             for told in report:
                 begin, row = row, row + int(told[LOGGED])
                 events = LoggedEvents(log[begin:row])
-                news.append(self._done(int(told[WHICH]), told[MOVED], int(told[CHANGES]), events))
+                done = self._done(int(told[WHICH]), told[MOVED], int(told[CHANGES]), events)
+                left_out = int(told[LEFT_OUT])
+                # The last event, by which a parcel tips, is told as the ending.
+                told_else = left_out > 0 and done.ending == "tipped"
+                news.append(done._replace(left_out=left_out - told_else))
         return news

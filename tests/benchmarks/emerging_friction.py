@@ -63,7 +63,7 @@ def path(one: Plant) -> Floats:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=16)
+    parser.add_argument("--seeds", type=int, default=20)
     seeds = parser.parse_args().seeds
     print(METHOD.format(ratio=RATIO, seeds=seeds))
     known = path(plant(RATIO, "exact"))

@@ -1,7 +1,7 @@
-"""Throughput of the scene ``junction`` against how many parcels arrive, and a thousand of them, some cells dying.
+"""Throughput of the scene ``junction`` against how many parcels arrive, and how many of them leave where cells die.
 
 ``python tests/benchmarks/junction.py`` prints its method and its figures; ``--docs docs`` draws the picture too;
-``--parcels 1000 --gaps 2.8 --dying 0.05`` is one long run, some minutes.
+``--parcels 120 --gaps 2.8 --seconds 0 --dying 0.05 --seeds 50`` is a study over seeds, half a minute a seed.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -36,6 +38,7 @@ that came to overlap, looked at every tick; "there" are still on the array at th
 class Row:
     """What a run came to."""
 
+    seed: int
     gap_s: float
     seconds: float
     offered_per_s: float
@@ -50,12 +53,12 @@ class Row:
     dead: int
 
     def __str__(self) -> str:
-        rates = f"{self.gap_s:6.2f}{self.seconds:9.1f}{self.offered_per_s:9.2f}{self.left_per_s:7.2f}"
+        rates = f"{self.seed:6}{self.gap_s:6.2f}{self.seconds:9.1f}{self.offered_per_s:9.2f}{self.left_per_s:7.2f}"
         counts = (self.left, self.misrouted, self.lost, self.met, self.there, self.waiting, self.dead)
         return f"{rates}{self.transit_s:9.2f}" + "".join(f"{count:10}" for count in counts)
 
 
-HEAD = f"{'gap':>6}{'time':>9}{'offered':>9}{'left/s':>7}{'transit':>9}" + "".join(
+HEAD = f"{'seed':>6}{'gap':>6}{'time':>9}{'offered':>9}{'left/s':>7}{'transit':>9}" + "".join(
     f"{name:>10}" for name in ("left", "misrouted", "lost", "met", "there", "waiting", "dead")
 )
 
@@ -97,7 +100,28 @@ def run(gap_s: float, parcels: int, dying: float, seconds: float, seed: int) -> 
     late = sum(moment > time_s / 2 for moment in left_s) / (time_s / 2)
     transit = traffic.transit_s.mean if traffic.transit_s else float("nan")
     ends = (traffic.left, traffic.misrouted, lost, met, traffic.there, traffic.waiting, dead)
-    return Row(gap_s, time_s, FEEDERS / gap_s, late, transit, *ends)
+    return Row(seed, gap_s, time_s, FEEDERS / gap_s, late, transit, *ends)
+
+
+def over_seeds(rows: list[Row], parcels: int) -> str:
+    """Distribution of a study over seeds, with its worst."""
+    left = np.array([row.left for row in rows])
+    worst = rows[int(left.argmin())]
+    counts = sorted({int(one) for one in left}, reverse=True)
+    spread = ", ".join(f"{one} in {int((left == one).sum())}" for one in counts)
+    sums = [
+        sum(getattr(row, name) for row in rows) for name in ("misrouted", "lost", "met", "there", "waiting")
+    ]
+    transit = np.array([row.transit_s for row in rows])
+    return "\n".join(
+        (
+            f"{len(rows)} seeds of {parcels} parcels: {int(left.sum())} of {parcels * len(rows)} left",
+            f"left, by seed: {spread}",
+            f"worst: seed {worst.seed}, {worst.left} left, {worst.there} there, {worst.waiting} waiting",
+            "over all seeds: {} misrouted, {} lost, {} met, {} there, {} waiting".format(*sums),
+            f"mean transit, s: {np.median(transit):.2f} in the median seed, {transit.max():.2f} in the worst",
+        )
+    )
 
 
 def draw(rows: list[Row], folder: Path) -> None:
@@ -128,16 +152,19 @@ def main() -> None:
     parser.add_argument(
         "--seconds", type=float, default=60.0, help="simulated, at most; 0: as long as it takes"
     )
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1, help="the first")
+    parser.add_argument("--seeds", type=int, default=1, help="so many from the first on, at every gap")
     parser.add_argument("--docs", type=Path, help="folder of the documentation, for the picture")
     asked = parser.parse_args()
     print(METHOD)
     print(HEAD, flush=True)
     rows: list[Row] = []
     for gap_s in asked.gaps:
-        seconds = asked.seconds or 1e5
-        rows.append(run(gap_s, asked.parcels, asked.dying, seconds, asked.seed))
-        print(rows[-1], flush=True)
+        for seed in range(asked.seed, asked.seed + asked.seeds):
+            rows.append(run(gap_s, asked.parcels, asked.dying, asked.seconds or 1e5, seed))
+            print(rows[-1], flush=True)
+        if asked.seeds > 1:
+            print(over_seeds(rows[-asked.seeds :], asked.parcels // FEEDERS * FEEDERS), flush=True)
     if asked.docs:
         draw(rows, asked.docs)
 

@@ -27,7 +27,7 @@ class Run:
     processes: Processes
     keys: Path | None
     output: Path
-    listen: str | None = None
+    join: str | None = None
 
     def command(self, ticks: int) -> list[str]:
         """The whole command line."""
@@ -44,7 +44,7 @@ class Run:
         command += ["--processes", str(self.processes), "--output", str(self.output)]
         command += ["--duration", str(ticks * PERIOD_NS / 1e9)]
         command += [] if self.keys is None else ["--keys", str(self.keys)]
-        return command + ([] if self.listen is None else ["--listen", self.listen])
+        return command + ([] if self.join is None else ["--join", self.join])
 
 
 def write_scene(folder: Path) -> Path:

@@ -72,8 +72,8 @@ def measure(kind: str, scene: Path, keys: Path, ticks: int, seconds: float) -> s
     """One run and one flood: what came of them."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        listen = f"tls/127.0.0.1:{probe.getsockname()[1]}"
-    run = Run(scene, 2, keys, scene.parent / "out", listen)
+        join = f"tls/127.0.0.1:{probe.getsockname()[1]}"
+    run = Run(scene, 2, keys, scene.parent / "out", join)
     with subprocess.Popen(run.command(ticks), stdout=subprocess.PIPE, text=True, cwd=ROOT) as running:
         flooding: subprocess.Popen[str] | None = None
         if kind != "none":
@@ -84,7 +84,7 @@ def measure(kind: str, scene: Path, keys: Path, ticks: int, seconds: float) -> s
                 str(seconds),
                 "--flood",
                 kind,
-                listen,
+                join,
                 str(keys),
             ]
             flooding = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from bus.fault import Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
@@ -24,11 +25,13 @@ from cell_firmware.clocked import Clocked
 from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.stage import Site
+from cell_firmware.faults.fault import CellFault
+from cell_firmware.faults.link_loss import LinkLossFault
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.kit.faces import across, gradient
 from cell_firmware.loader import load
 from cell_firmware.mailbox import Mailbox
-from cell_firmware.shard import Shard
+from cell_firmware.shard import FAULTS, Shard
 from cell_firmware.specs import CellsSpec
 
 Floats = NDArray[np.float64]
@@ -39,6 +42,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "as they are": {},
     "loss 0.05": {"link_loss": {"probability": 0.05}},
     "loss 0.2": {"link_loss": {"probability": 0.2}},
+    "bursts of 30": {"bursts": {"probability": 0.2, "burst_ticks": 30.0}},
     "delay 4": {"link_delay": {"ticks": 4}},
     "delay 0 to 4": {"link_delay": {"between_ticks": [0, 4]}},
     "clocks 5 %": {"clock": {"error_ppm": 50_000.0}},
@@ -46,7 +50,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 }
 METHOD = f"""\
 Method. {{arrays}} arrays of {ROWS} x {COLUMNS} cells side by side, no link between them, each with losses, delays,
-clocks and deaths of its own by the seed; {TICKS} ticks. "dead 10 %": {{dead}} cells of every array die in tick {DIE},
+clocks and deaths of its own by the seed; {TICKS} ticks. "bursts of 30": a fifth of all messages is lost, 30 in a row in
+the mean (Gilbert's model). "dead 10 %": {{dead}} cells of every array die in tick {DIE},
 drawn from those that hold or feed nothing (for max_consensus from all others, and the leader with them). The right
 answer is theory's limit on the cells that live. "error": the greatest distance of a living cell from it in the last
 {LAST} ticks, by the limit's range, in the median array and in the worst; "bias": the greatest of a cell's means, over
@@ -138,8 +143,10 @@ def who_dies(case: Case, lattice: Lattice, share: float, seed: int) -> NDArray[n
     return np.array(sorted(dead))
 
 
-def shard_of(firmware: Firmware, lattice: Lattice, effects: CellEffects, seed: int) -> Shard:
-    """All cells in one shard, with clocks where they are asked for."""
+def shard_of(
+    firmware: Firmware, lattice: Lattice, effects: CellEffects, bursts: dict[str, float] | None, seed: int
+) -> Shard:
+    """All cells in one shard, with clocks and bursts of losses where they are asked for."""
     spec = CellsSpec()
     position = PITCH_M * np.stack((lattice.columns, lattice.rows), axis=1)
     cells = Cells.of(lattice, position, spec.period_s, pitch_m=PITCH_M)
@@ -150,14 +157,22 @@ def shard_of(firmware: Firmware, lattice: Lattice, effects: CellEffects, seed: i
         clocks = effects.clock.clocks(lattice, spec.period_ns, seed)
         controller = Clocked(Board(firmware, None, Mailbox(firmware.message, clocks.all.window_ns)), clocks)
     site = Site(partition.cells(0), 1, controller.message, seed)
-    return Shard(controller, cells, partition, 0, effects.stages(site))
+    stages = effects.stages(site)
+    if bursts is None:
+        return Shard(controller, cells, partition, 0, stages)
+    fault = LinkLossFault.model_validate({"share": 1.0, **bursts})
+    one = Injected[CellFault](0, fault, np.arange(len(lattice)), 0)
+    stages[FAULTS] = tuple(fault.stages(site, lattice, one))
+    return Shard(controller, cells, partition, 0, stages, (one,))
 
 
-def watched(case: Case, asked: dict[str, Any], arrays: int, seed: int) -> tuple[Floats, Floats]:
+def watched(
+    case: Case, asked: dict[str, Any], arrays: int, seed: int, ticks: int = TICKS
+) -> tuple[Floats, Floats]:
     """The field ``(ticks, n, components)``, NaN in dead cells, and what it should come to, ``(n, components)``."""
     lattice = side_by_side(arrays)
     firmware = load(CellsSpec(firmware=case.firmware, parameters=case.parameters))
-    effects = CellEffects.model_validate({key: value for key, value in asked.items() if key != "dead"})
+    effects = CellEffects.model_validate({key: asked[key] for key in asked.keys() - {"dead", "bursts"}})
     dead = who_dies(case, lattice, asked.get("dead", 0.0), seed)
     living = Lattice(cell for i, cell in enumerate(lattice.cells) if i not in set(dead.tolist()))
     alive = lattice.find(living.rows, living.columns)
@@ -168,10 +183,10 @@ def watched(case: Case, asked: dict[str, Any], arrays: int, seed: int) -> tuple[
     wanted = np.full((len(lattice), *right.shape[1:]), np.nan)
     wanted[alive] = right
 
-    shard = shard_of(firmware, lattice, effects, seed)
+    shard = shard_of(firmware, lattice, effects, asked.get("bursts"), seed)
     nothing = np.zeros((len(lattice), 1), dtype=np.bool_)
-    found = np.full((TICKS, *wanted.shape), np.nan)
-    for tick in range(TICKS):
+    found = np.full((ticks, *wanted.shape), np.nan)
+    for tick in range(ticks):
         if tick == DIE:
             shard.retire(lattice.cells[i] for i in dead.tolist())
         drive = shard.step(tick, nothing).drive
@@ -180,7 +195,7 @@ def watched(case: Case, asked: dict[str, Any], arrays: int, seed: int) -> tuple[
         seen = drive[rows] if case.answer else registers[f"firmware.{firmware.observed}"]
         found[tick, rows] = seen
     found[:, dead] = np.nan
-    return found.reshape(TICKS, len(lattice), -1), wanted.reshape(len(lattice), -1)
+    return found.reshape(ticks, len(lattice), -1), wanted.reshape(len(lattice), -1)
 
 
 def figures(case: Case, asked: dict[str, Any], arrays: int, seed: int) -> dict[str, float]:
@@ -226,15 +241,36 @@ def shown(row: dict[str, float]) -> str:
     return f"{errors}{row['bias']:10.1e}{row['scatter']:10.1e}{ticks}"
 
 
+def through_bursts(case: Case, arrays: int, seed: int) -> None:
+    """Prints how a protocol that should come to its limit does so while links go on losing bursts of messages."""
+    ends = (600, 1200, 3000)
+    ticks = "".join(f"{f'{end - LAST}-{end}':>22}" for end in ends)
+    print(
+        f"greatest error of a cell in these ticks, in the median array and in the worst\n{'share, burst':16}{ticks}"
+    )
+    for share, mean in ((0.2, 10.0), (0.2, 30.0), (0.3, 60.0), (0.5, 100.0)):
+        asked = {"bursts": {"probability": share, "burst_ticks": mean}}
+        found, wanted = watched(case, asked, arrays, seed, ends[-1])
+        error = abs(found - wanted).reshape(ends[-1], arrays, -1).max(axis=2)
+        late = [error[end - LAST : end].max(axis=0) for end in ends]
+        row = "".join(f"{np.median(one):11.1e}{one.max():11.1e}" for one in late)
+        print(f"{f'{share:g}, {mean:g}':16}{row}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", help=f"of {'; '.join(CASES)}; default: all")
+    parser.add_argument("--bursts", action="store_true", help="bursts of losses of several lengths instead")
     parser.add_argument("--arrays", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     print(METHOD.format(arrays=asked.arrays, dead=round(0.1 * ROWS * COLUMNS)))
     head = f"{'':16}{'error':>10}{'worst':>10}{'bias':>10}{'scatter':>10}{'settled':>8}{'last':>8}"
     for name in asked.cases or CASES:
+        if asked.bursts:
+            print(name)
+            through_bursts(CASES[name], asked.arrays, asked.seed)
+            continue
         print(f"{name}\n{head}")
         for condition, what in CONDITIONS.items():
             print(f"{condition:16}{shown(figures(CASES[name], what, asked.arrays, asked.seed))}", flush=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -134,6 +136,37 @@ def test_a_loss_is_broadcast_by_name(memory: Network) -> None:
 
 
 @both_forms
+def test_a_shard_whose_cells_all_failed_stays_until_the_plant_has_told_so(
+    memory: Network, form: FormName
+) -> None:
+    """Its token would overtake the report: the plant would take the process for dead, and name another cause."""
+    system = System(memory, Partition.even(grid(1, 2), 2), form, message=MESSAGE).start()
+    step(system, 0)
+    system.host.publish(system.sense(1))
+    for shard, member in enumerate(system.members):
+        gathered(member.gather(1))
+        if shard == 0:
+            member.fail([0], 1, "ZeroDivisionError")
+        else:
+            member.publish(system.drive(shard, 1), system.links(shard, 1))
+    left: list[float] = []
+
+    def stay() -> None:
+        assert isinstance(system.members[0].gather(2), Control)
+        left.append(time.monotonic())
+
+    shard = threading.Thread(target=stay)
+    shard.start()
+    time.sleep(0.1)
+    told = time.monotonic()
+    assert left == []
+    _, losses = system.host.gather(1)
+    shard.join()
+    assert losses == [Loss(0, 1, "failed", "ZeroDivisionError")]
+    assert told <= left[0] < told + 0.8  # the answer, not the end of its patience
+
+
+@both_forms
 def test_a_firmware_that_fails_loses_its_cells_alone(memory: Network, form: FormName) -> None:
     system = System(memory, Partition.even(grid(2, 2), 2), form, message=MESSAGE).start()
     step(system, 0)
@@ -226,3 +259,90 @@ def test_a_shard_whose_cells_all_die_by_schedule_has_told_its_counts_when_the_ne
     told = system.host._reported.counts[1]
     assert told.tally == {"shards": 1, "numbers": 1, "nothing": 0}
     assert told.sent == system.members[1].counts.sent
+
+
+class Telling(FakeClock):
+    """Calls ``waited`` whenever somebody has waited in vain."""
+
+    def __init__(self) -> None:
+        self.waited: Callable[[], None] = lambda: None
+        super().__init__()
+
+    @property
+    def now(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._now
+
+    @now.setter
+    def now(self, value: float) -> None:
+        self._now = value
+        self.waited()
+
+
+@both_forms
+def test_a_shard_that_keeps_saying_that_it_is_busy_gets_ten_deadlines_and_others_one(
+    memory: Network, form: FormName
+) -> None:
+    lived: list[tuple[float, list[bool]]] = []
+
+    def waited() -> None:
+        lived.append((round(clock.now - before, 6), system.host.live(1).tolist()))
+        system.members[1].busy(1)
+
+    clock = Telling()
+    stall = StallSpec(deadline_s=3.0)
+    system = System(memory, Partition.each(grid(1, 3)), form, clock=clock, stall=stall).start()
+    step(system, 0)
+    before, sent = clock.now, system.members[1].counts.sent
+    system.members[1].busy(1)
+    clock.waited = waited
+    drive, losses = step(system, 1, [0])
+    assert losses == [Loss(1, 1, "stalled"), Loss(2, 1, "stalled")]
+    assert drive.drive[1:].tolist() == [[0.0, 0.0]] * 2
+    # As somebody comes to wait for the last time, what was decided at the time before is to be seen.
+    assert lived[0] == (3.0, [True, True, True])
+    assert (6.0, [True, True, False]) in lived
+    assert lived[-1] == (30.0, [True, True, False])
+    assert system.members[1].counts.sent == sent, "what depends on the wall clock is not counted"
+
+
+@pytest.mark.parametrize("at", [0, 2])
+def test_a_shard_that_is_busy_with_another_tick_gets_one_deadline(at: int, memory: Network) -> None:
+    clock = FakeClock()
+    stall = StallSpec(deadline_s=3.0)
+    system = System(memory, Partition.each(grid(1, 2)), "packed", clock=clock, stall=stall).start()
+    step(system, 0)
+    before = clock.now
+    system.members[1].busy(at)
+    assert step(system, 1, [0])[1] == [Loss(1, 1, "stalled")]
+    assert clock.now - before == pytest.approx(3.0)
+
+
+def test_a_shard_that_was_busy_and_falls_silent_gets_one_deadline_more(memory: Network) -> None:
+    clock = FakeClock()
+    stall = StallSpec(deadline_s=3.0)
+    system = System(memory, Partition.each(grid(1, 2)), "packed", clock=clock, stall=stall).start()
+    step(system, 0)
+    before = clock.now
+    system.members[1].busy(1)
+    assert step(system, 1, [0])[1] == [Loss(1, 1, "stalled")]
+    assert clock.now - before == pytest.approx(6.0)
+
+
+def test_a_shard_that_was_busy_and_answers_is_not_lost(memory: Network) -> None:
+    def waited() -> None:
+        if clock.now < before + 10.0:
+            system.members[1].busy(1)
+        else:
+            gathered(system.members[1].gather(1))
+            system.members[1].publish(system.drive(1, 1), None)
+
+    clock = Telling()
+    stall = StallSpec(deadline_s=3.0)
+    system = System(memory, Partition.each(grid(1, 2)), "packed", clock=clock, stall=stall).start()
+    step(system, 0)
+    before = clock.now
+    system.members[1].busy(1)
+    clock.waited = waited
+    drive, losses = step(system, 1, [0])
+    assert losses == []
+    assert drive.drive.tolist() == expected_drive(system, 1).tolist()

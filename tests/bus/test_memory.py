@@ -282,23 +282,29 @@ def test_a_path_that_breaks_off_leads_to_nothing_and_stays_so() -> None:
 
 
 @given(st.binary(max_size=64))
-def test_any_bytes_are_a_memory_or_are_refused(data: bytes) -> None:
+def test_any_bytes_are_a_value_that_can_be_kept_or_are_refused(data: bytes) -> None:
     try:
-        decode(data, RECORDS)
+        value = decode(data, RECORDS)
     except MemoryRefusedError:
         return
+    kept = encode(value, RECORDS)
+    assert encode(decode(kept, RECORDS), RECORDS) == kept
 
 
 @settings(max_examples=60)
 @given(st.data())
-def test_changed_bytes_are_a_memory_or_are_refused(data: st.DataObject) -> None:
+def test_changed_bytes_are_a_memory_that_can_be_kept_or_are_refused(data: st.DataObject) -> None:
     whole = bytearray(remember(_driven()))
     for _ in range(data.draw(st.integers(1, 4))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    car, other = Car(), Car()
     try:
-        recall(Car(), bytes(whole))
+        recall(car, bytes(whole))
     except MemoryRefusedError:
         return
+    kept = remember(car)
+    recall(other, kept)
+    assert remember(other) == kept
 
 
 def test_an_array_that_says_it_is_larger_than_its_bytes_is_refused() -> None:

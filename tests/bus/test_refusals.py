@@ -13,7 +13,7 @@ WATCH = """
 import json, os, sys
 from bus.transports.zenoh.refusals import Watch
 watch = Watch()
-watch.name = {"ab12": "cells-0"}.get
+watch.names = [{}.get, {"ab12": "cells-0"}.get]
 os.write(1, sys.stdin.buffer.read())
 print("between", flush=True)
 watch.close()

@@ -109,3 +109,24 @@ def test_a_report_has_as_much_of_what_was_refused_as_there_is_room_for() -> None
     assert (again.sent, again.delivered, again.lost, again.late) == (1, 2, 3, 4)
     assert again.tally == {"sensor.bounces": 7, "malformed": 8}
     assert again.refused == {(f"cell {i},0", "link: type"): 1 for i in range(TALLY_LIMIT - 2)}
+
+
+@both_forms
+def test_a_drive_of_a_tick_whose_senses_are_not_out_yet_is_refused_and_booked_against_its_sender(
+    network: Network, form: FormName
+) -> None:
+    system = System(network, Partition.each(grid(1, 2)), form).start()
+    thief, honest = system.members
+    forged = DriveFrame(1, np.full((1, 2), 9.0))
+    for tick in range(3):
+        system.host.publish(system.sense(tick))
+        for shard, member in enumerate((thief, honest)):
+            gathered(member.gather(tick))
+            if tick == 0 and member is thief:
+                member.publish(forged, None)
+            member.publish(system.drive(shard, tick), None)
+        drive, losses = system.host.gather(tick)
+        assert losses == []
+        assert drive.drive.tolist() == expected_drive(system, tick).tolist()
+    whose = "shard 0" if form == "packed" else "cell 0,0"
+    assert system.host.counts.refused == {(whose, "drive: ahead"): 1}

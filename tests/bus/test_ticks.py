@@ -9,6 +9,7 @@ import pytest
 
 from bus.errors import BusError, RunNameError
 from bus.forms import FormName
+from bus.keys import shard_key
 from bus.lockstep import Gathered, Host, Member
 from bus.partition import Partition
 from bus.readings import Picture, Readings
@@ -110,6 +111,22 @@ def test_all_sides_counts_come_together_when_the_run_stops(network: Network) -> 
     assert total.delivered == total.sent
     assert (total.lost, total.late, sum(total.malformed.values())) == (0, 0, 0)
     assert total.tally == {"shards": 2, "numbers": 1, "nothing": 0}
+    assert system.host.unreported == []
+
+
+@pytest.mark.parametrize("reports", [True, False])
+def test_a_report_may_come_after_the_token_has_gone(memory: Network, reports: bool) -> None:
+    system = System(memory, Partition.even(grid(2, 3), 2), "packed", message=MESSAGE).start()
+    step(system, 0)
+    system.members[0].close()
+    system.member_endpoints[1].withdraw(shard_key("test", 1, "ready"))
+    system.member_endpoints[1].withdraw(shard_key("test", 1, "alive"))
+    late = threading.Timer(0.1, system.members[1].close) if reports else threading.Timer(0.1, int)
+    late.start()
+    total = system.host.stop("done", 1.0)
+    late.join()
+    assert total.tally["shards"] == (2 if reports else 1)
+    assert system.host.unreported == ([] if reports else [3, 4, 5])
 
 
 @both_forms

@@ -91,7 +91,13 @@ class Lockstep:
         self.sites: list[Site] = []
         for s in range(partition.count):
             site = Site(
-                partition.cells(s), 1, controller.message, seed, said=controller.said, tick_ns=tick_ns
+                partition.cells(s),
+                1,
+                controller.message,
+                seed,
+                said=controller.said,
+                tick_ns=tick_ns,
+                clocks=None if clocks is None else clocks.all.take(partition.cells(s)),
             )
             self.sites.append(site)
             stages = asked.stages(site)

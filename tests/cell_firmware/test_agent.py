@@ -289,7 +289,7 @@ def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
     endpoint.close()
 
 
-def test_a_broken_step_ends_the_run_with_its_error(
+def test_an_error_of_the_step_itself_fails_all_cells_of_the_shard(
     grid: Callable[..., Lattice], system: Callable[..., System]
 ):
     """Not firmware's failure but our own: a shard that was stepped already."""
@@ -307,8 +307,10 @@ def test_a_broken_step_ends_the_run_with_its_error(
         running.run(2)
         presence = np.zeros((1, 1), dtype=np.bool_)
         running.host.publish(SenseFrame(2, presence, None))
+        (loss,) = running.host.gather(2)[1]
         running.join()
-    assert str(running.ended[0]) == "this is a bug: a shard was given tick 3 after tick 1"
+    assert (loss.cell, loss.tick, loss.reason) == (0, 2, "failed")
+    assert loss.detail.endswith("this is a bug: a shard was given tick 3 after tick 1\n")
 
 
 def test_a_fault_that_can_not_be_read_is_counted_and_the_cells_go_on(

@@ -76,7 +76,7 @@ FAULTS = {
     raises: "ZeroDivisionError: one over nothing",
     not_a_number: "drive is not finite: speed [2.5, nan] m/s",
     infinite: "drive is not finite: speed [-inf, 2.5] m/s",
-    bad_message: "message field u is not finite",
+    bad_message: "message field u to the south is nan: must be a finite number (float64)",
     wrong_shape: "speed_m_s must be real numbers of shape (1, 2), not float64 of shape (1,)",
     wrong_type: "speed_m_s must be real numbers of shape (1, 2), not complex128 of shape (1, 2)",
     no_outputs: "step must return (state, Outputs), not list as the second",
@@ -257,7 +257,7 @@ def test_plain_firmware_steps_each_cell_once_a_tick_even_when_a_neighbour_raises
         ),
         (
             CellOutputs((0.0, 0.0), {"east": {"n": 256}}),
-            "OverflowError: Python integer 256 out of bounds for uint8",
+            "message field n to the east is 256: must be a whole number from 0 to 255 (uint8)",
         ),
     ],
 )

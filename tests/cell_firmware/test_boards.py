@@ -1,3 +1,4 @@
+import json
 from typing import Any
 
 import pytest
@@ -51,7 +52,7 @@ def test_a_scene_with_a_board_is_the_scene_that_names_its_effects() -> None:
 
 
 def _toml(table: Any) -> str:
-    return "{" + ", ".join(f"{key} = {value}" for key, value in table.items()) + "}"
+    return "{" + ", ".join(f"{key} = {json.dumps(value)}" for key, value in table.items()) + "}"
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,11 @@
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cell_firmware.cell import PerCell
+from cell_firmware.cell import PerCell, records_of
 from cell_firmware.errors import FirmwareError, ParametersError
 from cell_firmware.loader import BUNDLED, find, load
 from cell_firmware.protocols.heat_diffusion import HeatDiffusion
@@ -103,7 +104,7 @@ def test_a_place_without_firmware_is_refused_with_the_reason(asked: str, message
         ),
         (
             PLAIN.replace("    def init", "    def __init__(self, p): raise OSError('no')\n    def init"),
-            "on creation",
+            r"__init__\(\) raised OSError: no",
         ),
     ],
 )
@@ -172,3 +173,95 @@ def test_where_a_file_could_not_be_loaded_is_shown_in_the_file_and_nowhere_else(
         find("mine.py", tmp_path)
     files = re.findall(r'File "(.*)"', str(caught.value))
     assert files == [str(tmp_path / "mine.py")] * 2
+
+
+HELPED = """
+from __future__ import annotations
+
+from cell_firmware.cell import CellFirmware, CellOutputs
+from helper import SPEED
+
+
+class Helped(CellFirmware):
+    def init(self, cell):
+        return None
+
+    def step(self, state, inputs):
+        import parts.late as late
+
+        return None, CellOutputs((SPEED, late.SPEED))
+"""
+
+
+def helped(folder: Path, speed: float, *, program: str = HELPED) -> Path:
+    (folder / "parts").mkdir(parents=True)
+    (folder / "helper.py").write_text(f"from parts import late\nSPEED = {speed}\n", encoding="utf-8")
+    (folder / "parts" / "__init__.py").write_text("", encoding="utf-8")
+    late = f"from .. import helper\nSPEED = {speed} + 0.5\n"
+    (folder / "parts" / "late.py").write_text(late, encoding="utf-8")
+    (folder / "prog.py").write_text(program, encoding="utf-8")
+    return folder / "prog.py"
+
+
+def drives(firmware: Any) -> tuple[float, float]:
+    return firmware.firmware.step(None, None)[1].speed_m_s
+
+
+def test_a_file_imports_what_lies_beside_it_and_same_names_of_two_folders_do_not_mix(tmp_path: Path) -> None:
+    one, other = helped(tmp_path / "one", 1.0), helped(tmp_path / "other", 2.0)
+    first, second = load(CellsSpec(firmware=str(one))), load(CellsSpec(firmware=str(other)))
+    assert drives(first) == (1.0, 1.5)  # imports within step too, after the other was loaded
+    assert drives(second) == (2.0, 2.5)
+    assert type(first.firmware).__module__ != type(second.firmware).__module__  # pyright: ignore[reportAttributeAccessIssue]
+    assert "helper" not in sys.modules
+    assert str(tmp_path / "one") not in sys.path
+
+
+def test_what_lies_beside_is_read_anew_with_the_file(tmp_path: Path) -> None:
+    path = helped(tmp_path / "one", 1.0)
+    load(CellsSpec(firmware=str(path)))
+    (path.parent / "helper.py").write_text("SPEED = 0.125\n", encoding="utf-8")
+    assert drives(load(CellsSpec(firmware=str(path))))[0] == 0.125
+
+
+def test_a_module_beside_comes_before_an_installed_one_for_the_folders_files_alone(tmp_path: Path) -> None:
+    program = HELPED.replace(
+        "from helper import SPEED", "import random\nimport fractions\nfrom calendar import SPEED"
+    )
+    path = helped(tmp_path, 1.0, program=program)
+    (tmp_path / "calendar.py").write_text("SPEED = 7.0\n", encoding="utf-8")
+    (tmp_path / "random.py").write_text("mine = True\n", encoding="utf-8")
+    (tmp_path / "cell_firmware.py").write_text("raise RuntimeError('never imported')\n", encoding="utf-8")
+    (tmp_path / "fractions").mkdir()  # a folder of data
+    firmware = load(CellsSpec(firmware=str(path)))
+    assert drives(firmware)[0] == 7.0
+    names = type(firmware.firmware).step.__globals__  # pyright: ignore[reportAttributeAccessIssue]
+    assert names["random"].mine
+    assert names["fractions"].Fraction(1, 2) == 0.5
+    import calendar
+    import random
+
+    assert calendar.isleap(2000)
+    assert random.random() < 1.0
+
+
+def test_an_import_of_what_is_nowhere_is_told_with_the_line_that_asked(tmp_path: Path) -> None:
+    path = helped(tmp_path, 1.0)
+    (tmp_path / "helper.py").write_text("import nowhere_at_all\n", encoding="utf-8")
+    with pytest.raises(FirmwareError) as caught:
+        load(CellsSpec(firmware=str(path)))
+    told = str(caught.value)
+    assert "can't be loaded: ModuleNotFoundError: No module named 'nowhere_at_all'" in told
+    assert str(tmp_path / "helper.py") in told
+    assert "firmware_files" not in told
+    files = [str(getattr(module, "__file__", "")) for module in list(sys.modules.values())]
+    assert not [file for file in files if file.startswith(str(tmp_path))]
+
+
+def test_records_of_a_module_beside_may_be_remembered(tmp_path: Path) -> None:
+    program = HELPED.replace("from helper import SPEED", "import helper\nSPEED = 1.0")
+    path = helped(tmp_path, 1.0, program=program)
+    (tmp_path / "helper.py").write_text(
+        "from typing import NamedTuple\nclass Kept(NamedTuple):\n    a: int\n", encoding="utf-8"
+    )
+    assert "Kept" in [kind.__name__ for kind in records_of(load(CellsSpec(firmware=str(path))))]

@@ -81,3 +81,63 @@ class OnArrays(Firmware):
 def test_a_program_whose_state_has_no_such_variable_does_not_begin(firmware: Firmware) -> None:
     with pytest.raises(FirmwareFailed, match="observed is 'level', and there is no such variable"):
         Board(firmware).init(cells_of(LATTICE))
+
+
+def shown(make: Callable[[Cell], Any]) -> dict[str, Any]:
+    program = PerCell(Plain(make))
+    program.observed = None  # pyright: ignore[reportAttributeAccessIssue]
+    board = Board(program)
+    return {name: array.tolist() for name, array in board.registers(board.init(cells_of(LATTICE))).items()}
+
+
+@dataclass
+class Much:
+    row: int
+    place: tuple[float, float]
+    name: str = "cell"
+    there: bool | None = None
+
+
+NUMPY = np.dtype([("row", "<i4"), ("place", "<f8", (2,))])
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        Much,
+        lambda row, place: {"row": row, "place": place, "name": "cell", 3: 4.0},
+        lambda row, place: np.array([(row, place)], NUMPY)[0],
+        lambda row, place: np.array((row, place), NUMPY),
+    ],
+)
+def test_a_plain_programs_numbers_are_shown_by_name(kind: Callable[..., Any]) -> None:
+    assert shown(lambda cell: kind(cell.row, (cell.column, 0.5))) == {
+        "firmware.row": [0.0, 0.0, 2.0],
+        "firmware.place": [[0.0, 0.5], [1.0, 0.5], [0.0, 0.5]],
+    }
+
+
+def test_a_state_that_is_numbers_itself_is_shown_as_such() -> None:
+    assert shown(lambda cell: (cell.row, True)) == {"firmware.state": [[0, 1], [0, 1], [2, 1]]}
+    assert shown(lambda cell: cell.column) == {"firmware.state": [0, 1, 0]}
+    assert shown(lambda _: None) == shown(lambda _: "7") == {}
+
+
+@pytest.mark.parametrize(
+    ("state", "problem"),
+    [
+        (Much(1, (0.0, 0.0), name=3), None),  # pyright: ignore[reportArgumentType]
+        (Row(None), None),
+        (7, None),
+        (
+            None,
+            "its state is None, which has no numbers by name; a dataclass, a NamedTuple, a dict or a NumPy record",
+        ),
+        ({}, "its state is a dict, which has no numbers by name; a dataclass"),
+        (Much(1, (0.0, 0.0)), "of its state some is not recorded: name is a str, not numbers"),
+        ({"a": 1, "b": [0.0] * 65}, "of its state some is not recorded: b has 65 numbers, not 1 to 64"),
+    ],
+)
+def test_why_a_plain_programs_state_is_not_recorded(state: Any, problem: str | None) -> None:
+    found = PerCell(Plain(lambda _: state)).unrecorded(cells_of(LATTICE))
+    assert found is None if problem is None else found is not None and found.startswith(problem)

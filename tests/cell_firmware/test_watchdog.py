@@ -20,9 +20,11 @@ from cell_firmware.clocked import Clocked
 from cell_firmware.clocks import ArrayClocks, Clocks
 from cell_firmware.controller import Controller, Instant
 from cell_firmware.effects.cop import TIMEOUTS_S, CopSpec
+from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, Outbox, Outputs, State
 from cell_firmware.mailbox import Mailbox
 from cell_firmware.parts import WheelPart
+from cell_firmware.program import NoParameters
 from cell_firmware.serial.lines import SerialLines
 from cell_firmware.serial.settings import LineSettings
 from cell_firmware.shard import Shard
@@ -393,3 +395,47 @@ def test_what_firmware_says_of_its_service_must_be_a_bit_a_cell(everything: Any,
 def test_settings_that_the_chip_does_not_have_are_refused(cop: dict[str, float]) -> None:
     with pytest.raises(ValidationError, match="reboot_s" if "reboot_s" in cop else "timeout_s"):
         CopSpec.model_validate(cop)
+
+
+class Survivor(CellFirmware):
+    """Raises in its third step after each start; counts its starts in memory that a watchdog's reset leaves."""
+
+    keeps: ClassVar[bool] = True
+
+    def init(self, cell: Cell) -> tuple[int, int]:
+        return 1, 0
+
+    def warm_start(self, cell: Cell, state: tuple[int, int]) -> tuple[int, int]:
+        return (state[0] + 1, 0) if self.keeps else super().warm_start(cell, state)
+
+    def step(self, state: tuple[int, int], inputs: CellInputs) -> tuple[tuple[int, int], CellOutputs]:
+        starts, steps = state
+        if steps == 2:
+            raise RuntimeError("hangs")
+        return (starts, steps + 1), CellOutputs((float(starts), 0.0))
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_memory_that_a_program_sets_aside_survives_a_watchdogs_reset(
+    row: tuple[Partition, Cells], monkeypatch: pytest.MonkeyPatch, keeps: bool
+) -> None:
+    monkeypatch.setattr(Survivor, "keeps", keeps)
+    found = drives(watchdog(PerCell(Survivor(NoParameters())), TIMEOUTS_S[0]), *row, 40)[:, :, 0]
+    assert sorted(set(found.ravel().tolist())) == ([1.0, 2.0, 3.0, 4.0, 5.0] if keeps else [1.0])
+
+
+def test_memory_does_not_survive_a_loss_of_power(row: tuple[Partition, Cells]) -> None:
+    controller = watchdog(PerCell(Survivor(NoParameters())), TIMEOUTS_S[0])
+    state = controller.init(row[1])
+    kept = controller.controller.after_reset(controller.inner(state), warm=True)
+    lost = controller.controller.after_reset(kept)
+    assert [one.parts["firmware"]["cell"][0] for one in (kept, lost)] == [(2, 0), (1, 0)]
+
+
+def test_a_program_that_does_not_start_after_a_reset_is_named(row: tuple[Partition, Cells]) -> None:
+    class Lost(Survivor):
+        def warm_start(self, cell: Cell, state: tuple[int, int]) -> tuple[int, int]:
+            return state if cell.column != 2 else (1 // 0, 0)
+
+    with pytest.raises(FirmwareFailed, match=r"cell 0,2 failed.*warm_start: ZeroDivisionError"):
+        drives(watchdog(PerCell(Lost(NoParameters())), TIMEOUTS_S[0]), *row, 12)

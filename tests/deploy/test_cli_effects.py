@@ -45,6 +45,7 @@ def test_without_a_scene_all_effects_are_listed_with_what_they_add(
     assert "what its load took from every wheel's speed" in " ".join(shown.out.split())
 
 
+@pytest.mark.slow
 def test_the_json_has_a_row_an_effect(capsys: pytest.CaptureFixture[str]) -> None:
     found = effects(capsys, "elliptic", "--duration", "0.05", "--repeats", "1", "--advise", "--quiet")
     rows = {row["name"]: row for row in found["rows"]}
@@ -62,6 +63,7 @@ def test_the_json_has_a_row_an_effect(capsys: pytest.CaptureFixture[str]) -> Non
     assert "parcel_contact" not in found["advice"]["missing"]
 
 
+@pytest.mark.slow
 def test_the_table_fits_a_terminal_and_says_what_was_tried(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,6 +93,7 @@ def test_the_table_fits_a_terminal_and_says_what_was_tried(
     assert "can go, within 1000 mm: motors" in shown.out
 
 
+@pytest.mark.slow
 def test_the_ladder_is_printed_and_drawn(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

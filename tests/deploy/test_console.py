@@ -240,6 +240,11 @@ def test_what_was_done_to_a_recorded_run_is_done_again_at_its_ticks() -> None:
         Live(script=script[:1]).console.attend(9)
 
 
-def test_where_nobody_can_ask_nobody_is_looked_for() -> None:
-    console = Console(SCENE, "one", (), lambda _: None, cast("Any", None))
-    console.attend(3)
+def test_where_nobody_can_ask_what_was_recorded_is_done_all_the_same() -> None:
+    told: list[Control] = []
+    record = {"kind": "fault", "tick": 3, "detail": {"number": 7, "fault": HANG, "first": 3, "end": None}}
+    books = SimpleNamespace(inject=lambda _: None, control=lambda _: None)
+    console = Console(SCENE, "one", (), told.append, cast("Any", books), script=[record])
+    for tick in range(5):
+        console.attend(tick)
+    assert [control.tick for control in told] == [3]

@@ -46,7 +46,7 @@ def test_a_run_and_a_simulation_feed_and_let_out_the_same_parcels_at_the_same_ti
     assert ran.feeders is not None
     assert (ran.feeders.waiting > 0, ran.feeders.left > 0) == (True, True)
     assert list(ran.parcels) == list(simulated.parcels)
-    assert {parcel.state for parcel in ran.parcels} == {"waiting", "moving", "off_array"}
+    assert {parcel.state for parcel in ran.parcels} == {"waiting", "moving", "delivered"}
 
 
 def test_the_recording_shows_who_is_there_and_the_cells_sense_nobody_else(tmp_path: Path) -> None:

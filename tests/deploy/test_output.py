@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 from bus.keys import check_run
-from deploy.errors import InputError
-from deploy.output import header, output_folder, run_name, versions
+from deploy.output import header, run_name, versions
+from deploy.output_folder import output_folder
 from deploy.scene_files import load_scene, scene_text
 from plant.array import CellArray
+
+
+def _no_warning(line: str) -> None:
+    raise AssertionError(line)
 
 
 @pytest.mark.parametrize("name", ["elliptic", "./a b/c d.toml", "/x/ä.toml", "-.toml", "x" * 300])
@@ -24,26 +28,27 @@ def test_a_run_of_any_scene_gets_a_name_that_can_stand_in_a_key(name: str) -> No
 def test_the_default_folder_is_new_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     scene = load_scene("elliptic")
-    folders = [output_folder(scene, None) for _ in range(3)]
+    folders = list[Path]()
+    for _ in range(3):
+        with output_folder(scene, None, _no_warning) as folder:
+            folders.append(folder)
     assert len(set(folders)) == 3
     assert all(re.fullmatch(r"runs/elliptic-\d{8}-\d{6}(-\d)?", str(folder)) for folder in folders)
 
 
-def test_a_folder_used_again_loses_the_summary_and_the_picture_of_the_run_before(tmp_path: Path) -> None:
-    for name in ("summary.json", "overview.png", "notes.txt"):
-        (tmp_path / name).write_text("old")
-    assert output_folder(load_scene("elliptic"), tmp_path) == tmp_path
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-
-
-def test_a_file_in_the_place_of_the_folder_is_bad_input(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for folder, why in (
-        ("file", "is a file, must be a folder"),
-        ("file/out", "can't be made: Not a directory"),
+@pytest.mark.parametrize("recorded", [True, False], ids=["run", "simulate"])
+def test_a_folder_used_again_loses_the_results_of_the_run_before(tmp_path: Path, recorded: bool) -> None:
+    """A run replaces the recording itself; a simulation has none."""
+    for name in (
+        *("summary.json", "overview.png", "notes.txt", "recording.mcap", "protocol.csv", "protocol.png"),
+        *("checkpoint.msgpack", "checkpoint-before.msgpack", ".checkpoint.msgpack.draft", ".x.png.77.draft"),
     ):
-        with pytest.raises(InputError, match=f"^output .*: {why}$"):
-            output_folder(load_scene("elliptic"), tmp_path / folder)
+        (tmp_path / name).write_text("old")
+    with output_folder(load_scene("elliptic"), tmp_path, _no_warning, recorded=recorded) as folder:
+        assert folder == tmp_path
+        left = {".mdms.lock", "notes.txt", *(["recording.mcap"] if recorded else [])}
+        assert {path.name for path in tmp_path.iterdir()} == left
+    assert {path.name for path in tmp_path.iterdir()} == left - {".mdms.lock"}
 
 
 def test_the_header_has_the_whole_scene_and_where_everything_is(tmp_path: Path) -> None:

@@ -30,6 +30,17 @@ def test_the_picture_goes_where_output_says(tmp_path: Path, made_up_run: Make) -
     assert not (tmp_path / "overview.png").exists()
 
 
+def test_output_may_be_an_svg_or_a_pdf_and_nothing_else(
+    tmp_path: Path, made_up_run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = made_up_run().record(tmp_path)
+    assert main(["plot", str(path), "--output", str(tmp_path / "p.pdf")]) == 0
+    assert (tmp_path / "p.pdf").read_bytes().startswith(b"%PDF-")
+    assert main(["plot", str(path), "--output", str(tmp_path / "p.jpg")]) == 2
+    assert "p.jpg: a picture's name must end in .png, .svg or .pdf" in capsys.readouterr().err
+    assert not (tmp_path / "p.jpg").exists()
+
+
 def test_a_recording_that_was_cut_is_drawn(tmp_path: Path, made_up_run: Make) -> None:
     path = made_up_run().record(tmp_path)
     path.write_bytes(path.read_bytes()[:-300])

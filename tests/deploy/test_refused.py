@@ -67,6 +67,6 @@ def test_the_table_has_a_line_for_each_who_was_refused_something() -> None:
     console = Console(file=io.StringIO(), width=100)
     print_summary(outcome, console)
     text = " ".join(cast("io.StringIO", console.file).getvalue().split())
-    assert "5 sent, 4 delivered, 1,200 denied, 2 malformed" in text
+    assert "5 sent on the bus, 4 delivered, 1,200 denied, 2 malformed" in text
     assert "refused cells-0: message denied 1,200 ×; no role denied 1 ×" in text
     assert "refused shard 0: drive: type malformed 2 ×" in text

@@ -163,7 +163,7 @@ def test_another_solver_keeps_of_the_file_s_settings_those_it_has() -> None:
     [
         (
             {"step": 1e-3},
-            "solver.step_s = 0.001: unknown key; known: capture_m, name, tolerance (from --step 0.001)",
+            "solver.step_s = 0.001: unknown key; known: capture_m, max_steps_per_s, name, tolerance (from --step",
         ),
         (
             {"solver": "fixed_step", "tolerance": 1e-6},

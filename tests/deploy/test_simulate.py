@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deploy.cli import main
 from deploy.errors import InputError
 from deploy.faults.schedule import active
 from deploy.overrides import Override
@@ -171,3 +172,21 @@ def test_the_same_simulation_has_the_same_digest(tmp_path: Path) -> None:
         for d in (0.2, 0.2, 0.204)
     )
     assert first == second != other
+
+
+def test_events_that_have_no_room_in_one_call_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gliding = "{ size_m = [0.5, 0.5], position_m = [-1.0, 0.003], mass_kg = 1.0, velocity_m_s = [0.5, 0.0] }"
+    settings = [
+        "array={ rows = 30, columns = 130, pitch_m = 0.02 }",
+        "cells.parameters={ field = { kind = 'uniform', velocity_m_s = [0.5, 0.0] } }",
+        f"parcels=[{gliding}]",
+        "duration_s=4.0",
+    ]
+    sets = [word for setting in settings for word in ("--set", setting)]
+    arguments = ["simulate", "elliptic", *sets, "--no-picture", "--json", "--output", str(tmp_path)]
+    assert main(arguments) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["events_left_out"] > 500
+    assert summary["events_left_out"] < summary["support_changes"] - 4000

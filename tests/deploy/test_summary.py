@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from deploy.errors import DeployError
-from deploy.summary import Messages, ParcelOutcome, Summary
+from deploy.summary import Messages, ParcelOutcome, ProtocolMessages, Summary
 from deploy.summary_table import print_summary
 from plant.reports import ExitCount, FeedCount, TrafficCount, Transit
 
@@ -128,12 +128,21 @@ def test_the_table_names_lost_cells_faults_and_lost_messages() -> None:
     )
     for words in (
         "3,4 crashed at 2 s",
-        "10 sent, 9 delivered, 1 lost",
+        "10 sent on the bus, 9 delivered, 1 lost",
         "ab" * 32,
         "runs/1",
         "at rest since",
     ):
         assert words in text
+
+
+def test_the_table_tells_messages_of_cells_apart_from_frames_of_the_bus() -> None:
+    text = printed(
+        summary(messages=Messages(sent=10, delivered=9, protocol=ProtocolMessages(sent=1_234, heard=1_200)))
+    )
+    assert "messages   1,234 sent by cells to neighbours, 1,200 heard" in text
+    assert "frames     10 sent on the bus, 9 delivered" in text
+    assert "messages" not in printed(summary(messages=Messages(sent=10, delivered=9)))
 
 
 def test_the_table_says_how_many_more_faults_there_are_than_it_names() -> None:
@@ -220,3 +229,18 @@ def test_what_faults_did_has_a_line_of_its_own_apart_from_which_there_were() -> 
     assert "clock      2 missed" in text
     assert "by faults  link loss lost 60,518, begun anew 1" in text
     assert text.count("\nfaults") == 1
+
+
+def test_what_limits_how_far_a_course_can_be_believed_is_a_line_each() -> None:
+    outrun = [{"parcel": 3, "since_s": 0.20387}, {"parcel": 0, "since_s": 0.7}]
+    found = summary(law_not_valid=outrun, captured={"capture_m": 1e-6, "parcels": [0, 2]})
+    lines = [" ".join(line.split()) for line in printed(found, width=120).splitlines()]
+    assert "law not valid since 0.2039 s: parcel 3 outruns a wheel, and 1 parcel later" in lines
+    assert (
+        "chatter captured: positions of parcels 0, 2 to 1e-06 m (solver.capture_m), not to the tolerance"
+        in lines
+    )
+    lost = printed(summary(events_left_out=1204), width=120)
+    assert "events 1,204 left out: too many of one parcel in one solver call" in " ".join(lost.split())
+    limits = {"law", "chatter", "events"}
+    assert not limits & {line.partition(" ")[0] for line in printed(summary()).splitlines()}

@@ -55,6 +55,7 @@ def test_off_the_line_of_a_row_no_parcel_is_carried(ended: Callable[..., Summary
         ended("vehicle_row", parcels__0__position_m=[-0.35, 0.001])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{"effects": {}, "cells__period_s": 0.032768}, {"cells__board": "hc11"}],

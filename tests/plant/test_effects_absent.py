@@ -23,8 +23,8 @@ SOLVERS = {
 }
 """The module of the kernel that each compiled solver calls."""
 
-COMPARED = {name: SOLVERS[name] for name in ("implicit",)}
-"""Whose kernel is compiled here, twice: it is the one that any effect of the kernels can be part of."""
+COMPARED = {name: SOLVERS[name] for name in ("exact", "implicit")}
+"""Solvers whose kernels are compiled here, twice: between them they call what the others call."""
 
 COMPILE = """
 import hashlib, importlib, json, re, sys

@@ -123,6 +123,7 @@ def test_a_corner_that_clips_a_cell_for_five_milliseconds_is_seen_under_full_sli
     assert plant.state[0] == pytest.approx(expected, abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXACT)
 def test_drives_that_change_every_tick_and_coasting_wheels_are_followed(name: str) -> None:
     plant = exact(

@@ -122,6 +122,7 @@ FIELDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field", sorted(FIELDS))
 @pytest.mark.parametrize("name", ["coulomb", "cone", "stick_slip"])
 def test_controlled_steps_keep_the_tolerance_where_wheels_disagree_and_stick_and_slip_in_turn(

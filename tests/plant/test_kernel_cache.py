@@ -117,7 +117,8 @@ print(json.dumps({
 
 
 def _files() -> dict[str, int]:
-    return {str(path): path.stat().st_mtime_ns for path in cache.folder()[0].rglob("*.nb*")}
+    """Files of machine code, and when they were written."""
+    return {str(path): path.stat().st_mtime_ns for path in cache.folder()[0].rglob("*.nbc")}
 
 
 def test_a_second_process_loads_what_the_first_compiled() -> None:
@@ -126,14 +127,14 @@ def test_a_second_process_loads_what_the_first_compiled() -> None:
     if not cache.folder()[1]:
         pytest.skip("no cache folder can be written here")
     before = _files()
-    assert any(name.endswith(".nbi") for name in before)
+    assert before
     assert cache.is_warm()
     told = _fresh(SECOND_PROCESS)
     assert told["warm"] is True
     assert told["hits"] == [1, 1]
     assert told["misses"] == [0, 0]
     assert told["present"] == int(sense.presence.sum())
-    assert _files() == before
+    assert _files().items() >= before.items()  # tests that run beside this one may compile more
 
 
 FOLDER = """

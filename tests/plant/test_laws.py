@@ -83,6 +83,7 @@ def _spun_ring(ratio: float) -> Floats:
     return _slid_to_rest(plant, radius, 40_000)
 
 
+@pytest.mark.slow
 def test_coulomb_alone_a_disc_slides_and_spins_to_one_end_at_the_known_ratio() -> None:
     """Both motions end together, with ``|U| / (R omega)`` tending to 0.653; on this lattice 0.65."""
     slow, steady, fast = _spun_disc(0.45), _spun_disc(0.65), _spun_disc(0.9)

@@ -137,3 +137,14 @@ def test_parcels_pass_through_each_other_unhindered() -> None:
     together.advance(drives, 4 * SECOND)
     alone.advance(drives, 4 * SECOND)
     assert np.array_equal(together.state[0], alone.state[0])
+
+
+def test_parcels_that_overlap_by_rounding_are_beside_each_other() -> None:
+    first = parcel(size_m=(0.3, 0.3), position_m=(-0.7, 0.0), angle_rad=0.0)
+    second = parcel(size_m=(0.3, 0.3), position_m=(-0.4, 0.0), angle_rad=0.0)
+    assert -0.7 + 0.15 > -0.4 - 0.15  # by 1.1e-16
+    plant = Plant(spec(first, second))
+    _, events = plant.advance(np.zeros((400, 2)), TICK_NS)
+    assert events == []
+    with pytest.raises(PlantError, match="overlap at the start by 1e-08 m"):
+        Plant(spec(first, second.model_copy(update={"position_m": (-0.4 - 1e-8, 0.0)})))

@@ -25,6 +25,22 @@ def test_a_sliding_parcel_is_at_rest_once_it_is_slow_and_stays_slow() -> None:
     assert trajectory.state[-1, 0, 3] < 1e-6
 
 
+@pytest.mark.parametrize(
+    ("pitch_m", "given", "slow"),
+    [(1e-3, None, 1e-8), (1e-3, 1e-6, 1e-6), (0.1, 1e-3, 1e-3), (0.1, None, 1e-6)],
+)
+def test_what_counts_as_rest_goes_with_the_pitch_or_is_said(
+    pitch_m: float, given: float | None, slow: float
+) -> None:
+    scale, begun = pitch_m / 0.1, 10.0 * slow
+    body = parcel(size_m=(0.54 * scale, 0.32 * scale), position_m=(0.0, 0.0), velocity_m_s=(begun, 0.0))
+    scene = spec(body, pitch_m=pitch_m, tolerance=1e-14)
+    plant = Plant(scene.model_copy(update={"rest_speed_m_s": given}))
+    plant.trajectory(np.zeros((400, 2)), 3 * SECOND, TICK_NS)
+    assert plant.status[0].state == "at_rest"
+    assert plant.status[0].time_s == pytest.approx(np.log(KAPPA * 10.0) / KAPPA, abs=3 * TICK_NS * 1e-9)
+
+
 @pytest.mark.parametrize("sampled", [False, True])
 def test_rest_is_noted_alike_by_ticks_and_by_trajectories(sampled: bool) -> None:
     plant = Plant(spec(parcel(position_m=(-0.1, 0.0), velocity_m_s=(0.3, 0.0))))

@@ -97,6 +97,7 @@ def test_chatter_is_captured_just_as_well_tick_by_tick(solver: Solver, size: tup
     assert plant.state[0, 2] == pytest.approx(PUBLISHED[size], abs=1e-6)
 
 
+@pytest.mark.slow
 @claiming(Claim.CHATTER)
 @pytest.mark.parametrize("start", ["study", "centre"])
 @pytest.mark.parametrize("field", FIELDS)
@@ -268,6 +269,7 @@ def test_chatter_that_escapes_is_bounded_over_many_ticks_too(monkeypatch: pytest
     assert plant.support_changes < 60 * 60 * 2
 
 
+@pytest.mark.slow
 def test_chatter_that_escapes_at_the_real_allowance_ends_within_seconds() -> None:
     plant = _escaping(1e-14)
     begun = time.perf_counter()

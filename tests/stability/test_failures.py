@@ -156,6 +156,7 @@ def _leaning(solver: Solver, seed: int) -> Plant | None:
         return None
 
 
+@pytest.mark.slow
 @claiming(Claim.LOADS)
 def test_loads_claimed_to_be_converged_are_so_all_along_the_way(solver: Solver) -> None:
     """H16, converged by its own word only: Drake #9241, #21514, #19842. Checked by the optimality conditions."""

@@ -18,6 +18,8 @@ from tests.plant.reference import is_least_norm
 from tests.plant.scenes import MU, SECOND, Floats, G, bench, loads, parcel
 from tests.stability.solvers import SOLVERS, Claim, Solver, claiming
 
+pytestmark = pytest.mark.slow
+
 SIDE = 12
 
 

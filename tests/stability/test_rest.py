@@ -28,6 +28,7 @@ def test_half_an_hour_on_stopped_wheels_moves_a_parcel_by_nothing(solver: Solver
     assert solver.steps(plant) < 100
 
 
+@pytest.mark.slow
 @claiming(Claim.REST, laws=EVERY_LAW)
 def test_under_every_law_half_an_hour_at_rest_moves_a_parcel_by_nothing(solver: Solver, law: str) -> None:
     """H8 where friction is a force that rest needs, not one that motion makes."""
@@ -39,6 +40,7 @@ def test_under_every_law_half_an_hour_at_rest_moves_a_parcel_by_nothing(solver: 
     assert np.array_equal(plant.state, before)
 
 
+@pytest.mark.slow
 @claiming(Claim.REST)
 def test_ticks_on_stopped_wheels_move_a_parcel_by_nothing(solver: Solver) -> None:
     """H8 again, as the lockstep calls it: what a step leaves behind must not add up over ticks."""

@@ -40,15 +40,15 @@ class Elsewhere:
     def close(self, grace_s: float) -> None: ...
 
 
-def plant(folder: Path, scene: str, listen: str) -> None:
-    """As ``mdms run --processes each --listen``, but for the workers."""
+def plant(folder: Path, scene: str, join: str) -> None:
+    """As ``mdms run --processes each --join``, but for the workers."""
     from deploy.processes import system
     from deploy.processes.plan import RunOptions
     from deploy.run import run
     from deploy.scene_files import load_scene
 
     system.WorkerProcesses = lambda plan: Elsewhere(folder)  # type: ignore[assignment,misc]
-    options = RunOptions("each", listen=listen, output=folder / "out", picture=False, insecure=True)
+    options = RunOptions("each", join=join, output=folder / "out", picture=False, insecure=True)
     outcome = run(load_scene(scene), options, quiet=True)
     print(outcome.summary.to_json())
 

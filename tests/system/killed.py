@@ -58,18 +58,30 @@ def kill_after(mdms: Mdms, tick: int, delay_s: float) -> Kill | None:
         assert time.monotonic() < deadline, "no checkpoint came"
         time.sleep(0.01)
     time.sleep(delay_s)
-    mdms.children()
-    mdms.process.send_signal(signal.SIGKILL)
     killed = time.time()
-    mdms.process.communicate()
-    mdms.assert_nothing_left()
-    if mdms.process.returncode != -signal.SIGKILL:
+    if not kill(mdms):
         return None
     # it may have been killed between two renames
     written = max(
         path.stat().st_mtime for path in map(mdms.output.joinpath, (FILE_NAME, BEFORE)) if path.exists()
     )
     return Kill(reached(mdms.output), killed - written)
+
+
+def kill(mdms: Mdms) -> bool:
+    """Kill a run's plant, and see that nothing is left of it; False where the run was over before."""
+    mdms.children()
+    mdms.process.send_signal(signal.SIGKILL)
+    mdms.process.communicate()
+    mdms.assert_nothing_left()
+    return mdms.process.returncode == -signal.SIGKILL
+
+
+def refusal(output: Path) -> str:
+    """The one line with which a run is refused to go on."""
+    status, out, error = start(output, "--resume", output).end(_PATIENCE_S)
+    assert (status, out, error.count("\n")) == (2, "", 1), error
+    return error
 
 
 def reached(output: Path) -> int:

@@ -28,7 +28,10 @@ REFUSED = [
         ("--listen", "tcp/0.0.0.0:7447"),
         "--listen tcp/0.0.0.0:7447: leaves this host, and anybody who reaches it",
     ),
-    (("--keys", "nowhere"), "nowhere/keys.json: there is no such file: mdms keys makes it"),
+    (
+        ("--keys", "nowhere"),
+        "--keys nowhere: is no folder of keys, there is no keys.json: mdms keys DIR SCENE makes one",
+    ),
     (("--listen", "nonsense"), "--listen nonsense: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447"),
     (("--realtime", "0"), "--realtime 0: must be greater than 0"),
     (

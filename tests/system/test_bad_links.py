@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from deploy.processes.plan import RunOptions
 from deploy.recordings.replay import load
 from deploy.run import run
@@ -40,6 +42,7 @@ def _run_apart(scene: Path, folder: Path, relay: Relay, *, cut_s: float) -> tupl
         return json.loads(stdout), time.monotonic() - cut
 
 
+@pytest.mark.slow
 def test_delay_loss_and_a_cut_of_three_seconds_cost_time_and_nothing_else(
     small: Small, tmp_path: Path
 ) -> None:

@@ -13,7 +13,7 @@ from deploy.cli import main
 from tests.system.running import Mdms
 from tests.system.small import small_scene
 
-ASKED = ("--fault", "crash", "--share", "0,0.5", "--seeds", "3", "--duration", "0.3")
+ASKED = ("--fault", "crash", "--share", "0,0.5", "--seeds", "3", "--duration", "0.3", "--within", "1")
 LEFT = ("campaign.csv", "campaign.json")
 
 
@@ -32,6 +32,7 @@ def whole(scene: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_an_interrupted_campaign_leaves_nothing_running_and_goes_on_to_the_same_table(
     scene: Path, whole: Path, tmp_path: Path, mdms: Callable[..., Mdms]
 ) -> None:
@@ -71,7 +72,7 @@ def test_going_on_with_a_campaign_that_is_over_runs_nothing_and_says_the_same(
         "fault crash from 0 s, 3 seeds, 6 runs and 3 undisturbed; in brackets 95 % confidence intervals"
         in out
     )
-    assert out.splitlines()[3].split()[:5] == ["0", "3", "0", "100", "(44–100)"]
+    assert out.splitlines()[4].split()[:5] == ["0", "3", "0", "100", "(44–100)"]
 
 
 def test_a_row_has_what_was_varied_and_what_it_came_to(whole: Path) -> None:
@@ -83,6 +84,7 @@ def test_a_row_has_what_was_varied_and_what_it_came_to(whole: Path) -> None:
     assert last["error_m"]["mean"] > 0.0
     assert last["error_m"]["low"] <= last["error_m"]["mean"] < last["error_m"]["high"]
     assert (report["status"], report["runs"], report["failed"]) == ("ok", 6, [])
+    assert report["criterion"] == "error at most 1 m from where the undisturbed run ends (--within)"
 
 
 def test_seeds_are_other_chances_and_cases_the_same_ones(whole: Path) -> None:

@@ -55,6 +55,7 @@ def _told(outcome: Outcome) -> dict[str, Any]:
     return {name: value for name, value in told.items() if name not in OWN}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("processes", "transport"),
     [(0, "memory"), (2, "zenoh"), ("each", "zenoh")],
@@ -100,6 +101,7 @@ def test_one_that_is_over_leaves_no_checkpoint(small: Small, tmp_path: Path) -> 
     assert not {FILE_NAME, BEFORE} & {path.name for path in tmp_path.iterdir()}
 
 
+@pytest.mark.slow
 def test_a_killed_plant_is_taken_up_again_and_killed_again(tmp_path: Path) -> None:
     """Once between checkpoints, once as soon as one is written, the second time in a run that goes on already."""
     folder = tmp_path / "out"

@@ -47,10 +47,12 @@ class Faulty(CellFirmware):
 WAYS: list[Processes] = [0, 2]
 
 
-def _faulty(when: str, policy: str, small: Small, folder: Path, processes: Processes) -> Outcome:
+def _faulty(
+    when: str, policy: str, small: Small, folder: Path, processes: Processes, on_failure: str = "isolate"
+) -> Outcome:
     (folder / "faulty.py").write_text(FIRMWARE.replace("{when}", when))
     overrides = [
-        Override(("cells",), {"firmware": str(folder / "faulty.py")}, ""),
+        Override(("cells",), {"firmware": str(folder / "faulty.py"), "on_failure": on_failure}, ""),
         Override(("stall",), {"policy": policy}, ""),
     ]
     scene = load_scene(str(small()), overrides)
@@ -60,7 +62,7 @@ def _faulty(when: str, policy: str, small: Small, folder: Path, processes: Proce
 @pytest.mark.parametrize(
     ("when", "words"), [("raise", "ZeroDivisionError: on purpose"), ("nan", "not finite")]
 )
-def test_a_cell_whose_firmware_fails_counts_as_crashed_and_the_run_goes_on(
+def test_isolated_a_cell_whose_program_fails_counts_as_crashed_and_the_run_goes_on(
     when: str, words: str, small: Small, tmp_path: Path
 ) -> None:
     summaries = [_faulty(when, "coast", small, tmp_path, processes).summary for processes in (0, 2, "each")]
@@ -72,6 +74,57 @@ def test_a_cell_whose_firmware_fails_counts_as_crashed_and_the_run_goes_on(
         assert words in fault["detail"]
     assert len({summary.digest for summary in summaries}) == 1
     assert load(tmp_path / "out").faults[0]["detail"] == summaries[-1].faults[0]["detail"]
+
+
+def test_a_program_that_fails_ends_the_run_before_its_tick_alike_however_the_scene_is_cut(
+    small: Small, tmp_path: Path
+) -> None:
+    ways: tuple[Processes, ...] = (0, 2, "each")
+    outcomes = [_faulty("raise", "hold", small, tmp_path, processes, "stop") for processes in ways]
+    for outcome in outcomes:
+        summary = outcome.summary
+        assert (summary.status, summary.ticks) == ("failed", 7)
+        assert summary.reason == (
+            "the program of cell 1,1 failed in tick 7 (0.028672 s): ZeroDivisionError: on purpose"
+        )
+        assert "Traceback" in outcome.detail
+    assert len({outcome.summary.digest for outcome in outcomes}) == 1
+    assert outcomes[0].summary.digest != _faulty("raise", "hold", small, tmp_path, 0).summary.digest
+    assert load(tmp_path / "out").status == "ok"
+
+
+def test_the_lowest_cell_is_named_however_the_scene_is_cut(small: Small, tmp_path: Path) -> None:
+    program = FIRMWARE.replace("{when}", "raise").replace("place == (1, 1)", "place[1] > 0")
+    (tmp_path / "several.py").write_text(program)
+    cells = {"firmware": str(tmp_path / "several.py")}
+    scene = load_scene(str(small()), [Override(("cells",), cells, "")])
+    ways: tuple[Processes, ...] = (0, 3, "each")
+    for processes in ways:
+        options = RunOptions(processes, output=tmp_path / "out", picture=False)
+        reason = run(scene, options, quiet=True).summary.reason or ""
+        assert reason.startswith("the program of cell 0,1 failed in tick 7 (0.028672 s): "), processes
+        assert reason.endswith("on purpose; 8 cells more failed in that tick"), processes
+
+
+def test_a_run_at_whose_end_no_cell_is_left_failed(small: Small, tmp_path: Path) -> None:
+    program = FIRMWARE.replace("{when}", "raise").replace("place == (1, 1) and ", "")
+    (tmp_path / "all.py").write_text(program)
+    cells = {"firmware": str(tmp_path / "all.py"), "on_failure": "isolate"}
+    scene = load_scene(str(small()), [Override(("cells",), cells, "")])
+    outcome = run(scene, RunOptions(0, output=tmp_path / "out", picture=False), quiet=True)
+    assert (outcome.summary.status, outcome.summary.ticks) == ("failed", 49)
+    assert outcome.summary.reason == (
+        "no cell was alive at the end: cells 0,0 0,1 0,2 0,3 1,0 1,1 and 6 more lost in tick 7 (0.028672 s): "
+        "ZeroDivisionError: on purpose"
+    )
+    assert "Traceback" in outcome.detail
+
+
+def test_a_run_whose_scene_kills_all_cells_is_ok(small: Small, tmp_path: Path) -> None:
+    crash = '[[faults]]\nkind = "crash"\nat_s = 0.05\nshare = 1.0\n'
+    scene = load_scene(str(small(crash)))
+    summary = run(scene, RunOptions(0, output=tmp_path / "out", picture=False), quiet=True).summary
+    assert (summary.status, len(summary.cells_lost)) == ("ok", 12)
 
 
 @pytest.mark.parametrize("processes", WAYS)
@@ -106,6 +159,7 @@ def test_a_crash_under_abort_ends_the_run_before_its_tick(small: Small, tmp_path
     assert summary.reason == "cell 2,3 crashed at 0.053248 s as scheduled; stall.policy is abort"
 
 
+@pytest.mark.slow
 def test_a_scheduled_crash_kills_the_process_of_its_cell_alone(mdms: Start, small: Small) -> None:
     scene = small('[[faults]]\nkind = "crash"\nat_s = 1.0\ncell = [2, 3]\n')
     running = mdms("run", scene, "--duration", 600, "--realtime", "--processes", "each")
@@ -151,6 +205,7 @@ def test_a_run_goes_on_without_a_worker_that_is_killed_or_stopped(
     assert len(load(running.output).faults) == len(LOST)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "outcome"), [(signal.SIGKILL, "failed"), (signal.SIGSTOP, "stalled")], ids=["killed", "stopped"]
 )
@@ -165,13 +220,19 @@ def test_under_abort_a_lost_worker_ends_the_run_and_the_last_line_says_what_and_
     assert load(running.output).status == outcome
 
 
-def test_a_firmware_that_never_returns_does_not_keep_a_run_in_one_process_from_ending(
+def test_a_program_that_never_returns_is_named_and_ends_a_run_in_one_process(
     mdms: Start, small: Small, tmp_path: Path
 ) -> None:
     (tmp_path / "faulty.py").write_text(FIRMWARE.replace("{when}", "hang"))
     running = mdms(
-        "run", small(), "--processes", "0", "--json", "--no-picture", "--set", "stall.deadline_s=0.2",
+        "run", small(), "--processes", "0", "--json", "--no-picture", "--set", "stall.deadline_s=0.5",
         "--set", f'cells.firmware="{tmp_path / "faulty.py"}"', "--set", "cells.parameters={}",
     )  # fmt: skip
-    status, stdout, _ = running.end()
-    assert (status, len(summary_of(stdout)["cells_lost"])) == (0, 12)
+    status, stdout, stderr = running.end()
+    summary = summary_of(stdout)
+    assert (status, summary["status"], summary["ticks"], summary["cells_lost"]) == (1, "failed", 7, [[1, 1]])
+    assert stderr.splitlines()[-1] == (
+        "mdms: failed: the program of cell 1,1 failed in tick 7 (0.028672 s): NeverReturned: the step had not returned "
+        "after 0.5 s (stall.deadline_s)"
+    )
+    assert 'in step\n    while "hang" == "hang":' in stderr

@@ -83,6 +83,7 @@ def ticks(at_s: float) -> int:
     return int(np.ceil(at_s / PERIOD_S))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clocks", [False, True], ids=["in step", "clocks of their own"])
 def test_harm_is_done_alike_however_the_scene_is_cut(
     clocks: bool, scene_of: Callable[..., Scene], tmp_path: Path

@@ -62,6 +62,7 @@ def test_a_signal_while_processes_are_started_leaves_nothing_running(workers: in
     assert running.end()[0] == 130
 
 
+@pytest.mark.slow
 def test_a_signal_while_the_picture_is_drawn_keeps_recording_and_summary(mdms: Start) -> None:
     running = mdms("run", "motors", "--duration", "2", "--processes", "1", "--json")
     running.wait_for((running.output / "summary.json").exists, "the summary was written")
@@ -74,6 +75,7 @@ def test_a_signal_while_the_picture_is_drawn_keeps_recording_and_summary(mdms: S
     assert sorted(path.name for path in running.output.iterdir()) == [FILE_NAME, "summary.json"]
 
 
+@pytest.mark.slow
 def test_a_second_signal_does_not_spoil_the_end(mdms: Start) -> None:
     running = mdms("run", "motors", *LONG, "--processes", "2", "--json")
     running.wait_until_recorded()
@@ -85,6 +87,7 @@ def test_a_second_signal_does_not_spoil_the_end(mdms: Start) -> None:
     assert load(running.output).digest == summary_of(stdout)["digest"]
 
 
+@pytest.mark.slow
 def test_the_workers_end_with_a_main_process_that_is_killed(mdms: Start) -> None:
     running = mdms("run", "motors", *LONG, "--processes", "each")
     running.wait_until_recorded()
@@ -95,6 +98,7 @@ def test_the_workers_end_with_a_main_process_that_is_killed(mdms: Start) -> None
     running.assert_nothing_left(within_s=1.0)
 
 
+@pytest.mark.slow
 def test_a_recording_after_kill_9_holds_all_but_the_last_half_second(mdms: Start) -> None:
     running = mdms("run", "motors", *LONG, "--processes", "1")
     running.wait_until_recorded()
@@ -108,6 +112,7 @@ def test_a_recording_after_kill_9_holds_all_but_the_last_half_second(mdms: Start
     assert recording.time_s[-1] > simulated - 0.5
 
 
+@pytest.mark.slow
 def test_the_workers_end_though_their_parent_is_killed_first(mdms: Start) -> None:
     running = mdms("run", "motors", *LONG, "--processes", "2")
     running.wait_until_recorded()
@@ -117,6 +122,7 @@ def test_the_workers_end_though_their_parent_is_killed_first(mdms: Start) -> Non
     assert running.end()[0] == 130
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_leaves_no_temporary_files(
     mdms: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

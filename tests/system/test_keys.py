@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
+import msgpack
+import pytest
 import zenoh
 
 from bus.transport import Received
@@ -71,11 +73,14 @@ class Insider:
         token = self.session.liveliness().declare_token(f"mdms/{run_name}/shard/1/ready")
         stop = encode_control(Control("stop", 0, (), "by a stranger"))
         drive = b"\x83\xa1v\x01\xa4tick\x05\xa5drive\xc4\x60" + bytes(96)
+        tick = msgpack.unpackb(sense)["tick"]
+        ahead = msgpack.packb({"v": 1, "tick": tick + 50, "drive": bytes(96)})
         puts = {"shard/1/drive": drive, "shard/0/sense": sense, "plant/control": stop}
         for _ in range(5):
             for key, payload in puts.items():
                 self.put(f"mdms/{run_name}/{key}", payload)
             self.put(f"mdms/{run_name}/shard/0/drive", b"\xc1")
+            self.put(f"mdms/{run_name}/shard/0/drive", ahead)
             self.put(f"mdms/{run_name}/shard/0/drive", bytes(100_000))
             self.session.delete(f"mdms/{run_name}/plant/control", congestion_control=BLOCK)
         replies = list(cast("Any", self.session).get(f"mdms/{run_name}/plant/operator", timeout=0.2))
@@ -98,24 +103,34 @@ def test_strangers_and_insiders_are_refused_counted_and_shown_and_the_digest_sta
     mine, theirs = tmp_path / "mine", keys_for(scene, tmp_path / "theirs")
     status, stdout, stderr = mdms("keys", mine, scene, "--processes", 2, "--json").end()
     assert (status, json.loads(stdout)["folder"], stderr) == (0, str(mine), "")
-    listen = f"tls/127.0.0.1:{free_port()}"
+    listen, join = f"tls/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
     options = ("--processes", 2, "--duration", DURATION_S, "--keys", mine, "--no-picture", "--json")
-    running = mdms("run", scene, *options, "--realtime", "--listen", listen)
+    running = mdms("run", scene, *options, "--realtime", "--listen", listen, "--join", join)
     authority = str(mine / "operator" / "authority.pem")
     stolen = Certificate(
         authority, str(theirs / "operator" / "certificate.pem"), str(theirs / "operator" / "key.pem")
     )
-    insider = Insider(listen, identity_of(mine / "cells-0", "cells-0"))
+    insider = Insider(join, identity_of(mine / "cells-0", "cells-0"))
     insider.act()
     assert ask_run(listen, {"do": "list"}, 5.0, mine)["ok"]
     assert (0, 0) in look(listen, [(0, 0)], 5.0, mine / "operator").cells
-    assert refused(listen.replace("tls", "tcp"), None)
-    assert refused(listen, None, transport__link__tls=json.dumps({"root_ca_certificate": authority}))
-    assert refused(listen, stolen)
-    assert refused(listen, identity_of(theirs / "cells-0", "cells-0"))
+    for endpoint in (listen, join):
+        assert refused(endpoint.replace("tls", "tcp"), None)
+        assert refused(endpoint, None, transport__link__tls=json.dumps({"root_ca_certificate": authority}))
+        assert refused(endpoint, stolen)
+        assert refused(endpoint, identity_of(theirs / "cells-0", "cells-0"))
+    crossed = [
+        open_client(join, identity=identity_of(mine / "operator", "operator")),
+        open_client(listen, identity=identity_of(mine / "cells-1", "cells-1")),
+    ]
+    for endpoint in crossed:
+        endpoint.subscribe("mdms/**")
     status, stdout, stderr = running.end()
     insider.close()
     assert status == 0, stderr
+    for endpoint in crossed:
+        assert endpoint.receive(0) is None
+        endpoint.close()
     summary = summary_of(stdout)
     alone = run(
         load_scene(str(scene)).model_copy(update={"duration_s": DURATION_S}),
@@ -127,15 +142,22 @@ def test_strangers_and_insiders_are_refused_counted_and_shown_and_the_digest_sta
     # Five puts of each of four kinds, five deletions, two subscriptions, a token, a query.
     assert told["denied", "cells-0", "message"] >= 5 * 5 + 2 + 1 + 1
     assert told["malformed", "shard 0", "drive: encoding"] == 5
-    assert {whose for why, whose, _ in told if why == "denied"} == {"cells-0", "a stranger"}
+    assert told["malformed", "shard 0", "drive: ahead"] == 5
+    # An operator where cells join, and cells where operators connect.
+    assert told["denied", "operator", "no role"] == told["denied", "cells-1", "no role"] == 1
+    assert {whose for why, whose, _ in told if why == "denied"} == {
+        "cells-0", "a stranger", "operator", "cells-1"
+    }  # fmt: skip
     assert told["denied", "a stranger", "connection: it has no certificate"] >= 1
-    assert sum(n for (_, whose, _), n in told.items() if whose == "a stranger") >= 4
-    assert summary["messages"]["denied"] == told["denied", "cells-0", "message"]
-    assert summary["messages"]["malformed"] == 5
+    assert sum(n for (_, whose, _), n in told.items() if whose == "a stranger") >= 2 * 4
+    messages = [n for (why, _, what), n in told.items() if (why, what) == ("denied", "message")]
+    assert summary["messages"]["denied"] == sum(messages)
+    assert summary["messages"]["malformed"] == 10
     assert "mdms: denied: cells-0: message" in stderr
     assert "mdms: refused: shard 0: drive: encoding" in stderr
 
 
+@pytest.mark.slow
 def test_with_passwords_who_has_a_wrong_one_or_none_is_refused_and_counted(
     mdms: Callable[..., Mdms], small: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -143,7 +165,7 @@ def test_with_passwords_who_has_a_wrong_one_or_none_is_refused_and_counted(
     mine = keys_for(scene, tmp_path / "mine", "password")
     listen = f"tcp/127.0.0.1:{free_port()}"
     running = mdms(
-        "run", scene, "--processes", 2, "--keys", mine, "--duration", 2, "--realtime", "--listen", listen
+        "run", scene, "--processes", 2, "--keys", mine, "--duration", 2, "--realtime", "--join", listen
     )
     running.wait_until_recorded()
     assert refused(listen, None)

@@ -66,8 +66,9 @@ class Running:
         return self.outcome
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(120)
-@pytest.mark.parametrize("processes", ["each"])
+@pytest.mark.parametrize("processes", ["each", pytest.param(2, marks=pytest.mark.slow)])
 def test_a_live_fault_acts_is_repaired_and_is_repeated_to_the_same_digest(
     tmp_path: Path, processes: Processes
 ) -> None:

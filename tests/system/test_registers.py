@@ -15,6 +15,7 @@ from deploy.recordings.replay import load
 from tests.system.running import Mdms
 
 
+@pytest.mark.slow
 def test_registers_are_recorded_after_the_ticks_asked_for_whoever_computes_them(
     mdms: Callable[..., Mdms], tmp_path: Path
 ) -> None:
@@ -48,7 +49,8 @@ def test_the_recorded_integral_is_the_one_that_made_the_drives(mdms: Callable[..
     np.testing.assert_allclose(run.drives[1:25], 12.0 * error + integral[1:], atol=1e-12)
 
 
-def test_a_running_system_shows_its_cells(mdms: Callable[..., Mdms]) -> None:
+@pytest.mark.slow
+def test_a_running_system_shows_its_cells(mdms: Callable[..., Mdms], tmp_path: Path) -> None:
     listen = f"tcp/127.0.0.1:{_free_port()}"
     running = mdms(
         "run",
@@ -68,7 +70,8 @@ def test_a_running_system_shows_its_cells(mdms: Callable[..., Mdms]) -> None:
     seen = json.loads(stdout)
     assert list(seen["cells"]) == ["0,0", "2,5"]
     assert len(seen["cells"]["2,5"]["speed_loop.integral_v"]) == 2
-    status, stdout, _ = mdms("registers", "--connect", listen).end()
+    folder = next(path for path in tmp_path.rglob("recording.mcap")).parent
+    status, stdout, _ = mdms("registers", "--run", folder).end()
     assert status == 0
     assert "18 cells" in stdout
     assert "speed_loop.integral_v" in stdout
@@ -83,6 +86,8 @@ def test_a_running_system_shows_its_cells(mdms: Callable[..., Mdms]) -> None:
     [
         (("9x", "--connect", "tcp/127.0.0.1:1"), "9x: must be a cell's row and column, such as 1,2"),
         (("--connect", "tcp/127.0.0.1:1", "--timeout", "0.3"), "nobody answers"),
+        (("--run", "none"), "--run none: no run goes on there"),
+        (("--run", "none", "--connect", "tcp/127.0.0.1:1"), "--connect and --run: give one of the two"),
         (("--connect", "tcp/127.0.0.1:1", "--timeout", "-1"), "--timeout -1: must be greater than 0"),
     ],
 )

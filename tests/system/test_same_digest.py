@@ -87,8 +87,8 @@ def _shortened(name: str, duration_s: float) -> Scene:
     [
         ("elliptic", 0.09, WAYS),
         ("heat", 0.09, WAYS),
-        ("coulomb", 0.06, WAYS),  # another solver
-        ("motors", 0.15, WAYS + EACH),
+        pytest.param("coulomb", 0.06, WAYS, marks=pytest.mark.slow),  # another solver
+        pytest.param("motors", 0.15, WAYS + EACH, marks=pytest.mark.slow),
     ],
 )
 def test_the_digest_depends_neither_on_processes_nor_on_transport_nor_on_wire_form(
@@ -111,6 +111,7 @@ EVERYTHING = (
 """What the scene ``prototype`` lacks of the cells' effects, and clocks far apart."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), EVERYTHING], ids=["as it is", "with every effect of the cells"])
 def test_boards_act_alike_however_the_scene_is_cut(more: tuple[str, ...], tmp_path: Path) -> None:
     scene = load_scene("prototype", [Override.parse(change) for change in ("duration_s=0.15", *more)])
@@ -123,6 +124,7 @@ def test_boards_act_alike_however_the_scene_is_cut(more: tuple[str, ...], tmp_pa
     assert summaries[WAYS[0]].effects["serial.received"] > 0
 
 
+@pytest.mark.slow
 def test_parcels_that_come_and_go_do_so_alike_however_the_scene_is_cut(tmp_path: Path) -> None:
     scene = load_scene(
         "stream",
@@ -154,7 +156,10 @@ def test_the_digest_depends_on_what_happens(tmp_path: Path) -> None:
     assert _run(scene, WAYS[0], tmp_path).digest != _run(other, WAYS[0], tmp_path).digest
 
 
-@pytest.mark.parametrize("policy", ["hold"])
+@pytest.mark.parametrize(
+    "policy",
+    ["hold", pytest.param("coast", marks=pytest.mark.slow), pytest.param("brake", marks=pytest.mark.slow)],
+)
 def test_scheduled_crashes_act_alike_in_shared_workers_and_in_processes_of_their_own(
     policy: str, small: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -175,6 +180,7 @@ def _talkers(small: Callable[[str], Path], folder: Path, more: str, **effects: d
     return load_scene(str(small(more)), [firmware, Override(("effects",), effects, "")])
 
 
+@pytest.mark.slow
 def test_chance_and_delay_act_alike_however_the_scene_is_cut_and_crashes_do_not_change_that(
     small: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -206,6 +212,7 @@ def test_chance_and_delay_act_alike_however_the_scene_is_cut_and_crashes_do_not_
     assert min(counted[0].values()) > 0
 
 
+@pytest.mark.slow
 def test_cells_with_clocks_of_their_own_do_alike_however_the_scene_is_cut(
     small: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -227,6 +234,7 @@ def test_cells_with_clocks_of_their_own_do_alike_however_the_scene_is_cut(
     assert other.digest != summaries[WAYS[0]].digest
 
 
+@pytest.mark.slow
 def test_serial_lines_between_clocks_that_differ_do_alike_however_the_scene_is_cut(tmp_path: Path) -> None:
     changes = ("duration_s=0.3", "effects.clock={ error_ppm = 60_000 }", "effects.serial.sharing=mux")
     scene = load_scene("serial", [Override.parse(change) for change in changes])

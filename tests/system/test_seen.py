@@ -104,6 +104,7 @@ def summary_of(scene: Scene, way: tuple[Processes, Transport, Wire], output: Pat
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clocks", [{}, {"clock": {"error_ppm": 50_000.0}}], ids=["one clock", "own clocks"])
 def test_labels_and_pictures_reach_cells_alike_in_every_process_form_and_program(
     clocks: dict[str, object], scene_with: Callable[..., Scene], tmp_path: Path

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from deploy.overrides import Override
 from deploy.processes.plan import RunOptions
 from deploy.recordings.replay import load
 from deploy.run import run
 from deploy.scene_files import load_scene
 
+pytestmark = pytest.mark.slow
+
 
 def test_parcels_are_sorted_to_their_exits_and_none_meets_another_though_cells_die(tmp_path: Path) -> None:
+    """Among the dead are three of each feeder's four readers, the leaders of their tiles with them."""
+    readers = [[4 * feeder + row, column] for feeder in range(4) for row, column in ((1, 1), (2, 1), (1, 2))]
     dying = [
         {"kind": "crash", "at_s": 2.0 + 0.5 * i, "cell": cell}
         for i, cell in enumerate([[5, 9], [2, 14], [10, 6], [13, 18]])
     ]
+    dying += [{"kind": "crash", "at_s": 0.2, "cell": cell} for cell in readers]
     scene = load_scene("junction", [Override(("duration_s",), 14.0, ""), Override(("faults",), dying, "")])
     summary = run(scene, RunOptions(0, "memory", output=tmp_path, picture=False), quiet=True).summary
     assert summary.status == "ok"

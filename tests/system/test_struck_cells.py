@@ -66,6 +66,7 @@ def test_these_are_all_faults_that_cells_carry_out_alone() -> None:
     assert {fault["kind"] for fault in FAULTS} == KINDS.keys() - of_parts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "ways"),
     [

@@ -37,6 +37,7 @@ def _go(scene: Scene, way: Way, output: Path, *, quiet: bool = True) -> Any:
     return run(scene, options, quiet=quiet).summary
 
 
+@pytest.mark.slow
 def test_resets_act_alike_however_the_scene_is_cut_and_no_cell_is_lost(
     small: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -79,6 +80,7 @@ class Faltering(CellFirmware):
 """Cells that hang, cells that stop serving, and cells that do neither, to which every message matters."""
 
 
+@pytest.mark.slow
 def test_resets_go_with_clocks_and_serial_lines_however_the_scene_is_cut(
     small: Callable[..., Path], tmp_path: Path
 ) -> None:

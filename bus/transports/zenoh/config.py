@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from typing import Any, Final, cast
 
@@ -14,12 +15,16 @@ LARGEST: Final = 1 << 28
 """Bytes of the largest payload that comes in: several times the senses of a million cells."""
 _AT_PLANT: Final = 1 << 26
 """Likewise at the plant: 64 MiB, the drives of four million cells in one shard."""
+_INTO_MIRROR: Final = 1 << 20
+"""Bytes of the largest message that the mirror's session takes."""
+_QUEUE: Final = 16
+"""Batches of 64 kB that wait on each link of the mirror, the most that Zenoh has; 2 by default."""
 LEASE_S: Final = 2.0
 """Silence after which the other side takes a process for gone; each session's own lease governs its token."""
 
 
 def hub_config(listen: str, lease_s: float = LEASE_S, gate: Gate | None = None) -> zenoh.Config:
-    """Settings of the plant's session.
+    """Settings of a session that listens: the one which cells join, or the mirror.
 
     Args:
         listen: Endpoint such as ``tcp/127.0.0.1:7447``.
@@ -27,15 +32,27 @@ def hub_config(listen: str, lease_s: float = LEASE_S, gate: Gate | None = None) 
         gate: Whom to let in; None: anybody.
     """
     config = _config("peer", lease_s)
-    _set(config, "listen/endpoints", f'["{listen}"]')
+    _set(config, "listen/endpoints", json.dumps([listen]))
     _set(config, "listen/exit_on_failure", "true")
+    # Asked once, within this session, for the addresses that it listens on.
+    _set(config, "adminspace/enabled", "true")
     # Shared memory is off in every session: with it a hub stops near 350 sessions.
     _set(config, "transport/unicast/max_sessions", "20000")
     _set(config, "transport/unicast/accept_pending", "2000")
     # What comes in pieces is put together in memory before anybody can refuse it.
     _set(config, "transport/link/rx/max_message_size", str(min(LARGEST, _AT_PLANT)))
-    for key, json in ({} if gate is None else gate.settings()).items():
-        _set(config, key, json)
+    for key, value in ({} if gate is None else gate.settings()).items():
+        _set(config, key, value)
+    return config
+
+
+def mirror_config(listen: str, lease_s: float, gate: Gate) -> zenoh.Config:
+    """Settings of the session that listeners and operators connect to; arguments as those of ``hub_config``."""
+    config = hub_config(listen, lease_s, gate)
+    # Nothing that comes in is longer than a question.
+    _set(config, "transport/link/rx/max_message_size", str(_INTO_MIRROR))
+    # A burst of a tick waits here for a listener that reads; what does not fit is dropped.
+    _set(config, "transport/link/tx/queue/size/data", str(_QUEUE))
     return config
 
 
@@ -51,19 +68,19 @@ def client_config(
         identity: What to show the plant; None: nothing.
     """
     config = _config("client", lease_s)
-    _set(config, "connect/endpoints", f'["{connect}"]')
+    _set(config, "connect/endpoints", json.dumps([connect]))
     _set(config, "connect/timeout_ms", str(round(timeout_s * 1000)))
     _set(config, "connect/exit_on_failure", "true")
     _set(config, "connect/retry", "{period_init_ms: 20, period_max_ms: 200, period_increase_factor: 2}")
     _set(config, "listen/endpoints", "[]")
-    for key, json in ({} if identity is None else identity.settings("connect")).items():
-        _set(config, key, json)
+    for key, value in ({} if identity is None else identity.settings("connect")).items():
+        _set(config, key, value)
     return config
 
 
 def _config(mode: str, lease_s: float) -> zenoh.Config:
     config = zenoh.Config()
-    _set(config, "mode", f'"{mode}"')
+    _set(config, "mode", json.dumps(mode))
     _set(config, "scouting/multicast/enabled", "false")
     _set(config, "scouting/gossip/enabled", "false")
     _set(config, "transport/shared_memory/enabled", "false")
@@ -76,11 +93,12 @@ def _config(mode: str, lease_s: float) -> zenoh.Config:
     return config
 
 
-def _set(config: zenoh.Config, key: str, json: str) -> None:
+def _set(config: zenoh.Config, key: str, value: str) -> None:
+    """Set one key to a value in JSON."""
     try:
-        cast("Any", config).insert_json5(key, json)
+        cast("Any", config).insert_json5(key, value)
     except zenoh.ZError as error:
-        raise TransportError(f"Zenoh refuses {key} = {json}: {first_line(error)}") from None
+        raise TransportError(f"Zenoh refuses {key} = {value}: {first_line(error)}") from None
 
 
 def first_line(error: BaseException) -> str:

@@ -79,16 +79,24 @@ class ZenohEndpoint(Endpoint):
 
     Attributes:
         locator: Where the plant listens.
+        listening: Addresses that this session listens on, as Zenoh has them; none at a client.
         closed: Whether ``close`` was called.
         session: The session, for what Zenoh has beyond an endpoint.
         refusals: What Zenoh refuses, where it has been told whom to let in.
     """
 
-    def __init__(self, session: zenoh.Session, locator: str, refusals: Watch | None = None) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        locator: str,
+        refusals: Watch | None = None,
+        listening: tuple[str, ...] = (),
+    ) -> None:
         super().__init__()
+        self.listening = listening
         self.refusals = refusals
         if refusals is not None:
-            refusals.name = self._role
+            refusals.names.append(self.role)
         self.locator = locator
         self.session = session
         self._pid = os.getpid()
@@ -165,7 +173,7 @@ class ZenohEndpoint(Endpoint):
         """Puts one ``Woken`` in the inbox."""
         self._mail.tell(Woken())
 
-    def _role(self, session: str) -> str | None:
+    def role(self, session: str) -> str | None:
         """What the certificate says of the session whose identifier begins like this, if it is connected."""
         links = self.session.info.links()
         return next((link.auth_identifier for link in links if str(link.zid).startswith(session)), None)

@@ -59,24 +59,25 @@ Identity = Certificate | Password
 @final
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Whom the plant's session lets in, and what each may do.
+    """Whom a session that listens lets in, and what each may do.
 
     Attributes:
-        identity: The plant's own.
+        identity: The plant's own; None where nobody has to prove who they are.
         access: Zenoh's ``access_control``, JSON.
         limits: Zenoh's ``low_pass_filter``, JSON: how large what comes in may be.
         users: File with a ``user:password`` a line, where passwords are asked for.
     """
 
-    identity: Identity
+    identity: Identity | None
     access: str
     limits: str = "[]"
     users: str | None = None
 
     def settings(self) -> dict[str, str]:
         """Zenoh's settings, by key, in JSON."""
-        settings = {**self.identity.settings("listen"), "access_control": self.access}
-        settings["low_pass_filter"] = self.limits
+        settings = {"access_control": self.access, "low_pass_filter": self.limits}
+        if self.identity is not None:
+            settings.update(self.identity.settings("listen"))
         if self.users is not None:
             settings["transport/auth/usrpwd/dictionary_file"] = json.dumps(self.users)
         return settings

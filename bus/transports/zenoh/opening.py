@@ -1,15 +1,17 @@
-"""Opening sessions: the plant's, and those of the cell processes."""
+"""Opening sessions: the one that cells join, the mirror's, and those of clients."""
 
 from __future__ import annotations
 
+import json
 import os
 import socket
-from typing import Final, cast
+from collections.abc import Callable
+from typing import Any, Final, cast
 
 import zenoh
 
 from bus.errors import TransportError
-from bus.transports.zenoh.config import LEASE_S, client_config, first_line, hub_config
+from bus.transports.zenoh.config import LEASE_S, client_config, first_line, hub_config, mirror_config
 from bus.transports.zenoh.endpoint import ZenohEndpoint
 from bus.transports.zenoh.identity import PROTOCOL, Gate, Identity
 
@@ -18,12 +20,13 @@ _RUNTIME: Final = (
     "(app: (worker_threads: 1), acc: (worker_threads: 1), tx: (worker_threads: 1), "
     "rx: (worker_threads: 1), net: (worker_threads: 1))"
 )
+_NO_PORT: Final = ":0"
 
 
 def open_hub(
     listen: str | None = None, *, lease_s: float = LEASE_S, gate: Gate | None = None
 ) -> ZenohEndpoint:
-    """Opens the plant's session.
+    """Opens the plant's session, which cells join.
 
     Args:
         listen: Endpoint to listen on; None: a free loopback port.
@@ -42,27 +45,68 @@ def open_hub(
 
         refusals = Watch()
     try:
-        session, locator = _listening(listen, lease_s, gate)
+        session, locator, listening = _listening(listen, gate, lambda where: hub_config(where, lease_s, gate))
     except BaseException:
         if refusals is not None:
             refusals.close()
         raise
-    return ZenohEndpoint(session, locator, refusals)
+    return ZenohEndpoint(session, locator, refusals, listening)
 
 
-def _listening(listen: str | None, lease_s: float, gate: Gate | None) -> tuple[zenoh.Session, str]:
+def open_outside(listen: str | None, *, lease_s: float = LEASE_S, gate: Gate) -> ZenohEndpoint:
+    """Opens the session of a run's mirror, which listeners and operators connect to.
+
+    Args:
+        listen: Endpoint to listen on; None: a free loopback port.
+        lease_s: See ``hub_config``.
+        gate: Whom to let in, and what they may do there.
+
+    Raises:
+        TransportError: As of ``open_hub``.
+    """
+    session, locator, listening = _listening(listen, gate, lambda where: mirror_config(where, lease_s, gate))
+    return ZenohEndpoint(session, locator, listening=listening)
+
+
+_Opened = tuple[zenoh.Session, str, tuple[str, ...]]
+"""A session, what to connect to, and the addresses that it listens on."""
+
+
+def _listening(listen: str | None, gate: Gate | None, config: Callable[[str], zenoh.Config]) -> _Opened:
     if listen is not None:
-        return _open(hub_config(listen, lease_s, gate), f"listen on {listen}"), listen
-    protocol = "tcp" if gate is None else PROTOCOL[gate.identity.kind]
+        session = _open(config(listen), f"listen on {listen}")
+        addresses = _addresses(session)
+        return session, _with_port(listen, addresses), addresses
+    protocol = "tcp" if gate is None or gate.identity is None else PROTOCOL[gate.identity.kind]
     for attempt in range(1, _PORT_ATTEMPTS + 1):
         locator = f"{protocol}/127.0.0.1:{_free_port()}"
         try:
-            return _open(hub_config(locator, lease_s, gate), f"listen on {locator}"), locator
+            session = _open(config(locator), f"listen on {locator}")
         except TransportError:
             # Somebody took the port between our look and Zenoh's; another is as good.
             if attempt == _PORT_ATTEMPTS:
                 raise
+            continue
+        return session, locator, _addresses(session)
     raise AssertionError("unreachable: this is a bug")
+
+
+def _addresses(session: zenoh.Session) -> tuple[str, ...]:
+    """Addresses that a session listens on: its own answer, from Zenoh's admin space."""
+    own = cast("Any", session)
+    for reply in own.get(f"@/{own.zid()}/peer"):
+        if reply.ok is not None:
+            return tuple(json.loads(reply.ok.payload.to_string())["locators"])
+    return ()
+
+
+def _with_port(listen: str, addresses: tuple[str, ...]) -> str:
+    """The endpoint that was asked for, with the port that was found where port 0 asked for any."""
+    address, mark, more = listen.partition("#")
+    if not address.endswith(_NO_PORT) or not addresses:
+        return listen
+    port = addresses[0].partition("#")[0].partition("?")[0].rpartition(":")[2]
+    return f"{address.removesuffix(_NO_PORT)}:{port}{mark}{more}"
 
 
 def open_client(

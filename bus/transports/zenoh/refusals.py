@@ -63,15 +63,15 @@ _logging = False
 
 @final
 class Watch:
-    """Counts what Zenoh refuses in this process, from now until ``close``; one at a time.
+    """Counts what Zenoh refuses in this process, whichever session does, from now until ``close``; one at a time.
 
     Attributes:
-        name: What a session is called, from the beginning of its identifier.
+        names: Lookups of a session's role by the beginning of its identifier, one for each session that listens.
         fresh: Whether something came that is none of what was counted before, since ``counted`` was called last.
     """
 
     def __init__(self) -> None:
-        self.name: Callable[[str], str | None] = lambda _: None
+        self.names: list[Callable[[str], str | None]] = []
         self.fresh = False
         self._names: dict[str, str] = {}
         self._counts: Counter[Refusal] = Counter()
@@ -145,7 +145,8 @@ class Watch:
         """The role of a session; it is asked for once, as the first refusal comes, while the session is there."""
         found = self._names.get(session)
         if found is None:
-            found = self.name(session) or f"session {session[:8]}"
+            known = (name for look_up in list(self.names) if (name := look_up(session)))
+            found = next(known, f"session {session[:8]}")
             if len(self._names) < _MOST:
                 self._names[session] = found
         return found

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.stats import binom
 
+from bus.lattice import Lattice
+from cell_firmware.clocks import NEVER
+from cell_firmware.effects.clock import ClockSpec
 from cell_firmware.effects.sensor import SensorSpec
 from cell_firmware.effects.stage import Site, Stage
 from cell_firmware.firmware import Inputs
@@ -91,6 +94,37 @@ def test_a_cell_sees_what_was_read_exactly_so_many_ticks_ago_and_nothing_before(
     late = seen(stages_of(SensorSpec(latency_ticks=7)), there)
     assert not late[:7].any()
     assert (late[7:] == there[:-7]).all()
+
+
+@pytest.mark.parametrize("exchanges", [1, 2, 5])
+@pytest.mark.parametrize("debounce", [2, 3])
+def test_debouncing_counts_each_reading_of_a_cells_own_period_once(exchanges: int, debounce: int) -> None:
+    """Crystals off by up to 3 %: slow cells have windows without a reading, with one exchange a period too."""
+    lattice = Lattice((0, column) for column in range(40))
+    spec = ClockSpec(error_ppm=30_000.0, exchanges_per_period=exchanges)
+    clocks = spec.clocks(lattice, 4_096_000, 7).all
+    n, ticks, chance = len(lattice), 80 * exchanges, np.random.default_rng(2)
+    stages = list(SensorSpec(debounce_ticks=debounce).stages(Site(np.arange(n), 1, None, 1, clocks=clocks)))
+    pins, read, believed = np.zeros((n, 1), dtype=np.bool_), [[] for _ in range(n)], [[] for _ in range(n)]
+    for tick in range(ticks):
+        instants = clocks.instants(tick - 1)
+        due = np.flatnonzero(instants != NEVER)
+        pins[due, 0] = chance.random(len(due)) < 0.5
+        (stage,) = stages
+        told = stage.apply(tick, Inputs(pins.copy()), ALL).presence
+        for cell in due.tolist():
+            read[cell].append(bool(pins[cell, 0]))
+            believed[cell].append(bool(told[cell, 0]))
+    bounces = 0
+    for theirs, found in zip(read, believed, strict=True):
+        bit, row = False, 0
+        for reading, shown in zip(theirs, found, strict=True):
+            bounces += reading == bit and row > 0
+            row = row + 1 if reading != bit else 0
+            if row == debounce:
+                bit, row = reading, 0
+            assert shown is bit
+    assert stages[0].counted["bounces"] == bounces > 100
 
 
 def test_errors_are_those_of_the_reading_however_long_it_takes(there: Bools) -> None:

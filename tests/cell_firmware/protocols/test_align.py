@@ -44,6 +44,7 @@ def path(ticks: int) -> list[tuple[float, float, float]]:
     return [(0.35 + 0.2 * k * PERIOD_S, 0.35, 0.3 - 0.3 * k * PERIOD_S) for k in range(ticks)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shards", [3, 72])
 def test_by_sensors_one_cell_does_alone_what_it_does_among_many(
     grid: Callable[..., Lattice], run: Callable[..., Any], shards: int

@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bus.fault import Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import ParametersError
+from cell_firmware.faults.link_down import LinkDownFault
+from cell_firmware.faults.link_loss import LinkLossFault
 from cell_firmware.protocols.average_consensus import AverageConsensus, AverageConsensusParameters
 
 VALUES = [{"columns": [0, 1], "value": 3.0}, {"cell": [2, 3], "value": -5.0}]
@@ -94,6 +97,84 @@ def test_the_mean_is_kept_whatever_links_lose_or_delay(
     assert abs(seen[20].sum() - given(lattice).sum()) > 1e-3  # on the way it is not
 
 
+ALL_LINKS = {"share": 1.0}
+
+
+def silenced(
+    lockstep: Any, firmware: AverageConsensus, lattice: Lattice, faults: list[Injected[Any]], seed: int = 0
+) -> Callable[[int], NDArray[np.float64]]:
+    """Steps cells whose links these faults strike; each call gives the estimates of so many ticks, ``(ticks, n)``."""
+    steps = lockstep(firmware, Partition.even(lattice, 1), seed=seed, faults=faults)
+
+    def go(ticks: int) -> NDArray[np.float64]:
+        seen: list[NDArray[np.float64]] = []
+        for _ in range(ticks):
+            steps.step()
+            seen.append(steps.shards[0].registers()[1]["firmware.value"])
+        return np.array(seen)
+
+    return go
+
+
+def struck(lattice: Lattice, fault: Any, first: int, end: int, number: int = 0) -> Injected[Any]:
+    return Injected(number, fault, np.arange(len(lattice)), first, end)
+
+
+def test_bursts_of_losses_longer_than_the_patience_leave_the_mean_exact_while_they_go_on(
+    lockstep: Any,
+) -> None:
+    """24 arrays with bursts of their own, no link between them; a burst takes seven times the patience in the mean."""
+    arrays, rows, columns = 24, 3, 5
+    lattice = Lattice((a * 4 + r, c) for a in range(arrays) for r in range(rows) for c in range(columns))
+    firmware = averaging(value=0.0, values=[{"columns": [0, 0], "value": 1.0}], patience=3)
+    bursts = LinkLossFault.model_validate({"probability": 0.2, "burst_ticks": 20.0, **ALL_LINKS})
+    go = silenced(lockstep, firmware, lattice, [struck(lattice, bursts, 0, 10_000)], seed=5)
+    error = abs(go(2000).reshape(2000, arrays, -1) - 1 / columns).max(axis=2)
+    assert error[:200].max() > 0.5  # until cells know how long silences last
+    assert error[-100:].max() < 1e-9, np.sort(error[-100:].max(axis=0))
+
+
+def test_a_silence_that_a_cell_has_known_to_end_leaves_no_trace_when_it_comes_again(lockstep: Any) -> None:
+    lattice, firmware = (
+        Lattice((r, c) for r in range(3) for c in range(4)),
+        averaging(patience=5, values=VALUES[:1]),
+    )
+    down = LinkDownFault.model_validate(ALL_LINKS)
+    faults = [struck(lattice, down, 300, 400, 0), struck(lattice, down, 800, 1100, 1)]
+    go = silenced(lockstep, firmware, lattice, faults)
+    v = np.where(lattice.columns < 2, 3.0, 0.5)
+    np.testing.assert_allclose(go(300)[-1], v.mean(), rtol=0, atol=1e-9)
+    assert (go(100)[-1] == v).all()  # never known: all is called in
+    np.testing.assert_allclose(go(400)[-1], v.mean(), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(go(600), v.mean(), rtol=0, atol=1e-9)  # three times as long as the first
+
+
+def test_a_neighbour_counts_as_gone_after_four_times_the_longest_silence_that_ended(lockstep: Any) -> None:
+    """Two cells; the word of the last tick before a silence still comes."""
+    lattice, firmware = (
+        Lattice([(0, 0), (0, 1)]),
+        averaging(patience=5, value=0.0, values=[{"cell": [0, 0], "value": 1.0}]),
+    )
+    down = LinkDownFault.model_validate(ALL_LINKS)
+    faults = [struck(lattice, down, 50, 80, 0), struck(lattice, down, 200, 1000, 1)]
+    seen = silenced(lockstep, firmware, lattice, faults)(400)
+    alone, together = (1.0, 0.0), (0.5, 0.5)
+    for tick, right in [(49, together), (53, together), (54, alone), (79, alone), (199, together)]:
+        np.testing.assert_allclose(seen[tick], right, rtol=0, atol=1e-9, err_msg=f"tick {tick}")
+    np.testing.assert_allclose(seen[200 + 4 * 30 - 2], together, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(seen[200 + 4 * 30 - 1], alone, rtol=0, atol=1e-9)
+
+
+def test_cells_that_hear_their_first_word_late_have_known_no_silence(lockstep: Any) -> None:
+    """Words that take long to come are no silence: nothing was lent before the first."""
+    lattice, firmware = Lattice([(0, 0), (0, 1)]), averaging(patience=5)
+    down = LinkDownFault.model_validate(ALL_LINKS)
+    steps = lockstep(firmware, Partition.even(lattice, 1), faults=[struck(lattice, down, 0, 60)])
+    for _ in range(100):
+        steps.step()
+    assert steps.shards[0].registers()[1]["firmware.longest"].tolist() == [0, 0]
+
+
 def test_those_who_live_come_to_their_own_mean(
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
@@ -131,12 +212,17 @@ def test_wheels_run_at_the_velocity_times_the_estimate(
 def test_averages_are_the_same_to_the_last_bit_however_the_array_is_cut(
     shards: int, grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:
-    lattice, firmware = grid(4, 6, missing=[(1, 1), (3, 4)]), averaging(velocity_m_s=[0.1, -0.2])
-    effects = CellEffects.model_validate({"link_loss": {"probability": 0.2}})
-    whole = run(firmware, Partition.even(lattice, 1), 60, effects=effects).drives
-    assert run(firmware, Partition.even(lattice, shards), 60, effects=effects).drives.tobytes() == (
-        whole.tobytes()
-    )
+    """With losses one by one and in bursts, and a cell that dies."""
+    lattice = grid(4, 6, missing=[(1, 1), (3, 4)])
+    firmware = averaging(velocity_m_s=[0.1, -0.2], patience=3)
+    bursts = LinkLossFault.model_validate({"probability": 0.2, "burst_ticks": 6.0, **ALL_LINKS})
+    asked: dict[str, Any] = {
+        "effects": CellEffects.model_validate({"link_loss": {"probability": 0.2}}),
+        "faults": [struck(lattice, bursts, 0, 10_000)],
+        "dead": {30: [(2, 2)]},
+    }
+    whole = run(firmware, Partition.even(lattice, 1), 60, **asked).drives
+    assert run(firmware, Partition.even(lattice, shards), 60, **asked).drives.tobytes() == whole.tobytes()
 
 
 def test_places_that_do_not_exist_are_told(grid: Callable[..., Lattice]) -> None:

@@ -166,6 +166,25 @@ def test_a_limit_that_is_too_small_is_warned_of_and_what_is_said_happens(
     assert hops(goals=[(0, 0)], limit=8).cautions(lattice) == ()
 
 
+def test_counting_up_ends_at_the_greatest_limit_and_does_not_begin_again_at_0(
+    grid: Callable[..., Lattice], lockstep: type[Any]
+) -> None:
+    """Cells that are cut off count up, here from near 65,535, which is all that a distance has room for."""
+    steps = lockstep(hops(goals=[(0, 0)], limit=65_535), Partition.even(grid(1, 6), 1))
+    settle(steps, 10)
+    shard = steps.shards[0]
+    program = dict(shard._memory["firmware"])
+    for name in ("told", "distance"):
+        program[name] = np.full_like(program[name], 65_528)
+    shard._memory = {"firmware": program}
+    shard._outgoing["distance"] = 65_528
+    steps.retire([(0, 0), (0, 1)])
+    seen = np.array([settle(steps, 1) for _ in range(20)])[:, 2:]  # the others are dead
+    assert seen[0].tolist() == [65_529] * 4
+    assert (np.diff(seen, axis=0) >= 0).all()
+    assert seen[-1].tolist() == [65_535] * 4
+
+
 def test_goals_that_do_not_exist_are_all_named(grid: Callable[..., Lattice]) -> None:
     firmware = hops(goals=[(0, 9), (1, 1)])
     with pytest.raises(ParametersError) as caught:

@@ -92,6 +92,28 @@ def test_a_lifetime_shorter_than_the_way_is_cautioned_and_the_far_cells_follow_o
     assert election(lifetime=8).cautions(lattice) == ()
 
 
+def test_the_word_of_a_leader_that_is_gone_dies_out_at_the_greatest_age_that_there_is(
+    grid: Callable[..., Lattice], lockstep: type[Any]
+) -> None:
+    """Cells begin with a leader that none of them is, near an age of 65,535: it doesn't begin again at 0."""
+    steps = lockstep(election(lifetime=65_534), Partition.even(grid(2, 3), 1))
+    steps.step()
+    shard = steps.shards[0]
+    program = dict(shard._memory["firmware"])
+    phantom = {
+        "key": np.full(6, 9 << 32),
+        "age": np.full(6, 65_530),
+        "leader": np.zeros((6, 2), dtype=np.int64),
+    }
+    shard._memory = {"firmware": {**program, **phantom}}
+    found = []
+    for _ in range(10):
+        steps.step()
+        found.append(shard.registers()[1]["firmware.leader"].tolist())
+    assert found[3] == [[0, 0]] * 6
+    assert found[-1] == [[1, 2]] * 6
+
+
 def test_the_leaders_wheels_run_and_no_others_however_the_array_is_cut(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:

@@ -42,6 +42,7 @@ def path(ticks: int) -> list[tuple[float, float, float]]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shards", [3, 41])
 def test_one_cell_does_alone_what_it_does_among_many(
     grid: Callable[..., Lattice], run: Callable[..., Any], shards: int

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import networkx as nx
@@ -6,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from bus.partition import Partition
 from cell_firmware.effects.link_delay import LinkDelaySpec
@@ -52,6 +54,7 @@ def reachable(firmware: TileFirmware, entry: Tile) -> list[int]:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(data=st.data())
 def test_on_any_lanes_without_a_ring_all_parcels_come_to_their_exits_and_none_meet(
@@ -81,6 +84,78 @@ def test_parcels_that_are_for_any_exit_take_the_nearest() -> None:
     world = World(firmware, {(1, 0): [1, 1]}).run(2000)
     assert [exit_ for exit_, _ in world.left] in ([1, 1], [1, 2], [2, 1], [2, 2])
     assert world.met == 0
+
+
+WRAP = 1 << 16
+
+
+def near_the_wrap(world: World, versions: bool, rounds: bool) -> World:
+    """Tiles' versions or their leaders' rounds as after days: each tile's a few short of 65,536.
+
+    It is done in the tick in which leaders take over: nothing else has been told by then.
+    """
+    while not (world.shard.registers()[1]["firmware.pulse"] > 0).any():
+        world.run(1)
+    side, columns = world.firmware.tiling.side, world.firmware.tiling.shape[1]
+    tile = world.lattice.rows // side * columns + world.lattice.columns // side
+
+    def later(values: NDArray[Any], bits: int, tiles: NDArray[np.int64]) -> NDArray[Any]:
+        all_bits = values.astype(np.int64)
+        number = all_bits >> bits & WRAP - 1
+        new = (number + WRAP - 20 - tiles % 12) % WRAP
+        moved = all_bits & ~((WRAP - 1) << bits) | new << bits
+        return np.where(values > 0, moved, values).astype(values.dtype)
+
+    memory, sent = world.shard._memory, world.shard._outgoing
+    program = dict(memory["firmware"])
+    if versions:
+        program |= {name: later(program[name], 40, tile) for name in ("own", "last")}
+        sent["own"] = later(sent["own"], 40, np.repeat(tile, 4))
+    if rounds:
+        program["pulse"] = later(program["pulse"], 8, tile)
+        sent["pulse"] = later(sent["pulse"], 8, np.repeat(tile, 4))
+    world.shard._memory = {**memory, "firmware": program}
+    return world
+
+
+@cache
+def sorted_near_the_wrap(numbers: str) -> World:
+    """Messages get lost and overtake each other, and a leader dies: its heir's first version is 16 ahead."""
+    world = World(sorter(2, "n"), {(0, 0): [2, 1], (1, 0): [2]}, BAD_LINKS, seed=4)
+    near_the_wrap(world, numbers == "versions", numbers == "rounds")
+    world.run(160)
+    world.kill([(1, 5)])  # the first in rank of tile [0, 1]
+    return world.run(1500)
+
+
+@pytest.mark.parametrize(("numbers", "register", "bits"), [("versions", "own", 40), ("rounds", "pulse", 8)])
+def test_tiles_do_the_same_to_the_last_bit_where_versions_and_rounds_wrap(
+    numbers: str, register: str, bits: int
+) -> None:
+    usual, wrapped = sorted_near_the_wrap("neither"), sorted_near_the_wrap(numbers)
+    assert len(usual.left) == 3
+    assert wrapped.left == usual.left
+    assert np.array_equal(np.array(wrapped.seen), np.array(usual.seen))
+    here, there = (
+        run.shard.registers()[1][f"firmware.{register}"].astype(np.int64) for run in (usual, wrapped)
+    )
+    assert np.array_equal(here & (1 << bits) - 1, there & (1 << bits) - 1)
+    assert ((there >> bits & WRAP - 1) < 1000).any(), "no number has wrapped"
+
+
+def test_parcels_are_centred_for_as_long_as_asked_however_long_that_is() -> None:
+    """65,536 ticks and more: the leader's count of them ends where it is long enough, not before."""
+    firmware = firmware_of(ReservePath, ["e ."], [(0, 1)], settle_s=66_000 * 0.016)
+    world = World(firmware, {(0, 0): [1]})
+    world.run(300)
+    assert world.riding
+    memory = world.shard._memory
+    program = dict(memory["firmware"])
+    assert program["held"].max() > 0
+    program["held"] = np.where(program["held"] > 0, 65_990, 0)
+    world.shard._memory = {**memory, "firmware": program}
+    world.run(300)
+    assert len(world.left) == 1
 
 
 def test_cells_are_the_same_to_the_last_bit_however_the_array_is_cut(run: Callable[..., Any]) -> None:

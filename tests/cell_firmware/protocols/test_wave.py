@@ -48,6 +48,7 @@ def test_every_tick_is_the_sum_of_modes_that_swing_at_their_own_frequencies(
         np.testing.assert_allclose(seen[k, ~held], want, rtol=0, atol=1e-11, err_msg=f"tick {k}")
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_over_a_hundred_thousand_ticks() -> None:
     """The firmware's own step, its messages handed over by a plain loop over sides."""
     lattice = Lattice((r, c) for r in range(3) for c in range(4) if (r, c) != (1, 1))

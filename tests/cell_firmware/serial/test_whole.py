@@ -139,6 +139,7 @@ LONG = Scenario(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(scenarios, st.just(90))
 @example(LONG, 1_100)  # beyond what 32 bits hold in nanoseconds

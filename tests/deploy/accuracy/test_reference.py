@@ -44,6 +44,7 @@ def random_scenes(count: int, duration_s: float) -> list[Scene]:
     return scenes
 
 
+@pytest.mark.slow
 def test_the_reference_without_heyoka_is_heyoka_s_to_1e_12_on_20_random_scenes() -> None:
     pytest.importorskip("heyoka")
     changes = 0

@@ -16,6 +16,8 @@ from deploy.run import run
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
 
+pytestmark = pytest.mark.slow
+
 FIRMWARE = """
 import os, signal, time
 from pathlib import Path
@@ -101,7 +103,8 @@ def test_a_run_that_hangs_is_ended_at_the_limit(endings: list[Ending]) -> None:
 
 
 def test_a_run_that_fails_says_why(endings: list[Ending]) -> None:
-    assert [ending.status for ending in endings[3:5]] == ["stalled", "failed"]
+    assert [ending.status for ending in endings[3:5]] == ["failed", "failed"]
+    assert "NeverReturned" in endings[3].reason
     assert endings[4].cells_lost == 18
     assert endings[5].status != "ok"
     assert endings[5].reason

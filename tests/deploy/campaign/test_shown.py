@@ -64,8 +64,9 @@ def test_the_table_has_a_row_a_case_and_tells_the_first_failed_runs_as_they_are(
 ) -> None:
     print_report(made_up(tmp_path, ONE, TWO))
     lines = capsys.readouterr().out.splitlines()
-    assert lines[2].split()[:2] == ["diffusion_number", "mass_kg"]
-    assert lines[3].split()[:4] == ["0.05", "1", "3", "0"]
+    assert lines[1].startswith("success: error at most ")
+    assert lines[3].split()[:2] == ["diffusion_number", "mass_kg"]
+    assert lines[4].split()[:4] == ["0.05", "1", "3", "0"]
     assert len([line for line in lines if "(" in line and "–" in line]) == 15
     assert (
         "  cells.parameters.diffusion_number 0.05, parcels.0.mass_kg 2, seed 3: failed: [bold] of 1" in lines

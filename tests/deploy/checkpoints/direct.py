@@ -13,14 +13,12 @@ from bus.wire import DriveFrame, SenseFrame
 from cell_firmware.cell import records_of
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
-from deploy.cell_times import cell_times
 from deploy.digest import Digest
-from deploy.faults.schedule import active, deaths
+from deploy.plants import process_of
 from deploy.processes.worker import Order, make_shard
-from deploy.readings import camera_of, readings_of
+from deploy.readings import readings_of
 from deploy.scene import Scene
 from plant.plant import Plant
-from plant.process import PlantProcess
 from plant.records import TickRecord
 
 
@@ -80,18 +78,7 @@ class DirectRun:
         self.shard, _ = make_shard(order, 0)
         self.digest = Digest(scene.canonical())
         self.events: list[Any] = []
-        self.process = PlantProcess(
-            plant,
-            DirectHost(self.shard),
-            tick_ns=scene.tick_ns,
-            duration_ns=scene.duration_ns,
-            schedule=deaths(scene),
-            stall=scene.stall,
-            observer=self._observe,
-            timing=cell_times(scene),
-            camera=camera_of(scene, readings),
-            faults=active(scene),
-        )
+        self.process = process_of(scene, plant, DirectHost(self.shard), readings, self._observe)
 
     def _observe(self, record: TickRecord) -> None:
         self.digest.tick(record.tick, record.sense.presence, record.drives, record.after)

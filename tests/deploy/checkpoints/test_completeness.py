@@ -94,7 +94,15 @@ def scene_of(case: str) -> Scene:
     return load_scene(name, [Override(tuple(key.split(".")), value, "") for key, value in values.items()])
 
 
-@pytest.mark.parametrize("case", CASES)
+COMPILED = (
+    "clocks and converters", "wheels with rollers", "wheels that feel what they pull", "wide wheels", "uneven supports"
+)  # fmt: skip
+"""Cases that compile a kernel each."""
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.slow) if case in COMPILED else case for case in CASES]
+)
 def test_a_run_that_goes_back_ends_as_one_that_never_did(case: str) -> None:
     scene = scene_of(case)
     run = DirectRun(scene).go(BEFORE)
@@ -119,6 +127,6 @@ def test_what_differs_is_found() -> None:
 
 
 def test_memory_of_another_scene_is_refused() -> None:
-    memory = DirectRun(scene_of("uneven supports")).go(2).remember()
+    memory = DirectRun(scene_of("a watchdog")).go(2).remember()
     with pytest.raises(MemoryRefusedError, match="must be"):
-        DirectRun(scene_of("wide wheels")).recall(memory)
+        DirectRun(scene_of("steps of one length")).recall(memory)

@@ -58,6 +58,7 @@ def test_nothing_is_said_of_what_could_not_be_toggled(study: Study) -> None:
     assert (found.can_go, found.missing, found.unclear) == ((), (), ())
 
 
+@pytest.mark.slow
 def test_effects_that_can_go_are_left_out_all_at_once_too() -> None:
     scene = load_scene("loaded", duration=0.15)
     study = Study(scene, 1, lambda line: None)

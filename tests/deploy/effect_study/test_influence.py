@@ -93,7 +93,7 @@ def test_a_parcel_that_is_there_on_one_side_only_is_counted_and_not_measured() -
         (0.0, 0.0, 0.0),
         (5.0, 0.0, 0.0),
         (7.0, 0.0, 0.0),
-        fates=[("moving", 0.0), ("off_array", 1.0), ("waiting", 0.0)],
+        fates=[("moving", 0.0), ("delivered", 1.0), ("waiting", 0.0)],
         events=[left],
     )
     other = course((0.1, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0))

@@ -57,6 +57,7 @@ def test_every_effect_is_shown_by_a_bundled_scene() -> None:
     assert SHOWN.keys() | ASKED_FOR == effect_types().keys()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", SHOWN)
 def test_where_an_effect_counts_its_influence_is_far_above_the_solver_s_error(effect: str) -> None:
     name, duration = SHOWN[effect]
@@ -95,6 +96,7 @@ def test_an_effect_with_nothing_to_do_moves_nothing_at_all(effect: str, scene: s
     assert (row.influence.displacement_m, row.influence.turn_rad, row.influence.only) == (0.0, 0.0, (0, 0))
 
 
+@pytest.mark.slow
 def test_contacts_that_are_only_reported_move_nothing_but_are_told() -> None:
     row = study(loaded("rails", "effects.parcel_contact.mode=report_only", duration=2.5)).row(
         "parcel_contact"
@@ -218,6 +220,7 @@ def test_the_solver_s_own_error_is_told_by_a_tenth_of_its_tolerance_or_step(
         assert found.solver.accuracy()[key] == pytest.approx(finer)
 
 
+@pytest.mark.slow
 def test_the_solver_s_error_is_that_of_the_worse_side() -> None:
     scene = loaded("uneven", "solver.tolerance=1e-3", duration=0.6)
     pair = toggled(scene, "uneven_supports")

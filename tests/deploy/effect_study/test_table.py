@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from deploy.commands.options import load_scene
@@ -69,6 +71,8 @@ def test_notes_say_under_what_an_effect_was_tried(capsys: pytest.CaptureFixture[
     line, out = rows(capsys, row)
     assert line[-1] == "–"
     assert "wheel_load: tried with inertia_kg = 0.01 " in out
+    _, out_of_defaults = rows(capsys, replace(row, settings={"values": [], "other": None}))
+    assert "wheel_load: tried with its defaults" in out_of_defaults
     assert "wheel_load: both under implicit, as exact doesn't know it" in out
     assert "wheel_load: both with motors, which it needs" in out
 

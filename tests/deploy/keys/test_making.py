@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,7 +17,9 @@ from deploy.keys.folder import Kind
 from deploy.keys.keyring import Keyring, identity_of, operator_of
 from deploy.keys.making import make
 from deploy.keys.roles import Cut
+from deploy.output_lock import OutputLock
 
+ROOT = Path(__file__).parents[3]
 LATTICE = Lattice((r, c) for r in range(2) for c in range(2))
 CUT = Cut(Partition.even(LATTICE, 2), "packed", ("cells 0", "cells 1"))
 ROLES = ["plant", "cells-0", "cells-1", "operator"]
@@ -141,6 +146,47 @@ def test_an_access_control_that_lets_all_pass_is_refused(tmp_path: Path) -> None
         Keyring(folder).gate(CUT)
 
 
+@pytest.mark.parametrize("name", ["keys.json", "access.json5", "cells-1/authority.pem", ".", "cells-1"])
+def test_what_says_whom_to_trust_is_refused_where_others_can_change_it(name: str, tmp_path: Path) -> None:
+    folder = made(tmp_path / "keys")
+    changed = folder / name
+    changed.chmod(changed.stat().st_mode | 0o022)
+
+    def used() -> None:
+        keyring = Keyring(folder)
+        keyring.check(CUT, None)
+        keyring.gate(CUT)
+
+    with pytest.raises(InputError, match=r"others can change it, mode 0\d\d\d: chmod go-w .*keys"):
+        used()
+
+
+def test_cells_and_operators_have_a_session_each(tmp_path: Path) -> None:
+    keyring = Keyring(made(tmp_path / "keys"))
+    inner, outer = (json.loads(gate.access) for gate in (keyring.gate(CUT), keyring.outer_gate()))
+    assert [one["id"] for one in inner["subjects"]] == ["cells-0", "cells-1"]
+    assert [one["subjects"] for one in inner["policies"]] == [["cells-0"], ["cells-1"]]
+    assert [one["id"] for one in outer["subjects"]] == ["operator"]
+    assert [one["subjects"] for one in outer["policies"]] == [["operator"]]
+
+
+def test_a_folder_without_keys_is_none(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"--keys .*: is no folder of keys, there is no keys.json: mdms keys"
+    ):
+        Keyring(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["", "."])
+def test_keys_are_not_made_in_the_working_folder(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"DIR must name a folder to be made, not '\.', the working one"):
+        make(Path(name), "scene", CUT, "certificate", hosts=[], days=1, force=False)
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_operator_s_keys_are_found_in_the_run_s_or_alone(tmp_path: Path) -> None:
     folder = made(tmp_path / "keys")
     assert operator_of(folder) == operator_of(folder / "operator")
@@ -148,3 +194,72 @@ def test_an_operator_s_keys_are_found_in_the_run_s_or_alone(tmp_path: Path) -> N
         operator_of(folder / "cells-0")
     with pytest.raises(InputError, match=r"nothing/authority.pem: there is no such file"):
         operator_of(tmp_path / "nothing")
+
+
+MAKER = """
+import sys
+from pathlib import Path
+from tests.deploy.keys.test_making import made
+from deploy.errors import InputError
+print("ready", flush=True)
+sys.stdin.readline()
+try:
+    made(Path(sys.argv[1]), "password", force=sys.argv[2] == "force")
+except InputError as error:
+    print(error)
+else:
+    print("made")
+"""
+
+
+@pytest.mark.parametrize("force", ["force", ""])
+def test_of_several_that_make_one_folder_at_once_each_makes_it_whole_or_is_refused(
+    force: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "keys"
+    makers = [
+        subprocess.Popen(
+            [sys.executable, "-c", MAKER, folder, force],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        )
+        for _ in range(4)
+    ]
+    for maker in makers:
+        assert maker.stdout is not None
+        assert maker.stdout.readline() == "ready\n"
+    for maker in makers:
+        assert maker.stdin is not None
+        maker.stdin.write("go\n")
+        maker.stdin.flush()
+    said = [maker.communicate(timeout=30.0) for maker in makers]
+    assert [stderr for _, stderr in said if stderr] == []
+    made_by = [stdout for stdout, _ in said if stdout == "made\n"]
+    refused = [stdout for stdout, _ in said if stdout != "made\n"]
+    assert len(made_by) >= 1
+    assert len(made_by) == 1 or force
+    assert all("is writing there; wait" in line or "is there already" in line for line in refused), refused
+    Keyring(folder).check(CUT, None)
+    users = dict(line.split(":") for line in (folder / "plant" / "users").read_text().splitlines())
+    for role in ROLES:
+        assert identity_of(folder / role, role).password == users[role]
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_a_draft_in_use_is_refused_and_left_alone_and_one_of_a_killed_process_is_no_hindrance(
+    tmp_path: Path,
+) -> None:
+    draft = tmp_path / ".keys.draft"
+    (draft / "keys" / "plant").mkdir(parents=True)
+    (draft / "keys" / "plant" / "key.pem").write_text("half")
+    with OutputLock(draft, print):
+        with pytest.raises(
+            InputError, match=r"^mdms keys: draft .*/\.keys\.draft: process \d+ is writing there"
+        ):
+            made(tmp_path / "keys", "password")
+        assert (draft / "keys" / "plant" / "key.pem").read_text() == "half"
+    made(tmp_path / "keys", "password")
+    assert list(tmp_path.iterdir()) == [tmp_path / "keys"]

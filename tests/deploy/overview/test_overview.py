@@ -87,11 +87,26 @@ def test_a_recording_cut_before_its_first_instant_shows_its_array(
     assert pixels(picture, colour(0)) == 0
 
 
+LOST_CELL = "#fbd9d3"
+
+
 def test_lost_cells_are_marked(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
     red = "#c1121f"
     assert pixels(draw(track), red) == 0
     faulty = dataclasses.replace(track, faults=[{"time_s": 0.01, "kind": "crash", "cell": [2, 3]}])
     assert pixels(draw(faulty), red) > 100
+
+
+def test_a_cell_that_came_back_is_struck_and_not_lost(
+    track: Track, draw: Callable[[Any], np.ndarray]
+) -> None:
+    lost = {"time_s": 0.01, "kind": "token_lost", "cell": [2, 3], "detail": ""}
+    back = {"time_s": 0.02, "kind": "respawn", "phase": "happens", "cell": [2, 3], "cells": [[2, 3]]}
+    told = dataclasses.replace(track, faults=[lost, back])
+    assert struck_cells(told) == {(2, 3)}
+    assert pixels(draw(told), "#c1121f") > 100
+    gone = draw(dataclasses.replace(track, faults=[lost]))
+    assert pixels(gone, LOST_CELL) > pixels(draw(told), LOST_CELL) + 1_000
 
 
 def test_cells_that_were_pulled_or_struck_are_marked(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
@@ -254,7 +269,7 @@ def test_a_picture_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path,
 def test_a_picture_that_is_given_up_leaves_the_one_before(
     tmp_path: Path, track: Track, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def give_up(canvas: FigureCanvasAgg, path: str) -> None:
+    def give_up(canvas: FigureCanvasAgg, path: str, **_: object) -> None:
         Path(path).write_bytes(b"half")
         raise Interrupted
 

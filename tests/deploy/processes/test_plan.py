@@ -8,7 +8,7 @@ import pytest
 
 from deploy.errors import InputError
 from deploy.overrides import Override
-from deploy.processes.listening import free_port
+from deploy.processes.listening import free_port, joined_at
 from deploy.processes.plan import Plan, RunOptions, plan
 from deploy.scene import Scene
 from deploy.scene_files import load_scene
@@ -58,17 +58,18 @@ def test_processes_are_named_after_their_cell_or_numbered(motors: Scene) -> None
     ]
 
 
-def test_the_cells_connect_to_where_the_plant_listens(motors: Scene) -> None:
+def test_the_cells_join_where_nobody_else_is_told_to_connect(motors: Scene) -> None:
     plant, cells = _plan(motors, processes=1, listen="tcp/127.0.0.1:7447").processes
-    assert (plant.listen, plant.connect) == ("tcp/127.0.0.1:7447", None)
-    assert (cells.listen, cells.connect) == (None, "tcp/127.0.0.1:7447")
-    assert _plan(motors).processes[0].listen == free_port(None)
+    assert (plant.listen, plant.join, plant.connect) == ("tcp/127.0.0.1:7447", joined_at(None), None)
+    assert (cells.listen, cells.join, cells.connect) == (None, None, joined_at(None))
+    plant, cells = _plan(motors, processes=1, join="unixsock-stream//tmp/x").processes
+    assert (plant.listen, plant.join, cells.connect) == (free_port(None), *["unixsock-stream//tmp/x"] * 2)
 
 
 def test_memory_runs_everything_in_this_process_without_endpoints(motors: Scene) -> None:
     made = _plan(motors, transport="memory")
     assert made.workers == 0
-    assert {(p.listen, p.connect) for p in made.processes} == {(None, None)}
+    assert {(p.listen, p.join, p.connect) for p in made.processes} == {(None, None, None)}
     assert [p.where for p in made.processes] == ["this process", "a thread of this process"]
 
 
@@ -79,6 +80,8 @@ def test_memory_runs_everything_in_this_process_without_endpoints(motors: Scene)
         {"processes": 1, "transport": "memory"},
         {"processes": "each", "transport": "memory"},
         {"transport": "memory", "listen": "tcp/127.0.0.1:1"},
+        {"transport": "memory", "join": "unixsock-stream//tmp/x"},
+        {"join": "tcp/127.0.0.1:1"},
         {"realtime": 0.0},
         {"realtime": -1.0},
         {"realtime": float("nan")},

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell_firmware.errors import FirmwareError
 from deploy.cli import main
-from deploy.errors import InputError
 from deploy.overrides import Override
 from deploy.processes.plan import RunOptions
 from deploy.protocol_report.replayed import replayed
@@ -109,6 +109,7 @@ def without_times(summary: Summary) -> dict[str, Any]:
     return {"digest": summary.digest, "effects": dict(summary.effects), **asdict(summary.protocol)}
 
 
+@pytest.mark.slow
 def test_a_report_changes_nothing_and_is_the_same_for_any_processes(tmp_path: Path) -> None:
     noisy = scene(
         0.4,
@@ -260,7 +261,9 @@ def test_a_limit_of_another_array_is_left_out(plain: str, tmp_path: Path) -> Non
 
 
 def test_a_theory_that_raises_is_bad_input_with_its_traceback(plain: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"(?s)can't tell its theory:.*plain.py.*no law$"):
+    with pytest.raises(
+        FirmwareError, match=r"(?s)plain.py:Lost.: theory\(\) raised .*no law\n.*plain.py.*no law$"
+    ):
         reported(scene(0.1, {}, cells__firmware=f"{plain}:Lost"), tmp_path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -86,3 +87,23 @@ def test_one_that_lacks_what_is_to_be_kept_is_refused_and_stays(tmp_path: Path) 
 def test_one_that_is_gone_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"there is no recording\.mcap"):
         Recorder(tmp_path, HEADER, kept=KEPT)
+
+
+def test_what_is_kept_is_in_the_file_before_the_first_new_tick(tmp_path: Path) -> None:
+    _recorded(tmp_path)
+    with Recorder(tmp_path, HEADER, kept=KEPT, flush_s=60.0):
+        assert load(tmp_path).tick.tolist() == [0, 1, 2]
+
+
+def test_without_room_for_the_copy_it_is_refused_and_all_stays(tmp_path: Path) -> None:
+    _recorded(tmp_path, 400)
+    before = (tmp_path / FILE_NAME).read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
+    try:
+        with pytest.raises(InputError, match=r"can't write recording\.mcap there: File too large"):
+            Recorder(tmp_path, HEADER, kept={TICK: 400, PARCELS: 400})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]

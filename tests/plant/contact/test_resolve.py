@@ -262,3 +262,22 @@ def test_a_tipped_parcel_stands_in_the_way() -> None:
     assert bench.state[1, 0] == pytest.approx(bench.state[0, 0] - 0.2 - BOX / 2, abs=1e-7)
     assert np.abs(bench.state[0, 3:]).max() == 0.0
     assert bench.status[1].state == "at_rest"
+
+
+@pytest.mark.parametrize(("given", "kinds"), [(None, ["contact"]), (1e-4, ["contact", "apart"])])
+def test_what_meets_too_slowly_to_bounce_does_so_where_that_is_said(
+    given: float | None, kinds: list[str]
+) -> None:
+    # 0.8 mm/s: below 0.01 pitches of 0.1 m a second
+    made = plant(
+        box(-0.2, 0.0, velocity_m_s=(4e-4, 0.0)),
+        box(0.0500001, 0.0, velocity_m_s=(-4e-4, 0.0)),
+        restitution=1.0,
+        bounce_speed_m_s=given,
+    )
+    assert [event.kind for event in run(made, still(made), 0.1)] == kinds
+
+
+def test_the_speed_that_still_bounces_goes_with_the_pitch() -> None:
+    rules = ParcelContactSpec()
+    assert (rules.slow_m_s(0.1), rules.slow_m_s(0.001)) == (1e-3, pytest.approx(1e-5, rel=1e-15))

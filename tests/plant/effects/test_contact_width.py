@@ -12,6 +12,8 @@ from plant.specs import ParcelSpec, PlantSpec
 from tests.plant.laws import VISCOUS
 from tests.plant.scenes import SECOND, Floats, G, elliptic, parcel, solved, spec
 
+pytestmark = pytest.mark.slow
+
 CHATTERS = parcel(size_m=(0.68, 0.42))
 """It meets 60,958 support changes in 20 s where each is located, and rests with a cell on its edge."""
 

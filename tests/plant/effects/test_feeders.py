@@ -169,7 +169,7 @@ def test_a_parcel_leaves_at_the_first_tick_with_its_centre_in_an_exit() -> None:
     (left,) = ticks(plant, eastward(plant), 1)
     assert (left.kind, left.time_s, left.parcel) == ("left", first * TICK_NS * 1e-9, 0)
     assert left.position_m == tuple(path.state[first, 0, :2])
-    assert plant.status[0].state == "off_array"
+    assert plant.status[0].state == "delivered"
     assert plant.status[0].detail == "through exit gap"
     assert not plant.sense().presence.any()
     assert ticks(plant, eastward(plant), 5) == []

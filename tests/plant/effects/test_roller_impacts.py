@@ -16,6 +16,8 @@ from plant.specs import ParcelSpec, PlantSpec
 from plant.wheels import WheelMotion
 from tests.plant.scenes import SECOND, Floats, G, elliptic, parcel, solved, spec
 
+pytestmark = pytest.mark.slow
+
 TRIFLING = {"law": "viscous", "coefficient_s_per_m": 1e-9}
 """The scene's own law, by which next to nothing moves."""
 

@@ -121,6 +121,7 @@ def optimal(place: Floats, rate: Floats, height: Floats, centre: Floats, loads: 
 # --- loads --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["implicit", "fixed_step", "quasi_static"])
 @pytest.mark.parametrize("height_spread_m", [0.0, 1e-5, 1e-3, 0.1])
 def test_loads_are_the_springs_own_and_never_pull(height_spread_m: float, solver: str) -> None:

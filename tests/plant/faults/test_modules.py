@@ -195,7 +195,7 @@ def test_a_law_of_sliding_wheels_takes_pulled_cells_for_missing_ones() -> None:
 @pytest.mark.parametrize(
     "effects",
     [
-        PlantEffects(contact_width=ContactWidthSpec(width_m=0.03)),
+        pytest.param(PlantEffects(contact_width=ContactWidthSpec(width_m=0.03)), marks=pytest.mark.slow),
         PlantEffects(parcel_contact=ParcelContactSpec(mode="resolved")),
     ],
     ids=["contact_width", "parcel_contact"],

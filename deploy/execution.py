@@ -1,4 +1,4 @@
-"""The course of a run: the cells started, ticks to whatever end, the cells stopped."""
+"""A run carried out: the cells started, ticks to whatever end, the cells stopped."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from bus.counts import Counts
 from bus.errors import BusError
 from bus.keys import plant_key
 from bus.registers import Wanted
-from deploy.cell_times import cell_times
 from deploy.checkpoints.keeping import go_on, keeper_of
-from deploy.conduct import Conduct, pacer
+from deploy.conduct import Conduct
 from deploy.errors import DeployError
-from deploy.faults.schedule import active, deaths, rests
 from deploy.interruption import Interrupted, Interruption
-from deploy.plants import status_of
+from deploy.losses import unreported
+from deploy.pace import Pace
+from deploy.plants import process_of, status_of
 from deploy.processes.worker import Resumed
-from deploy.readings import camera_of, readings_of
-from plant.errors import PlantError
+from deploy.readings import readings_of
+from plant.errors import PlantError, PlantStopped
 
 if TYPE_CHECKING:
     from bus.lockstep import Host
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @final
 @dataclass(slots=True, eq=False)
-class Course:
+class Execution:
     """Runs a prepared run once, and tells its ending.
 
     Attributes:
@@ -79,7 +79,7 @@ class Course:
             self.ending.startup_s = started - begun
             self.interruption.waits = lambda: process.waiting
             self.ending.take(process.run(), self.ledger)
-        except Interrupted:
+        except (Interrupted, PlantStopped):
             self.ending.by(
                 "interrupted", f"interrupted at {self.ledger.time_ns * 1e-9:g} s of simulated time"
             )
@@ -90,7 +90,7 @@ class Course:
         finally:
             self.interruption.waits = lambda: False
             self._stop(time.monotonic() - started)
-        if process is not None and self.ending.status != "unstable" and not self.recorder.broken:
+        if process is not None and not self.recorder.broken:
             self.recorder.tick(
                 process.tick,
                 process.time_ns,
@@ -110,39 +110,34 @@ class Course:
             ending.detail = "\n".join(text for text in (ending.detail, self.system.explain()) if text)
         ending.counts = self.system.stop(ending.reason or "the run is over") or Counts()
         self.refused.look(ending.counts)
+        if self.system.unreported:
+            self.ledger.warn(unreported(self.system.unreported, self.ledger.cells))
 
     # --- what is put together for it --------------------------------------------------------------
 
     def _process(self) -> PlantProcess:
         """Start the cells; the plant's process, ready to run."""
-        from plant.process import PlantProcess
-
         asked, scene = self.asked, self.asked.scene
         readings = readings_of(scene, self.plant.sense())
         host = self.system.start(
             self.plant.array,
             readings,
             self._wanted(),
-            metered=asked.reporter is not None,
+            metered=True,
             live=asked.live,
             keeps=self.about is not None,
             resumed=asked.resumed and Resumed(asked.resumed.tick, asked.resumed.dead, asked.resumed.states),
             counted=asked.resumed and asked.resumed.all_counts(),
         )
         conduct = self._conduct(host)
-        process = PlantProcess(
+        process = process_of(
+            scene,
             self.plant,
             host,
-            tick_ns=scene.tick_ns,
-            duration_ns=scene.duration_ns,
-            schedule=deaths(scene),
-            stall=scene.stall,
-            timing=cell_times(scene),
-            camera=camera_of(scene, readings),
-            faults=active(scene, asked.lasting),
-            rests=rests(scene),
-            observer=conduct.observe,
-            pace=None if asked.options.realtime is None else pacer(asked.options.realtime),
+            readings,
+            conduct.observe,
+            lasts=asked.lasting,
+            pace=None if asked.options.realtime is None else Pace(asked.options.realtime, self.ledger.warn),
             attend=conduct.attend if conduct.attends else None,
         )
         conduct.process = process
