@@ -311,9 +311,9 @@ class Host:
             self._state.put(payload)
 
     def stop(self, detail: str = "", deadline_s: float = 2.0) -> Counts:
-        """Tells the cells to stop and waits until their tokens are gone and their counts are here.
+        """Tells the cells to stop, waits for their counts, takes the plant's token back, and waits for theirs to go.
 
-        A token may go before the report that was put before it has come.
+        A cell keeps its session open until the plant's token has gone: what is queued in a session that closes is lost.
 
         Args:
             detail: Why, for the cells' logs.
@@ -326,15 +326,18 @@ class Host:
         counts = self._reported.counts
         shards = self._muster.shards(self._tick)
         deadline = self._clock() + deadline_s
-        while (self._roll.alive or not counts.keys() >= set(shards)) and (
-            left := deadline - self._clock()
-        ) > 0:
-            # Whoever wakes us wants what is happening already.
-            with contextlib.suppress(WokenError):
-                self._inbox.read(left)
+        self._read_until(lambda: counts.keys() >= set(shards), deadline)
+        self.close()
+        self._read_until(lambda: not self._roll.alive, deadline)
         cells = self._wiring.partition.cells
         self.unreported = sorted(i for s in shards if s not in counts for i in cells(s).tolist())
         return sum(counts.values(), self.counts)
+
+    def _read_until(self, done: Callable[[], bool], deadline: float) -> None:
+        while not done() and (left := deadline - self._clock()) > 0:
+            # Whoever wakes us wants what is happening already.
+            with contextlib.suppress(WokenError):
+                self._inbox.read(left)
 
     def close(self) -> None:
         """Takes the plant's token back; members take that for its end."""

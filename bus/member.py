@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, final
@@ -11,7 +12,7 @@ import numpy as np
 from bus.company import Company
 from bus.counts import Counts
 from bus.dispatch import Dispatcher
-from bus.errors import BarrierError, HostLostError
+from bus.errors import BarrierError, HostLostError, WokenError
 from bus.forms import FORMS, FormName
 from bus.forms.form import MemberForm, Wiring
 from bus.incoming import Gathered, Incoming
@@ -32,6 +33,8 @@ from bus.wire import Control, DriveFrame, LinkFrame, Mask
 _POLL_S: Final = 0.01
 _LINK_POLL_S: Final = 0.001
 _ANSWER_S: Final = 1.0
+_LEAVE_S: Final = 5.0
+"""For how long to wait, when the run is over, for the plant to take the counts."""
 """Wall seconds that a shard whose cells have all failed stays for the plant's answer."""
 """How often to look for messages where they come after the senses, as no cell of ours sends them."""
 
@@ -345,8 +348,16 @@ class Member:
         self._reports.busy(tick)
 
     def close(self) -> None:
-        """Reports this side's counts and takes the tokens back."""
+        """Reports this side's counts and, once the plant that stopped the run has taken them, takes the tokens back."""
         self._reports.counted(self._tick)
+        # Whoever closes a session may take with it what is still queued there: the report must have arrived before.
+        deadline = self._clock() + _LEAVE_S
+        while self._told.stop is not None and not self._told.plant_lost:
+            left = deadline - self._clock()
+            if left <= 0:
+                break
+            with contextlib.suppress(WokenError):
+                self._inbox.read(left)
         for key in reversed(self._declared):
             self._endpoint.withdraw(key)
         self._declared.clear()

@@ -114,6 +114,19 @@ def test_all_sides_counts_come_together_when_the_run_stops(network: Network) -> 
     assert system.host.unreported == []
 
 
+def test_a_member_stays_until_the_plant_has_taken_its_counts(network: Network) -> None:
+    system = System(network, Partition.each(grid(1, 1)), "packed").start()
+    system.host.control(Control("stop", 0))
+    assert isinstance(system.members[0].gather(0), Control)
+    leaves = threading.Thread(target=system.members[0].close)
+    leaves.start()
+    leaves.join(0.2)
+    assert leaves.is_alive()
+    assert system.host.stop("again", 5.0).tally["shards"] == 1
+    leaves.join(5.0)
+    assert not leaves.is_alive()
+
+
 @pytest.mark.parametrize("reports", [True, False])
 def test_a_report_may_come_after_the_token_has_gone(memory: Network, reports: bool) -> None:
     system = System(memory, Partition.even(grid(2, 3), 2), "packed", message=MESSAGE).start()

@@ -84,11 +84,18 @@ def summary_of(stdout: str) -> dict[str, Any]:
     return json.loads(stdout)
 
 
+def _tasks(pid: int) -> list[Path]:
+    try:
+        return list(Path(f"/proc/{pid}/task").iterdir())
+    except OSError:  # it has gone
+        return []
+
+
 def _descendants(pid: int) -> set[int]:
     found: set[int] = set()
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+    for task in _tasks(pid):
         try:
-            children = {int(child) for child in task.read_text().split()}
+            children = {int(child) for child in (task / "children").read_text().split()}
         except OSError:
             continue
         for child in children:
