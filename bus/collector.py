@@ -7,7 +7,7 @@ from typing import Any, Final, final
 
 from bus.counts import Counts
 from bus.errors import WireError
-from bus.lives import NEVER
+from bus.lattice import NEVER
 
 EARLY_TICKS: Final = 64
 """How far ahead a frame may be to be kept; in lockstep nobody gets further than one tick."""

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from bus.chance import generator
-from bus.lattice import OPPOSITE, SIDES, Lattice
-from bus.lives import NEVER
+from bus.lattice import NEVER, OPPOSITE, SIDES, Lattice
 from bus.spec import CellName, Spec
 
 Index = NDArray[np.int64]
@@ -47,7 +46,7 @@ class FaultSpec(Spec):
         return self
 
     def span(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
-        """The tick from which it acts, and that from which it doesn't any more; ``bus.lives.NEVER``: it always will.
+        """The tick from which it acts, and that from which it doesn't any more; ``bus.lattice.NEVER``: it always will.
 
         Args:
             tick_at: The tick in which something scheduled acts, by its time in seconds.
@@ -198,7 +197,8 @@ class Injected(Generic[_Fault_co]):
         fault: What happens.
         cells: Indices of the cells that it strikes, ascending.
         first: The tick from which it acts.
-        end: The tick from which it doesn't any more; ``bus.lives.NEVER``: it is not repaired. A live repair changes it.
+        end: The tick from which it doesn't any more; ``bus.lattice.NEVER``: it is not repaired.
+            A live repair changes it.
         live: Whether somebody injected it while the run went on.
     """
 

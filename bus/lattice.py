@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+NEVER: Final = int(np.iinfo(np.int64).max)
+"""The tick from which a live cell is gone."""
 
 SIDES = ("north", "east", "south", "west")
 """Sides in the order of every ``(n, 4)`` array; north is +row (+y), east is +column (+x)."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final, final
+from typing import final
 
 import numpy as np
 
 from bus.codec import Mask
+from bus.lattice import NEVER
 from bus.partition import Index
-
-NEVER: Final = int(np.iinfo(np.int64).max)
-"""The tick from which a live cell is gone."""
 
 
 @final

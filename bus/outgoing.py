@@ -9,7 +9,8 @@ import numpy as np
 
 from bus.errors import BusError, WireError
 from bus.forms.form import MemberForm, Wiring
-from bus.lives import NEVER, Lives
+from bus.lattice import NEVER
+from bus.lives import Lives
 from bus.transport import Endpoint, Publisher
 from bus.wire import DriveFrame, LinkFrame
 

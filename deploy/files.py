@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+import platform
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from deploy.errors import DeployError
+
+SUMMARY = "summary.json"
+_VERSIONS = ("mdms-emulator", "eclipse-zenoh", "llvmlite", "mcap", "msgpack", "numba", "numpy", "scipy")
 
 
 @contextmanager
@@ -50,3 +55,14 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def versions() -> dict[str, str]:
+    """Of this package, Python and the libraries that decide the bits of a run."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in _VERSIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # run from a checkout that is not installed
+            found[name] = "not installed"
+    return found

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import platform
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import DeployError
+from deploy.files import versions
 from deploy.interruption import Interrupted, Interruption
 from deploy.overview.picture import FILE_NAME as PICTURE
 from deploy.overview.picture import draw_overview
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from deploy.track import Track
     from plant.array import CellArray
     from plant.plant import Plant
-
-_VERSIONS = ("mdms-emulator", "eclipse-zenoh", "llvmlite", "mcap", "msgpack", "numba", "numpy", "scipy")
 
 
 def run_name(scene: Scene, suffix: str) -> str:
@@ -143,14 +140,3 @@ def drawn(summary: Summary, draw: Callable[[], None], folder: Path, interruption
         summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
         summary.write(folder)
     return summary
-
-
-def versions() -> dict[str, str]:
-    """Of this package, Python and the libraries that decide the bits of a run."""
-    found = {"python": platform.python_version(), "machine": platform.machine()}
-    for name in _VERSIONS:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:  # run from a checkout that is not installed
-            found[name] = "not installed"
-    return found

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from deploy.checkpoints.store import Store
 from deploy.errors import InputError
+from deploy.files import SUMMARY
 from deploy.output import run_name
 from deploy.output_lock import locked_folder, new_folder
 from deploy.overview.picture import FILE_NAME as PICTURE
 from deploy.protocol_report.report import CSV as PROTOCOL_CSV
 from deploy.protocol_report.report import PICTURE as PROTOCOL_PICTURE
 from deploy.recordings.format import FILE_NAME as RECORDING
-from deploy.summary import FILE_NAME as SUMMARY
 
 if TYPE_CHECKING:
     from deploy.scene import Scene

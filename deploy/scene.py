@@ -19,8 +19,9 @@ from deploy.goal import GoalSpec
 from deploy.scene_checks import cross_problems, normal_parameters
 from deploy.scene_errors import CROSS
 from plant.friction.registry import FrictionSpec
+from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.solver_specs import ExactSpec, SolverSpec
-from plant.specs import ArraySpec, ParcelSpec, PlantSpec
+from plant.specs import PlantSpec
 
 if TYPE_CHECKING:
     from bus.lattice import Lattice

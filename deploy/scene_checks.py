@@ -18,8 +18,9 @@ from deploy.scene_errors import Path, Problem, problems_of, strictly
 from plant.array import CellArray
 from plant.faults.fault import PlantFault
 from plant.friction.registry import FrictionSpec
+from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.solver_specs import SolverSpec
-from plant.specs import ArraySpec, ParcelSpec, disagreements, misplaced, unknown_exits
+from plant.specs import disagreements, misplaced, unknown_exits
 
 _FIRMWARE: Path = ("cells", "firmware")
 _PARAMETERS: Path = ("cells", "parameters")

@@ -21,8 +21,8 @@ from deploy.scene import Scene
 from deploy.scene_checks import cross_problems
 from deploy.scene_errors import CROSS, Problem, SceneError, nearest, problems_of, strictly, strictly_any
 from plant.friction.registry import FrictionSpec
+from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.solver_specs import SolverSpec, settings_of
-from plant.specs import ArraySpec, ParcelSpec
 
 
 def bundled_names() -> tuple[str, ...]:

@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.files import write_text
+from deploy.files import SUMMARY, write_text
 from plant.reports import TrafficCount
 
 if TYPE_CHECKING:
     from deploy.protocol_report.report import ProtocolReport
-
-FILE_NAME = "summary.json"
 
 
 @final
@@ -197,7 +195,7 @@ class Summary:
         Raises:
             DeployError: It can't be written.
         """
-        path = Path(folder) / FILE_NAME
+        path = Path(folder) / SUMMARY
         write_text(path, self.to_json(indent=2) + "\n")
         return path
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from plant.specs import ArraySpec
+from plant.parcel_spec import ArraySpec
 
 
 @final

@@ -90,7 +90,14 @@ def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
     from plant.contact.mover import ContactMover
 
     # the spec lets only solvers be chosen that can go back
-    return ContactMover(spec, contact, cast("Rewindable", solver))
+    return ContactMover(
+        spec.with_fed().parcels,
+        spec.friction.traction(),
+        spec.gravity_m_s2,
+        spec.array.pitch_m,
+        contact,
+        cast("Rewindable", solver),
+    )
 
 
 def with_legs(spec: PlantSpec, solver: Solver) -> LegSolver | None:

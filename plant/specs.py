@@ -8,59 +8,14 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from bus.lattice import Lattice
-from bus.spec import CellName, Positive, Spec, Vector
+from bus.spec import Positive, Spec
 from plant.effects.registry import PlantEffects
 from plant.friction.registry import FrictionSpec
-from plant.parcel_spec import ParcelSpec
+from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.solver_specs import ExactSpec, SolverSpec
 
 REST_TIME_S = 1e5
 """A parcel that takes longer to move by a pitch is at rest."""
-
-
-class ArraySpec(Spec):
-    """The lattice of cells, centred on the origin; row 0 at the bottom, column 0 at the left."""
-
-    rows: Annotated[int, Field(ge=1, le=10_000)]
-    columns: Annotated[int, Field(ge=1, le=10_000)]
-    pitch_m: Positive = 0.1
-    missing: tuple[CellName, ...] = ()
-    """Holes: cells that do not exist."""
-    cells: tuple[CellName, ...] | None = None
-    """An arbitrary layout: the cells that exist (excludes ``missing``)."""
-    sensors_m: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=5)] = ((0.0, 0.0),)
-    """Presence sensors relative to the cell centre, one to five."""
-
-    @model_validator(mode="after")
-    def _layout(self) -> ArraySpec:
-        if self.cells is not None and self.missing:
-            raise ValueError("give cells or missing, not both")
-        for name, listed in (("missing", self.missing), ("cells", self.cells or ())):
-            for row, column in listed:
-                if row >= self.rows:
-                    raise ValueError(f"{name} has [{row}, {column}]: the array has rows 0..{self.rows - 1}")
-                if column >= self.columns:
-                    raise ValueError(
-                        f"{name} has [{row}, {column}]: the array has columns 0..{self.columns - 1}"
-                    )
-            if len(set(listed)) != len(listed):
-                raise ValueError(f"{name} names a cell twice")
-        if self.cells == () or len(self.missing) == self.rows * self.columns:
-            raise ValueError("the array has no cells")
-        return self
-
-    @property
-    def count(self) -> int:
-        """Number of cells."""
-        return self.rows * self.columns - len(self.missing) if self.cells is None else len(self.cells)
-
-    def lattice(self) -> Lattice:
-        """The cells that exist."""
-        if self.cells is not None:
-            return Lattice(self.cells)
-        holes = set(self.missing)
-        return Lattice((r, c) for r in range(self.rows) for c in range(self.columns) if (r, c) not in holes)
 
 
 def disagreements(

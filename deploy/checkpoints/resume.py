@@ -14,10 +14,9 @@ from pydantic import ValidationError
 from deploy.checkpoints.checkpoint import Checkpoint
 from deploy.checkpoints.store import Store
 from deploy.errors import InputError
-from deploy.output import versions
+from deploy.files import SUMMARY, versions
 from deploy.processes.plan import RunOptions
 from deploy.scene import Scene
-from deploy.summary import FILE_NAME as SUMMARY
 
 if TYPE_CHECKING:
     from deploy.processes.plan import Plan

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol, cast
 
 from bus.fault import FaultSpec, Injected
-from bus.lattice import Lattice
-from bus.lives import NEVER
+from bus.lattice import NEVER, Lattice
 from cell_firmware.faults.fault import CellFault
 from deploy.faults.crash import CrashFault
 from plant.faults.fault import PlantFault

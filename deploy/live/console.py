@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol, cast, final
 
 from bus.fault import FaultSpec, Injected
-from bus.lives import NEVER
+from bus.lattice import NEVER
 from bus.wire import TEXT_LIMIT, Control
 from cell_firmware.faults.fault import CellFault
 from deploy.faults.schedule import is_death

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from bus.codec import TICK_LIMIT
 from bus.errors import WireError
 from bus.fault import FaultSpec, Injected
-from bus.lives import NEVER
+from bus.lattice import NEVER
 from bus.spec import Spec
 from cell_firmware.faults.fault import CellFault
 from deploy.faults.registry import Fault

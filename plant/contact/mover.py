@@ -6,7 +6,7 @@ can get, overlap. All others are the solver's alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, Final, final
 
 import numpy as np
@@ -22,10 +22,11 @@ from plant.contact.resolve import Drive, Resolution
 from plant.contact.watch import follow
 from plant.effects.parcel_contact import ParcelContactSpec
 from plant.errors import PlantError
+from plant.friction.law import Traction
 from plant.kernels import contact_layout as to
+from plant.parcel_spec import ParcelSpec
 from plant.reports import Event
 from plant.solvers.solver import Advance, Leg, Rewindable
-from plant.specs import PlantSpec
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -40,7 +41,10 @@ class ContactMover:
     """Parcels that touch.
 
     Args:
-        scene: whose parcels, those fed included, and whose law, gravity and pitch.
+        parcels: those fed included.
+        traction: the law of friction.
+        gravity: m/s².
+        pitch: of the array, m.
         rules: of contact.
         solver: that moves them.
 
@@ -50,16 +54,18 @@ class ContactMover:
 
     remembers: ClassVar[Remembers] = Remembers("_met")
 
-    def __init__(self, scene: PlantSpec, rules: ParcelContactSpec, solver: Rewindable) -> None:
+    def __init__(
+        self,
+        parcels: Sequence[ParcelSpec],
+        traction: Traction,
+        gravity: float,
+        pitch: float,
+        rules: ParcelContactSpec,
+        solver: Rewindable,
+    ) -> None:
         self._rules, self._solver = rules, solver
         self._bodies = Bodies(
-            scene.with_fed().parcels,
-            solver.bodies,
-            rules.rails,
-            scene.friction.traction(),
-            scene.gravity_m_s2,
-            scene.array.pitch_m,
-            rules.slow_m_s(scene.array.pitch_m),
+            parcels, solver.bodies, rules.rails, traction, gravity, pitch, rules.slow_m_s(pitch)
         )
         self.resolves = rules.mode == "resolved"
         self._met: set[Pair] = set()

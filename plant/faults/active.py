@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar, final
 
 from bus.fault import Injected, turns
-from bus.lives import NEVER
+from bus.lattice import NEVER
 from bus.memory import Remembers
 from plant.faults.fault import Harm, PlantFault
 

@@ -28,8 +28,8 @@ def key() -> str:
     """Name of the set of kernels: a hash of all that their machine code depends on."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    for path in sorted(here.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    for path in sorted(here.rglob("*.py")):
+        digest.update(path.relative_to(here).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     # numba also looks at where the cached file is and when it changed: another checkout has a folder of its own
     entry = here / "block.py"
     for part in (

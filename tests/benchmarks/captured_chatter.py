@@ -16,9 +16,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from plant.errors import PlantError, PlantUnstable
 from plant.friction.viscous import Viscous
+from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.plant import Plant
 from plant.solver_specs import ExactSpec
-from plant.specs import ArraySpec, ParcelSpec, PlantSpec
+from plant.specs import PlantSpec
 
 SECONDS = 6
 SAMPLE_NS = 20_000_000

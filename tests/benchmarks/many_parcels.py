@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from plant.friction.viscous import Viscous
+from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.plant import Plant
 from plant.solver_specs import ExactSpec
 from plant.solvers.solver import Leg
 from plant.solvers.threaded import ThreadedSolver
-from plant.specs import ArraySpec, ParcelSpec, PlantSpec
+from plant.specs import PlantSpec
 from plant.wheels import WheelMotion
 
 PARCELS = 1_000

@@ -11,7 +11,8 @@ from bus.collector import EARLY_TICKS, Collector
 from bus.counts import Counts
 from bus.errors import BarrierError, HostLostError, WireError
 from bus.forms import FormName
-from bus.lives import NEVER, Lives
+from bus.lattice import NEVER
+from bus.lives import Lives
 from bus.lockstep import Loss, Member
 from bus.partition import Partition
 from bus.returns import Returns

@@ -11,7 +11,7 @@ import pytest
 
 from bus.errors import WireError
 from bus.fault import Injected
-from bus.lives import NEVER
+from bus.lattice import NEVER
 from bus.wire import Control
 from cell_firmware.faults.hang import HangFault
 from deploy.live.told import carry_out, heard, read, told

@@ -13,7 +13,7 @@ from bus.errors import WireError
 from bus.forms import FormName
 from bus.forms.form import Senses
 from bus.keeping import Kept, decode_kept, encode_kept
-from bus.lives import NEVER
+from bus.lattice import NEVER
 from bus.partition import Partition
 from bus.readings import Readings
 from bus.registers import NAMES_LIMIT, RegisterFrame, decode_registers, encode_registers, shown

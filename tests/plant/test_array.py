@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plant.array import CellArray
-from plant.specs import ArraySpec
+from plant.parcel_spec import ArraySpec
 
 
 def test_the_array_is_centred_with_row_0_at_the_bottom_and_column_0_at_the_left() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from plant.array import CellArray
+from plant.parcel_spec import ArraySpec
 from plant.plant import Plant
-from plant.specs import ArraySpec
 from tests.plant.scenes import SECOND, elliptic, parcel
 from tests.stability.solvers import Claim, Solver, claiming
 

@@ -7,8 +7,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from bus.fault import FaultSpec, Injected
-from bus.lattice import Lattice
-from bus.lives import NEVER
+from bus.lattice import NEVER, Lattice
 from cell_firmware.faults.fault import CellFault
 from deploy.faults.registry import Fault
 

@@ -61,7 +61,7 @@ class Scenery:
         self.now, self.books, self.warned = begun, Books(), list[str]()
         self.process = DirectRun(load_scene("elliptic")).process
         about = About(scene_name="", scene={}, bound={}, options={}, wall_s=3.0)
-        books = cast(Any, self.books)
+        books = cast("Any", self.books)
         self.keeper = Keeper(
             10.0,
             books,

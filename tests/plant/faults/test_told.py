@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from bus.fault import Injected
-from bus.lives import NEVER
+from bus.lattice import NEVER
 from plant.effects.motors import MotorsSpec
 from plant.effects.registry import PlantEffects
 from plant.faults.active import ActiveFaults
