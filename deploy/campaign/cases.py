@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _TARGETS = CellTarget.model_fields.keys() - FaultSpec.model_fields.keys()
 """Keys by which a fault that strikes cells says which."""
 
-_MOST = 1_000_000
+_MOST_RUNS = 1_000_000
 """Runs of a campaign."""
 
 
@@ -106,7 +106,7 @@ def cases_of(asked: Asked, text: str) -> Cases:
     plain = scene_with(())
     axes = _axes(asked)
     seeds = seeds_of(asked.seeds, plain.seed)
-    check_size(axes, seeds, _MOST)
+    check_size(axes, seeds, _MOST_RUNS)
     against = [Override.parse(one, f"--against {one}") for one in asked.against]
     fault = _fault(asked, of_fault, axes)
     place = len(plain.faults)

@@ -19,7 +19,7 @@ from deploy.words import counted
 FAULT = "fault"
 """First part of a key that belongs to the fault of the campaign, not to the scene."""
 
-_MOST = 10_000
+_MOST_VALUES = 10_000
 """Values of one key, and seeds."""
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(?::({_NUMBER}))?")
@@ -94,8 +94,8 @@ def _range(start: str, stop: str, step: str | None, option: str) -> tuple[Any, .
     count = math.floor((last - first) / stride) + 1
     if count < 1:
         raise InputError(f"{option}: steps of {stride} don't lead from {first} to {last}")
-    if count > _MOST:
-        raise InputError(f"{option}: {count:,} values; at most {_MOST:,}")
+    if count > _MOST_VALUES:
+        raise InputError(f"{option}: {count:,} values; at most {_MOST_VALUES:,}")
     whole = bool(_WHOLE.fullmatch(start) and _WHOLE.fullmatch(step or "1"))
     numbers = (first + stride * i for i in range(count))
     return tuple(int(number) if whole else float(number) for number in numbers)
@@ -124,8 +124,8 @@ def seeds_of(text: str, first: int) -> tuple[int, ...]:
     """
     option = f"--seeds {text}"
     if _WHOLE.fullmatch(text):
-        if not 1 <= int(text) <= _MOST:
-            raise InputError(f"{option}: so many must be 1..{_MOST:,}")
+        if not 1 <= int(text) <= _MOST_VALUES:
+            raise InputError(f"{option}: so many must be 1..{_MOST_VALUES:,}")
         return tuple(range(first, first + int(text)))
     seeds = values_of(text, option)
     for seed in seeds:

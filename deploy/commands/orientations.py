@@ -114,9 +114,9 @@ def _many(asked: Study, ranges: tuple[Floats, Floats], folder: Path | None, *, a
     sizes = size_map(asked, *ranges)
     picture = None
     if folder is not None:
-        from deploy.orientations.size_map import FILE_NAME, draw_sizes
+        from deploy.orientations.size_map import SIZES_FILE_NAME, draw_sizes
 
-        picture = folder / FILE_NAME
+        picture = folder / SIZES_FILE_NAME
         draw_sizes(asked, sizes, picture)
     if as_json:
         found = {**_head(asked), "rows": _rows(sizes), "picture": picture and str(picture)}

@@ -51,7 +51,7 @@ def toggled(scene: Scene, name: str) -> Toggled:
 def _taken_out(scene: Scene, name: str, own: dict[str, Table]) -> Toggled:
     gone = dependents(name, own)
     on = variant(scene, own)
-    off = variant(scene, {n: table for n, table in own.items() if n not in gone}, solver=_solver(on))
+    off = variant(scene, {n: table for n, table in own.items() if n not in gone}, solver=_solver_table(on))
     return Toggled(on=on, off=off, settings=own[name], along=tuple(n for n in own if n in gone - {name}))
 
 
@@ -63,11 +63,11 @@ def _put_in(scene: Scene, name: str, own: dict[str, Table]) -> Toggled:
         if needed not in own
     }
     on = variant(scene, {**own, **beside, name: settings})
-    off = variant(scene, {**own, **beside}, solver=_solver(on))
+    off = variant(scene, {**own, **beside}, solver=_solver_table(on))
     return Toggled(on=on, off=off, settings=settings, beside=tuple(beside))
 
 
-def _solver(scene: Scene) -> Table:
+def _solver_table(scene: Scene) -> Table:
     return scene.solver.model_dump(mode="json")
 
 

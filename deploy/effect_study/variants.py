@@ -76,7 +76,7 @@ def variant(
     """
     data = scene.model_dump(mode="json")
     data["effects"] = dict(effects)
-    data["solver"] = dict(solver) if solver is not None else _solver(scene, effects)
+    data["solver"] = dict(solver) if solver is not None else _fitting_solver(scene, effects)
     if law is not None:
         data["friction"] = dict(law)
     if "motors" not in effects:
@@ -89,7 +89,7 @@ def variant(
         raise NotPossible("; ".join(rules)) from None
 
 
-def _solver(scene: Scene, effects: Mapping[str, Table]) -> Table:
+def _fitting_solver(scene: Scene, effects: Mapping[str, Table]) -> Table:
     """The scene's own; or the first that knows all the effects."""
     types = effect_types()
     known = [names for name in effects if (names := types[name].solvers) is not None]

@@ -43,10 +43,10 @@ def draw_orientations(study: Study, profile: TorqueProfile, path: Path) -> None:
     Raises:
         DeployError: It can't be written.
     """
-    write_picture(lambda: _figure(study, profile), path)
+    write_picture(lambda: _draw_figure(study, profile), path)
 
 
-def _figure(study: Study, profile: TorqueProfile) -> Figure:
+def _draw_figure(study: Study, profile: TorqueProfile) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")

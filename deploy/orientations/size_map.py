@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from deploy.orientations.study import Study
     from plant.wheels import Floats
 
-FILE_NAME = "orientation_sizes.png"
-_WIDTH, _HEIGHT, _PANEL = 11.3, 5.65, 3.9
+SIZES_FILE_NAME = "orientation_sizes.png"
+_SIZES_WIDTH, _SIZES_HEIGHT, _PANEL = 11.3, 5.65, 3.9
 """Of the page and of each square panel, inches."""
 _NONE = "#e3e7ec"
 """Where nothing is stable."""
@@ -40,16 +40,16 @@ def draw_sizes(study: Study, sizes: SizeMap, path: Path) -> None:
     Raises:
         DeployError: It can't be written.
     """
-    write_picture(lambda: _figure(study, sizes), path)
+    write_picture(lambda: _draw_sizes_figure(study, sizes), path)
 
 
-def _figure(study: Study, sizes: SizeMap) -> Figure:
+def _draw_sizes_figure(study: Study, sizes: SizeMap) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")
+    figure = Figure(figsize=(_SIZES_WIDTH, _SIZES_HEIGHT), dpi=DPI, facecolor="white")
     for left, draw in ((0.8, _draw_counts), (6.2, _draw_nearest)):
         axes, bar = (
-            figure.add_axes((x / _WIDTH, 0.6 / _HEIGHT, across / _WIDTH, _PANEL / _HEIGHT))
+            figure.add_axes((x / _SIZES_WIDTH, 0.6 / _SIZES_HEIGHT, across / _SIZES_WIDTH, _PANEL / _SIZES_HEIGHT))
             for x, across in ((left, _PANEL), (left + _PANEL + 0.15, 0.18))
         )
         draw(axes, bar, sizes)

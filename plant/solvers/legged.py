@@ -13,18 +13,18 @@ from plant.solvers.solver import Advance, Outing
 from plant.solvers.threaded import WORTH_WAKING, Desk, Errand, ThreadedSolver
 from plant.wheels import Changes, WheelMotion
 
-Work = TypeVar("Work")
+WorkT = TypeVar("WorkT")
 
 LEGS = 8
 """About how many legs a parcel has then: threads are worth waking for as many fewer parcels."""
 
 
-class LeggedSolver(ThreadedSolver[Work]):
+class LeggedSolver(ThreadedSolver[WorkT]):
     """A ``plant.solvers.solver.LegSolver`` but for one block of parcels."""
 
     @abstractmethod
     def _legs_block(
-        self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand, way: Way, hand: Hand
+        self, desk: Desk[WorkT], block: NDArray[np.int64], errand: Errand, way: Way, hand: Hand
     ) -> tuple[int, int]:
         """Move the parcels of a block through their legs; see ``_advance_block``."""
 
