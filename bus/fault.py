@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from bus.chance import generator
 from bus.lattice import NEVER, OPPOSITE, SIDES, Lattice
+from bus.random_streams import generator
 from bus.spec import CellName, Spec
 
 Index = NDArray[np.int64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal, final
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -18,3 +18,23 @@ class Spec(BaseModel):
     """Base of every part of a scene and of every firmware's parameters: frozen, unknown keys refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+
+Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
+
+
+@final
+class StallSpec(Spec):
+    """What happens when a cell goes away or falls silent.
+
+    The deadlines are wall time: a run that meets one is recorded as such and its digest promises nothing.
+    """
+
+    policy: Literal["coast", "brake", "hold", "abort"] = "coast"
+    """What a lost cell's wheels do, or ``abort``: end the run."""
+    deadline_s: Seconds = 5.0
+    """Wall seconds a tick may wait for a cell before the cell counts as stalled."""
+    lease_s: Annotated[float, Field(ge=0.1, le=86_400, allow_inf_nan=False)] = 2.0
+    """Wall seconds of silence after which a process counts as gone: one that is stopped, or whose link is cut."""
+    start_s: Seconds = 30.0
+    """Wall seconds until every cell must be ready."""

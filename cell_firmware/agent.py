@@ -15,9 +15,9 @@ import numpy as np
 
 from bus.errors import WireError, WokenError
 from bus.lockstep import Gathered, Member
-from bus.memory import remember
-from bus.transport import Endpoint
-from bus.wire import TEXT_LIMIT, Control, DriveFrame, LinkFrame, Mask
+from bus.state import remember
+from bus.transports.base import Endpoint
+from bus.wire.frames import TEXT_LIMIT, Control, DriveFrame, LinkFrame, Mask
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.shard import Links, Shard, ShardOutputs
 

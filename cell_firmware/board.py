@@ -10,12 +10,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from cell_firmware.components import LinkPart, MessageMeter, Part, WheelPart
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
 from cell_firmware.message_values import can_settle, draft_of, drafting, settled
-from cell_firmware.meter import MessageMeter
-from cell_firmware.parts import LinkPart, Part, WheelPart
 
 _PROGRAM = "firmware"
 _WHEELS = "speed_loop"

@@ -11,8 +11,8 @@ from typing import Any, final
 import numpy as np
 
 from bus.lattice import SIDES, Lattice
-from bus.memory_codec import is_record
-from bus.readings import Picture
+from bus.sensors import Picture
+from bus.state_codec import is_record
 from cell_firmware.errors import MessageValueError
 from cell_firmware.firmware import (
     Bools,
@@ -29,8 +29,7 @@ from cell_firmware.firmware import (
 from cell_firmware.firmware_files import modules_beside
 from cell_firmware.message_values import Field, fields_of, misfit
 from cell_firmware.plain_registers import registers_of, unrecorded
-from cell_firmware.program import Program
-from cell_firmware.theory import Theory
+from cell_firmware.program import Program, Theory
 
 Message = Mapping[str, Any]
 """One message: values by field name, as the firmware's message type declares them."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from bus.readings import Labels, Picture
+from bus.sensors import Labels, Picture
 from cell_firmware.program import Program
 
 Bools = NDArray[np.bool_]

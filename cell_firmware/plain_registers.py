@@ -9,7 +9,7 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.registers import COLUMNS_LIMIT
+from bus.lockstep.registers import COLUMNS_LIMIT
 
 WHOLE: Final = "state"
 """Register of a state that is itself a number or a list of numbers."""

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from cell_firmware.serial.rates import E_CLOCK_NS
+from cell_firmware.effects.serial.timing import E_CLOCK_NS
 
 if TYPE_CHECKING:
-    from cell_firmware.assembly import Motors
+    from cell_firmware.build import Motors
     from cell_firmware.effects.registry import CellEffects
 
 LOOP_E: Final = (1312, 2274)

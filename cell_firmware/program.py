@@ -3,14 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from cell_firmware.specs import Spec
-from cell_firmware.theory import Theory
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Theory:
+    """A prediction for links that neither lose nor delay, and cells that all live and step at once.
+
+    Attributes:
+        law: What it says, in a line, with its source.
+        factor: By which the slowest error shrinks from tick to tick: below 1 it dies out, at 1 it stays, above 1 it
+            grows. None for a protocol that is done after a number of ticks instead, or that has no such law.
+        ticks: After how many ticks it is done, at most; None where it comes ever closer instead.
+        limit: Where it goes: what ``Program.observed`` is then, with a row a cell, in the lattice's order; None where
+            theory does not say.
+    """
+
+    law: str
+    factor: float | None = None
+    ticks: int | None = None
+    limit: NDArray[Any] | None = None
 
 
 class NoParameters(Spec):

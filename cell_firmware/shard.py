@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.errors import MemoryRefusedError
-from bus.memory import Remembers
 from bus.partition import Partition
-from bus.readings import Labels, Picture
+from bus.sensors import Labels, Picture
+from bus.state import Remembers
 from cell_firmware.controller import Controller, ControllerState, Instant, frozen
-from cell_firmware.effects.stage import Stage
+from cell_firmware.effects.base import Stage
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State, solid
 from cell_firmware.specs import nanoseconds
@@ -23,8 +23,8 @@ from cell_firmware.specs import nanoseconds
 if TYPE_CHECKING:
     from bus.fault import Injected
     from bus.lattice import Lattice
-    from cell_firmware.effects.stage import Site
-    from cell_firmware.faults.fault import CellFault
+    from cell_firmware.effects.base import Site
+    from cell_firmware.faults.base import CellFault
 
 Indices = NDArray[np.int64]
 
@@ -260,7 +260,7 @@ class Shard:
         stages = tuple(fault.fault.stages(site, lattice, fault))
         self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
         self._stages += stages
-        from cell_firmware.faults.joining import begun, joined
+        from cell_firmware.faults.attach import begun, joined
 
         self._controller = joined(self._controller, lattice, site.seed, fault)
         drive = self._drive if self._active is None else self._drive[self._active]

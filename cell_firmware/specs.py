@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator
 
 from bus.spec import CellName, Finite, NotNegative, Positive, Spec, Vector
-from cell_firmware.boards import Board
+from cell_firmware.board_presets import Board
 
 __all__ = [
     "CellName",

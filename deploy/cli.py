@@ -31,8 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    from deploy.command_line import application, completed
-    from deploy.interruption import Interrupted, Interruption
+    from deploy.commands.application import application, completed
+    from deploy.util.signals import Interrupted, Interruption
 
     given = completed(arguments)
     interruption = Interruption()

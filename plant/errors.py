@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from plant.reports import Event, Trajectory
+    from plant.observations import Event, Trajectory
 
 
 class PlantError(Exception):

@@ -1,6 +1,7 @@
 """Which cells carry a parcel, and how much each (eqs. 3-13, unilateral), in NumPy: for those who ask now and then.
 
-The solvers with compiled kernels have the same in ``plant.kernels.loads``. Offsets are from the parcel's centre of mass
+The solvers with compiled kernels have the same in ``plant.kernels.common.loads``. Offsets are from the parcel's
+centre of mass
 and loads are shares of the weight throughout.
 """
 

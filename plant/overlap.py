@@ -8,10 +8,10 @@ from typing import ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.memory import Remembers
+from bus.state import Remembers
 from plant import geometry
-from plant.broad_phase import close_boxes, close_pairs
-from plant.reports import Event
+from plant.geometry import close_boxes, close_pairs
+from plant.observations import Event
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -10,26 +10,24 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.memory import Remembers
+from bus.state import Remembers
 from plant.array import CellArray
-from plant.chronicle import Chronicle
 from plant.errors import PlantError, PlantHalted
-from plant.moves import Moves
+from plant.factories import make_scanners, make_spots, make_traffic, make_wheels
+from plant.initial_checks import check_places, check_standing
+from plant.monitors import Chronicle, RestWatch
+from plant.observations import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.overlap import OverlapWatch, meeting
-from plant.parts import make_scanners, make_spots, make_traffic, make_wheels
-from plant.reading import Reading
-from plant.reports import Event, ParcelStatus, Sense, TrafficCount, Trajectory
-from plant.rest import RestWatch
+from plant.propagate import Moves
+from plant.sampling import Reading, Timing
+from plant.solver_api import Solver
 from plant.solvers.registry import make_solver
-from plant.solvers.solver import Solver
 from plant.specs import PlantSpec
-from plant.start import check_places, check_standing
-from plant.timing import Timing
 from plant.wheels import Floats, LossPolicy, Wheels
 
 if TYPE_CHECKING:
-    from plant.faults.fault import Harm
-    from plant.traffic import Traffic
+    from plant.effects.feeders.traffic import Traffic
+    from plant.faults.base import Harm
 
 
 @final
@@ -184,7 +182,7 @@ class Plant:
             harm: all that is the matter.
             drives: ``(n, 2)`` that stand until others take effect.
         """
-        from plant.faults.wheels import HarmedWheels  # only where there are faults
+        from plant.faults.faulty_wheels import HarmedWheels  # only where there are faults
 
         if not isinstance(self._wheels, HarmedWheels):
             self._wheels = HarmedWheels(self._wheels, self._motors, len(self.array))
@@ -205,7 +203,7 @@ class Plant:
     def _suffered(self, told: tuple[Any, ...] | None) -> None:
         """Wheels and cells that are as faults have left them; where they were on their way is for others to tell."""
         if told is not None:
-            from plant.faults.fault import Harm
+            from plant.faults.base import Harm
 
             self.suffer(Harm(*told), np.zeros((len(self.array), 2)))
 

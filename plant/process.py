@@ -3,30 +3,83 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, Protocol, final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.counts import Loss
-from bus.memory import Remembers
-from bus.wire import DriveFrame, SenseFrame
-from plant.records import Ended, TickRecord
-from plant.reports import Sense
-from plant.timing import Timing
-from plant.undriven import Undriven
+from bus.lockstep.counters import Loss
+from bus.state import Remembers
+from bus.wire.frames import DriveFrame, SenseFrame
+from plant.dead_cells import Undriven
+from plant.observations import Sense
+from plant.sampling import Timing
 
 if TYPE_CHECKING:
     from bus.fault import Injected
-    from bus.specs import StallSpec
-    from plant.camera import Camera
-    from plant.faults.active import ActiveFaults
-    from plant.faults.fault import PlantFault
+    from bus.spec import StallSpec
+    from plant.effects.camera.camera import Camera
+    from plant.faults.base import PlantFault
+    from plant.faults.schedule import ActiveFaults
+    from plant.observations import Event
     from plant.plant import Plant
-    from plant.reports import Event
     from plant.wheels import LossPolicy
 
+
 Floats = NDArray[np.float64]
+Status = Literal["ok", "failed", "stalled"]
+
+
+class TickRecord(NamedTuple):
+    """All that happened in one tick.
+
+    Attributes:
+        tick: Which, from 0.
+        start_ns: When it began.
+        until_ns: When it ended.
+        sense: What the cells sensed at its start.
+        wheel_speed: ``(n, 2)`` m/s at its start.
+        before: ``(m, 6)`` parcel states at its start.
+        drives: ``(n, 2)`` that acted during it, a dead cell's as the stall policy has it.
+        after: ``(m, 6)`` parcel states at its end.
+        events: Of the plant, during it.
+        died: Indices of the cells whose scheduled death for good was at its start.
+        losses: Cells that were found lost in it.
+    """
+
+    tick: int
+    start_ns: int
+    until_ns: int
+    sense: Sense
+    wheel_speed: Floats
+    before: Floats
+    drives: Floats
+    after: Floats
+    events: Sequence[Event]
+    died: tuple[int, ...]
+    losses: Sequence[Loss]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How the loop ended.
+
+    Attributes:
+        status: ``ok`` at the end of the duration; ``failed`` or ``stalled`` where the policy is ``abort``; ``failed``
+            where a program failed and that ends the run, and where no cell is left at the end.
+        losses: Cells found lost in the tick in which it ended.
+        died: Cells whose scheduled death it was aborted for, for good or until they are repaired.
+        failed: Of the losses, the cells whose program failed, where that ended it.
+        nobody: Whether no cell was left at the end of the duration, though the scene did not order it.
+    """
+
+    status: Status
+    losses: tuple[Loss, ...] = ()
+    died: tuple[int, ...] = ()
+    failed: tuple[Loss, ...] = ()
+    nobody: bool = False
 
 
 class LockstepHost(Protocol):
@@ -186,7 +239,7 @@ class PlantProcess:
     def inject(self, fault: Injected[PlantFault]) -> None:
         """One more fault, from the next tick on at the earliest."""
         if self._faults is None:
-            from plant.faults.active import ActiveFaults
+            from plant.faults.schedule import ActiveFaults
 
             self._faults = ActiveFaults(len(self.lost))
         self._faults.add(fault)

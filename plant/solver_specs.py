@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple, get_args
 from pydantic import BeforeValidator, Field
 
 from bus.spec import Spec
-from plant.spec import tagged
+from plant.tagged import tagged
 
 Tolerance = Annotated[float, Field(ge=1e-14, le=1e-2, allow_inf_nan=False)]
 StepsPerSecond = Annotated[float, Field(ge=1e3, le=1e12, allow_inf_nan=False)]

@@ -11,7 +11,7 @@ from typing import ClassVar, Literal, NamedTuple, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.memory import Remembers
+from bus.state import Remembers
 
 Floats = NDArray[np.float64]
 LossPolicy = Literal["coast", "brake", "hold"]

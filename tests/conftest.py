@@ -40,7 +40,7 @@ for name in sys.argv[1:]:
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the kernels where this version's are not on disk yet: processes that tests start find them there."""
-    from plant.kernels.cache import is_warm
+    from plant.kernels.common.cache import is_warm
 
     if is_warm() or session.config.option.collectonly or "PYTEST_XDIST_WORKER" in os.environ:
         return
@@ -55,7 +55,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 FOLDERS = {
     "system": ("system",),
     "stability": ("stability",),
-    "studies": ("deploy/accuracy", "deploy/campaign", "deploy/effect_study", "deploy/orientations"),
+    "studies": (
+        "deploy/studies/accuracy",
+        "deploy/studies/campaign",
+        "deploy/studies/effects",
+        "deploy/studies/orientations",
+    ),
     "kernels": ("plant",),
 }
 """Folders of a mark."""

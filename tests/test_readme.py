@@ -15,7 +15,7 @@ from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
-from deploy.scene_files import bundled_names
+from deploy.scenes.files import bundled_names
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

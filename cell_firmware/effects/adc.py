@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bus.chance import Draws
-from cell_firmware.effects.stage import CellEffectSpec, Site, Stage, places
+from bus.random_streams import Draws
+from cell_firmware.effects.base import CellEffectSpec, Site, Stage, places
 from cell_firmware.firmware import Inputs
 
 CODES: Final = 256

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Final, Literal, Self, final
 from pydantic import Field
 
 from bus.spec import Positive
-from cell_firmware.effects.stage import CellEffectSpec
+from cell_firmware.effects.base import CellEffectSpec
 
 RADIUS_M: Final = 0.03
 """Of a wheel, where nothing says it."""

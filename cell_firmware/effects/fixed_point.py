@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Final, Self, final
 
 from bus.spec import Positive
-from cell_firmware.effects.stage import CellEffectSpec
+from cell_firmware.effects.base import CellEffectSpec
 
 SPEED_UNIT_M_S: Final = 1e-3
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from bus.chance import Draws
 from bus.lattice import SIDES
-from bus.memory import Remembers
+from bus.random_streams import Draws
 from bus.spec import Spec
-from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
+from bus.state import Remembers
+from cell_firmware.effects.base import CellEffectSpec, Site, Stage
 from cell_firmware.firmware import Inbox, Inputs
 
 LONGEST_TICKS: Final = 1_000

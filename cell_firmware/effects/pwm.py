@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Final, Self, final
 
 from pydantic import Field, model_validator
 
-from cell_firmware.effects.stage import CellEffectSpec
+from cell_firmware.effects.base import CellEffectSpec
 
 TIMER_HZ: Final = 2_000_000
 """Counts a second of the free-running timer: the E clock at 8 MHz."""

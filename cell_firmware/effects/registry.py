@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 from bus.effect import Effects
 from cell_firmware.effects.adc import AdcSpec
-from cell_firmware.effects.clock import ClockSpec
-from cell_firmware.effects.cop import CopSpec
+from cell_firmware.effects.base import CellEffectSpec, Site, Stage
+from cell_firmware.effects.clock.spec import ClockSpec
+from cell_firmware.effects.cop.spec import CopSpec
 from cell_firmware.effects.encoder import EncoderSpec
 from cell_firmware.effects.fixed_point import FixedPointSpec
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.pwm import PwmSpec
 from cell_firmware.effects.sensor import SensorSpec
-from cell_firmware.effects.serial import SerialSpec
-from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
+from cell_firmware.effects.serial.spec import SerialSpec
 from cell_firmware.specs import CellsSpec
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from bus.chance import Draws
-from bus.memory import Remembers
-from cell_firmware.effects.stage import CellEffectSpec, Site, Stage
+from bus.random_streams import Draws
+from bus.state import Remembers
+from cell_firmware.effects.base import CellEffectSpec, Site, Stage
 from cell_firmware.firmware import Inputs
 
 Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]

@@ -8,8 +8,9 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.estimation import group, pattern
-from cell_firmware.estimation.leading import FIELDS, SHOWN, UNKNOWN, EstimatorParameters, Leader, followed
+from cell_firmware.estimation import election as group
+from cell_firmware.estimation import occupancy as pattern
+from cell_firmware.estimation.leader import FIELDS, SHOWN, UNKNOWN, EstimatorParameters, Leader, followed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Outbox, State, picked, put
 
 MESSAGE: Final = np.dtype([*group.FIELDS, *pattern.FIELDS, *FIELDS])

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from cell_firmware.estimation.contour import Pose, Sensors, local, total, turned, worst
+from cell_firmware.estimation.footprint_residual import Pose, Sensors, local, total, turned, worst
 from cell_firmware.firmware import Bools, Floats
 
 CORRECTIONS: Final = 4

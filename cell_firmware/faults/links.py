@@ -10,11 +10,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.chance import Draws
 from bus.fault import Injected
 from bus.lattice import SIDES, Lattice
-from cell_firmware.effects.stage import Site, places
-from cell_firmware.faults.fault import CellFault, FaultStage, purpose
+from bus.random_streams import Draws
+from cell_firmware.effects.base import Site, places
+from cell_firmware.faults.base import CellFault, FaultStage, purpose
 from cell_firmware.firmware import Bools, Inbox, Inputs, Messages, solid
 
 Ints = NDArray[np.int64]

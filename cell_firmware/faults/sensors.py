@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bus.chance import Draws
 from bus.fault import CellTarget, Injected, Problem
 from bus.lattice import Lattice
-from cell_firmware.effects.stage import Site, places
-from cell_firmware.faults.fault import CellFault, FaultStage, purpose
+from bus.random_streams import Draws
+from cell_firmware.effects.base import Site, places
+from cell_firmware.faults.base import CellFault, FaultStage, purpose
 from cell_firmware.firmware import Floats, Inputs
 from cell_firmware.specs import CellsSpec
 

@@ -12,9 +12,9 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorParameters
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outputs, State
-from cell_firmware.kit.sighting import Sightings
+from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, Positive, Vector
-from cell_firmware.theory import Theory
+from cell_firmware.toolkit.camera_tracking import Sightings
 
 _AGAIN: Final = 2.0
 """How many times as far off as it may rest a parcel has to be for its cells to start anew."""

@@ -12,12 +12,12 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.faces import total
-from cell_firmware.kit.places import Value, lay, misplaced
-from cell_firmware.kit.recall import Patience
-from cell_firmware.kit.spectra import Links, explicit_cautions, relaxed
+from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, Spec, Vector
-from cell_firmware.theory import Theory
+from cell_firmware.toolkit.graph import Links, explicit_cautions, relaxed
+from cell_firmware.toolkit.hold import Patience
+from cell_firmware.toolkit.regions import Value, lay, misplaced
+from cell_firmware.toolkit.stencil import total
 
 _LONGER: Final = 4
 """So many times the longest silence that a cell has known to end must pass before it takes a neighbour for gone.

@@ -10,11 +10,11 @@ from pydantic import Field
 from bus.lattice import STEPS, Lattice
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.places import Ints, Place, misplaced
-from cell_firmware.kit.reach import steps_to
-from cell_firmware.kit.recall import Patience, last_word, still_counts
+from cell_firmware.program import Theory
 from cell_firmware.specs import Positive, Spec
-from cell_firmware.theory import Theory
+from cell_firmware.toolkit.graph import steps_to
+from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.regions import Ints, Place, misplaced
 
 _AHEAD: Final = np.array([(column, row) for row, column in STEPS], dtype=np.float64)
 """Direction along x and y of each side."""

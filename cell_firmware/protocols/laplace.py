@@ -12,13 +12,12 @@ from pydantic import Field, model_validator
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.faces import across, gradient, total
-from cell_firmware.kit.places import Value, lay, misplaced
-from cell_firmware.kit.reach import steps_to
-from cell_firmware.kit.recall import Patience, last_word, still_counts
-from cell_firmware.kit.spectra import Links, second_order
+from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, NotNegative, Spec
-from cell_firmware.theory import Theory
+from cell_firmware.toolkit.graph import Links, second_order, steps_to
+from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.regions import Value, lay, misplaced
+from cell_firmware.toolkit.stencil import across, gradient, total
 
 
 class LaplaceParameters(Spec):

@@ -11,10 +11,10 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.places import Place, lay, misplaced
-from cell_firmware.kit.reach import leaders, steps_to
+from cell_firmware.program import Theory
 from cell_firmware.specs import Spec, Vector
-from cell_firmware.theory import Theory
+from cell_firmware.toolkit.graph import leaders, steps_to
+from cell_firmware.toolkit.regions import Place, lay, misplaced
 
 Rank = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 

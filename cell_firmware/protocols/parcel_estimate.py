@@ -10,8 +10,8 @@ import numpy as np
 from bus.lattice import Lattice
 from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorParameters
 from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outputs, State
+from cell_firmware.program import Theory
 from cell_firmware.specs import Positive, Vector
-from cell_firmware.theory import Theory
 
 
 class ParcelEstimateParameters(EstimatorParameters):

@@ -12,13 +12,12 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.faces import across, gradient, total
-from cell_firmware.kit.places import Place, lay, misplaced
-from cell_firmware.kit.reach import parts
-from cell_firmware.kit.recall import Patience, last_word, still_counts
-from cell_firmware.kit.spectra import Links, explicit_cautions, relaxed, second_order
+from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, Spec
-from cell_firmware.theory import Theory
+from cell_firmware.toolkit.graph import Links, explicit_cautions, parts, relaxed, second_order
+from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.regions import Place, lay, misplaced
+from cell_firmware.toolkit.stencil import across, gradient, total
 
 
 class Spring(Place):

@@ -13,11 +13,11 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inbox, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.journey import Journey, Leg, Reference, at_all
-from cell_firmware.kit.recall import Patience, last_word, still_counts
-from cell_firmware.kit.rotation import direction
+from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, NotNegative, Positive, Spec, Vector
-from cell_firmware.theory import Theory
+from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.portable_trig import direction
+from cell_firmware.toolkit.trajectory import Journey, Leg, Reference, at_all
 
 Integers = NDArray[np.int64]
 

@@ -10,8 +10,8 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.fields import FieldSpec
 from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.recall import Patience, last_word, still_counts
 from cell_firmware.specs import Spec
+from cell_firmware.toolkit.hold import Patience, last_word, still_counts
 
 
 class WakingFieldParameters(Spec):

@@ -10,9 +10,9 @@ from pydantic import Field
 
 from bus.lattice import Lattice
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.recall import Patience, last_word, still_counts
-from cell_firmware.kit.spread import SpreadParameters, speeds_told, widened
-from cell_firmware.theory import Theory
+from cell_firmware.program import Theory
+from cell_firmware.toolkit.boundary_conditions import SpreadParameters, speeds_told, widened
+from cell_firmware.toolkit.hold import Patience, last_word, still_counts
 
 
 class WaveParameters(SpreadParameters):

@@ -7,11 +7,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from cell_firmware.components import WheelPart
 from cell_firmware.firmware import Cells, Floats, State
-from cell_firmware.parts import WheelPart
-from cell_firmware.speed_loop.pwm import Duties, Pwm
+from cell_firmware.speed_loop.output import Duties, Pwm
 from cell_firmware.speed_loop.scaling import OUTPUT_BITS, Scaling
-from cell_firmware.speed_loop.tachometer import FRACTION_BITS, Integers, IntegerTachometer, nearest
+from cell_firmware.speed_loop.sensing import FRACTION_BITS, Integers, IntegerTachometer, nearest
 
 _HALF = 1 << (OUTPUT_BITS - 1)
 

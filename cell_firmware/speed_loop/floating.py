@@ -7,13 +7,12 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from cell_firmware.components import WheelPart
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Floats, State
-from cell_firmware.parts import WheelPart
 from cell_firmware.specs import SpeedLoopSpec
-from cell_firmware.speed_loop.conditioning import share
-from cell_firmware.speed_loop.pwm import Pwm
-from cell_firmware.speed_loop.tachometer import Tachometer, Travel
+from cell_firmware.speed_loop.output import Pwm, share
+from cell_firmware.speed_loop.sensing import Tachometer, Travel
 
 
 @final

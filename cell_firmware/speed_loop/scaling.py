@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cell_firmware.errors import SettingError
 from cell_firmware.specs import SpeedLoopSpec
-from cell_firmware.speed_loop.conditioning import share
-from cell_firmware.speed_loop.tachometer import FRACTION_BITS, LARGEST_WORD, IntegerTachometer
+from cell_firmware.speed_loop.output import share
+from cell_firmware.speed_loop.sensing import FRACTION_BITS, LARGEST_WORD, IntegerTachometer
 
 OUTPUT_BITS: Final = 12
 """Of an output and of an integral: Q12, 4096ths of a level."""

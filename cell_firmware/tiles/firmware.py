@@ -12,14 +12,11 @@ from pydantic import Field, model_validator
 from bus.lattice import STEPS, Lattice
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.kit.reach import steps_to
-from cell_firmware.kit.recall import Patience, last_word, still_counts
+from cell_firmware.program import Theory
 from cell_firmware.specs import NotNegative, Positive
-from cell_firmware.theory import Theory
-from cell_firmware.tiles import rounds
+from cell_firmware.tiles import heartbeat as rounds
 from cell_firmware.tiles.leader import Around, decide, doubtful, refused
-from cell_firmware.tiles.tiling import TilesSpec, Tiling
-from cell_firmware.tiles.words import (
+from cell_firmware.tiles.messages import (
     MASK_16,
     NEIGHBOURS,
     OPPOSITES,
@@ -34,6 +31,9 @@ from cell_firmware.tiles.words import (
     version,
     word,
 )
+from cell_firmware.tiles.tiling import TilesSpec, Tiling
+from cell_firmware.toolkit.graph import steps_to
+from cell_firmware.toolkit.hold import Patience, last_word, still_counts
 
 Ints = NDArray[np.int64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.firmware import Bools
-from cell_firmware.tiles.words import MASK_16, OPPOSITES, Doing, doing, exit_of, side, ticket, version
+from cell_firmware.tiles.messages import MASK_16, OPPOSITES, Doing, doing, exit_of, side, ticket, version
 
 Ints = NDArray[np.int64]
 

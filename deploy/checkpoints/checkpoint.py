@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any, Final, cast, final
 
-from bus.counts import Counts
 from bus.errors import MemoryRefusedError
-from bus.memory_codec import decode, encode
+from bus.lockstep.counters import Counts
+from bus.state_codec import decode, encode
 from deploy.errors import InputError
 
 MAGIC: Final = b"MDMS checkpoint\n"

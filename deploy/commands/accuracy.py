@@ -17,11 +17,11 @@ from deploy.commands.options import (
     load_scene,
 )
 from deploy.errors import InputError
-from deploy.output_lock import locked_folder
-from deploy.words import say, silent
+from deploy.util.formatting import say, silent
+from deploy.util.output_lock import locked_folder
 
 if TYPE_CHECKING:
-    from deploy.accuracy.report import Report
+    from deploy.studies.accuracy.report import Report
 
 DocsOption = Annotated[
     Path | None,
@@ -98,9 +98,9 @@ def accuracy(
     """
     from dataclasses import replace
 
-    from deploy.accuracy.study import Plan, study
-    from deploy.cautions import tell_cautions
-    from deploy.interruption import Interruption
+    from deploy.runs.setup import tell_cautions
+    from deploy.studies.accuracy.study import Plan, study
+    from deploy.util.signals import Interruption
 
     if target is not None and not 0.0 < target < float("inf"):
         raise InputError(f"--target {target}: must be > 0, metres")
@@ -118,15 +118,15 @@ def accuracy(
         with locked_folder(output, tell) as folder:  # before the work: it would be for nothing
             report = study(found, plan, say=tell, look=interruption.check)
             if folder is not None:
-                from deploy.accuracy.files import write_report
+                from deploy.studies.accuracy.plots import write_report
 
                 write_report(report, folder)
     _tell(report, target, folder, as_json=as_json)
 
 
 def _write_page(scene: str | None, docs: Path, repeats: int | None, say: Callable[[str], None]) -> None:
-    from deploy.accuracy.page import REPEATS, write
-    from deploy.interruption import Interruption
+    from deploy.studies.accuracy.page import REPEATS, write
+    from deploy.util.signals import Interruption
 
     if scene is not None:
         raise InputError(f"--docs {docs}: takes no SCENE: the page has its own")
@@ -136,7 +136,7 @@ def _write_page(scene: str | None, docs: Path, repeats: int | None, say: Callabl
 
 
 def _tell(report: Report, target: float | None, folder: Path | None, *, as_json: bool) -> None:
-    from deploy.accuracy.table import answer, print_report
+    from deploy.studies.accuracy.console import answer, print_report
 
     if as_json:
         print(report.to_json())

@@ -19,11 +19,11 @@ from deploy.commands.options import (
     SetOption,
 )
 from deploy.errors import InputError
-from deploy.words import say, silent
+from deploy.util.formatting import say, silent
 
 if TYPE_CHECKING:
-    from deploy.campaign.asked import Asked
-    from deploy.campaign.report import Report
+    from deploy.studies.campaign.report import Report
+    from deploy.studies.campaign.spec import Asked
 
 _VARIED, _JUDGED = "What is varied", "How runs are judged"
 _VALUES = "FROM:TO:STEP"
@@ -229,8 +229,8 @@ def _texts(options: list[str] | None) -> tuple[str, ...] | None:
 
 
 def _new(given: dict[str, Any], output: Path | None) -> tuple[Asked, str, Path | None]:
-    from deploy.campaign.asked import asked_for
-    from deploy.scene_files import bundled_names, scene_text
+    from deploy.scenes.files import bundled_names, scene_text
+    from deploy.studies.campaign.spec import asked_for
 
     scene = given["scene"]
     if scene is None:
@@ -243,15 +243,15 @@ def _new(given: dict[str, Any], output: Path | None) -> tuple[Asked, str, Path |
 
 
 def _check_new(folder: Path) -> None:
-    from deploy.campaign.asked import FILE_NAME
+    from deploy.studies.campaign.spec import FILE_NAME
 
     if (folder / FILE_NAME).exists():
         raise InputError(f"--output {folder}: holds a campaign already; --resume {folder} goes on with it")
 
 
 def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tuple[Asked, str]:
-    from deploy.campaign.asked import check_same, check_versions, read
-    from deploy.output import versions
+    from deploy.runs.output import versions
+    from deploy.studies.campaign.spec import check_same, check_versions, read
 
     asked, text, before = read(folder)
     check_same(asked, given, folder)
@@ -273,14 +273,14 @@ def _run(
     """Carry out a campaign; its folder is locked until ``locked`` closes."""
     import time
 
-    from deploy.campaign.asked import write
-    from deploy.campaign.campaign import Campaign
-    from deploy.campaign.cases import cases_of
-    from deploy.cautions import cautions_of
-    from deploy.interruption import Interruption
-    from deploy.output import run_name, versions
-    from deploy.output_lock import OutputLock, locked_folder, new_folder
-    from plant.solvers.crew import processors
+    from deploy.runs.output import run_name, versions
+    from deploy.runs.setup import cautions_of
+    from deploy.studies.campaign.cases import cases_of
+    from deploy.studies.campaign.runner import Campaign
+    from deploy.studies.campaign.spec import write
+    from deploy.util.output_lock import OutputLock, locked_folder, new_folder
+    from deploy.util.signals import Interruption
+    from plant.solvers.thread_pool import processors
 
     interruption = Interruption()
     with interruption.watching(last=True):
@@ -302,9 +302,9 @@ def _run(
 
 def _finish(report: Report, *, picture: bool, as_json: bool) -> None:
     """Print and write what a campaign came to, and end the command with the status that goes with it."""
-    from deploy.campaign.picture import FILE_NAME, draw_campaign, why_none
-    from deploy.campaign.table import print_report
     from deploy.commands.outcome import EXIT_STATUS
+    from deploy.studies.campaign.console import print_report
+    from deploy.studies.campaign.plot import FILE_NAME, draw_campaign, why_none
 
     if report.status != "interrupted":
         report.write()

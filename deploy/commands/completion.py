@@ -12,7 +12,7 @@ def scenes(incomplete: str) -> list[tuple[str, str]]:
     """Return bundled scenes that begin so, each with its title."""
     import tomllib
 
-    from deploy.scene_files import bundled_names, scene_text
+    from deploy.scenes.files import bundled_names, scene_text
 
     names = [name for name in bundled_names() if name.startswith(incomplete)]
     return [(name, str(tomllib.loads(scene_text(name)).get("title", ""))) for name in names]
@@ -28,7 +28,7 @@ def fault_kinds(incomplete: str) -> list[tuple[str, str]]:
 def scene_keys(context: typer.Context, incomplete: str) -> list[str]:
     """Return ``KEY=`` of every key of the named scene that begins so; of tables only the next part."""
     from deploy.errors import DeployError
-    from deploy.scene_files import load_scene
+    from deploy.scenes.files import load_scene
 
     # an option that still lacks its value leaves the words before it unread
     words = [context.params.get("scene"), *context.args]

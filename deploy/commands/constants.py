@@ -8,14 +8,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
-from deploy.commands.poses import ParcelOption, check_parcel, numbers
+from deploy.commands.options import (
+    JsonOption,
+    ParcelOption,
+    SceneArgument,
+    SetOption,
+    check_parcel,
+    load_scene,
+    numbers,
+)
 from deploy.errors import InputError
-from deploy.words import point, say, short
+from deploy.util.formatting import point, say, short
 
 if TYPE_CHECKING:
-    from deploy.scene import Scene
-    from plant.constants import ConstantsOfMotion
+    from deploy.scenes.scene import Scene
+    from plant.analysis.constants import ConstantsOfMotion
 
 _POSE = "X,Y,DEGREES"
 AtOption = Annotated[
@@ -46,7 +53,7 @@ def constants(
       [cyan]mdms constants elliptic[/cyan]
       [cyan]mdms constants elliptic --at 0.1,0,30[/cyan]
     """
-    from deploy.cautions import tell_cautions
+    from deploy.runs.setup import tell_cautions
 
     found = load_scene(scene, sets)
     check_parcel(found, parcel)
@@ -77,9 +84,9 @@ def _posed(scene: Scene, parcel: int, at: str) -> Scene:
 
 
 def _constants(scene: Scene, parcel: int) -> ConstantsOfMotion:
-    from deploy.simulate import field_speeds
+    from deploy.runs.field_simulation import field_speeds
+    from plant.analysis.constants import constants_of_motion
     from plant.array import CellArray
-    from plant.constants import constants_of_motion
     from plant.errors import PlantError
 
     speeds = field_speeds(scene, CellArray(scene.array).positions_m)

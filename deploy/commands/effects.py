@@ -20,12 +20,12 @@ from deploy.commands.options import (
     load_scene,
 )
 from deploy.errors import InputError
-from deploy.output_lock import locked_folder
-from deploy.words import say, silent
+from deploy.util.formatting import say, silent
+from deploy.util.output_lock import locked_folder
 
 if TYPE_CHECKING:
-    from deploy.effect_study.ladder import Climbed
-    from deploy.scene import Scene
+    from deploy.scenes.scene import Scene
+    from deploy.studies.effects.ladder import Climbed
 
 OutputOption = Annotated[
     Path | None,
@@ -78,7 +78,7 @@ def effects(
       [cyan]mdms effects prototype --advise --tolerance-mm 1[/cyan]
       [cyan]mdms effects ladder --ladder --output study[/cyan]
     """
-    from deploy.interruption import Interruption
+    from deploy.util.signals import Interruption
 
     if scene is None:
         _list(as_json=as_json)
@@ -89,8 +89,7 @@ def effects(
     tell = silent if quiet else say
     interruption = Interruption()
     with interruption.watching(last=True), interruption.allowed():
-        from deploy.cautions import tell_cautions
-        from deploy.plants import load_plant
+        from deploy.runs.setup import load_plant, tell_cautions
 
         tell_cautions(found, tell)
         load_plant(found, tell)  # whatever the plant refuses in the scene itself is bad input
@@ -103,11 +102,11 @@ def effects(
 
 def _list(*, as_json: bool) -> None:
     if as_json:
-        from deploy.effect_study.report import declared
+        from deploy.studies.effects.report import declared
 
         _print_json({"rows": declared()})
         return
-    from deploy.effect_study.table import print_declared
+    from deploy.studies.effects.report import print_declared
 
     print_declared()
 
@@ -115,9 +114,9 @@ def _list(*, as_json: bool) -> None:
 def _study(
     scene: Scene, repeats: int, tolerance_mm: float | None, tell: Callable[[str], None], *, as_json: bool
 ) -> None:
-    from deploy.effect_study.advice import advise
-    from deploy.effect_study.report import advice_json, row_json
-    from deploy.effect_study.study import Study
+    from deploy.studies.effects.advice import advise
+    from deploy.studies.effects.report import advice_json, row_json
+    from deploy.studies.effects.study import Study
 
     study = Study(scene, repeats, tell)
     rows = study.rows()
@@ -130,7 +129,7 @@ def _study(
         }
         _print_json(found if advice is None else {**found, "advice": advice_json(advice)})
         return
-    from deploy.effect_study.table import print_advice, print_rows
+    from deploy.studies.effects.report import print_advice, print_rows
 
     print_rows(scene, rows)
     if advice is not None:
@@ -140,8 +139,8 @@ def _study(
 def _ladder(
     scene: Scene, repeats: int, folder: Path | None, tell: Callable[[str], None], *, as_json: bool
 ) -> None:
-    from deploy.effect_study.ladder import climb, rungs
-    from deploy.effect_study.report import ladder_json
+    from deploy.studies.effects.ladder import climb, rungs
+    from deploy.studies.effects.report import ladder_json
 
     climbed = climb(rungs(scene), repeats, tell)
     picture = None if folder is None else _draw(scene, climbed, folder)
@@ -155,7 +154,7 @@ def _ladder(
             }
         )
         return
-    from deploy.effect_study.table import print_ladder
+    from deploy.studies.effects.report import print_ladder
 
     print_ladder(scene, climbed)
     if picture:
@@ -163,7 +162,7 @@ def _ladder(
 
 
 def _draw(scene: Scene, climbed: list[Climbed], folder: Path) -> Path:
-    from deploy.effect_study.picture import FILE_NAME, draw_ladder
+    from deploy.studies.effects.plot import FILE_NAME, draw_ladder
 
     picture = folder / FILE_NAME
     draw_ladder(scene, climbed, picture)

@@ -19,8 +19,8 @@ from deploy.commands.options import (
     address_of,
 )
 from deploy.errors import InputError
-from deploy.overrides import Override, apply
-from deploy.words import counted
+from deploy.scenes.overrides import Override, apply
+from deploy.util.formatting import counted
 
 _CELL = re.compile(r"(\d{1,9}),(\d{1,9})")
 _RECTANGLE = re.compile(r"(\d{1,9}),(\d{1,9})-(\d{1,9}),(\d{1,9})")
@@ -89,7 +89,7 @@ def fault(
         raise InputError(f"--timeout {timeout:g}: must be greater than 0")
     requests = _requests(kind, target or [], side, sets or [], for_s)
     connect = address_of(connect, run)
-    from deploy.live.operator import ask_run
+    from deploy.control.client import ask_run
 
     for request in requests:
         answer = ask_run(connect, request, timeout, keys)

@@ -11,10 +11,10 @@ import typer
 from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
 from deploy.commands.run import ProcessesOption, parse_processes
 from deploy.errors import InputError
-from deploy.processes.plan import RunOptions, plan
+from deploy.workers.plan import RunOptions, plan
 
 if TYPE_CHECKING:
-    from deploy.keys.folder import About
+    from deploy.security.manifest import About
 
 _MOST_DAYS = 3650
 _ROLES = 8
@@ -73,7 +73,7 @@ def keys(
     if passwords and host:
         raise InputError("--host: is for certificates; passwords name no host")
     made = plan(load_scene(scene, sets), RunOptions(processes=parse_processes(processes), wire=wire), "RUN")
-    from deploy.keys.making import make
+    from deploy.security.generate import make
 
     kind: Literal["certificate", "password"] = "password" if passwords else "certificate"
     about = make(folder, made.scene, made.cut, kind, hosts=host or (), days=days, force=force)
@@ -90,8 +90,8 @@ def _print(folder: Path, about: About, how: str) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from deploy.keys.folder import ACCESS
-    from deploy.words import counted
+    from deploy.security.manifest import ACCESS
+    from deploy.util.formatting import counted
 
     console = Console(highlight=False)
     cells = sum(map(len, about.roles.values()))

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Final, final
+from typing import Annotated, Any, Final, final, get_type_hints
 
 import typer
 
 from deploy.commands.completion import scene_keys, scenes
 from deploy.errors import InputError
-from deploy.overrides import Override
-from deploy.scene import Scene
-from deploy.scene_files import load_scene as load
+from deploy.scenes.files import load_scene as load
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
 
 HOW: Final = "How it is run"
 """Heads the options of a command that say nothing of what is run."""
@@ -186,6 +191,70 @@ def address_of(connect: str | None, run: Path | None) -> str:
         if run is not None:
             raise InputError("--connect and --run: give one of the two")
         return connect
-    from deploy.live.address import find
+    from deploy.control.client import find
 
     return find(run).connect
+
+
+ParcelOption = Annotated[int, typer.Option("--parcel", metavar="N", help="Which parcel, counted from 0.")]
+
+
+def check_parcel(scene: Scene, parcel: int) -> None:
+    """Refuse a parcel that the scene doesn't have.
+
+    Raises:
+        InputError: It doesn't.
+    """
+    if not 0 <= parcel < len(scene.parcels):
+        has = f"parcels 0..{len(scene.parcels) - 1}" if scene.parcels else "no parcels"
+        raise InputError(f"scene {scene.name}: --parcel {parcel}: the scene has {has}")
+
+
+def numbers(option: str, text: str, form: str) -> list[float]:
+    """The value of an option that is several numbers.
+
+    Args:
+        option: Its name.
+        text: Its value.
+        form: What it should be, such as ``X,Y``: as many numbers as this has parts between commas.
+
+    Raises:
+        InputError: It is something else.
+    """
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != len(form.split(",")) or not all(math.isfinite(number) for number in found):
+        raise InputError(f"{option} {text}: must be {form}, numbers")
+    return found
+
+
+def spread(command: Callable[..., None]) -> Callable[..., None]:
+    """A command as typer reads it: its first parameter, a dataclass of options, as one parameter a field.
+
+    Args:
+        command: Takes an instance of a dataclass with typer's annotations, and options of its own by keyword.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    first, *own = inspect.signature(command).parameters.values()
+    options: type[Any] = hints[first.name]
+    shared = get_type_hints(options, include_extras=True)
+    parameters = [
+        Parameter(
+            field.name,
+            Parameter.KEYWORD_ONLY,
+            default=Parameter.empty if field.default is MISSING else field.default,
+            annotation=shared[field.name],
+        )
+        for field in fields(options)
+    ] + [parameter.replace(annotation=hints[parameter.name]) for parameter in own]
+
+    @functools.wraps(command)
+    def called(**given: Any) -> None:
+        chosen = {field.name: given.pop(field.name) for field in fields(options)}
+        command(options(**chosen), **given)
+
+    called.__signature__ = Signature(parameters)  # pyright: ignore[reportAttributeAccessIssue]
+    called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return called

@@ -9,16 +9,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
-from deploy.commands.poses import ParcelOption, check_parcel, numbers
+from deploy.commands.options import (
+    JsonOption,
+    ParcelOption,
+    SceneArgument,
+    SetOption,
+    check_parcel,
+    load_scene,
+    numbers,
+)
 from deploy.errors import InputError
-from deploy.output_lock import locked_folder
-from deploy.words import say
+from deploy.util.formatting import say
+from deploy.util.output_lock import locked_folder
 
 if TYPE_CHECKING:
-    from deploy.orientations.sizes import SizeMap
-    from deploy.orientations.study import Study
-    from plant.orientations import TorqueProfile
+    from deploy.studies.orientations.study import SizeMap, Study
+    from plant.analysis.orientations import TorqueProfile
     from plant.wheels import Floats
 
 _POINT = "X,Y"
@@ -70,9 +76,9 @@ def orientations(
       [cyan]mdms orientations elliptic --output study[/cyan]
       [cyan]mdms orientations elliptic --sizes 0.3:0.8:60,0.2:0.5:60 --output study[/cyan]
     """
-    from deploy.cautions import tell_cautions
-    from deploy.interruption import Interruption
-    from deploy.orientations.study import study
+    from deploy.runs.setup import tell_cautions
+    from deploy.studies.orientations.study import study
+    from deploy.util.signals import Interruption
 
     found = load_scene(scene, sets)
     check_parcel(found, parcel)
@@ -93,7 +99,7 @@ def _one(asked: Study, folder: Path | None, *, as_json: bool) -> None:
     profile = asked.profile()
     picture = None
     if folder is not None:
-        from deploy.orientations.picture import FILE_NAME, draw_orientations
+        from deploy.studies.orientations.plots import FILE_NAME, draw_orientations
 
         picture = folder / FILE_NAME
         draw_orientations(asked, profile, picture)
@@ -101,7 +107,7 @@ def _one(asked: Study, folder: Path | None, *, as_json: bool) -> None:
         found = {**_head(asked), **_plain(profile), "picture": picture and str(picture)}
         print(json.dumps(found, indent=2, allow_nan=False))
         return
-    from deploy.orientations.table import print_orientations
+    from deploy.studies.orientations.console import print_orientations
 
     print_orientations(asked, profile)
     if picture:
@@ -109,12 +115,12 @@ def _one(asked: Study, folder: Path | None, *, as_json: bool) -> None:
 
 
 def _many(asked: Study, ranges: tuple[Floats, Floats], folder: Path | None, *, as_json: bool) -> None:
-    from deploy.orientations.sizes import size_map
+    from deploy.studies.orientations.study import size_map
 
     sizes = size_map(asked, *ranges)
     picture = None
     if folder is not None:
-        from deploy.orientations.size_map import SIZES_FILE_NAME, draw_sizes
+        from deploy.studies.orientations.plots import SIZES_FILE_NAME, draw_sizes
 
         picture = folder / SIZES_FILE_NAME
         draw_sizes(asked, sizes, picture)
@@ -122,7 +128,7 @@ def _many(asked: Study, ranges: tuple[Floats, Floats], folder: Path | None, *, a
         found = {**_head(asked), "rows": _rows(sizes), "picture": picture and str(picture)}
         print(json.dumps(found, indent=2, allow_nan=False))
         return
-    from deploy.orientations.table import print_sizes
+    from deploy.studies.orientations.console import print_sizes
 
     print_sizes(asked, sizes)
     if picture:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NoReturn
 
 import typer
 
-from deploy.interruption import Interrupted, Interruption
+from deploy.util.signals import Interrupted, Interruption
 
 if TYPE_CHECKING:
-    from deploy.summary import Outcome
+    from deploy.runs.summary import Outcome
 
 EXIT_STATUS = {"ok": 0, "failed": 1, "stalled": 1, "unstable": 3, "interrupted": 130}
 
@@ -49,7 +49,7 @@ def report(outcome: Outcome, *, as_json: bool) -> int:
     else:
         from rich.console import Console
 
-        from deploy.summary_table import print_summary
+        from deploy.runs.summary_table import print_summary
 
         print_summary(summary, Console())
     sys.stdout.flush()

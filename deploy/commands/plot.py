@@ -45,20 +45,20 @@ def plot(recording: RecordingArgument, output: OutputOption = None, kind: KindOp
       [cyan]mdms plot runs/NAME --output figure.pdf[/cyan]
       [cyan]mdms plot runs/NAME --kind protocol --output protocol.svg[/cyan]
     """
-    from deploy.picture import format_of
-    from deploy.recordings.replay import load
+    from deploy.plots.theme import format_of
+    from deploy.recordings.reader import load
 
     if output is not None:
         format_of(output)  # a wrong suffix is refused before a long recording is read
     run = load(recording)
     path = output or run.path.with_name(f"{kind.value}.png")
     if kind is Kind.protocol:
-        from deploy.protocol_report.picture import draw_protocol
-        from deploy.protocol_report.replayed import replayed
+        from deploy.protocol_report.from_recording import replayed
+        from deploy.protocol_report.plot import draw_protocol
 
         draw_protocol(*replayed(run), path)
     else:
-        from deploy.overview.picture import draw_overview
+        from deploy.plots.overview import draw_overview
 
         draw_overview(run, path)
     print(path)

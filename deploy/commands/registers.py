@@ -17,10 +17,10 @@ from deploy.commands.options import (
     address_of,
 )
 from deploy.errors import InputError
-from deploy.words import counted, short
+from deploy.util.formatting import counted, short
 
 if TYPE_CHECKING:
-    from deploy.watching import Cell, Seen
+    from deploy.control.registers import Cell, Seen
 
 _CELL = re.compile(r"(\d{1,9}),(\d{1,9})")
 _SIDE_BY_SIDE = 6
@@ -52,7 +52,7 @@ def registers(
     wanted = [_cell(text) for text in cells or ()]
     if not 0 < timeout < float("inf"):
         raise InputError(f"--timeout {timeout:g}: must be greater than 0")
-    from deploy.watching import look
+    from deploy.control.registers import look
 
     seen = look(address_of(connect, run), wanted, timeout, keys)
     if wanted:
@@ -77,7 +77,7 @@ def _print(seen: Seen) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from deploy.watching import ranges
+    from deploy.control.registers import ranges
 
     console = Console(highlight=False)
     console.print(f"[bold]{seen.run}[/bold]  tick {seen.tick:,}, {counted(len(seen.cells), 'cell')}")

@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from deploy.commands.options import HOW, AskedOfRun
+from deploy.commands.options import HOW, AskedOfRun, spread
 from deploy.commands.outcome import carry_out
-from deploy.commands.spread import spread
 from deploy.errors import InputError
-from deploy.processes.plan import Plan, Processes, RunOptions, plan
-from deploy.words import say, silent
+from deploy.util.formatting import say, silent
+from deploy.workers.plan import Plan, Processes, RunOptions, plan
 
 if TYPE_CHECKING:
     from deploy.checkpoints.checkpoint import Checkpoint
-    from deploy.interruption import Interruption
-    from deploy.output_lock import OutputLock
-    from deploy.scene import Scene
-    from deploy.summary import Outcome
+    from deploy.runs.summary import Outcome
+    from deploy.scenes.scene import Scene
+    from deploy.util.output_lock import OutputLock
+    from deploy.util.signals import Interruption
 
 ProcessesOption = Annotated[
     str | None,
@@ -231,7 +230,7 @@ def run(
             return
 
         def work(interruption: Interruption) -> Outcome:
-            from deploy.run import run as run_scene
+            from deploy.runs.run import run as run_scene
 
             return run_scene(
                 scene, options, quiet=asked.quiet, interruption=interruption, resumed=resumed, lock=lock
@@ -257,7 +256,7 @@ def lock_of(folder: Path, *, quiet: bool) -> OutputLock:
     Raises:
         InputError: There is no such folder, or another process is writing there.
     """
-    from deploy.output_lock import OutputLock
+    from deploy.util.output_lock import OutputLock
 
     if not folder.is_dir():
         raise InputError(f"--resume {folder}: there is no such folder")
@@ -270,7 +269,7 @@ def taken_up(folder: Path, options: RunOptions) -> tuple[Scene, RunOptions, Chec
     Raises:
         InputError: It can't be taken up, or not like this.
     """
-    from deploy.checkpoints.resume import found, options_of, scene_of
+    from deploy.checkpoints.store import found, options_of, scene_of
 
     checkpoint = found(folder)
     return scene_of(checkpoint), replace(options_of(checkpoint, options), output=folder), checkpoint

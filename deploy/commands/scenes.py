@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from deploy.commands.options import JsonOption
-from deploy.scene_files import bundled_names, load_scene, scene_text
+from deploy.scenes.files import bundled_names, load_scene, scene_text
 
 
 def scenes(

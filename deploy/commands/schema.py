@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from deploy.scene_schema import scene_schema
+from deploy.scenes.schema import scene_schema
 
 
 def schema() -> None:

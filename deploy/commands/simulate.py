@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deploy.commands.options import Asked, StepOption
+from deploy.commands.options import Asked, StepOption, spread
 from deploy.commands.outcome import carry_out
-from deploy.commands.spread import spread
 
 if TYPE_CHECKING:
-    from deploy.interruption import Interruption
-    from deploy.summary import Outcome
+    from deploy.runs.summary import Outcome
+    from deploy.util.signals import Interruption
 
 
 @spread
@@ -29,7 +28,7 @@ def simulate(asked: Asked, *, step: StepOption = None) -> None:
     scene = asked.load(step=step)
 
     def work(interruption: Interruption) -> Outcome:
-        from deploy.simulate import simulate as simulate_scene
+        from deploy.runs.field_simulation import simulate as simulate_scene
 
         return simulate_scene(
             scene,

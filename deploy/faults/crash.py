@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.fault import CellTarget, Injected
-from cell_firmware.faults.fault import CellFault, Pause
-from plant.faults.fault import Harm, PlantFault
+from cell_firmware.faults.base import CellFault, Pause
+from plant.faults.base import Harm, PlantFault
 from plant.wheels import LossPolicy
 
 

@@ -7,30 +7,29 @@ from typing import Annotated, get_args
 
 from pydantic import BeforeValidator, Field
 
-from cell_firmware.faults.babble import BabbleFault
-from cell_firmware.faults.hang import HangFault
-from cell_firmware.faults.lie import LieFault
-from cell_firmware.faults.link_bandwidth import LinkBandwidthFault
-from cell_firmware.faults.link_corrupt import LinkCorruptFault
-from cell_firmware.faults.link_delay import LinkDelayFault
-from cell_firmware.faults.link_down import LinkDownFault
-from cell_firmware.faults.link_duplicate import LinkDuplicateFault
-from cell_firmware.faults.link_loss import LinkLossFault
-from cell_firmware.faults.link_reorder import LinkReorderFault
-from cell_firmware.faults.partition import PartitionFault
-from cell_firmware.faults.reboot import RebootFault
-from cell_firmware.faults.sensor_delay import SensorDelayFault
-from cell_firmware.faults.sensor_flip import SensorFlipFault
-from cell_firmware.faults.sensor_stuck import SensorStuckFault
-from cell_firmware.faults.slow_clock import SlowClockFault
-from deploy.faults.add import AddFault
+from cell_firmware.faults.kinds.babble import BabbleFault
+from cell_firmware.faults.kinds.hang import HangFault
+from cell_firmware.faults.kinds.lie import LieFault
+from cell_firmware.faults.kinds.link_bandwidth import LinkBandwidthFault
+from cell_firmware.faults.kinds.link_corrupt import LinkCorruptFault
+from cell_firmware.faults.kinds.link_delay import LinkDelayFault
+from cell_firmware.faults.kinds.link_down import LinkDownFault
+from cell_firmware.faults.kinds.link_duplicate import LinkDuplicateFault
+from cell_firmware.faults.kinds.link_loss import LinkLossFault
+from cell_firmware.faults.kinds.link_reorder import LinkReorderFault
+from cell_firmware.faults.kinds.partition import PartitionFault
+from cell_firmware.faults.kinds.reboot import RebootFault
+from cell_firmware.faults.kinds.sensor_delay import SensorDelayFault
+from cell_firmware.faults.kinds.sensor_flip import SensorFlipFault
+from cell_firmware.faults.kinds.sensor_stuck import SensorStuckFault
+from cell_firmware.faults.kinds.slow_clock import SlowClockFault
 from deploy.faults.crash import CrashFault
-from deploy.faults.remove import RemoveFault
-from plant.faults.wheel_reversed import WheelReversedFault
-from plant.faults.wheel_runaway import WheelRunawayFault
-from plant.faults.wheel_stuck import WheelStuckFault
-from plant.faults.wheel_weak import WheelWeakFault
-from plant.spec import tagged
+from deploy.faults.modules import AddFault, RemoveFault
+from plant.faults.kinds.wheel_reversed import WheelReversedFault
+from plant.faults.kinds.wheel_runaway import WheelRunawayFault
+from plant.faults.kinds.wheel_stuck import WheelStuckFault
+from plant.faults.kinds.wheel_weak import WheelWeakFault
+from plant.tagged import tagged
 
 AnyFault = (
     CrashFault  # the default

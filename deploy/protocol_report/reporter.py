@@ -8,19 +8,25 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.memory import Remembers
-from bus.registers import Shown, Wanted
+from bus.lockstep.registers import Shown, Wanted
+from bus.state import Remembers
 from cell_firmware.errors import FirmwareError
-from deploy.protocol_report.load import link_load
-from deploy.protocol_report.rate import Rate, fitted
-from deploy.protocol_report.report import ProtocolReport, course, disturbances, ratio, told_by, verdict
-from deploy.protocol_report.residuals import CHANGE, Residuals, Snapshots
+from deploy.protocol_report.report import (
+    ProtocolReport,
+    course,
+    disturbances,
+    link_load,
+    ratio,
+    told_by,
+    verdict,
+)
+from deploy.protocol_report.residuals import CHANGE, Rate, Residuals, Snapshots, fitted
 
 if TYPE_CHECKING:
     from bus.lattice import Lattice
     from cell_firmware.firmware import Firmware
-    from cell_firmware.theory import Theory
-    from deploy.scene import Scene
+    from cell_firmware.program import Theory
+    from deploy.scenes.scene import Scene
 
 DRIVE: Final = "drive"
 _PROGRAM: Final = "firmware."

@@ -14,10 +14,80 @@ import numpy as np
 from pydantic import model_validator
 
 from bus.effect import EffectSpec
-from bus.memory import Remembers
-from bus.spec import NotNegative, Positive
-from plant.effects.dc_motor import DcMotorSpec
+from bus.spec import NotNegative, Positive, Spec
+from bus.state import Remembers
 from plant.wheels import Changes, Floats, WheelMotion, WheelRun
+
+
+@final
+class DcMotorSpec(Spec):
+    """A DC motor with gears and a wheel, as its data sheet and a scale have it."""
+
+    gear_ratio: Positive = 1.0
+    """Turns of the rotor to one of the wheel."""
+    rotor_inertia_kg_m2: Positive
+    wheel_inertia_kg_m2: NotNegative = 0.0
+    """Of the wheel and what turns with it, about its shaft."""
+    wheel_radius_m: Positive
+    damping_n_m_s: NotNegative = 0.0
+    """Viscous torque at the rotor per rad/s."""
+    resistance_ohm: Positive
+    torque_constant_n_m_per_a: Positive
+    """At the rotor; as many V s/rad."""
+    coulomb_torque_n_m: NotNegative = 0.0
+    """Dry friction at the wheel's shaft while it turns, ..."""
+    static_torque_n_m: NotNegative | None = None
+    """... and what it takes to start it; None: the same."""
+
+    @model_validator(mode="after")
+    def _starts_no_easier(self) -> Self:
+        if self.static_torque_n_m is not None and self.static_torque_n_m < self.coulomb_torque_n_m:
+            raise ValueError(
+                f"static_torque_n_m = {self.static_torque_n_m:g}: must be at least coulomb_torque_n_m, "
+                f"{self.coulomb_torque_n_m:g}"
+            )
+        return self
+
+    @property
+    def inertia_kg(self) -> float:
+        """``m``: of rotor, gears and wheel, as the surface feels it."""
+        geared = self.rotor_inertia_kg_m2 * self.gear_ratio**2
+        return (geared + self.wheel_inertia_kg_m2) / self.wheel_radius_m**2
+
+    @property
+    def stall_force_n_per_v(self) -> float:
+        """``f0`` per volt: what a wheel that stands gives at its surface, eq. 25."""
+        per_ampere = self.torque_constant_n_m_per_a * self.gear_ratio / self.wheel_radius_m
+        return per_ampere / self.resistance_ohm
+
+    @property
+    def damping_n_s_per_m(self) -> float:
+        """``b``: how much less a wheel gives per m/s of surface speed, eq. 26 without a speed controller."""
+        leverage = self.gear_ratio / self.wheel_radius_m
+        per_ampere = self.torque_constant_n_m_per_a * leverage
+        return self.damping_n_m_s * leverage**2 + per_ampere**2 / self.resistance_ohm
+
+    @property
+    def time_constant_s(self) -> float:
+        """``m / b``."""
+        return self.inertia_kg / self.damping_n_s_per_m
+
+    @property
+    def speed_per_volt_m_s(self) -> float:
+        """``f0 / b``: surface speed per volt without load."""
+        return self.stall_force_n_per_v / self.damping_n_s_per_m
+
+    @property
+    def coulomb_v(self) -> float:
+        """Voltage that dry friction takes from a turning wheel."""
+        return self.coulomb_torque_n_m / self.wheel_radius_m / self.stall_force_n_per_v
+
+    @property
+    def static_v(self) -> float:
+        """Voltage beyond which a wheel that stands starts."""
+        torque = self.coulomb_torque_n_m if self.static_torque_n_m is None else self.static_torque_n_m
+        return torque / self.wheel_radius_m / self.stall_force_n_per_v
+
 
 STILL_M_S = 1e-15
 """A wheel slower than this stands: where it stopped, rounding leaves less."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from bus.effect import Effects
-from plant.effects.analogue_sensors import AnalogueSensorsSpec
-from plant.effects.camera import CameraSpec
+from plant.effects.analogue_sensors.spec import AnalogueSensorsSpec
+from plant.effects.camera.spec import CameraSpec
 from plant.effects.contact_width import ContactWidthSpec
-from plant.effects.feeders import FeedersSpec
+from plant.effects.feeders.spec import FeedersSpec
 from plant.effects.motors import MotorsSpec
-from plant.effects.parcel_contact import ParcelContactSpec
+from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
-from plant.effects.scanners import ScannersSpec
+from plant.effects.scanners.spec import ScannersSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 from plant.effects.wheel_load import WheelLoadSpec
 

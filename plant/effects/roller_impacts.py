@@ -14,8 +14,8 @@ from typing import Annotated, ClassVar, Self, final
 
 from pydantic import Field
 
-from bus.chance import generator
 from bus.effect import EffectSpec
+from bus.random_streams import generator
 from bus.spec import Positive
 from plant.wheels import Floats
 

@@ -14,9 +14,9 @@ from typing import Annotated, ClassVar, Self, final
 import numpy as np
 from pydantic import Field, field_validator
 
-from bus.chance import generator
 from bus.effect import EffectSpec
 from bus.lattice import Lattice
+from bus.random_streams import generator
 from bus.spec import CellName, Finite, NotNegative, Positive, Spec
 from plant.wheels import Floats
 

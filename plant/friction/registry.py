@@ -11,7 +11,7 @@ from plant.friction.coulomb_sliding import CoulombSliding
 from plant.friction.rolling import Rolling
 from plant.friction.stick_slip import StickSlip
 from plant.friction.viscous import Viscous
-from plant.spec import tagged
+from plant.tagged import tagged
 
 FrictionSpec = Annotated[
     Annotated[

@@ -10,22 +10,72 @@ limit of their traction, ``capture`` for chatter.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.memory import Remembers
+from bus.state import Remembers
 from plant.array import CellArray
 from plant.friction.law import Traction
-from plant.kernels import layout
-from plant.kernels.outing import Hand, Way
+from plant.kernels.common import layout
+from plant.kernels.exact.segments import Hand, Way
+from plant.parcel_spec import ParcelSpec
+from plant.solver_api import Advance, Outing
 from plant.solver_specs import ExactSpec
-from plant.solvers.legged import LeggedSolver
-from plant.solvers.threaded import Desk, Errand
-from plant.specs import ParcelSpec
-from plant.wheels import Floats
+from plant.solvers.compiled import WORTH_WAKING, Desk, Errand, ThreadedSolver
+from plant.wheels import Changes, Floats, WheelMotion
+
+WorkT = TypeVar("WorkT")
+
+LEGS = 8
+"""About how many legs a parcel has then: threads are worth waking for as many fewer parcels."""
+
+
+class LeggedSolver(ThreadedSolver[WorkT]):
+    """A ``plant.solver_api.LegSolver`` but for one block of parcels."""
+
+    @abstractmethod
+    def _legs_block(
+        self, desk: Desk[WorkT], block: NDArray[np.int64], errand: Errand, way: Way, hand: Hand
+    ) -> tuple[int, int]:
+        """Move the parcels of a block through their legs; see ``_advance_block``."""
+
+    def advance_legs(self, indices: NDArray[np.int64], outing: Outing) -> list[Advance]:
+        """Move some parcels, each through its own legs; see ``plant.solver_api.LegSolver``."""
+        motion, changes = outing.run.motion, outing.run.changes
+        if changes is None:
+            none = np.zeros((0, len(self._array), 2))
+            changes = Changes(none, none, none)
+        way = Way(*changes, outing.reads_s, outing.margin_m, self._array.sensors_m, outing.presence)
+        surface = self._surface(motion, outing.grip)
+        errand = Errand(surface, outing.span_s, np.zeros(0), np.zeros((0, len(self.parcels), 6)))
+
+        def move(thread: int, share: slice) -> list[Advance]:
+            desk, hand = self.desk(thread), _hand(motion, changes)
+            return self._move(
+                desk, indices[share], lambda block: self._legs_block(desk, block, errand, way, hand)
+            )
+
+        shares = self.crew.share(len(indices), move, WORTH_WAKING // LEGS)
+        return [news for share in shares for news in share]
+
+
+def _hand(motion: WheelMotion, changes: Changes) -> Hand:
+    """Scratch for one share of the parcels; what isn't written is never touched."""
+    n = len(motion.steady)
+    return Hand(
+        steady=motion.steady.copy(),
+        decay=motion.decay.copy(),
+        when=np.empty(changes.after_s.size),
+        which=np.empty(changes.after_s.size, dtype=np.int64),
+        times=np.empty(n),
+        cells=np.empty(n, dtype=np.int64),
+        poses=np.empty((n, 1, 6)),
+    )
+
 
 EVENTS_PER_SECOND = 4_000
 """Changes of one parcel's supports in a simulated second beyond which its motion counts as unstable, ..."""
@@ -101,7 +151,7 @@ def make_work(cells: int, capacity: int) -> Work:
 
 @final
 class Exact(LeggedSolver[Work]):
-    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver``.
+    """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver``.
 
     Args:
         array: the surface.
@@ -123,8 +173,8 @@ class Exact(LeggedSolver[Work]):
         rate: float,
         spec: ExactSpec,
     ) -> None:
-        from plant.kernels import entry  # compiles or loads: only where a plant is really built
-        from plant.kernels.block import ALLOWANCE_SIZE, LEFT, PER_SECOND, STEPS_LEFT, STEPS_PER_SECOND
+        from plant.kernels.exact import entry  # compiles or loads: only where a plant is really built
+        from plant.kernels.exact.block import ALLOWANCE_SIZE, LEFT, PER_SECOND, STEPS_LEFT, STEPS_PER_SECOND
 
         super().__init__(array, parcels, rate)
         self._entry: Any = entry
@@ -177,7 +227,7 @@ class Exact(LeggedSolver[Work]):
 
 
 def _set_law(par: Floats, traction: Traction, mass_kg: float, gravity_m_s2: float) -> None:
-    """The law per kilogram of one parcel, as ``plant.kernels.layout`` has it, and how long its errors in velocity last.
+    """The law per kilogram of one parcel, as the layout has it, and how long its errors in velocity last.
 
     Args:
         par: the parcel's constants.

@@ -41,7 +41,7 @@ class FixedWork(NamedTuple):
 
 @final
 class FixedStep(SteppedSolver[FixedWork]):
-    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for any law.
+    """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for any law.
 
     A set-valued law is taken for the function that is 0 at no slip.
 
@@ -53,7 +53,9 @@ class FixedStep(SteppedSolver[FixedWork]):
     """
 
     def __init__(self, scene: PlantSpec, spec: FixedStepSpec, array: CellArray, rate: float) -> None:
-        from plant.kernels import fixed_entry  # compiles or loads: only where a plant is really built
+        from plant.kernels.fixed import (
+            entry as fixed_entry,  # compiles or loads: only where a plant is really built
+        )
 
         super().__init__(scene, array, rate, fixed_entry, step_s=spec.step_s)
         self._tableau = TABLEAUS[spec.method]

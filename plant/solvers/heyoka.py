@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from bus.memory import Remembers
+from bus.state import Remembers
 from plant.errors import PlantError
-from plant.kernels import layout
+from plant.kernels.common import layout
 from plant.loads import NO_LOAD, ON_LINE
+from plant.solver_api import Leg
 from plant.solver_specs import HeyokaSpec
-from plant.solvers.restarted import EndedError, Moving, Reached, RestartedSolver
-from plant.solvers.solver import Leg
+from plant.solvers.restarting import EndedError, Moving, Reached, RestartedSolver
 
 if TYPE_CHECKING:
     from plant.array import CellArray
-    from plant.solvers.restarted import Cells
+    from plant.solvers.restarting import Cells
     from plant.specs import PlantSpec
     from plant.wheels import Floats, WheelMotion
 
@@ -40,7 +40,7 @@ MARGIN = 0.5
 
 @final
 class Heyoka(RestartedSolver):
-    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for linear laws.
+    """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for linear laws.
 
     Args:
         scene: the scene's physics; its law is linear in the slip.

@@ -13,16 +13,16 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.memory import Remembers
+from bus.state import Remembers
 from plant.array import CellArray
 from plant.friction.law import Traction
-from plant.kernels import implicit_layout, layout
-from plant.kernels.parcels import Parcel
+from plant.kernels.common import implicit_layout, layout
+from plant.kernels.common.parcels import Parcel
+from plant.solver_api import Advance, Leg
 from plant.solver_specs import ImplicitSpec, QuasiStaticSpec
-from plant.solvers.slowing import Handed, Slowing, load_wheels, make_slowing
-from plant.solvers.solver import Advance, Leg
+from plant.solvers.compiled import Desk, Errand, ThreadedSolver
 from plant.solvers.springs import make_edges, make_rollers, make_springs
-from plant.solvers.threaded import Desk, Errand, ThreadedSolver
+from plant.solvers.wheel_load import Handed, Slowing, load_wheels, make_slowing
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -87,7 +87,7 @@ def make_work(cells: int, capacity: int) -> Work:
 
 
 def coefficients(traction: Traction, mass_kg: float, gravity_m_s2: float) -> Floats:
-    """A law per kilogram of one parcel, loads as shares of its weight; see ``plant.kernels.implicit_layout``."""
+    """A law per kilogram of one parcel, loads as shares of its weight; see ``plant.kernels.common.implicit_layout``."""
     law = np.zeros(implicit_layout.LAW_SIZE)
     law[implicit_layout.STIFFNESS] = traction.stiffness / mass_kg
     law[implicit_layout.STIFFNESS_PER_SHARE] = traction.stiffness_per_load * gravity_m_s2
@@ -106,7 +106,7 @@ def steps_per_s(spec: ImplicitSpec | QuasiStaticSpec) -> float:
 
 
 def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
-    """Settings and memory of one parcel's steps; see ``plant.kernels.implicit_layout``."""
+    """Settings and memory of one parcel's steps; see ``plant.kernels.common.implicit_layout``."""
     pace = np.zeros(implicit_layout.PACE_SIZE)
     pace[implicit_layout.GYRATION] = parcel.par[layout.MASS_OVER_INERTIA] ** -0.5
     pace[implicit_layout.FIXED] = spec.step_s or 0.0
@@ -118,7 +118,7 @@ def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
 
 @final
 class Implicit(ThreadedSolver[Work]):
-    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for any law.
+    """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for any law.
 
     Args:
         scene: the scene's physics.
@@ -132,7 +132,9 @@ class Implicit(ThreadedSolver[Work]):
     )
 
     def __init__(self, scene: PlantSpec, spec: ImplicitSpec, array: CellArray, rate: float) -> None:
-        from plant.kernels import implicit_entry  # compiles or loads: only where a plant is really built
+        from plant.kernels.implicit import (
+            entry as implicit_entry,  # compiles or loads: only where a plant is really built
+        )
 
         super().__init__(array, scene.parcels, rate)
         self._entry: Any = implicit_entry
@@ -156,7 +158,7 @@ class Implicit(ThreadedSolver[Work]):
         return work._replace(slowing=make_slowing(cells, self.capacity)) if self._loaded else work
 
     def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
-        """Move some parcels; see ``plant.solvers.solver.Solver``."""
+        """Move some parcels; see ``plant.solver_api.Solver``."""
         news = super().advance(indices, leg)
         self._handed.give(leg.motion.slowing)
         return news

@@ -18,7 +18,7 @@ from plant.specs import PlantSpec
 
 @final
 class QuasiStatic(SteppedSolver[Work]):
-    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for laws with a balance.
+    """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for laws with a balance.
 
     Velocities that parcels are given at the start are replaced.
 
@@ -30,7 +30,9 @@ class QuasiStatic(SteppedSolver[Work]):
     """
 
     def __init__(self, scene: PlantSpec, spec: QuasiStaticSpec, array: CellArray, rate: float) -> None:
-        from plant.kernels import quasi_entry  # compiles or loads: only where a plant is really built
+        from plant.kernels.quasi import (
+            entry as quasi_entry,  # compiles or loads: only where a plant is really built
+        )
 
         super().__init__(
             scene,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from plant.array import CellArray
-from plant.kernels import cache
+from plant.kernels.common import cache
+from plant.solver_api import Solver
 from plant.solver_specs import (
     ExactSpec,
     FixedStepSpec,
@@ -19,7 +20,6 @@ from plant.solvers.heyoka import Heyoka
 from plant.solvers.implicit import Implicit
 from plant.solvers.quasi_static import QuasiStatic
 from plant.solvers.scipy import SciPy
-from plant.solvers.solver import Solver
 from plant.specs import PlantSpec
 
 _KERNELS = {

@@ -14,23 +14,23 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from plant.errors import PlantError
-from plant.kernels import layout
+from plant.kernels.common import layout
 from plant.loads import NO_LOAD, ON_LINE
+from plant.solver_api import Leg, SolverEvent
 from plant.solver_specs import SciPySpec
-from plant.solvers.restarted import EndedError, Moving, Reached, RestartedSolver
-from plant.solvers.solver import Leg, SolverEvent
+from plant.solvers.restarting import EndedError, Moving, Reached, RestartedSolver
 
 if TYPE_CHECKING:
     from plant.array import CellArray
     from plant.loads import Supports
-    from plant.solvers.restarted import Cells
+    from plant.solvers.restarting import Cells
     from plant.specs import PlantSpec
     from plant.wheels import Floats, WheelMotion
 
 
 @final
 class SciPy(RestartedSolver):
-    """Advances parcels that don't touch, each by itself; a ``plant.solvers.solver.Solver`` for laws without a jump.
+    """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for laws without a jump.
 
     Args:
         scene: the scene's physics; its law is not set-valued.

@@ -9,7 +9,7 @@ import numpy as np
 from plant.array import CellArray
 from plant.effects.roller_impacts import starts
 from plant.effects.uneven_supports import supports
-from plant.kernels.surface import AllEdges, AllRollers, AllSprings
+from plant.kernels.common.surface import AllEdges, AllRollers, AllSprings
 from plant.specs import PlantSpec
 
 
@@ -25,7 +25,7 @@ def make_springs(scene: PlantSpec, array: CellArray) -> AllSprings | None:
     uneven = scene.effects.uneven_supports
     if uneven is None:
         return None
-    import_module("plant.kernels.uneven_springs")
+    import_module("plant.kernels.effects.uneven_springs")
     drawn = supports(uneven, array.lattice, scene.seed)
     weight = scene.gravity_m_s2 * np.array([parcel.mass_kg for parcel in scene.parcels])
     per_m = drawn.stiffness_n_per_m / weight
@@ -50,7 +50,7 @@ def make_edges(scene: PlantSpec, capacity: int) -> AllEdges | None:
     wide = scene.effects.contact_width
     if wide is None:
         return None
-    import_module("plant.kernels.wheel_edges")
+    import_module("plant.kernels.effects.wheel_edges")
     return AllEdges(wide.width_m, np.zeros((len(scene.parcels), capacity)))
 
 
@@ -66,7 +66,7 @@ def make_rollers(scene: PlantSpec, array: CellArray) -> AllRollers | None:
     rollers = scene.effects.roller_impacts
     if rollers is None:
         return None
-    import_module("plant.kernels.roller_impacts")
+    import_module("plant.kernels.effects.roller_impacts")
     cells = len(array)
     return AllRollers(
         spacing_m=rollers.spacing_m,

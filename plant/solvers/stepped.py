@@ -7,12 +7,12 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.memory import Remembers
+from bus.state import Remembers
 from plant.array import CellArray
-from plant.kernels import implicit_layout, layout
+from plant.kernels.common import implicit_layout, layout
+from plant.solvers.compiled import Desk, Errand, ThreadedSolver
 from plant.solvers.implicit import FIRST_STEP_S, UNBOUNDED, coefficients
 from plant.solvers.springs import make_edges, make_springs
-from plant.solvers.threaded import Desk, Errand, ThreadedSolver
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -20,13 +20,13 @@ Work = TypeVar("Work")
 
 
 class SteppedSolver(ThreadedSolver[Work]):
-    """A ``plant.solvers.solver.Solver`` but for its kernel and its threads' scratch.
+    """A ``plant.solver_api.Solver`` but for its kernel and its threads' scratch.
 
     Args:
         scene: the scene's physics.
         array: the surface.
         rate: of the motors, 1/s; 0 without.
-        entry: the kernel's module; ``entry.advance_block`` is called as ``plant.kernels.implicit_block``'s is.
+        entry: the kernel's module; ``entry.advance_block`` is called as ``plant.kernels.implicit.block``'s is.
         step_s: length of a step; 0 where the tolerance tells it.
         tolerance: m at the footprint; 0 where steps are of one length.
         steps_per_s: that a parcel may take in a simulated second.

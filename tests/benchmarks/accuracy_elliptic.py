@@ -12,9 +12,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from deploy.accuracy.report import Row
-from deploy.accuracy.study import Plan, study
-from deploy.scene_files import load_scene
+from deploy.scenes.files import load_scene
+from deploy.studies.accuracy.report import Row
+from deploy.studies.accuracy.study import Plan, study
 
 FINE_M, COARSE_M = 1e-10, 1e-4
 METHOD = """\

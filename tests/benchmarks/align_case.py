@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.chance import generator
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.readings import Picture
-from cell_firmware.assembly import assemble
+from bus.random_streams import generator
+from bus.sensors import Picture
+from cell_firmware.build import assemble
 from cell_firmware.clocks import ArrayClocks
 from cell_firmware.controller import Controller
+from cell_firmware.effects.base import Site
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
-from deploy.cell_times import CellTimes
-from plant.camera import Camera
-from plant.effects.camera import CameraSpec
+from deploy.runs.setup import CellTimes
+from plant.effects.camera.camera import Camera
+from plant.effects.camera.spec import CameraSpec
 from plant.plant import Plant
 from plant.specs import PlantSpec
 

@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.assembly import Motors, assemble
-from cell_firmware.boards import BOARDS
+from cell_firmware.board_presets import BOARDS
+from cell_firmware.build import Motors, assemble
+from cell_firmware.effects.base import Site
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard

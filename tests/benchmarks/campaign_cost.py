@@ -15,14 +15,14 @@ from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from deploy.campaign.cases import with_seed
-from deploy.campaign.pool import Pool
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from plant.solvers.crew import processors
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.studies.campaign.cases import with_seed
+from deploy.studies.campaign.pool import Pool
+from deploy.workers.plan import RunOptions
+from plant.solvers.thread_pool import processors
 
 METHOD = """\
 Method. The scene noisy (196 cells), {duration:g} s simulated, {runs} seeds; the median of {turns} turns, in each of

@@ -14,7 +14,7 @@ from scipy.stats import bootstrap
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from deploy.campaign.statistics import mean_of
+from deploy.studies.campaign.report import mean_of
 
 SAMPLES = 1000
 METHOD = """\

@@ -13,13 +13,12 @@ from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from deploy.checkpoints.resume import found, options_of, scene_of
-from deploy.checkpoints.store import FILE_NAME, Store
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
+from deploy.checkpoints.store import FILE_NAME, Store, found, options_of, scene_of
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import RunOptions
 
 SIZES = ((3, 6, 6_000), (25, 40, 2_000), (100, 100, 800))
 """Rows, columns, ticks."""

@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 from detection_cell import KEY, Cell
 
-from bus.transport import Alive, Endpoint
+from bus.transports.base import Alive, Endpoint
 from bus.transports.zenoh import open_hub
-from deploy.processes.launch import Crew
+from deploy.workers.pool import Crew
 
 _PRELOAD = ("zenoh", "bus.transports.zenoh")
 _QUANTILES = (0.5, 0.9, 0.99, 1.0)

@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from dop853 import Events, Functions, integrate
 
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.simulate import field_speeds
+from deploy.runs.field_simulation import field_speeds
+from deploy.scenes.files import load_scene
+from deploy.scenes.scene import Scene
 from plant.plant import Plant
 
 Floats = NDArray[np.float64]

@@ -26,10 +26,10 @@ from dop853 import Functions
 from exact_against_scipy import TOLERANCE, ExactSide, Problem, several
 from heyoka_events import HeyokaSide
 
-from plant.kernels import layout
-from plant.kernels.advance import advance
-from plant.kernels.series import taylor
-from plant.kernels.surface import Surface
+from plant.kernels.common import layout
+from plant.kernels.common.advance import advance
+from plant.kernels.common.series import taylor
+from plant.kernels.common.surface import Surface
 from plant.plant import Plant
 
 TICK_S = 0.004096

@@ -20,10 +20,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from bus.fault import FaultSpec, Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.assembly import CellFaults, assemble
+from cell_firmware.build import CellFaults, assemble
+from cell_firmware.effects.base import Site
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
-from cell_firmware.faults.fault import CellFault
+from cell_firmware.faults.base import CellFault
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import FAULTS, Shard

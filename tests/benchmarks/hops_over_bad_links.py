@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bus.chance import generator
 from bus.lattice import Lattice
 from bus.partition import Partition
+from bus.random_streams import generator
 from cell_firmware.board import Board
-from cell_firmware.clocked import Clocked
 from cell_firmware.controller import Controller
+from cell_firmware.effects.base import Site
+from cell_firmware.effects.clock.mailbox import Mailbox
+from cell_firmware.effects.clock.wrapper import Clocked
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
-from cell_firmware.kit.reach import steps_to
 from cell_firmware.loader import load
-from cell_firmware.mailbox import Mailbox
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
+from cell_firmware.toolkit.graph import steps_to
 
 SIDE, LIMIT, BEFORE, AFTER = 12, 145, 100, 400
 LINKS: dict[str, dict[str, Any]] = {

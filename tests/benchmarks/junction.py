@@ -15,15 +15,15 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bus.chance import generator
 from bus.partition import Partition
+from bus.random_streams import generator
 from cell_firmware.board import Board
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
-from deploy.overrides import Override
-from deploy.plants import load_plant
-from deploy.scene_files import load_scene
+from deploy.runs.setup import load_plant
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
 
 FEEDERS = 4
 METHOD = """\

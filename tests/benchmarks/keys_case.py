@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deploy.keys.folder import Kind
-from deploy.keys.making import make
-from deploy.processes.plan import Processes, RunOptions, plan
-from deploy.scene_files import load_scene
+from deploy.scenes.files import load_scene
+from deploy.security.generate import make
+from deploy.security.manifest import Kind
+from deploy.workers.plan import Processes, RunOptions, plan
 from tests.system.small import small_scene
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -113,7 +113,7 @@ def flood(kind: str, endpoint: str, keys: Path, seconds: float) -> None:
     import zenoh
 
     from bus.transports.zenoh import client_config
-    from deploy.keys.keyring import identity_of
+    from deploy.security.keyring import identity_of
 
     session = cast("Any", zenoh).open(
         client_config(endpoint, timeout_s=20.0, identity=identity_of(keys / "cells-0", "cells-0"))

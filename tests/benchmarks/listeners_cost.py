@@ -20,9 +20,9 @@ os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
 from lockstep import CASES, Lockstep, Tally, take_turn
 from lockstep_case import RUN, Case
 
-from bus.keys import message_kinds
 from bus.transports.zenoh import Mirror, open_outside
-from deploy.keys.access import open_gate
+from bus.wire.keys import message_kinds
+from deploy.security.policy import open_gate
 
 ROOT = Path(__file__).resolve().parents[2]
 METHOD = """\

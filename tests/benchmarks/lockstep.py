@@ -26,9 +26,9 @@ from lockstep_bare import Bare
 from lockstep_case import MESSAGE, RUN, SENSORS, Case, Side, start_workers
 
 from bus.lockstep import Host
-from bus.readings import Readings
+from bus.sensors import Readings
 from bus.transports.zenoh import open_hub
-from bus.wire import Control, SenseFrame
+from bus.wire.frames import Control, SenseFrame
 
 CASES = (
     Case("18 cells, 1 worker, packed", 3, 6, 1, "packed", 1000, 1 / 2.5),

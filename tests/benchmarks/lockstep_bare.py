@@ -10,9 +10,9 @@ import zenoh
 from lockstep_case import SENSORS, Case, Side, start_workers
 from zenoh import handlers
 
-from bus.forms import FORMS
 from bus.transports.zenoh import open_hub
-from bus.wire import SenseFrame
+from bus.wire.formats import FORMS
+from bus.wire.frames import SenseFrame
 
 CAPACITY = 4096
 

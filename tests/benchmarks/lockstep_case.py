@@ -10,11 +10,11 @@ from multiprocessing.process import BaseProcess
 
 import numpy as np
 
-from bus.forms import FormName
-from bus.forms.form import Wiring
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.readings import Readings
+from bus.sensors import Readings
+from bus.wire.format import Wiring
+from bus.wire.formats import FormName
 
 MESSAGE = np.dtype([("u", "<f8")])
 RUN = "benchmark"

@@ -10,11 +10,11 @@ from lockstep_bare import CAPACITY, bare_publisher
 from lockstep_case import MESSAGE, RUN, SENSORS, Case
 from zenoh import handlers
 
-from bus.forms import FORMS
 from bus.lockstep import Member
-from bus.readings import Readings
+from bus.sensors import Readings
 from bus.transports.zenoh import open_client
-from bus.wire import Control, DriveFrame, LinkFrame
+from bus.wire.formats import FORMS
+from bus.wire.frames import Control, DriveFrame, LinkFrame
 
 
 def bare_worker(case: Case, shard: int, locator: str) -> float:

@@ -22,9 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from plant.friction.viscous import Viscous
 from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.plant import Plant
+from plant.solver_api import Leg
 from plant.solver_specs import ExactSpec
-from plant.solvers.solver import Leg
-from plant.solvers.threaded import ThreadedSolver
+from plant.solvers.compiled import ThreadedSolver
 from plant.specs import PlantSpec
 from plant.wheels import WheelMotion
 

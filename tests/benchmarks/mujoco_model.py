@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.scene import Scene
-from deploy.simulate import field_speeds
+from deploy.runs.field_simulation import field_speeds
+from deploy.scenes.scene import Scene
 from plant.array import CellArray
 
 Floats = NDArray[np.float64]

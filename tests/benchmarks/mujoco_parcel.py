@@ -24,12 +24,12 @@ from mujoco_model import CONTACTS, COULOMB, MU, SAMPLE_S, Contact, run, speeds_o
 from mujoco_picture import draw
 from mujoco_tables import cells_table, held_table, loads_table, viscous_table
 
-from deploy.accuracy.evidence.runs import Run, apart_m, scene_with
-from deploy.accuracy.evidence.runs import run as run_ours
-from deploy.accuracy.evidence.section import error, milliseconds, power, table
-from deploy.accuracy.page import facts
-from deploy.picture import write_picture
-from deploy.scene import Scene
+from deploy.plots.theme import write_picture
+from deploy.scenes.scene import Scene
+from deploy.studies.accuracy.experiments.markdown import error, milliseconds, power, table
+from deploy.studies.accuracy.experiments.runs import Run, apart_m, scene_with
+from deploy.studies.accuracy.experiments.runs import run as run_ours
+from deploy.studies.accuracy.page import facts
 
 Floats = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from deploy.accuracy.evidence.drawing import panels
-from deploy.overview.scenery import INK, colour
+from deploy.plots.map_view import INK, colour
+from deploy.studies.accuracy.experiments.markdown import panels
 
 
 def draw(rows: Sequence[Any]) -> Figure:

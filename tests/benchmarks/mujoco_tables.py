@@ -7,11 +7,11 @@ import statistics
 import numpy as np
 from mujoco_model import CONTACTS, COULOMB, MU, SAMPLE_S, Contact, run, speeds_of
 
-from deploy.accuracy.evidence.runs import Run, apart_m, scene_with
-from deploy.accuracy.evidence.runs import run as run_ours
-from deploy.accuracy.evidence.section import error, milliseconds, table
+from deploy.studies.accuracy.experiments.markdown import error, milliseconds, table
+from deploy.studies.accuracy.experiments.runs import Run, apart_m, scene_with
+from deploy.studies.accuracy.experiments.runs import run as run_ours
+from plant.analysis.constants import constants_of_motion
 from plant.array import CellArray
-from plant.constants import constants_of_motion
 from plant.plant import Plant
 
 

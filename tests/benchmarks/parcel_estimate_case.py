@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.assembly import assemble
+from cell_firmware.build import assemble
 from cell_firmware.clocks import ArrayClocks
+from cell_firmware.effects.base import Site
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
-from deploy.cell_times import CellTimes
+from deploy.runs.setup import CellTimes
 from plant.loads import find_supports
 from plant.plant import Plant
 from plant.specs import PlantSpec

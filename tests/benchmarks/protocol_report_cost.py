@@ -14,11 +14,11 @@ from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import RunOptions
 
 SIZES = ((3, 6), (10, 20), (25, 40), (100, 100))
 SHORT = 20

@@ -21,18 +21,18 @@ from bus.fault import Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.clocked import Clocked
 from cell_firmware.controller import Controller
+from cell_firmware.effects.base import Site
+from cell_firmware.effects.clock.mailbox import Mailbox
+from cell_firmware.effects.clock.wrapper import Clocked
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
-from cell_firmware.faults.fault import CellFault
-from cell_firmware.faults.link_loss import LinkLossFault
+from cell_firmware.faults.base import CellFault
+from cell_firmware.faults.kinds.link_loss import LinkLossFault
 from cell_firmware.firmware import Cells, Firmware
-from cell_firmware.kit.faces import across, gradient
 from cell_firmware.loader import load
-from cell_firmware.mailbox import Mailbox
 from cell_firmware.shard import FAULTS, Shard
 from cell_firmware.specs import CellsSpec
+from cell_firmware.toolkit.stencil import across, gradient
 
 Floats = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from deploy.scene_files import load_scene
-from deploy.simulate import field_speeds
+from deploy.runs.field_simulation import field_speeds
+from deploy.scenes.files import load_scene
 from plant.plant import Plant
 from plant.specs import PlantSpec
 

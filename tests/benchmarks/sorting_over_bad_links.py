@@ -15,7 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bus.chance import generator
+from bus.random_streams import generator
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.protocols.route import Route
 from tests.cell_firmware.protocols.tile_world import World

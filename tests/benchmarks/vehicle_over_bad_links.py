@@ -19,19 +19,19 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.clocked import Clocked
+from cell_firmware.effects.base import Site
+from cell_firmware.effects.clock.mailbox import Mailbox
+from cell_firmware.effects.clock.wrapper import Clocked
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
-from cell_firmware.mailbox import Mailbox
 from cell_firmware.protocols.virtual_vehicle import ARRIVED, CARRIES
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
-from deploy.cell_times import CellTimes
+from deploy.runs.setup import CellTimes
 from plant.plant import Plant
+from plant.sampling import Timing
 from plant.specs import PlantSpec
-from plant.timing import Timing
 
 ROWS, COLUMNS, PERIOD_S, DURATION_S = 9, 13, 0.016384, 12.0
 START, END, ANGLE = (-0.35, -0.05), (0.25, -0.05), 1.5707963267948966

@@ -14,9 +14,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from cell_firmware.assembly import Motors
+from cell_firmware.build import Motors
+from cell_firmware.components import WheelPart
 from cell_firmware.effects.pwm import TIMER_HZ
-from cell_firmware.parts import WheelPart
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop
 from tests.cell_firmware.speed_loop.wheels import (

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus.forms import FormName
 from bus.lattice import Lattice
 from bus.lockstep import Gathered, Host, Loss, Member
+from bus.lockstep.registers import Wanted
 from bus.partition import Partition
-from bus.readings import Picture, Readings
-from bus.registers import Wanted
-from bus.specs import StallSpec
-from bus.transport import Alive, Endpoint, Event, Haste, Publisher, Received
+from bus.sensors import Picture, Readings
+from bus.spec import StallSpec
+from bus.transports.base import Alive, Endpoint, Event, Haste, Publisher, Received
 from bus.transports.memory import MemoryBus
 from bus.transports.zenoh import open_client, open_hub
-from bus.wire import Control, DriveFrame, LinkFrame, SenseFrame
+from bus.wire.formats import FormName
+from bus.wire.frames import Control, DriveFrame, LinkFrame, SenseFrame
 
 MESSAGE = np.dtype([("u", "<f8"), ("hops", "<u2")])
 SENSORS = 2

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from bus.errors import BarrierError, HostLostError, WokenError
-from bus.forms import FormName
 from bus.partition import Partition
+from bus.wire.formats import FormName
 from tests.bus.support import (
     MESSAGE,
     FakeClock,

@@ -12,9 +12,9 @@ import pytest
 from bus.errors import HostLostError
 from bus.lockstep import Host, Member
 from bus.partition import Partition
-from bus.specs import StallSpec
+from bus.spec import StallSpec
 from bus.transports.zenoh import open_client, open_hub
-from bus.wire import DriveFrame, SenseFrame
+from bus.wire.frames import DriveFrame, SenseFrame
 from tests.bus.cut_link import CutLink
 from tests.bus.support import PRESENCE, SENSORS, gathered, grid
 

@@ -9,7 +9,7 @@ import pytest
 from bus.errors import HostLostError, WokenError
 from bus.lockstep import Member
 from bus.partition import Partition
-from bus.readings import Readings
+from bus.sensors import Readings
 from tests.bus.support import (
     SENSORS,
     FakeClock,

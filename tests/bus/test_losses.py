@@ -9,11 +9,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from bus.forms import FormName
 from bus.lockstep import Gathered, Loss
 from bus.partition import Partition
-from bus.specs import StallSpec
-from bus.wire import Control, decode_control
+from bus.spec import StallSpec
+from bus.wire.formats import FormName
+from bus.wire.frames import Control, decode_control
 from tests.bus.support import (
     EVERYTHING,
     MESSAGE,

@@ -11,7 +11,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 WATCH = """
 import json, os, sys
-from bus.transports.zenoh.refusals import Watch
+from bus.transports.zenoh.access_log import Watch
 watch = Watch()
 watch.names = [{}.get, {"ab12": "cells-0"}.get]
 os.write(1, sys.stdin.buffer.read())

@@ -15,10 +15,10 @@ import pytest
 from bus.errors import HostLostError
 from bus.lockstep import Host, Member
 from bus.partition import Partition
-from bus.transport import Received
+from bus.transports.base import Received
 from bus.transports.zenoh import open_client
-from bus.transports.zenoh.opening import _free_port
-from bus.wire import SenseFrame
+from bus.transports.zenoh.endpoint import _free_port
+from bus.wire.frames import SenseFrame
 from tests.bus.support import PRESENCE, SENSORS, gathered, grid
 
 _ROUTER = """

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import msgpack
 import numpy as np
 
-from bus.counts import Counts
 from bus.errors import WireError
-from bus.forms import FormName
+from bus.lockstep.counters import Counts
 from bus.partition import Partition
-from bus.transport import Publisher
-from bus.wire import TALLY_LIMIT, DriveFrame
+from bus.transports.base import Publisher
+from bus.wire.formats import FormName
+from bus.wire.frames import TALLY_LIMIT, DriveFrame
 from tests.bus.support import (
     MESSAGE,
     Network,

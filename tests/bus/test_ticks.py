@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from bus.errors import BusError, RunNameError
-from bus.forms import FormName
-from bus.keys import shard_key
 from bus.lockstep import Gathered, Host, Member
 from bus.partition import Partition
-from bus.readings import Picture, Readings
-from bus.wire import Control, DriveFrame, LinkFrame
+from bus.sensors import Picture, Readings
+from bus.wire.formats import FormName
+from bus.wire.frames import Control, DriveFrame, LinkFrame
+from bus.wire.keys import shard_key
 from tests.bus.support import (
     EVERYTHING,
     MESSAGE,

@@ -1,4 +1,4 @@
-"""Every transport keeps the promises of ``bus.transport.Endpoint``."""
+"""Every transport keeps the promises of ``bus.transports.base.Endpoint``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 import pytest
 
 from bus.errors import TransportError
-from bus.transport import Alive, Received, Woken
+from bus.transports.base import Alive, Received, Woken
 from tests.bus.support import Network, drain, payloads, settle, tokens
 
 

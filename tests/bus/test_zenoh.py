@@ -19,10 +19,10 @@ import zenoh
 from bus.errors import TransportError
 from bus.lockstep import Loss
 from bus.partition import Partition
-from bus.specs import StallSpec
-from bus.transport import Alive, Event, Received
+from bus.spec import StallSpec
+from bus.transports.base import Alive, Event, Received
 from bus.transports.zenoh import client_config, hub_config, open_client, open_hub
-from bus.transports.zenoh.channel import drain as drain_channels
+from bus.transports.zenoh.receive import drain as drain_channels
 from tests.bus.support import Network, System, drain, grid, payloads, settle, tokens
 
 ROOT = str(Path(__file__).resolve().parents[2])
@@ -108,7 +108,7 @@ def test_a_killed_process_loses_its_token_at_once_and_a_stopped_one_with_its_lea
 def test_a_payload_that_is_too_large_is_dropped_as_it_comes_in_and_the_next_arrives(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("bus.transports.zenoh.config.LARGEST", 1_000_000)
+    monkeypatch.setattr("bus.transports.zenoh.session.LARGEST", 1_000_000)
     hub = open_hub()
     stranger = open_client(hub.locator)
     try:

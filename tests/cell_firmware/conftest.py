@@ -15,22 +15,22 @@ from bus.fault import Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.clocked import Clocked
 from cell_firmware.clocks import ArrayClocks
+from cell_firmware.components import LinkPart
 from cell_firmware.controller import Controller
+from cell_firmware.effects.base import Site
+from cell_firmware.effects.clock.mailbox import Mailbox
+from cell_firmware.effects.clock.wrapper import Clocked
+from cell_firmware.effects.cop.wrapper import Watchdog
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
+from cell_firmware.effects.serial.lines import SerialLines
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.faults.fault import CellFault
-from cell_firmware.faults.joining import joined
+from cell_firmware.faults.attach import joined
+from cell_firmware.faults.base import CellFault
 from cell_firmware.firmware import Cells, Firmware
-from cell_firmware.mailbox import Mailbox
-from cell_firmware.parts import LinkPart
-from cell_firmware.serial.lines import SerialLines
 from cell_firmware.shard import FAULTS, Links, Shard, ShardOutputs
 from cell_firmware.specs import nanoseconds
 from cell_firmware.speed_loop import SpeedLoop
-from cell_firmware.watchdog import Watchdog
 
 PERIOD_S = 0.004096
 PITCH_M = 0.1

@@ -15,9 +15,9 @@ from bus.errors import HostLostError, WireError, WokenError
 from bus.lattice import Lattice
 from bus.lockstep import Host, Loss, Member
 from bus.partition import Partition
-from bus.readings import Readings
+from bus.sensors import Readings
 from bus.transports.memory import MemoryBus, MemoryEndpoint
-from bus.wire import Control, SenseFrame
+from bus.wire.frames import Control, SenseFrame
 from cell_firmware import agent
 from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell

@@ -14,7 +14,7 @@ from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware import controller
 from cell_firmware.board import Board
-from cell_firmware.boards import BOARDS
+from cell_firmware.board_presets import BOARDS
 from cell_firmware.clocks import ArrayClocks
 from cell_firmware.controller import ControllerState, Instant, frozen
 from cell_firmware.effects.registry import CellEffects
@@ -74,8 +74,8 @@ def test_kept_rows_are_as_before_whichever_arrays_a_step_hands_back() -> None:
 
 
 def drives(effects: dict[str, Any], ticks: int) -> tuple[bytes, dict[str, NDArray[Any]]]:
-    from cell_firmware.assembly import Motors, assemble
-    from cell_firmware.effects.stage import Site
+    from cell_firmware.build import Motors, assemble
+    from cell_firmware.effects.base import Site
     from cell_firmware.loader import load
 
     asked = CellEffects.model_validate(effects)

@@ -7,9 +7,9 @@ import pytest
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.assembly import assemble
+from cell_firmware.build import assemble
+from cell_firmware.effects.base import Site
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 from cell_firmware.shard import Shard

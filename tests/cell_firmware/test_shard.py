@@ -11,12 +11,12 @@ from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
-from cell_firmware.effects.clock import ClockSpec
+from cell_firmware.effects.base import Site
+from cell_firmware.effects.clock.spec import ClockSpec
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.sensor import SensorSpec
-from cell_firmware.effects.stage import Site
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from deploy.recordings.format import Header
-from deploy.recordings.recorder import Recorder
+from deploy.recordings.writer import Recorder
 
 PERIOD_NS = 4_096_000
 

@@ -11,10 +11,9 @@ from typing import Any
 import pytest
 
 from bus.errors import TransportError
+from deploy.control.client import FILE_NAME, Address, ask_run, find
+from deploy.control.requests import RequestError
 from deploy.errors import DeployError, InputError
-from deploy.live.address import FILE_NAME, Address, find
-from deploy.live.operator import ask_run
-from deploy.live.request import RequestError
 
 HERE = Address("one", "tcp/127.0.0.1:7447", os.getpid())
 NOBODY = 2**22 + 1
@@ -66,8 +65,8 @@ class Plant:
 
     def __init__(self, answer: bytes | Exception, monkeypatch: pytest.MonkeyPatch) -> None:
         self.answer, self.left, self.asked = answer, False, list[Any]()
-        monkeypatch.setattr("deploy.live.operator.operator_session", self._session)
-        monkeypatch.setattr("bus.transports.zenoh.questions.ask", self._ask)
+        monkeypatch.setattr("deploy.control.client.operator_session", self._session)
+        monkeypatch.setattr("bus.transports.zenoh.requests.ask", self._ask)
 
     def _session(self, *_: object) -> Any:
         return SimpleNamespace(close=lambda: setattr(self, "left", True))

@@ -11,9 +11,10 @@ import pytest
 
 from bus.errors import TransportError
 from cell_firmware.errors import FirmwareError, FirmwareFailed
-from deploy import cli, command_line
+from deploy import cli
+from deploy.commands import application as command_line
 from deploy.errors import DeployError, InputError
-from deploy.scene_files import bundled_names
+from deploy.scenes.files import bundled_names
 from plant.errors import PlantError
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from deploy.cli import main
-from deploy.effect_study.variants import effect_types
+from deploy.studies.effects.ablation import effect_types
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 from plant.plant import Plant
@@ -26,7 +26,7 @@ def effects(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, An
 def only(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     """As if no other effects were there to toggle."""
     kinds = {name: kind for name, kind in effect_types().items() if name in names}
-    monkeypatch.setattr("deploy.effect_study.study.effect_types", lambda: kinds)
+    monkeypatch.setattr("deploy.studies.effects.study.effect_types", lambda: kinds)
 
 
 def test_without_a_scene_all_effects_are_listed_with_what_they_add(

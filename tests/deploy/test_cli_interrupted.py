@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli, command_line
+from deploy import cli
+from deploy.commands import application as command_line
 
 ROOT = Path(__file__).parents[2]
 SIGNALS = [signal.SIGINT, signal.SIGTERM]

@@ -10,14 +10,14 @@ from typing import Any, cast
 import pytest
 
 from bus.fault import FaultSpec, Injected
-from bus.wire import Control
-from cell_firmware.faults.reboot import RebootFault
+from bus.wire.frames import Control
+from cell_firmware.faults.kinds.reboot import RebootFault
+from deploy.control.protocol import told
+from deploy.control.requests import RequestError
+from deploy.control.server import Console
 from deploy.faults.crash import CrashFault
-from deploy.live.console import Console
-from deploy.live.request import RequestError
-from deploy.live.told import told
-from deploy.overrides import Override
-from deploy.scene_files import load_scene
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
 
 TICK_S = 0.004096
 SCENE = load_scene("motors")

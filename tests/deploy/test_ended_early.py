@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from deploy.commands.outcome import EXIT_STATUS
-from deploy.interruption import Interruption
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.simulate import simulate
+from deploy.recordings.reader import load
+from deploy.runs.field_simulation import simulate
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.util.signals import Interruption
+from deploy.workers.plan import RunOptions
 from plant import stop
 
 SOON_S = 0.5

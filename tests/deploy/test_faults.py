@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 
 from bus.fault import Injected
-from cell_firmware.faults.fault import Pause
-from cell_firmware.faults.reboot import RebootFault
+from cell_firmware.faults.base import Pause
+from cell_firmware.faults.kinds.reboot import RebootFault
 from deploy.errors import InputError
-from deploy.faults.add import AddFault
 from deploy.faults.crash import CrashFault
-from deploy.faults.module import AbsentModules
-from deploy.faults.remove import RemoveFault
-from deploy.faults.schedule import (
+from deploy.faults.modules import AbsentModules, AddFault, RemoveFault
+from deploy.scenes.fault_schedule import (
     active,
     deaths,
     injected,
@@ -28,10 +26,10 @@ from deploy.faults.schedule import (
     of_plant,
     rests,
 )
-from deploy.overrides import Override
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from plant.faults.fault import Harm
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from plant.faults.base import Harm
 
 
 def _scene(*crashes: tuple[float, tuple[int, int]]) -> Scene:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from bus.fault import Injected
-from cell_firmware.faults.reboot import RebootFault
+from cell_firmware.faults.kinds.reboot import RebootFault
 from deploy.faults.crash import CrashFault
-from deploy.faults.telling import lines, lost_for_good, marks, out_of_array, turned
+from deploy.faults.records import lines, lost_for_good, marks, out_of_array, turned
 
 
 def fault(kind: str, phase: str, time_s: float, *cells: tuple[int, int], number: int = 0) -> dict[str, Any]:

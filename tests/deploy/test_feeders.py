@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.simulate import simulate
-from deploy.summary import Summary
+from deploy.recordings.reader import load
+from deploy.runs.field_simulation import simulate
+from deploy.runs.run import run
+from deploy.runs.summary import Summary
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import RunOptions
 
 SHORT = (
     "duration_s=2",

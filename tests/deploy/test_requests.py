@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from deploy.live.request import RequestError, read_request
+from deploy.control.requests import RequestError, read_request
 
 
 def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_counted() -> None:

@@ -7,9 +7,9 @@ from math import pi
 import numpy as np
 import pytest
 
-from deploy.overrides import Override
-from deploy.scene_files import load_scene
-from deploy.simulate import field_speeds
+from deploy.runs.field_simulation import field_speeds
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
 from plant.array import CellArray
 from plant.plant import Plant
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from deploy.commands.options import load_scene
 from deploy.errors import InputError
-from deploy.overrides import Override, apply
-from deploy.scene_errors import SceneError
-from deploy.scene_files import scene_text
+from deploy.scenes.errors import SceneError
+from deploy.scenes.files import scene_text
+from deploy.scenes.overrides import Override, apply
 
 
 def overridden(*texts: str) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from typing import Any, cast
 
 import pytest
 
+from deploy.control.replay import script_of
 from deploy.errors import InputError
-from deploy.live.script import script_of
-from deploy.scene_files import load_scene
+from deploy.scenes.files import load_scene
 
 SCENE = load_scene("prototype")
 FAULT = {"number": 1, "fault": {"kind": "crash", "cell": [1, 1]}, "first": 5, "end": None}

@@ -12,11 +12,11 @@ import pytest
 from bus.errors import WireError
 from bus.fault import Injected
 from bus.lattice import NEVER
-from bus.wire import Control
-from cell_firmware.faults.hang import HangFault
-from deploy.live.told import carry_out, heard, read, told
-from deploy.scene_files import load_scene
-from plant.faults.wheel_stuck import WheelStuckFault
+from bus.wire.frames import Control
+from cell_firmware.faults.kinds.hang import HangFault
+from deploy.control.protocol import carry_out, heard, read, told
+from deploy.scenes.files import load_scene
+from plant.faults.kinds.wheel_stuck import WheelStuckFault
 
 SCENE = load_scene("prototype")
 HANG = Injected(3, HangFault(cell=(1, 1)), np.array([SCENE.lattice().index((1, 1))]), 5, 9, live=True)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from deploy.errors import InputError
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.run import run
-from deploy.scene_files import load_scene
-from deploy.summary import Summary
+from deploy.runs.run import run
+from deploy.runs.summary import Summary
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.workers.plan import RunOptions
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ def main(name: str, seconds: int, seed: int, folder: Path) -> None:
     import atheris  # pyright: ignore[reportMissingImports]
 
     # What is imported here is watched by atheris; what follows finds it there.
-    with atheris.instrument_imports(include=["bus", "deploy.live"]):
+    with atheris.instrument_imports(include=["bus", "deploy.control"]):
         from bus.errors import WireError
         from tests.fuzz.targets import targets
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from deploy.errors import InputError
 from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, REGISTERS, TICK, Header
-from deploy.recordings.mcap_file import McapFile
-from deploy.recordings.recorder import Recorder
-from deploy.recordings.replay import Recording, load
+from deploy.recordings.mcap import McapFile
+from deploy.recordings.reader import Recording, load
+from deploy.recordings.writer import Recorder
 from tests.fuzz.mutator import JSON, MESSAGEPACK, Mutator
 
 CELLS = [[row, column] for row in range(2) for column in range(3)]
@@ -75,7 +75,7 @@ class SpoiltMessages:
     """
 
     def __init__(self, folder: Path, purpose: str) -> None:
-        from deploy.recordings.mcap_scan import Message, scan
+        from deploy.recordings.mcap_reader import Message, scan
 
         self._path = folder / "spoilt.mcap"
         good = folder / "recording.mcap"

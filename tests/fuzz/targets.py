@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from bus.codec import TICK_LIMIT
 from bus.errors import WireError
-from bus.forms import FormName
-from bus.forms.form import Senses
-from bus.keeping import Kept, decode_kept, encode_kept
 from bus.lattice import NEVER
+from bus.lockstep.registers import NAMES_LIMIT, RegisterFrame, decode_registers, encode_registers, shown
+from bus.lockstep.snapshots import Kept, decode_kept, encode_kept
 from bus.partition import Partition
-from bus.readings import Readings
-from bus.registers import NAMES_LIMIT, RegisterFrame, decode_registers, encode_registers, shown
-from bus.wire import (
+from bus.sensors import Readings
+from bus.wire.format import Senses
+from bus.wire.formats import FormName
+from bus.wire.frames import (
     TALLY_LIMIT,
     TEXT_LIMIT,
     Control,
@@ -28,9 +27,10 @@ from bus.wire import (
     encode_control,
     encode_report,
 )
-from deploy.live.request import InjectRequest, ListRequest, RepairRequest, RequestError, read_request
-from deploy.live.told import read
-from deploy.scene_files import load_scene
+from bus.wire.msgpack_codec import TICK_LIMIT
+from deploy.control.protocol import read
+from deploy.control.requests import InjectRequest, ListRequest, RepairRequest, RequestError, read_request
+from deploy.scenes.files import load_scene
 from tests.bus.support import EVERYTHING, FORMS, PRESENCE, Network, System, grid
 from tests.fuzz.mutator import JSON, MESSAGEPACK, Form
 

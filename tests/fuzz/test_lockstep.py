@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from bus.errors import HostLostError, WireError
-from bus.forms import FormName
+from bus.lockstep.registers import RegisterFrame, Wanted, decode_registers, encode_registers
 from bus.partition import Partition
-from bus.registers import RegisterFrame, Wanted, decode_registers, encode_registers
-from bus.transport import Endpoint, Received
-from bus.wire import Control, Report, decode_control, decode_report, encode_control, encode_report
+from bus.transports.base import Endpoint, Received
+from bus.wire.formats import FormName
+from bus.wire.frames import Control, Report, decode_control, decode_report, encode_control, encode_report
 from tests.bus.support import EVERYTHING, MESSAGE, FakeClock, Network, System, both_forms, gathered, grid
 from tests.fuzz.mutator import MESSAGEPACK, Mutator
 

@@ -11,11 +11,11 @@ from plant.effects.motors import MotorsSpec
 from plant.effects.registry import PlantEffects
 from plant.friction.registry import FrictionSpec
 from plant.friction.viscous import Viscous
-from plant.kernels import layout
+from plant.kernels.common import layout
 from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.plant import Plant
 from plant.solver_specs import ExactSpec
-from plant.solvers.restarted import RestartedSolver
+from plant.solvers.restarting import RestartedSolver
 from plant.specs import PlantSpec
 from tests.plant.reference import Bench
 

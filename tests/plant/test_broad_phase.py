@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from plant.broad_phase import close_boxes, close_pairs
+from plant.geometry import close_boxes, close_pairs
 
 COORDINATE = st.sampled_from([-1.0, -0.5, 0.0, 0.25, 0.5, 1.0, 3.0])
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numba import njit
 
-from plant.kernels import capture, events, layout
-from plant.kernels.roots import NONE
-from plant.kernels.surface import Surface
+from plant.kernels.common import capture, events, layout
+from plant.kernels.common.roots import NONE
+from plant.kernels.common.surface import Surface
 from plant.plant import Plant
 from tests.plant.scenes import cells_of, parcel, spec
 

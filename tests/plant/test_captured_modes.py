@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import root
 
-from plant.kernels import layout
+from plant.kernels.common import layout
 from plant.plant import Plant
 from tests.plant.reference import Bench
 from tests.plant.scenes import SECOND, Floats, bench, elliptic, members, parcel, spec

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,10 +17,10 @@ EFFECTS = ("loaded_wheels", "roller_impacts", "uneven_springs", "wheel_edges")
 """The kernel modules that belong to effects."""
 
 SOLVERS = {
-    "exact": "block",
-    "implicit": "implicit_block",
-    "fixed_step": "fixed_block",
-    "quasi_static": "quasi_block",
+    "exact": "exact.block",
+    "implicit": "implicit.block",
+    "fixed_step": "fixed.block",
+    "quasi_static": "quasi.block",
 }
 """The module of the kernel that each compiled solver calls."""
 
@@ -30,7 +31,7 @@ COMPILE = """
 import hashlib, importlib, json, re, sys
 solvers = dict(one.split("=") for one in sys.argv[1].split(","))
 for effect in sys.argv[2:]:
-    importlib.import_module(f"plant.kernels.{effect}")
+    importlib.import_module(f"plant.kernels.effects.{effect}")
 from numba import njit, typeof
 from tests.plant.scenes import parcel, solved
 
@@ -93,22 +94,35 @@ def test_kernels_without_effects_are_the_same_whether_or_not_effects_exist() -> 
 def test_every_kernel_module_of_an_effect_is_looked_at() -> None:
     """Those that answer for surfaces with something of their own."""
     answering = {
-        path.stem for path in (ROOT / "plant" / "kernels").glob("*.py") if "own=True" in path.read_text()
+        path.stem for path in (ROOT / "plant" / "kernels").rglob("*.py") if "own=True" in path.read_text()
     }
     assert answering == set(EFFECTS)
 
 
-OF_FAULTS = ("plant.faults.active", "plant.faults.wheels")
+OF_FAULTS = ("plant.faults.schedule", "plant.faults.faulty_wheels")
 """The modules that only faults need."""
+
+PLANT = ROOT / "plant"
+SPECS = {"spec"}
+"""What a scene is checked by, whether or not it has the effect."""
+
+
+def _modules(folder: Path, but: set[str]) -> Iterator[str]:
+    for path in sorted(folder.rglob("[!_]*.py")):
+        if path.stem not in but:
+            yield ".".join(path.relative_to(ROOT).with_suffix("").parts)
+
 
 OF_EFFECTS = (
     *OF_FAULTS,
-    "plant.spots",
-    "plant.traffic",
-    *(f"plant.contact.{path.stem}" for path in (ROOT / "plant" / "contact").glob("[!_]*.py")),
-    *(f"plant.kernels.{name}" for name in ("contact_entry", "contact_layout", "impact", "impulses")),
-    *(f"plant.kernels.{name}" for name in ("spots", "spots_entry")),
-    *(f"plant.kernels.{name}" for name in ("meetings", "polygons", "pressing", "touch", *EFFECTS)),
+    *(
+        name
+        for folder in (PLANT / "effects").iterdir()
+        if folder.is_dir()
+        for name in _modules(folder, SPECS)
+    ),
+    *_modules(PLANT / "kernels" / "effects", set()),
+    *_modules(PLANT / "kernels" / "contact", set()),
 )
 """The modules that only effects need, or faults."""
 

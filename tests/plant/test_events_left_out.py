@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.kernels.parcels import LOG_CAPACITY
+from plant.kernels.common.parcels import LOG_CAPACITY
+from plant.observations import Event
 from plant.plant import Plant
-from plant.reports import Event
-from plant.timing import Timing
+from plant.sampling import Timing
 from tests.plant.scenes import SECOND, parcel, solved
 
 PITCH_M = 0.02
@@ -61,7 +61,7 @@ def test_events_of_a_call_in_legs_are_counted_though_each_leg_has_room_for_its_o
 
 
 def test_the_number_is_remembered() -> None:
-    from bus.memory import recall, remember
+    from bus.state import recall, remember
 
     plant, again = _plant("exact"), _plant("exact")
     _gone(plant, 1)

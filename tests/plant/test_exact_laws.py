@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from plant.effects.motors import MotorsSpec
 from plant.friction.registry import FrictionSpec
 from plant.friction.stick_slip import StickSlip
-from plant.kernels import layout
-from plant.kernels.parcels import Parcel
+from plant.kernels.common import layout
+from plant.kernels.common.parcels import Parcel
 from plant.plant import Plant
 from plant.specs import PlantSpec
 from tests.plant.laws import FREE, MOTORS, MU, ROLLING, SLIDING, STICK_SLIP, B

@@ -11,15 +11,15 @@ import pytest
 from pydantic import TypeAdapter
 
 from plant import stop
-from plant.effects.parcel_contact import ParcelContactSpec
+from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.effects.registry import PlantEffects
 from plant.errors import PlantStopped, PlantUnstable
 from plant.plant import Plant
 from plant.solver_specs import SolverSpec
 from plant.specs import PlantSpec
 from plant.stiffness import beyond_steps, fastest
-from tests.plant.contact.benches import box, still
-from tests.plant.contact.benches import plant as touching
+from tests.plant.effects.parcel_contact.benches import box, still
+from tests.plant.effects.parcel_contact.benches import plant as touching
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, elliptic, parcel, spec
 
 SOLVERS = ["exact", "implicit", "quasi_static", "fixed_step", "scipy", "heyoka"]

@@ -14,10 +14,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from plant.kernels import cache
+from plant.kernels.common import cache
 from tests.plant.scenes import TICK_NS, study
 
-KERNELS = Path(cache.__file__).parent
+KERNELS = Path(cache.__file__).parents[1]
 ROOT = KERNELS.parents[1]
 
 
@@ -31,7 +31,7 @@ def copied(tmp_path: Path) -> Path:
 
 def _module(folder: Path) -> ModuleType:
     """The cache module of a copy, afresh."""
-    located = importlib.util.spec_from_file_location("kernel_cache_copy", folder / "cache.py")
+    located = importlib.util.spec_from_file_location("kernel_cache_copy", folder / "common" / "cache.py")
     assert located is not None
     assert located.loader is not None
     module = importlib.util.module_from_spec(located)
@@ -43,7 +43,9 @@ def test_the_key_stays_while_nothing_changes(copied: Path) -> None:
     assert _module(copied).key() == _module(copied).key()
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in KERNELS.glob("*.py")))
+@pytest.mark.parametrize(
+    "name", sorted(path.relative_to(KERNELS).as_posix() for path in KERNELS.rglob("*.py"))
+)
 def test_a_change_of_any_kernel_file_changes_the_key(copied: Path, name: str) -> None:
     before = _module(copied).key()
     path = copied / name
@@ -51,7 +53,7 @@ def test_a_change_of_any_kernel_file_changes_the_key(copied: Path, name: str) ->
     path.write_text(text + "\n# a change\n")
     assert _module(copied).key() != before
     path.write_text(text)
-    if name != "block.py":  # the file that holds the cached function counts with its time
+    if name != "exact/block.py":  # the file that holds the cached function counts with its time
         assert _module(copied).key() == before
 
 
@@ -100,13 +102,13 @@ def _fresh(code: str, **environment: str) -> dict[str, object]:
 
 SECOND_PROCESS = """
 import json
-from plant.kernels import cache
+from plant.kernels.common import cache
 warm = cache.is_warm()
 import numpy as np
 from tests.plant.scenes import TICK_NS, study
 plant = study()
 sense, _ = plant.advance(np.zeros((400, 2)), TICK_NS)
-from plant.kernels import entry
+from plant.kernels.exact import entry
 print(json.dumps({
     "warm": warm,
     "hits": [sum(kernel.stats.cache_hits.values()) for kernel in (entry.advance_block, entry.cover)],
@@ -139,7 +141,7 @@ def test_a_second_process_loads_what_the_first_compiled() -> None:
 
 FOLDER = """
 import json
-from plant.kernels import cache
+from plant.kernels.common import cache
 path, lasting = cache.folder()
 print(json.dumps({"path": str(path), "exists": path.is_dir(), "lasting": lasting, "warm": cache.is_warm()}))
 """

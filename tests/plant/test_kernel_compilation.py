@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from plant.kernels import jit
+from plant.kernels.common import jit
 
 FULL = numba.njit(error_model="numpy", _nrt=False)
 

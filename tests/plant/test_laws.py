@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plant.constants import constants_of_motion
+from plant.analysis.constants import constants_of_motion
 from plant.effects.motors import MotorsSpec
 from plant.errors import PlantError
 from plant.friction.registry import FrictionSpec

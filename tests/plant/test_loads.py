@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from plant.errors import PlantError
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
-from plant.specs import ParcelSpec
 from tests.plant.reference import is_least_norm, least_norm_loads
 from tests.plant.scenes import loads, members, parcel, spec
 

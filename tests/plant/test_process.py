@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bus.counts import Loss
-from bus.specs import StallSpec
-from bus.wire import DriveFrame, SenseFrame
+from bus.lockstep.counters import Loss
+from bus.spec import StallSpec
+from bus.wire.frames import DriveFrame, SenseFrame
 from plant.plant import Sense
-from plant.process import PlantProcess
-from plant.records import TickRecord
-from plant.timing import Timing
+from plant.process import PlantProcess, TickRecord
+from plant.sampling import Timing
 
 CELLS = 3
 PERIOD_NS = 10

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from plant.kernels import roots
+from plant.kernels.common import roots
 
 Coefficients = list[float]
 

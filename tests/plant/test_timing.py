@@ -9,14 +9,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from plant.effects.analogue_sensors import AnalogueSensorsSpec
+from plant.effects.analogue_sensors.spec import AnalogueSensorsSpec
 from plant.effects.motors import MotorsSpec
 from plant.errors import PlantError
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
+from plant.sampling import Timing
 from plant.solver_specs import ExactSpec
 from plant.solvers.registry import is_compiled
-from plant.specs import ParcelSpec, PlantSpec
-from plant.timing import Timing
+from plant.specs import PlantSpec
 from tests.plant.laws import VISCOUS
 from tests.plant.scenes import MU, TICK_NS, Floats, G, bench, elliptic, parcel, solved, spec
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from plant.errors import PlantError
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Event, Plant
-from plant.specs import ParcelSpec
 from tests.plant.reference import least_norm_loads
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, bench, elliptic, members, parcel, spec
 

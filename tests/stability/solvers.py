@@ -16,10 +16,10 @@ import pytest
 from pydantic import TypeAdapter
 
 from plant.friction.registry import FrictionSpec
-from plant.kernels import layout
+from plant.kernels.common import layout
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from plant.solver_specs import SolverSpec
-from plant.specs import ParcelSpec
 from tests.plant.laws import LAWS, VISCOUS
 from tests.plant.scenes import solved
 

@@ -14,8 +14,8 @@ from scipy.optimize import brentq
 
 import plant.solvers.exact as exact
 from plant.errors import PlantError, PlantUnstable
+from plant.observations import Event
 from plant.plant import Plant
-from plant.reports import Event
 from tests.plant.scenes import SECOND, TICK_NS, elliptic, parcel
 from tests.stability.solvers import SOLVERS, Claim, Solver, claiming
 

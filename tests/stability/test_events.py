@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from plant.observations import Event
 from plant.plant import Plant
-from plant.reports import Event
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, cells_of, elliptic, parcel
 from tests.stability.solvers import Claim, Solver, claiming
 

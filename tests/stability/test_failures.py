@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.overrides import Override
-from deploy.scene_files import load_scene
-from deploy.simulate import simulate
+from deploy.runs.field_simulation import simulate
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
 from plant.errors import PlantError, PlantUnstable
 from plant.plant import Plant
 from tests.plant.reference import is_least_norm

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from plant.errors import PlantError
+from plant.observations import Event
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
-from plant.reports import Event
-from plant.specs import ParcelSpec
 from tests.plant.reference import is_least_norm
 from tests.plant.scenes import MU, SECOND, Floats, G, bench, loads, parcel
 from tests.stability.solvers import SOLVERS, Claim, Solver, claiming

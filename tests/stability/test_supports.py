@@ -9,9 +9,9 @@ import pytest
 
 from plant.array import CellArray
 from plant.errors import PlantError
+from plant.observations import Event
 from plant.parcel_spec import ArraySpec
 from plant.plant import Plant
-from plant.reports import Event
 from tests.plant.reference import is_least_norm
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, bench, elliptic, loads, members, parcel
 from tests.stability.solvers import Claim, Solver, claiming

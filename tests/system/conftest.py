@@ -17,7 +17,7 @@ from tests.system.small import small_scene
 @pytest.fixture(scope="session", autouse=True)
 def kernels() -> None:
     """Compiled before anything is timed or interrupted."""
-    from deploy.scene_files import load_scene
+    from deploy.scenes.files import load_scene
     from plant.plant import Plant
 
     plant = Plant(load_scene("motors").plant_spec())

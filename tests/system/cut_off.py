@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from deploy import cli
-from deploy.checkpoints.keeper import Keeper
+from deploy.checkpoints.checkpointer import Keeper
 from deploy.checkpoints.store import NAMES
 
 STEP_S = 0.01
@@ -227,7 +227,7 @@ class Sweep:
 
 def _assert_whole(folder: Path, digest: str) -> None:
     """No tick is missing in the recording, or there twice."""
-    from deploy.recordings.replay import load
+    from deploy.recordings.reader import load
 
     recording = load(folder)
     assert recording.tick.tolist() == list(range(len(recording.tick)))

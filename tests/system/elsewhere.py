@@ -42,10 +42,10 @@ class Elsewhere:
 
 def plant(folder: Path, scene: str, join: str) -> None:
     """As ``mdms run --processes each --join``, but for the workers."""
-    from deploy.processes import system
-    from deploy.processes.plan import RunOptions
-    from deploy.run import run
-    from deploy.scene_files import load_scene
+    from deploy.runs.run import run
+    from deploy.scenes.files import load_scene
+    from deploy.workers import system
+    from deploy.workers.plan import RunOptions
 
     system.WorkerProcesses = lambda plan: Elsewhere(folder)  # type: ignore[assignment,misc]
     options = RunOptions("each", join=join, output=folder / "out", picture=False, insecure=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from deploy.checkpoints.store import BEFORE, FILE_NAME, Store
 from deploy.errors import InputError
-from deploy.recordings.replay import load
+from deploy.recordings.reader import load
 from tests.system.running import Mdms, summary_of
 
 _PATIENCE_S = 120.0

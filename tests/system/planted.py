@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from bus.chance import generator
+from bus.random_streams import generator
 from deploy.cli import main
-from deploy.recordings.replay import load
+from deploy.recordings.reader import load
 from tests.system.small import small_scene
 
 Kind = Literal[

@@ -18,15 +18,15 @@ from unittest.mock import patch
 import numpy as np
 from rich.console import Console
 
-from bus.chance import generator
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.summary import Outcome
-from deploy.summary_table import print_summary
+from bus.random_streams import generator
+from deploy.recordings.reader import load
+from deploy.runs.run import run
+from deploy.runs.summary import Outcome
+from deploy.runs.summary_table import print_summary
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import RunOptions
 from plant.process import PlantProcess
 
 CELLS = 18

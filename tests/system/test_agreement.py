@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.run import run
-from deploy.scene_files import load_scene
-from deploy.simulate import simulate
+from deploy.runs.field_simulation import simulate
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.workers.plan import RunOptions
 
 
 def test_run_and_simulate_agree_on_the_elliptic_scene_after_ten_seconds(tmp_path: Path) -> None:

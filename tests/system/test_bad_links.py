@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from deploy.processes.plan import RunOptions
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene_files import load_scene
+from deploy.recordings.reader import load
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.workers.plan import RunOptions
 from tests.system.relay import CELLS, PLANT, Relay
 
 Small = Callable[..., Path]

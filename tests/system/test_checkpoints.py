@@ -10,12 +10,11 @@ from typing import Any
 
 import pytest
 
-from deploy.checkpoints.resume import found, options_of, scene_of
-from deploy.checkpoints.store import BEFORE, FILE_NAME, Store
-from deploy.processes.plan import Processes, RunOptions
-from deploy.run import run
-from deploy.scene_files import load_scene
-from deploy.summary import Outcome
+from deploy.checkpoints.store import BEFORE, FILE_NAME, Store, found, options_of, scene_of
+from deploy.runs.run import run
+from deploy.runs.summary import Outcome
+from deploy.scenes.files import load_scene
+from deploy.workers.plan import Processes, RunOptions
 from tests.system.killed import assert_whole, ended, kill_after, start
 
 Small = Callable[..., Path]

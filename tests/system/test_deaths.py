@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from deploy.overrides import Override
-from deploy.processes.plan import Processes, RunOptions
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene_files import load_scene
-from deploy.summary import Outcome
+from deploy.recordings.reader import load
+from deploy.runs.run import run
+from deploy.runs.summary import Outcome
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.workers.plan import Processes, RunOptions
 from tests.system.running import Mdms, summary_of
 
 Start = Callable[..., Mdms]

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.overrides import Override
-from deploy.processes.plan import Processes, RunOptions, Transport
-from deploy.recordings.replay import Recording, load
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.summary import Summary
+from deploy.recordings.reader import Recording, load
+from deploy.runs.run import run
+from deploy.runs.summary import Summary
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import Processes, RunOptions, Transport
 
 Small = Callable[[str], Path]
 PERIOD_S = 0.004096

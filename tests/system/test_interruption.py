@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy.recordings.format import FILE_NAME
-from deploy.recordings.replay import load
+from deploy.recordings.reader import load
 from tests.system.running import Mdms, summary_of
 
 LONG = ("--duration", "600", "--realtime")

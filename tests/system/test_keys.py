@@ -12,17 +12,17 @@ import msgpack
 import pytest
 import zenoh
 
-from bus.transport import Received
+from bus.transports.base import Received
 from bus.transports.zenoh import Certificate, Identity, Password, client_config, open_client
-from bus.wire import Control, encode_control
-from deploy.keys.folder import Kind
-from deploy.keys.keyring import identity_of
-from deploy.keys.making import make
-from deploy.live.operator import ask_run
-from deploy.processes.plan import RunOptions, plan
-from deploy.run import run
-from deploy.scene_files import load_scene
-from deploy.watching import look
+from bus.wire.frames import Control, encode_control
+from deploy.control.client import ask_run
+from deploy.control.registers import look
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.security.generate import make
+from deploy.security.keyring import identity_of
+from deploy.security.manifest import Kind
+from deploy.workers.plan import RunOptions, plan
 from tests.system.running import Mdms, summary_of
 
 OTHERS = ("mdms/*/shard/1/sense", "mdms/*/shard/*/to/1")

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.processes.plan import RunOptions
-from deploy.run import run
-from deploy.scene_files import load_scene
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.workers.plan import RunOptions
 from tests.system.running import ROOT, Mdms, summary_of
 from tests.system.small import small_scene
 

@@ -10,19 +10,18 @@ from typing import Any
 import pytest
 
 from bus.errors import TransportError
-from bus.keys import plant_key
 from bus.transports.zenoh import open_client
-from bus.transports.zenoh.questions import QUESTION_LIMIT, ask
+from bus.transports.zenoh.requests import QUESTION_LIMIT, ask
+from bus.wire.keys import plant_key
+from deploy.control.client import Address, ask_run, find
+from deploy.control.requests import RequestError, read_request
 from deploy.errors import DeployError, InputError
-from deploy.live.address import Address, find
-from deploy.live.operator import ask_run
-from deploy.live.request import RequestError, read_request
-from deploy.overrides import Override
-from deploy.processes.plan import Processes, RunOptions
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.summary import Outcome
+from deploy.runs.run import run
+from deploy.runs.summary import Outcome
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import Processes, RunOptions
 
 TICKS = 150
 

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from deploy.checkpoints.resume import found, options_of, scene_of
-from deploy.checkpoints.store import Store
+from deploy.checkpoints.store import Store, found, options_of, scene_of
 from deploy.cli import main
-from deploy.overrides import Override
-from deploy.processes.plan import Processes, RunOptions
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import Processes, RunOptions
 from tests.system.small import small_scene
 
 pytestmark = pytest.mark.slow

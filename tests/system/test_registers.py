@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus.transports.zenoh.opening import _free_port  # pyright: ignore[reportPrivateUsage]
-from deploy.recordings.replay import load
+from bus.transports.zenoh.endpoint import _free_port  # pyright: ignore[reportPrivateUsage]
+from deploy.recordings.reader import load
 from tests.system.running import Mdms
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from cell_firmware.effects.registry import CellEffects
-from deploy.overrides import Override
-from deploy.processes.plan import Processes, RunOptions, Transport, Wire
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.summary import Summary
+from deploy.recordings.reader import load
+from deploy.runs.run import run
+from deploy.runs.summary import Summary
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import Processes, RunOptions, Transport, Wire
 
 Way = tuple[Processes, Transport, Wire]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene_files import load_scene
+from deploy.recordings.reader import load
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.workers.plan import RunOptions
 
 pytestmark = pytest.mark.slow
 

@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 
 from deploy.faults.registry import KINDS
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.summary import Summary
+from deploy.runs.run import run
+from deploy.runs.summary import Summary
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import RunOptions
 from tests.system.test_same_digest import EACH, TALKERS, WAYS, Way
 
 ROOT = Path(__file__).parents[2]
@@ -98,16 +98,16 @@ def test_all_at_once_do_alike_however_the_scene_is_cut(
 NOTHING = """
 import json, sys, tempfile
 from pathlib import Path
-from deploy.processes.plan import RunOptions
-from deploy.run import run
-from deploy.scene_files import load_scene
-from deploy.overrides import Override
+from deploy.workers.plan import RunOptions
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
 scene = load_scene("heat", [Override(("duration_s",), 0.02, "")])
 with tempfile.TemporaryDirectory() as folder:
     assert run(scene, RunOptions(output=Path(folder), picture=False), quiet=True).summary.status == "ok"
 print(json.dumps([name for name in sys.modules if name.startswith("cell_firmware.faults.")]))
 """
-MACHINERY = {"around", "joining", "outages", "slowed", "words", "bits"}
+MACHINERY = {"attach", "execution", "messages", "payload_bytes"}
 
 
 def test_a_scene_without_faults_loads_nothing_that_carries_them_out() -> None:

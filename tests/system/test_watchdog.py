@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus.member import Member
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_errors import SceneError
-from deploy.scene_files import load_scene
+from bus.lockstep.participant import Member
+from deploy.recordings.reader import load
+from deploy.runs.run import run
+from deploy.scenes.errors import SceneError
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import RunOptions
 from tests.system.test_same_digest import EACH, WAYS, Way
 
 FIELD = {"kind": "uniform", "velocity_m_s": [0.1, 0.05]}

@@ -7,11 +7,9 @@ session (``open_outside``), to which a ``Mirror`` copies the run's messages. Nob
 
 from __future__ import annotations
 
-from bus.transports.zenoh.config import client_config, hub_config
-from bus.transports.zenoh.endpoint import ZenohEndpoint
-from bus.transports.zenoh.identity import Certificate, Gate, Identity, Password
+from bus.transports.zenoh.endpoint import ZenohEndpoint, open_client, open_hub, open_outside
 from bus.transports.zenoh.mirror import Mirror
-from bus.transports.zenoh.opening import open_client, open_hub, open_outside
+from bus.transports.zenoh.session import Certificate, Gate, Identity, Password, client_config, hub_config
 
 __all__ = [
     "Certificate",

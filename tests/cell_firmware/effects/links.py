@@ -13,7 +13,7 @@ from bus.fault import Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.faults.fault import CellFault
+from cell_firmware.faults.base import CellFault
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 

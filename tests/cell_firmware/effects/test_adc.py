@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.stats import kstest
 
-from bus.chance import Draws
+from bus.random_streams import Draws
 from cell_firmware.effects.adc import AdcSpec
-from cell_firmware.effects.stage import Site
+from cell_firmware.effects.base import Site
 from cell_firmware.firmware import Inputs
 
 Floats = NDArray[np.float64]

@@ -10,13 +10,13 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import binom
 
-from bus.chance import Draws
 from bus.lattice import Lattice
 from bus.partition import Partition
+from bus.random_streams import Draws
+from cell_firmware.effects.base import Site
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from tests.cell_firmware.effects.links import Stamper, heard_on
 
 Grid, Run = Callable[..., Lattice], Callable[..., Any]

@@ -11,9 +11,9 @@ from pydantic import ValidationError
 from scipy.stats import binom
 
 from bus.lattice import Lattice
+from cell_firmware.effects.base import Site
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from tests.cell_firmware.effects.links import heard_on
 
 Grid, Run = Callable[..., Lattice], Callable[..., Any]

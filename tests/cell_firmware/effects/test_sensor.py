@@ -10,9 +10,9 @@ from scipy.stats import binom
 
 from bus.lattice import Lattice
 from cell_firmware.clocks import NEVER
-from cell_firmware.effects.clock import ClockSpec
+from cell_firmware.effects.base import Site, Stage
+from cell_firmware.effects.clock.spec import ClockSpec
 from cell_firmware.effects.sensor import SensorSpec
-from cell_firmware.effects.stage import Site, Stage
 from cell_firmware.firmware import Inputs
 
 Bools = NDArray[np.bool_]

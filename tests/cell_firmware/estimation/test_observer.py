@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell_firmware.estimation import pattern
-from cell_firmware.estimation.contour import Pose, Sensors, total, turned, worst
+from cell_firmware.estimation import occupancy as pattern
+from cell_firmware.estimation.footprint_residual import Pose, Sensors, total, turned, worst
 from cell_firmware.estimation.observer import Belief, Observer, footing
 from plant.loads import find_supports
 

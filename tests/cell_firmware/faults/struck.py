@@ -8,7 +8,7 @@ from pydantic import TypeAdapter
 
 from bus.fault import FaultSpec, Injected
 from bus.lattice import NEVER, Lattice
-from cell_firmware.faults.fault import CellFault
+from cell_firmware.faults.base import CellFault
 from deploy.faults.registry import Fault
 
 _FAULT: TypeAdapter[FaultSpec] = TypeAdapter(Fault)

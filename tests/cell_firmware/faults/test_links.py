@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from scipy.stats import binom
 
 from bus.lattice import Lattice
-from cell_firmware.faults.link_loss import LinkLossFault
+from cell_firmware.faults.kinds.link_loss import LinkLossFault
 from tests.cell_firmware.effects.links import heard_on
 from tests.cell_firmware.faults.struck import struck
 

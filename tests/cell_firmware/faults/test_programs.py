@@ -15,10 +15,10 @@ from bus.fault import Injected
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.clocks import ArrayClocks, Clocks
-from cell_firmware.effects.cop import CopSpec
+from cell_firmware.effects.cop.spec import CopSpec
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.faults.fault import CellFault
-from cell_firmware.faults.slow_clock import SlowClockFault
+from cell_firmware.faults.base import CellFault
+from cell_firmware.faults.kinds.slow_clock import SlowClockFault
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 from tests.cell_firmware.faults.struck import struck

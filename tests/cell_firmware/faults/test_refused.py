@@ -11,11 +11,11 @@ from pydantic import ValidationError
 
 from bus.fault import Injected
 from bus.lattice import Lattice
-from cell_firmware.effects.stage import Site
-from cell_firmware.faults.link_down import LinkDownFault
-from cell_firmware.faults.link_loss import LinkLossFault
-from cell_firmware.faults.partition import PartitionFault
-from cell_firmware.faults.sensor_stuck import SensorStuckFault
+from cell_firmware.effects.base import Site
+from cell_firmware.faults.kinds.link_down import LinkDownFault
+from cell_firmware.faults.kinds.link_loss import LinkLossFault
+from cell_firmware.faults.kinds.partition import PartitionFault
+from cell_firmware.faults.kinds.sensor_stuck import SensorStuckFault
 from cell_firmware.specs import CellsSpec
 
 Grid = Callable[..., Lattice]

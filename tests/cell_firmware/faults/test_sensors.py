@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from bus.lattice import Lattice
-from cell_firmware.effects.stage import Site
+from cell_firmware.effects.base import Site
 from cell_firmware.firmware import Inputs
 from tests.cell_firmware.faults.struck import struck
 

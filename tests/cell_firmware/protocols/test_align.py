@@ -12,14 +12,14 @@ from scipy.linalg import expm
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.readings import Picture
+from bus.sensors import Picture
 from cell_firmware.board import Board
 from cell_firmware.firmware import Cells
 from cell_firmware.protocols.align import Align, AlignParameters
 from cell_firmware.shard import Shard
-from deploy.overrides import Override
-from deploy.scene_errors import SceneError
-from deploy.scene_files import load_scene
+from deploy.scenes.errors import SceneError
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
 from tests.benchmarks.align_case import Case, Start, off_deg, run
 
 SIZE_M = (0.42, 0.26)

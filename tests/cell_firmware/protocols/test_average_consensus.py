@@ -10,8 +10,8 @@ from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import ParametersError
-from cell_firmware.faults.link_down import LinkDownFault
-from cell_firmware.faults.link_loss import LinkLossFault
+from cell_firmware.faults.kinds.link_down import LinkDownFault
+from cell_firmware.faults.kinds.link_loss import LinkLossFault
 from cell_firmware.protocols.average_consensus import AverageConsensus, AverageConsensusParameters
 
 VALUES = [{"columns": [0, 1], "value": 3.0}, {"cell": [2, 3], "value": -5.0}]

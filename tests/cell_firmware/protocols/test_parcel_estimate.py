@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bus.lattice import OPPOSITE, Lattice
 from bus.partition import Partition
 from cell_firmware.estimation.estimator import MESSAGE
-from cell_firmware.estimation.leading import UNKNOWN
+from cell_firmware.estimation.leader import UNKNOWN
 from cell_firmware.firmware import Cells, Inbox, Inputs
 from cell_firmware.protocols.parcel_estimate import ParcelEstimate, ParcelEstimateParameters
 from tests.benchmarks.parcel_estimate_case import Case

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.assembly import assemble
+from cell_firmware.build import assemble
+from cell_firmware.effects.base import Site
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.stage import Site
 from cell_firmware.firmware import Cells
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec

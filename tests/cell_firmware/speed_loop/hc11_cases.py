@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.assembly import Motors, wheels_of
+from cell_firmware.build import Motors, wheels_of
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.specs import CellsSpec
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop, whole_levels
-from cell_firmware.speed_loop.tachometer import FRACTION_BITS
+from cell_firmware.speed_loop.sensing import FRACTION_BITS
 from tests.cell_firmware.speed_loop.hc11 import run
 from tests.cell_firmware.speed_loop.hc11_loop import LoopProgram
 

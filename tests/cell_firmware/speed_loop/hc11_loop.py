@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.speed_loop.scaling import Gain, Scaling
-from cell_firmware.speed_loop.tachometer import FRACTION_BITS
+from cell_firmware.speed_loop.sensing import FRACTION_BITS
 from tests.cell_firmware.speed_loop.hc11 import Program
 
 WHEELS = "01"

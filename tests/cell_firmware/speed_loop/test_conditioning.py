@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop import SpeedLoop
-from cell_firmware.speed_loop.conditioning import share
+from cell_firmware.speed_loop.output import share
 from tests.cell_firmware.speed_loop.wheels import PERIOD_S, SUPPLY_V, cells
 
 GAIN = st.floats(0.1, 1e3)

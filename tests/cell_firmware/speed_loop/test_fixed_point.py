@@ -11,13 +11,13 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from cell_firmware.components import WheelPart
 from cell_firmware.errors import SettingError
 from cell_firmware.firmware import State
-from cell_firmware.parts import WheelPart
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop
 from cell_firmware.speed_loop.scaling import Gain, Scaling
-from cell_firmware.speed_loop.tachometer import Encoder, Words
+from cell_firmware.speed_loop.sensing import Encoder, Words
 from tests.cell_firmware.speed_loop.wheels import PERIOD_S, SUPPLY_V, TURN_M, Wheel, cells, drive, follow
 
 SPEEDS = st.integers(-(2**15), 2**15 - 1)

@@ -13,7 +13,7 @@ from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import State
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop.fixed_point import whole_levels
-from cell_firmware.speed_loop.pwm import Pwm
+from cell_firmware.speed_loop.output import Pwm
 from tests.cell_firmware.speed_loop.wheels import SUPPLY_V, cells, drive
 
 

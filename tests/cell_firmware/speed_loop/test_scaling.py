@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cell_firmware.errors import SettingError
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop.scaling import LARGEST_WAY, Gain, Scaling
-from cell_firmware.speed_loop.tachometer import Encoder, Words
+from cell_firmware.speed_loop.sensing import Encoder, Words
 from tests.cell_firmware.speed_loop.wheels import PERIOD_S, SUPPLY_V, TURN_M
 
 LARGEST = 2**31 - 1

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell_firmware.assembly import Motors
+from cell_firmware.build import Motors
+from cell_firmware.components import WheelPart
 from cell_firmware.firmware import State
-from cell_firmware.parts import WheelPart
 from cell_firmware.specs import SpeedLoopSpec
 from tests.cell_firmware.speed_loop.wheels import GAIN, PERIOD_S, SUPPLY_V, Wheel, cells, drive, follow
 

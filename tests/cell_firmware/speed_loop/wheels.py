@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from cell_firmware.assembly import Motors, wheels_of
+from cell_firmware.build import Motors, wheels_of
+from cell_firmware.components import WheelPart
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells
-from cell_firmware.parts import WheelPart
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec
 
 PERIOD_S = 0.004096

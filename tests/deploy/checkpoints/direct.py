@@ -6,20 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bus.counts import Loss
-from bus.memory import recall, remember
+from bus.lockstep.counters import Loss
 from bus.partition import Partition
-from bus.wire import DriveFrame, SenseFrame
+from bus.state import recall, remember
+from bus.wire.frames import DriveFrame, SenseFrame
 from cell_firmware.cell import records_of
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
-from deploy.digest import Digest
-from deploy.plants import process_of
-from deploy.processes.worker import Order, make_shard
-from deploy.readings import readings_of
-from deploy.scene import Scene
+from deploy.recordings.digest import Digest
+from deploy.runs.setup import process_of, readings_of
+from deploy.scenes.scene import Scene
+from deploy.workers.worker import Order, make_shard
 from plant.plant import Plant
-from plant.records import TickRecord
+from plant.process import TickRecord
 
 
 @dataclass

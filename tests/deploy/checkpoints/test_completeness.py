@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from bus.errors import MemoryRefusedError
-from bus.memory import recall
-from deploy.overrides import Override
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
+from bus.state import recall
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
 from tests.deploy.checkpoints.alike import differences
 from tests.deploy.checkpoints.direct import DirectRun
 

@@ -8,13 +8,13 @@ from typing import Any, cast
 
 import pytest
 
-from bus.counts import Counts
-from bus.keeping import Keeping, Kept
+from bus.lockstep.counters import Counts
+from bus.lockstep.snapshots import Keeping, Kept
 from deploy.checkpoints.checkpoint import Checkpoint
-from deploy.checkpoints.keeper import About, Keeper
+from deploy.checkpoints.checkpointer import About, Keeper
 from deploy.checkpoints.store import FILE_NAME, Store
-from deploy.digest import Digest
-from deploy.scene_files import load_scene
+from deploy.recordings.digest import Digest
+from deploy.scenes.files import load_scene
 from tests.deploy.checkpoints.direct import DirectRun
 
 

@@ -7,11 +7,11 @@ from typing import Any, ClassVar, cast
 
 import pytest
 
-from bus.memory import Remembers, remember
-from deploy.checkpoints.keeping import about_run, go_on, keeper_of
+from bus.state import Remembers, remember
+from deploy.checkpoints.checkpointer import about_run, go_on, keeper_of
 from deploy.errors import InputError
-from deploy.processes.plan import RunOptions, plan
-from deploy.scene_files import load_scene
+from deploy.scenes.files import load_scene
+from deploy.workers.plan import RunOptions, plan
 from tests.deploy.checkpoints.test_store import CHECKPOINT
 
 

@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 
 from deploy import cli
-from deploy.checkpoints.resume import check, found, options_of, scene_of
-from deploy.checkpoints.store import Store
+from deploy.checkpoints.store import Store, check, found, options_of, scene_of
 from deploy.errors import InputError
-from deploy.processes.plan import RunOptions, plan
-from deploy.scene_files import load_scene
+from deploy.scenes.files import load_scene
+from deploy.workers.plan import RunOptions, plan
 from tests.deploy.checkpoints.test_store import CHECKPOINT
 
 THEN = {

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.memory_codec import encode
+from bus.state_codec import encode
 from deploy.checkpoints.checkpoint import MAGIC, Checkpoint
 from deploy.checkpoints.store import BEFORE, FILE_NAME, Store
 from deploy.errors import DeployError, InputError

@@ -13,14 +13,14 @@ import pytest
 
 from cell_firmware.errors import FirmwareError
 from deploy.cli import main
-from deploy.overrides import Override
-from deploy.processes.plan import RunOptions
-from deploy.protocol_report.replayed import replayed
-from deploy.recordings.replay import load
-from deploy.run import run
-from deploy.scene import Scene
-from deploy.scene_files import load_scene
-from deploy.summary import Summary
+from deploy.protocol_report.from_recording import replayed
+from deploy.recordings.reader import load
+from deploy.runs.run import run
+from deploy.runs.summary import Summary
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import RunOptions
 
 ROWS, COLUMNS, NUMBER = 2, 5, 0.2
 HELD = [
@@ -197,7 +197,7 @@ def test_a_recording_always_has_the_drives(plain: str, tmp_path: Path) -> None:
 
 PLAIN = """
 from cell_firmware.cell import CellFirmware, CellOutputs
-from cell_firmware.theory import Theory
+from cell_firmware.program import Theory
 
 class Counter(CellFirmware):
     observed = "count"

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from deploy.protocol_report.rate import Rate, _slope, fitted
+from deploy.protocol_report.residuals import Rate, _slope, fitted
 
 Floats = NDArray[np.float64]
 

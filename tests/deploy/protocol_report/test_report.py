@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell_firmware.theory import Theory
-from deploy.protocol_report.rate import fitted
+from cell_firmware.program import Theory
 from deploy.protocol_report.report import course, ratio, verdict
-from deploy.protocol_report.residuals import ERROR, Residuals
+from deploy.protocol_report.residuals import ERROR, Residuals, fitted
 
 ALL = np.ones(1, dtype=np.bool_)
 

@@ -23,9 +23,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from deploy.errors import DeployError, InputError
-from deploy.recordings.mcap_file import McapFile
-from deploy.recordings.recorder import Recorder
-from deploy.recordings.replay import load
+from deploy.recordings.mcap import McapFile
+from deploy.recordings.reader import load
+from deploy.recordings.writer import Recorder
 
 Make = Callable[..., Any]
 
@@ -238,8 +238,8 @@ def test_a_disk_that_is_slow_holds_the_run_up_at_the_backlog_and_costs_nothing_e
         flush(file)
 
     monkeypatch.setattr(McapFile, "flush", slowly)
-    monkeypatch.setattr("deploy.recordings.recorder.BACKLOG_BYTES", most)
-    monkeypatch.setattr("deploy.recordings.recorder.CHUNK_BYTES", 4_000)
+    monkeypatch.setattr("deploy.recordings.writer.BACKLOG_BYTES", most)
+    monkeypatch.setattr("deploy.recordings.writer.CHUNK_BYTES", 4_000)
     run, backlogs, put = made_up_run(ticks=300, wheels_change=True), list[int](), Recorder._put
 
     def watch(recorder: Recorder, *arguments: Any) -> None:
@@ -261,7 +261,7 @@ def test_a_disk_that_is_slow_holds_the_run_up_at_the_backlog_and_costs_nothing_e
 _ENDLESS = """
     import os, sys, time
     import numpy as np
-    from deploy.recordings.recorder import Recorder
+    from deploy.recordings.writer import Recorder
     header = dict(run="r", title="", scene_name="", scene={}, versions={}, period_ns=1, pitch_m=0.1,
                   cells=[[0, 0]], positions_m=[[0, 0]], sensors_m=[[0, 0]], footprints_m=[])
     recorder = Recorder(sys.argv[1], header)

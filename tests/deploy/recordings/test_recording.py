@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from deploy.digest import Digest
 from deploy.errors import DeployError, InputError
+from deploy.recordings.digest import Digest
 from deploy.recordings.format import PARCELS, SCHEMAS, Header
-from deploy.recordings.recorder import Recorder
-from deploy.recordings.replay import Recording, load
+from deploy.recordings.reader import Recording, load
+from deploy.recordings.writer import Recorder
 
 Make = Callable[..., Any]
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from plant.kernels import layout
+from plant.kernels.common import layout
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
-from plant.specs import ParcelSpec, PlantSpec
+from plant.specs import PlantSpec
 from tests.plant.laws import VISCOUS
 from tests.plant.scenes import SECOND, Floats, G, elliptic, parcel, solved, spec
 

@@ -9,11 +9,10 @@ import pytest
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
-from plant.effects.dc_motor import DcMotorSpec
-from plant.effects.motors import Motors, MotorsSpec
+from plant.effects.motors import DcMotorSpec, Motors, MotorsSpec
 from plant.plant import Plant
+from plant.sampling import Timing
 from plant.specs import PlantSpec
-from plant.timing import Timing
 from tests.plant.scenes import TICK_NS, Floats, bench, parcel, spec
 
 TAU, GAIN, COULOMB, STATIC = 0.03, 0.1, 1.0, 1.5

@@ -8,11 +8,12 @@ from pydantic import ValidationError
 
 from plant.effects.motors import MotorsSpec
 from plant.effects.roller_impacts import starts
-from plant.kernels import layout
+from plant.kernels.common import layout
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
+from plant.solver_api import Leg
 from plant.solvers.implicit import Implicit
-from plant.solvers.solver import Leg
-from plant.specs import ParcelSpec, PlantSpec
+from plant.specs import PlantSpec
 from plant.wheels import WheelMotion
 from tests.plant.scenes import SECOND, Floats, G, elliptic, parcel, solved, spec
 

@@ -13,9 +13,10 @@ from plant.effects.uneven_supports import SupportSpec, UnevenSupportsSpec, suppo
 from plant.errors import PlantError
 from plant.friction.registry import FrictionSpec
 from plant.friction.viscous import Viscous
-from plant.kernels import layout
+from plant.kernels.common import layout
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
-from plant.specs import ParcelSpec, PlantSpec
+from plant.specs import PlantSpec
 from tests.plant.laws import VISCOUS
 from tests.plant.reference import balances
 from tests.plant.scenes import SECOND, Floats, G, elliptic, lawful, parcel

@@ -11,9 +11,10 @@ from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from plant.friction.registry import FrictionSpec
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from plant.solvers.implicit import Implicit
-from plant.specs import ParcelSpec, PlantSpec
+from plant.specs import PlantSpec
 from tests.plant.laws import CONE, COULOMB, SLIDING, VISCOUS
 from tests.plant.reference import Bench
 from tests.plant.scenes import SECOND, Floats, G, bench, parcel, spec

@@ -7,18 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from plant.effects.analogue_sensors import AnalogueSensorsSpec
+from plant.effects.analogue_sensors.spec import AnalogueSensorsSpec
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.motors import MotorsSpec
-from plant.effects.parcel_contact import ParcelContactSpec
+from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.effects.registry import PlantEffects
-from plant.faults.fault import Harm
+from plant.faults.base import Harm
 from plant.friction.coulomb_sliding import CoulombSliding
+from plant.observations import Event
 from plant.plant import Plant
-from plant.reports import Event
+from plant.sampling import Timing
 from plant.solver_specs import ImplicitSpec
 from plant.specs import PlantSpec
-from plant.timing import Timing
 from tests.plant.scenes import (
     SECOND,
     TICK_NS,

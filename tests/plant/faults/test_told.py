@@ -12,12 +12,12 @@ from bus.fault import Injected
 from bus.lattice import NEVER
 from plant.effects.motors import MotorsSpec
 from plant.effects.registry import PlantEffects
-from plant.faults.active import ActiveFaults
-from plant.faults.fault import Harm, PlantFault
-from plant.faults.wheel_reversed import WheelReversedFault
-from plant.faults.wheel_runaway import WheelRunawayFault
-from plant.faults.wheel_stuck import WheelStuckFault
-from plant.faults.wheel_weak import WheelWeakFault
+from plant.faults.base import Harm, PlantFault
+from plant.faults.kinds.wheel_reversed import WheelReversedFault
+from plant.faults.kinds.wheel_runaway import WheelRunawayFault
+from plant.faults.kinds.wheel_stuck import WheelStuckFault
+from plant.faults.kinds.wheel_weak import WheelWeakFault
+from plant.faults.schedule import ActiveFaults
 
 CELL: dict[str, Any] = {"cell": (0, 0)}
 IDEAL, DRIVEN = PlantEffects(), PlantEffects.model_validate({"motors": {}})

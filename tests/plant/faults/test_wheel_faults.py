@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from plant.effects.motors import Motors, MotorsSpec
-from plant.faults.fault import Harm, PlantFault
-from plant.faults.wheel_reversed import WheelReversedFault
-from plant.faults.wheel_runaway import WheelRunawayFault
-from plant.faults.wheel_stuck import WheelStuckFault
-from plant.faults.wheel_weak import WheelWeakFault
-from plant.faults.wheels import HarmedWheels
+from plant.faults.base import Harm, PlantFault
+from plant.faults.faulty_wheels import HarmedWheels
+from plant.faults.kinds.wheel_reversed import WheelReversedFault
+from plant.faults.kinds.wheel_runaway import WheelRunawayFault
+from plant.faults.kinds.wheel_stuck import WheelStuckFault
+from plant.faults.kinds.wheel_weak import WheelWeakFault
 from plant.plant import Plant
 from plant.wheels import Floats, IdealWheels
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, cells_of, parcel, solved

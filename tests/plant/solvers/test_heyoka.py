@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from plant.errors import PlantError, PlantUnstable
-from plant.solvers import restarted
+from plant.solvers import restarting as restarted
 from tests.plant.laws import ROLLING, STICK_SLIP
 from tests.plant.scenes import SECOND, elliptic, parcel, solved, study
 from tests.plant.test_laws import drive

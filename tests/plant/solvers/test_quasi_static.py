@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from plant.effects.motors import MotorsSpec
 from plant.friction.registry import FrictionSpec
 from plant.plant import Plant
-from plant.solvers.restarted import RestartedSolver
+from plant.solvers.restarting import RestartedSolver
 from tests.plant.laws import COULOMB, ROLLING, SLIDING, VISCOUS
 from tests.plant.scenes import SECOND, TICK_NS, Floats, elliptic, parcel, solved
 from tests.plant.test_laws import ALL, SMALL, drive

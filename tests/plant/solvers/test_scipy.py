@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from plant.errors import PlantError, PlantUnstable
 from plant.friction.registry import FrictionSpec
-from plant.solvers import restarted
+from plant.solvers import restarting as restarted
 from tests.plant.laws import COULOMB, ROLLING, SLIDING, STICK_SLIP
 from tests.plant.scenes import SECOND, elliptic, parcel, solved, study
 from tests.plant.test_laws import SMALL, drive

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import plant.solvers.threaded as threaded
 from plant.effects.motors import MotorsSpec
-from plant.kernels.parcels import LOG_CAPACITY
+from plant.kernels.common.parcels import LOG_CAPACITY
+from plant.observations import Event
+from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
-from plant.reports import Event
-from plant.solvers.solver import Leg
-from plant.specs import ParcelSpec, PlantSpec
+from plant.solver_api import Leg
+from plant.solvers import compiled as threaded
+from plant.specs import PlantSpec
 from tests.plant.scenes import SECOND, TICK_NS, Floats, parcel, spec
 
 SOLVERS: dict[str, dict[str, Any]] = {

@@ -1,0 +1,342 @@
+"""The plant's side of the lockstep."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from bus.errors import WokenError
+from bus.lockstep.counters import Counts, Loss
+from bus.lockstep.liveness import Roll
+from bus.lockstep.membership import Muster
+from bus.lockstep.receive import Collector, Dispatcher
+from bus.lockstep.registers import Seen, Shown, Wanted
+from bus.lockstep.reports import Reported
+from bus.lockstep.snapshots import Keeping, Together, decode_kept
+from bus.partition import Partition
+from bus.sensors import Readings
+from bus.spec import StallSpec
+from bus.transports.base import Endpoint, Haste
+from bus.wire.format import HostForm, Wiring
+from bus.wire.formats import FORMS, FormName
+from bus.wire.frames import Control, DriveFrame, Mask, Report, SenseFrame, check_sense, encode_control
+from bus.wire.keys import plant_key, shard_key
+
+_POLL_S: Final = 0.01
+"""How often to ask for matches, of which no event tells."""
+_STATE_POLL_S: Final = 0.5
+_PATIENCE: Final = 9
+"""Deadlines more for a shard that says that it still computes."""
+_BEFORE: Final = -1
+"""In place of a tick: before the first. In place of a shard: all sides of a run before it was resumed."""
+
+
+@final
+class Host:
+    """Publishes what the cells sense, gathers what they drive, and waits for nobody who is gone.
+
+    Blocking, one thread. It subscribes at once. The endpoint stays the caller's, to close later.
+
+    Args:
+        endpoint: The plant's endpoint.
+        partition: How the cells are cut into shards; the same on all sides.
+        form: ``"packed"`` or ``"cells"``; the same on all sides.
+        run: Name of the run.
+        readings: What sense frames carry.
+        message: The firmware's message type, None where cells send each other nothing.
+        wanted: Registers of the cells to take in.
+        keeps: Whether shards may be asked what they remember.
+        stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
+        clock: Monotonic wall seconds.
+
+    Attributes:
+        counts: Payloads of this side so far.
+        unreported: Cells (indices) that took part to the end and whose shards' counts ``stop`` did not get.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        partition: Partition,
+        form: FormName,
+        *,
+        run: str,
+        readings: Readings,
+        message: np.dtype[Any] | None,
+        wanted: Sequence[Wanted] = (),
+        keeps: bool = False,
+        stall: StallSpec | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._wiring = Wiring(run, partition, readings, message)
+        self._endpoint = endpoint
+        self._stall = StallSpec() if stall is None else stall
+        self._clock = clock
+        self._form: HostForm = FORMS[form].host(self._wiring)
+        self.counts = Counts()
+        self.unreported: list[int] = []
+        self._tick = 0
+        self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
+        self._control = endpoint.publisher(plant_key(run, "control"))
+        self._state = endpoint.publisher(plant_key(run, "state"))
+        self._state_asked: float | None = None
+        self._state_wanted = False
+        self._roll = Roll(self._form, partition.lattice)
+        self._drives = Collector("drive", self._form.blank_drives, self._form.decode_drive, self.counts)
+        self._drives.latest = _BEFORE  # nobody can know what to drive before it has sensed
+        self._inbox = Dispatcher(endpoint, self.counts, self._roll.take)
+        for key, unit in self._form.drive_units.items():
+            self._inbox.routes[key] = (self._drives.take, unit)
+        endpoint.subscribe(self._form.drive_expr)
+        self._muster = Muster(
+            partition,
+            self._form,
+            self._roll,
+            self._drives,
+            self.counts,
+            matched=lambda unit: self._sense[unit].matched(),
+            tell=self.control,
+        )
+        self._reported = Reported(partition, lambda: self._tick, self._muster.returns.linked)
+        self._hear("report", self._reported.take, "urgent")
+        self._seen = Seen(partition, wanted, self.counts, lambda: self._tick)
+        if wanted:
+            self._hear("registers", self._seen.take)
+        self._keeping: Keeping | None = None
+        if keeps:
+            self._hear("memory", self._take_kept)
+        endpoint.watch_alive(self._form.alive_expr)
+        endpoint.watch_alive(self._form.ready_expr)
+        self._alive_key = plant_key(run, "alive")
+        endpoint.declare_alive(self._alive_key)
+
+    def _hear(
+        self,
+        leaf: Literal["report", "registers", "memory"],
+        take: Callable[[int, bytes], None],
+        haste: Haste = "quiet",
+    ) -> None:
+        """Subscribes to what every shard sends on a key of its own."""
+        run = self._wiring.run
+        for shard in range(self._wiring.partition.count):
+            self._inbox.routes[shard_key(run, shard, leaf)] = (take, shard)
+        self._endpoint.subscribe(shard_key(run, None, leaf), haste)
+
+    # --- the start ------------------------------------------------------------------------------
+
+    def barrier(self, deadline_s: float | None = None) -> None:
+        """Waits until every cell is ready and can be sent to, then tells all to start.
+
+        Args:
+            deadline_s: Wall seconds from now; None: ``stall.start_s``.
+
+        Raises:
+            BarrierError: Somebody is missing; names who, and whether they ever appeared.
+            WokenError: ``endpoint.wake`` was called.
+        """
+        limit = self._stall.start_s if deadline_s is None else deadline_s
+        deadline = self._clock() + limit
+        waiting = list(range(len(self._sense)))
+        while True:
+            everybody = self._roll.complete()
+            if everybody:
+                waiting = [unit for unit in waiting if not self._sense[unit].matched()]
+                if not waiting:
+                    break
+            left = deadline - self._clock()
+            if left <= 0:
+                raise self._roll.missing(limit, waiting)
+            # Tokens come as events, matches must be asked for: they come with the tokens.
+            self._inbox.read(min(left, _POLL_S) if everybody else left)
+        start = Control("start", self._tick)
+        if _BEFORE in self._reported.counts:  # counted when the run began
+            self._control.put(encode_control(start))
+        else:
+            self.control(start)
+
+    def absent(self, timeout_s: float) -> set[int]:
+        """Shards of which a cell has not appeared yet.
+
+        Args:
+            timeout_s: Wall seconds to wait for news first.
+        """
+        # Whoever wakes us wants what is happening already.
+        with contextlib.suppress(WokenError):
+            self._inbox.read(timeout_s)
+        return self._roll.absent(self._wiring.partition.shard_of)
+
+    def resume(self, tick: int, dead: Sequence[int], counts: Counts) -> None:
+        """Goes on at ``tick`` where another side of the same run was; before the barrier.
+
+        Args:
+            tick: The first to be published and gathered.
+            dead: Indices of the cells that had gone before it.
+            counts: Of all sides by then.
+        """
+        self._tick = tick
+        self._drives.begin(tick)
+        if dead:
+            self.retire(dead, 0)
+        self._reported.counts[_BEFORE] = counts
+
+    # --- a tick ---------------------------------------------------------------------------------
+
+    def publish(self, frame: SenseFrame) -> None:
+        """Sends every live cell its senses.
+
+        Raises:
+            BusError: The frame is not what was agreed.
+        """
+        check_sense(frame, self._wiring.readings, len(self._wiring.partition.lattice))
+        puts = list(zip(self._sense, self._form.sense_payloads(frame), strict=True))
+        if not self._muster.all:
+            puts = [put for put, until in zip(puts, self._drives.until, strict=True) if until > frame.tick]
+        self._drives.latest = frame.tick
+        self._endpoint.put_all(puts)
+        self.counts.sent += len(puts)
+
+    def gather(self, tick: int) -> tuple[DriveFrame, list[Loss]]:
+        """Waits until every live cell's drive for ``tick`` is there, or its cell is given up.
+
+        A cell is given up after ``stall.deadline_s``; a shard that keeps saying that it still computes gets ten times
+        that.
+
+        Args:
+            tick: Must go up from call to call.
+
+        Returns:
+            The drives ``(n, 2)``, zero for cells that are gone, and the cells lost at this tick, ascending.
+            Neighbours have been told to stop waiting for these.
+
+        Raises:
+            WokenError: ``endpoint.wake`` was called; the call may be repeated.
+        """
+        self._tick = tick
+        slot = self._drives.slot(tick)
+        read, clock = self._inbox.read, self._clock
+        deadline = clock() + self._stall.deadline_s
+        latest = deadline + _PATIENCE * self._stall.deadline_s
+        while True:
+            if self._roll.gone or self._reported.failed:
+                self._muster.lose_failed(tick, self._reported.take_failed())
+                self._muster.lose_gone(tick, slot.have)
+            if slot.missing <= 0:
+                break
+            if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
+                self._muster.lose_silent(tick, self._reported.take_busy(tick) if clock() < latest else ())
+                deadline = min(clock() + self._stall.deadline_s, latest)
+        drive = self._form.join_drives(self._drives.close(tick).values)
+        if not self._muster.all:
+            drive[~self._muster.live(tick)] = 0.0
+        return DriveFrame(tick, drive), self._muster.take_losses()
+
+    # --- who takes part -------------------------------------------------------------------------
+
+    def retire(self, cells: Iterable[int], tick: int) -> None:
+        """Stops waiting for ``cells`` (indices) from ``tick`` on: a scheduled death, which is no loss."""
+        self._muster.retire(cells, tick)
+
+    def live(self, tick: int) -> Mask:
+        """``(n,)``: the cells that take part in ``tick``."""
+        return self._muster.live(tick)
+
+    def admit(self, tick: int) -> list[int]:
+        """Lets cells take part again whose process went and whose new one is ready; for between two ticks.
+
+        Args:
+            tick: The next.
+
+        Returns:
+            Their indices, ascending: they are waited for from ``tick`` on. All others have been told.
+        """
+        return self._muster.admit(tick)
+
+    # --- what shards remember and show ----------------------------------------------------------
+
+    def ask(self, tick: int) -> None:
+        """Asks the shards what they remember before ``tick``; before ``publish`` of the one before."""
+        self._control.put(encode_control(Control("keep", tick)))
+        self._keeping = Keeping(tick, self._muster.shards(tick - 1))
+
+    def note(self) -> None:
+        """Notes, with ``tick`` about to begin for which was asked, what this side has counted."""
+        assert self._keeping is not None
+        self._keeping.note(self.counts)
+
+    def take_kept(self) -> Together | None:
+        """What all sides remember, once everybody asked has answered."""
+        together = None if self._keeping is None else self._keeping.together(self._reported.counts)
+        if together is not None:
+            self._keeping = None
+        return together
+
+    def give_up(self) -> list[int]:
+        """Waits no longer for what shards remember; returns those that have not answered."""
+        keeping, self._keeping = self._keeping, None
+        return [] if keeping is None else keeping.missing
+
+    def _take_kept(self, shard: int, payload: bytes) -> None:
+        kept = decode_kept(payload, len(self._wiring.partition.cells(shard)))
+        if self._keeping is not None:  # else it comes too late
+            self._keeping.take(shard, kept)
+
+    def take_hung(self) -> list[Report]:
+        """Programs that have hung since the last call, and why; their cells still take part."""
+        return self._reported.take_hung()
+
+    def take_registers(self) -> list[Shown]:
+        """What cells have shown of themselves since the last call; a tick's is there when its drives are."""
+        return self._seen.take_all()
+
+    # --- to all ---------------------------------------------------------------------------------
+
+    def control(self, record: Control) -> None:
+        """Sends a control record to everybody."""
+        self._control.put(encode_control(record))
+        self.counts.sent += len(self._muster.shards(self._tick))
+
+    def publish_state(self, payload: bytes) -> None:
+        """Puts ``payload`` on the plant's state key while somebody listens; asked about twice a second."""
+        now = self._clock()
+        if self._state_asked is None or now - self._state_asked >= _STATE_POLL_S:
+            self._state_asked = now
+            self._state_wanted = self._state.matched()
+        if self._state_wanted:
+            self._state.put(payload)
+
+    def stop(self, detail: str = "", deadline_s: float = 2.0) -> Counts:
+        """Tells the cells to stop, waits for their counts, takes the plant's token back, and waits for theirs to go.
+
+        A cell keeps its session open until the plant's token has gone: what is queued in a session that closes is lost.
+
+        Args:
+            detail: Why, for the cells' logs.
+            deadline_s: Wall seconds to wait.
+
+        Returns:
+            The counts of all sides: this one's, and those that the shards reported as they left.
+        """
+        self.control(Control("stop", self._tick, (), detail))
+        counts = self._reported.counts
+        shards = self._muster.shards(self._tick)
+        deadline = self._clock() + deadline_s
+        self._read_until(lambda: counts.keys() >= set(shards), deadline)
+        self.close()
+        self._read_until(lambda: not self._roll.alive, deadline)
+        cells = self._wiring.partition.cells
+        self.unreported = sorted(i for s in shards if s not in counts for i in cells(s).tolist())
+        return sum(counts.values(), self.counts)
+
+    def _read_until(self, done: Callable[[], bool], deadline: float) -> None:
+        while not done() and (left := deadline - self._clock()) > 0:
+            # Whoever wakes us wants what is happening already.
+            with contextlib.suppress(WokenError):
+                self._inbox.read(left)
+
+    def close(self) -> None:
+        """Takes the plant's token back; members take that for its end."""
+        self._endpoint.withdraw(self._alive_key)

@@ -1,0 +1,164 @@
+"""The roll of a run: whose tokens are there, and who is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.errors import BarrierError
+from bus.lattice import Lattice
+from bus.transports.base import Alive
+from bus.wire.format import HostForm
+
+_NAMED = 12
+"""Cells that a message names before it only counts them."""
+
+
+@final
+class Roll:
+    """Keeps the tokens of every unit of a form.
+
+    Attributes:
+        alive: Units whose token stands.
+        ready: Units that said they were ready, and are.
+        left: Units whose token stood and went.
+        gone: Of these, the ones that nobody has dealt with yet.
+    """
+
+    def __init__(self, form: HostForm, lattice: Lattice) -> None:
+        self._form = form
+        self._lattice = lattice
+        self.alive: set[int] = set()
+        self.ready: set[int] = set()
+        self.left: set[int] = set()
+        self.gone: set[int] = set()
+
+    def complete(self) -> bool:
+        """Whether every unit is ready."""
+        return len(self.ready) == len(self._form.unit_cells)
+
+    def absent(self, shard_of: NDArray[np.int64]) -> set[int]:
+        """Shards with a unit whose token has never stood; ``shard_of``: ``(n,)``, the shard of every cell."""
+        seen = self.alive | self.left
+        units = enumerate(self._form.unit_cells)
+        return {int(shard_of[int(i)]) for unit, cells in units if unit not in seen for i in cells}
+
+    def take(self, event: Alive) -> None:
+        """Takes note of a token that came or went; other tokens than the form's are none of ours."""
+        if (unit := self._form.alive_units.get(event.key)) is not None:
+            if event.present:
+                self.alive.add(unit)
+                self.gone.discard(unit)
+            else:
+                self.alive.discard(unit)
+                self.left.add(unit)
+                self.gone.add(unit)
+        elif (unit := self._form.ready_units.get(event.key)) is not None:
+            (self.ready.add if event.present else self.ready.discard)(unit)
+
+    def missing(self, waited_s: float, unheard: Sequence[int]) -> BarrierError:
+        """The error that names who is missing; ``unheard``: units to which nothing can be sent yet."""
+        units = range(len(self._form.unit_cells))
+        never = [u for u in units if u not in self.alive and u not in self.left]
+        left = [u for u in units if u not in self.alive and u in self.left]
+        unready = [u for u in units if u in self.alive and u not in self.ready]
+        deaf: Sequence[int] = () if never or left or unready else unheard
+        parts = [
+            f"{verb}: {self._names(who)}"
+            for verb, who in (
+                ("never appeared", never),
+                ("appeared and left again", left),
+                ("appeared but not ready", unready),
+                ("ready but can't be sent to", deaf),
+            )
+            if who
+        ]
+        return BarrierError(
+            f"not every cell is ready after {waited_s:g} s; {'; '.join(parts)}",
+            absent=self._cells(never + left),
+            unready=self._cells([*unready, *deaf]),
+        )
+
+    def _cells(self, units: Sequence[int]) -> list[tuple[int, int]]:
+        return [self._lattice.cells[int(i)] for unit in units for i in self._form.unit_cells[unit]]
+
+    def _names(self, units: Sequence[int]) -> str:
+        cells = self._cells(units)
+        named = " ".join(f"{row},{column}" for row, column in cells[:_NAMED])
+        more = f" and {len(cells) - _NAMED} more" if len(cells) > _NAMED else ""
+        return f"{len(cells)} cell{'s' if len(cells) > 1 else ''} ({named}{more})"
+
+
+@final
+@dataclass(slots=True)
+class Absence:
+    """A shard that went.
+
+    Attributes:
+        cells: Those that went with it, by index.
+        asked: Whether the others have been asked.
+        linked: Shards that have answered.
+    """
+
+    cells: list[int]
+    asked: bool = False
+    linked: set[int] = field(default_factory=set[int])
+
+
+@final
+class Returns:
+    """Keeps the shards that went, and says which of them can take part again.
+
+    Args:
+        roll: Of the run.
+        units: Of each shard.
+        matched: Whether a unit can be sent to.
+    """
+
+    def __init__(self, roll: Roll, units: Sequence[Sequence[int]], matched: Callable[[int], bool]) -> None:
+        self._roll = roll
+        self._units = units
+        self._matched = matched
+        self._absent: dict[int, Absence] = {}
+
+    def left(self, shard: int, cells: Iterable[int]) -> None:
+        """Cells of a shard went, as their process did."""
+        self._absent.setdefault(shard, Absence([])).cells.extend(cells)
+
+    def linked(self, shard: int, cells: Iterable[int]) -> None:
+        """A shard can send to ``cells`` again."""
+        wanted = set(cells)
+        for absence in self._absent.values():
+            if wanted.issuperset(absence.cells):
+                absence.linked.add(shard)
+
+    def to_ask(self) -> list[Absence]:
+        """Those that are back, and of whom nobody has been asked yet."""
+        found: list[Absence] = []
+        for shard, absence in self._absent.items():
+            if not self._back(shard):
+                absence.asked = False  # one that went again is asked about again
+                absence.linked.clear()
+            elif not absence.asked:
+                absence.asked = True
+                found.append(absence)
+        return found
+
+    def back(self, others: Iterable[int]) -> list[int]:
+        """Cells that take part again from now on, to whom all ``others`` (shards that live) can send."""
+        wanted = set(others)
+        ready = [s for s, absence in self._absent.items() if absence.asked and absence.linked >= wanted]
+        return sorted(cell for shard in ready for cell in self._absent.pop(shard).cells)
+
+    def __bool__(self) -> bool:
+        return bool(self._absent)
+
+    def _back(self, shard: int) -> bool:
+        """Whether all of a shard's units went, came again, are ready, and can be sent to."""
+        roll, units = self._roll, self._units[shard]
+        here = roll.left & roll.alive & roll.ready
+        return here.issuperset(units) and all(self._matched(unit) for unit in units)

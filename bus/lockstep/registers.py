@@ -1,0 +1,296 @@
+"""What cells show of themselves to whoever looks: registers and counters of a shard, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple, cast, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.errors import WireError
+from bus.lattice import Lattice
+from bus.lockstep.counters import Counts
+from bus.partition import Partition
+from bus.transports.base import Publisher
+from bus.wire.msgpack_codec import VERSION, binary, layout, packer, reader
+
+NAMES_LIMIT: Final = 256
+"""Most registers of a cell, and longest name of one, characters."""
+COLUMNS_LIMIT: Final = 64
+"""Most numbers that a register of one cell holds."""
+_LAYOUT: Final = layout("cells", "registers")
+_TYPES: Final = frozenset(("|b1", "|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8", "<f4", "<f8"))
+_PLACES: Final = np.dtype("<i4")
+_PAIR: Final = 2 * _PLACES.itemsize
+
+
+class RegisterFrame(NamedTuple):
+    """The registers of some cells after a tick.
+
+    Attributes:
+        tick: The tick that they have computed.
+        cells: ``(n, 2)`` integers, row and column of each.
+        registers: By name, arrays with a row a cell.
+    """
+
+    tick: int
+    cells: NDArray[Any]
+    registers: Mapping[str, NDArray[Any]]
+
+
+class Wanted(NamedTuple):
+    """Registers that the plant wants to see.
+
+    Attributes:
+        every: In every how many ticks.
+        names: Which; None: all.
+    """
+
+    every: int
+    names: frozenset[str] | None = None
+
+
+def due(wanted: Iterable[Wanted], tick: int) -> Wanted | None:
+    """What is wanted in a tick, all of it together; None if nothing is."""
+    found = [one.names for one in wanted if tick % one.every == 0]
+    if not found:
+        return None
+    named = [names for names in found if names is not None]
+    return Wanted(1, frozenset[str]().union(*named) if len(named) == len(found) else None)
+
+
+class Shown(NamedTuple):
+    """The registers of all cells after a tick, in the lattice's order.
+
+    Attributes:
+        tick: The tick that they have computed.
+        cells: ``(n,)``: which of them have shown theirs.
+        registers: By name, arrays with a row a cell; zero where it has shown none.
+    """
+
+    tick: int
+    cells: NDArray[np.bool_]
+    registers: Mapping[str, NDArray[Any]]
+
+
+def joined(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[Shown]:
+    """Frames of several shards, those of a tick together.
+
+    Args:
+        frames: Whose cells are in the lattice. Where one has a register in another shape than one before it, its
+            cells' rows are NaN, or zero for what can't be NaN.
+        lattice: The cells.
+    """
+    by_tick: dict[int, list[RegisterFrame]] = {}
+    for frame in frames:
+        by_tick.setdefault(frame.tick, []).append(frame)
+    n = len(lattice)
+    found: list[Shown] = []
+    for tick, together in by_tick.items():
+        cells = np.zeros(n, dtype=np.bool_)
+        registers: dict[str, NDArray[Any]] = {}
+        for frame in together:
+            rows = lattice.find(*frame.cells.T.astype(np.int64))
+            cells[rows] = True
+            for name, array in frame.registers.items():
+                own = registers.get(name)
+                if own is None:
+                    own = registers[name] = np.zeros((n, *array.shape[1:]), dtype=array.dtype)
+                elif own.dtype != array.dtype:
+                    own = registers[name] = own.astype(np.result_type(own, array))
+                if own.shape[1:] == array.shape[1:]:
+                    own[rows] = array
+                elif own.dtype.kind == "f":
+                    own[rows] = np.nan
+        found.append(Shown(tick, cells, registers))
+    return found
+
+
+def shown(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Those of some arrays with a row a cell that can be shown: little-endian numbers and booleans, not too wide."""
+    fit: dict[str, NDArray[Any]] = {}
+    for name, array in list(arrays.items())[:NAMES_LIMIT]:
+        numbers = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        wide = int(np.prod(array.shape[1:], dtype=np.int64))
+        named = len(name) <= NAMES_LIMIT and name.isprintable()
+        if numbers.dtype.str in _TYPES and wide <= COLUMNS_LIMIT and named:
+            fit[name] = numbers
+    return fit
+
+
+def encode_registers(frame: RegisterFrame) -> bytes:
+    """The payload of a frame whose registers are as ``shown`` has them."""
+    return packer()(
+        {
+            "v": VERSION,
+            "tick": frame.tick,
+            "cells": frame.cells.astype(_PLACES, copy=False).tobytes(),
+            "registers": {
+                name: [array.dtype.str, list(array.shape[1:]), array.tobytes()]
+                for name, array in frame.registers.items()
+            },
+        }
+    )
+
+
+def decode_registers(payload: bytes, cells: int) -> RegisterFrame:
+    """A frame of at most ``cells`` cells.
+
+    Raises:
+        WireError: Anything else.
+    """
+    limit = cells * (_PAIR + 8 * NAMES_LIMIT) + NAMES_LIMIT * (4 * NAMES_LIMIT + 64)
+    tick, fields = reader("registers", limit, _LAYOUT)(payload)
+    places = fields["cells"]
+    if type(places) is not bytes or len(places) % _PAIR or len(places) > cells * _PAIR:
+        raise WireError("registers", "cells", f"must be bytes, {_PAIR} for each of at most {cells} cells")
+    found = fields["registers"]
+    if type(found) is not dict or len(cast("dict[Any, Any]", found)) > NAMES_LIMIT:
+        raise WireError("registers", "type", f"registers must be a map of at most {NAMES_LIMIT}")
+    n = len(places) // _PAIR
+    registers = {_name(name): _array(value, n) for name, value in cast("dict[object, object]", found).items()}
+    return RegisterFrame(tick, np.frombuffer(places, _PLACES).reshape(n, 2), registers)
+
+
+def _name(name: object) -> str:
+    # They are shown on terminals: nothing that moves the cursor, say.
+    if type(name) is not str or len(name) > NAMES_LIMIT or not name.isprintable():
+        raise WireError(
+            "registers", "type", f"a name must be text of at most {NAMES_LIMIT} printable characters"
+        )
+    return name
+
+
+def _array(value: object, rows: int) -> NDArray[Any]:
+    """An array from its type, the shape of a row, and its bytes."""
+    if type(value) is not list or len(cast("list[object]", value)) != 3:
+        raise WireError("registers", "type", "a register must be its type, its shape and its bytes")
+    code, shape, data = cast("list[Any]", value)
+    if type(code) is not str or code not in _TYPES:
+        raise WireError("registers", "type", "a register must hold numbers or booleans")
+    if type(shape) is not list or not all(
+        type(size) is int and 0 < size <= COLUMNS_LIMIT for size in cast("list[Any]", shape)
+    ):
+        raise WireError("registers", "shape", f"must be a list of numbers in 1..{COLUMNS_LIMIT}")
+    sizes = cast("list[int]", shape)
+    wide = 1
+    for size in sizes:
+        wide *= size
+        if wide > COLUMNS_LIMIT:
+            raise WireError(
+                "registers", "shape", f"a cell's register must hold at most {COLUMNS_LIMIT} numbers"
+            )
+    dtype = np.dtype(code)
+    raw = binary("registers", data, rows * wide * dtype.itemsize)
+    if dtype.kind == "b" and set(raw) - {0, 1}:
+        raise WireError("registers", "type", "a boolean must be 0 or 1")
+    return np.frombuffer(raw, dtype).reshape(rows, *sizes)
+
+
+_SHOW_S: Final = 0.2
+"""How often to look whether somebody wants to see the cells' registers, and how often they are shown then."""
+
+Own = tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]
+"""Who some cells are, ``(n, 2)`` row and column, and their registers by name, arrays with a row for each."""
+
+
+@final
+class Showing:
+    """A shard's side: shows the registers of its cells.
+
+    Args:
+        publisher: Of the shard's registers.
+        wanted: What the plant wants to see.
+        counts: Where to count.
+        clock: Monotonic wall seconds.
+    """
+
+    def __init__(
+        self, publisher: Publisher, wanted: Sequence[Wanted], counts: Counts, clock: Callable[[], float]
+    ) -> None:
+        self.publisher = publisher
+        self.wanted = tuple(wanted)
+        self._counts = counts
+        self._clock = clock
+        self._next_look = 0.0
+
+    def show(self, tick: int, read: Callable[[], Own]) -> None:
+        """Puts the registers after ``tick``, if the plant or somebody else wants to see them.
+
+        Args:
+            tick: That the cells have computed.
+            read: Gives them; asked only where somebody wants to see.
+        """
+        wanted = due(self.wanted, tick)
+        if (wanted is None or wanted.names is not None) and self._watched():
+            wanted = Wanted(1)
+        if wanted is None:
+            return
+        cells, registers = read()
+        if wanted.names is not None:
+            registers = {name: array for name, array in registers.items() if name in wanted.names}
+        self.publisher.put(encode_registers(RegisterFrame(tick, cells, shown(registers))))
+        self._counts.sent += 1
+
+    def _watched(self) -> bool:
+        """Whether somebody may want to see all registers now: looked up a few times a second."""
+        now = self._clock()
+        if now < self._next_look:
+            return False
+        self._next_look = now + _SHOW_S
+        return self.publisher.matched()
+
+
+@final
+class Seen:
+    """The plant's side: takes in what shards show.
+
+    Args:
+        partition: How the cells are cut into shards.
+        wanted: What the plant wants to see.
+        counts: Where to count.
+        now: Gives the tick that is under way.
+    """
+
+    def __init__(
+        self,
+        partition: Partition,
+        wanted: Sequence[Wanted],
+        counts: Counts,
+        now: Callable[[], int],
+    ) -> None:
+        self._partition = partition
+        self._wanted = tuple(wanted)
+        self._counts = counts
+        self._now = now
+        self._frames: dict[tuple[int, int], RegisterFrame] = {}
+        """By tick and shard."""
+
+    def take(self, shard: int, payload: bytes) -> None:
+        """Takes in what a shard shows.
+
+        Raises:
+            WireError: Not such a payload, of cells that are not its own, or not of this tick, or the second of it.
+        """
+        frame = decode_registers(payload, len(self._partition.cells(shard)))
+        rows = self._partition.lattice.find(*frame.cells.T.astype(np.int64))
+        if (rows < 0).any() or (self._partition.shard_of[rows] != shard).any():
+            raise WireError("registers", "cells", f"must be cells of shard {shard}")
+        # They come between the senses of their tick and its drives.
+        now = self._now()
+        if frame.tick > now:
+            raise WireError("registers", "ahead", f"tick {frame.tick}: must be at most {now}")
+        if frame.tick < now:
+            self._counts.late += 1
+            return
+        if (frame.tick, shard) in self._frames:
+            raise WireError("registers", "duplicate", f"tick {frame.tick} came already")
+        self._counts.delivered += 1
+        if due(self._wanted, frame.tick) is not None:
+            self._frames[frame.tick, shard] = frame  # others are for those who watch
+
+    def take_all(self) -> list[Shown]:
+        """What cells have shown since the last call; a tick's is there when its drives are."""
+        frames, self._frames = self._frames, {}
+        return joined(list(frames.values()), self._partition.lattice)

@@ -1,0 +1,136 @@
+"""What shards report to the plant: cells that failed, hang or can be sent to again, and what they counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import final
+
+from bus.errors import WireError
+from bus.lockstep.counters import Counts
+from bus.lockstep.receive import EARLY_TICKS
+from bus.partition import Partition
+from bus.transports.base import Publisher
+from bus.wire.frames import Report, decode_report, encode_report
+
+Cell = tuple[int, int]
+
+
+@final
+class Reports:
+    """A shard's side: reports.
+
+    Args:
+        publisher: Of the shard's reports.
+        counts: What its side has counted, and where to count.
+        tally: What else to report as the shard leaves: numbers that the cells counted, by name.
+    """
+
+    def __init__(self, publisher: Publisher, counts: Counts, tally: Callable[[], Mapping[str, int]]) -> None:
+        self.publisher = publisher
+        self._counts = counts
+        self._tally = tally
+
+    def failed(self, cells: tuple[Cell, ...], tick: int, detail: str) -> None:
+        """``cells`` can't do ``tick``."""
+        self._put(Report("failed", tick, cells, detail))
+
+    def hung(self, cell: Cell, tick: int, detail: str) -> None:
+        """The program of ``cell`` hangs since ``tick``."""
+        self._put(Report("hung", tick, (cell,), detail))
+
+    def linked(self, cells: tuple[Cell, ...], tick: int) -> None:
+        """``cells``, which come back, can be sent to."""
+        self._put(Report("linked", tick, cells))
+
+    def busy(self, tick: int) -> None:
+        """The shard still computes ``tick``; not counted, as it depends on the wall clock."""
+        self.publisher.put(encode_report(Report("busy", tick)))
+
+    def _put(self, report: Report) -> None:
+        self.publisher.put(encode_report(report))
+        self._counts.sent += 1
+
+    def counted(self, tick: int) -> None:
+        """What the shard counted, as it leaves; this is not counted itself."""
+        counts = self._counts
+        numbers = (counts.sent, counts.delivered, counts.lost, counts.late)
+        report = Report("counts", tick, (), "", numbers, counts.tallied(self._tally()))
+        self.publisher.put(encode_report(report))
+
+
+@final
+class Reported:
+    """The plant's side: takes reports in.
+
+    Args:
+        partition: How the cells are cut into shards.
+        now: Gives the tick that is under way.
+        linked: Told which cells (indices) a shard can send to again.
+
+    Attributes:
+        failed: The report on each cell that failed and that nobody has dealt with yet. The first of a cell stands:
+            whoever sends them without end fills no memory.
+        counts: By shard, what those counted that left.
+    """
+
+    def __init__(
+        self,
+        partition: Partition,
+        now: Callable[[], int],
+        linked: Callable[[int, Iterable[int]], None],
+    ) -> None:
+        self._lattice = partition.lattice
+        self._shard_of = partition.shard_of
+        self._now = now
+        self._linked = linked
+        self._hung: dict[Cell, Report] = {}
+        self.failed: dict[Cell, Report] = {}
+        self.counts: dict[int, Counts] = {}
+        self._busy: dict[int, int] = {}
+
+    def take(self, shard: int, payload: bytes) -> None:
+        """Takes in what a shard reports.
+
+        Raises:
+            WireError: Not such a payload, of cells that are not its own, or too far ahead.
+        """
+        report = decode_report(payload, len(self._lattice))
+        if report.kind == "counts":
+            self.counts[shard] = Counts.reported(report.counts, report.tally)
+        elif report.kind == "busy":
+            self._busy[shard] = report.tick
+        elif report.kind == "linked":
+            cells = [self._lattice.index(cell) for cell in report.cells if cell in self._lattice]
+            self._linked(shard, cells)
+        else:
+            self._check(shard, report)
+            kept = self.failed if report.kind == "failed" else self._hung
+            for cell in report.cells:
+                kept.setdefault(cell, report)
+
+    def _check(self, shard: int, report: Report) -> None:
+        own = (c in self._lattice and self._shard_of[self._lattice.index(c)] == shard for c in report.cells)
+        if not report.cells or not all(own):
+            raise WireError("report", "cells", f"must be cells of shard {shard}")
+        if report.tick > self._now() + EARLY_TICKS:
+            raise WireError("report", "ahead", f"tick {report.tick}: must be at most {EARLY_TICKS} ahead")
+
+    def take_failed(self) -> list[tuple[str, Sequence[int]]]:
+        """Cells (indices) that can't do the tick that is under way, each report's together, and why; each once."""
+        told = {cell: report for cell, report in self.failed.items() if report.tick <= self._now()}
+        for cell in told:
+            del self.failed[cell]
+        return [
+            (report.detail, [self._lattice.index(cell) for cell, one in told.items() if one == report])
+            for report in dict.fromkeys(told.values())
+        ]
+
+    def take_busy(self, tick: int) -> set[int]:
+        """Shards that have said since the last call that they still compute ``tick``."""
+        busy, self._busy = self._busy, {}
+        return {shard for shard, at in busy.items() if at == tick}
+
+    def take_hung(self) -> list[Report]:
+        """Programs that have hung since the last call, and why; their cells still take part."""
+        hung, self._hung = self._hung, {}
+        return list(dict.fromkeys(hung.values()))

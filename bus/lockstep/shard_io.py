@@ -1,0 +1,340 @@
+"""What a shard takes in in a tick: what its cells sense, and what their neighbours in other shards tell them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from bus.errors import BusError, WireError
+from bus.lattice import NEVER
+from bus.lockstep.counters import Counts
+from bus.lockstep.intervals import Lives
+from bus.lockstep.receive import Collector, Route, Slot
+from bus.partition import Index
+from bus.transports.base import Endpoint, Publisher
+from bus.wire.format import MemberForm, Wiring
+from bus.wire.frames import DriveFrame, LinkFrame, Mask, SenseFrame
+
+
+class Gathered(NamedTuple):
+    """What a shard computes a tick from.
+
+    Attributes:
+        sense: Of this tick; rows in the order of ``partition.cells(shard)``, false and zero for cells that
+            are gone.
+        links: What the links of ``partition.incoming(shard)`` brought, sent in the tick before: ``tick - 1``.
+            At tick 0 nothing was sent. None where the firmware has no messages.
+    """
+
+    sense: SenseFrame
+    links: LinkFrame | None
+
+
+@final
+class Incoming:
+    """Collects the payloads of a shard's frames, and waits for those of the living.
+
+    Args:
+        wiring: What both sides agreed on.
+        shard: Which shard this is.
+        form: Its side of the wire form.
+        lives: Who takes part, kept by the caller, who tells of changes by ``bury`` and ``admit``.
+        counts: Where to count.
+    """
+
+    def __init__(self, wiring: Wiring, shard: int, form: MemberForm, lives: Lives, counts: Counts) -> None:
+        self._form = form
+        self._lives = lives
+        self._counts = counts
+        self._cells = wiring.partition.cells(shard)
+        self._speaks = wiring.message is not None
+        self._first = 0
+        self._senses = Collector("sense", form.blank_senses, form.decode_sense, counts)
+        self._links = Collector("link", form.blank_links, form.decode_link, counts)
+
+    def subscribe(self, endpoint: Endpoint) -> dict[str, Route]:
+        """Subscribes to all of it: what takes the payloads of each key."""
+        for key in self._form.sense_units:
+            endpoint.subscribe(key)
+        # The plant senses again only when all drives have come, and messages are put before drives: they are there
+        # when the senses are.
+        for key in self._form.in_parts:
+            endpoint.subscribe(key, "quiet")
+        return {
+            **{key: (self._senses.take, unit) for key, unit in self._form.sense_units.items()},
+            **{key: (self._links.take, part) for key, part in self._form.in_parts.items()},
+        }
+
+    # --- a tick ---------------------------------------------------------------------------------
+
+    def slots(self, tick: int) -> tuple[Slot, Slot | None]:
+        """The tick's senses and the messages of the tick before, as far as they have come; None: there are none."""
+        # At its first tick nobody has sent it anything.
+        links = None if not self._speaks or tick == self._first else self._links.slot(tick - 1)
+        return self._senses.slot(tick), links
+
+    def taken_in(self, tick: int) -> int:
+        """How many payloads have been taken in, but for messages that were sent in ``tick`` or later."""
+        return self._counts.delivered - (self._links.early(tick) if self._speaks else 0)
+
+    def hand_over(self, tick: int) -> Gathered:
+        """All of a tick, of which nothing more is waited for."""
+        senses = self._form.join_senses(self._senses.close(tick).values)
+        if not self._lives.all:
+            gone = ~self._lives.live(tick)[self._cells]
+            for sensed in (senses.presence, senses.encoder_m, senses.level, senses.label):
+                if sensed is not None:
+                    sensed[gone] = 0
+        sense = SenseFrame(tick, *senses)
+        if not self._speaks:
+            return Gathered(sense, None)
+        values = self._form.blank_links if tick == self._first else self._links.close(tick - 1).values
+        return Gathered(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
+
+    # --- from when on, and of whom --------------------------------------------------------------
+
+    def await_first(self) -> None:
+        """Keeps whatever tick comes until it is said which is the first."""
+        self._senses.await_first()
+        self._links.await_first()
+
+    def resume(self, tick: int) -> None:
+        """``tick`` is the next; its neighbours' messages of the one before will come again."""
+        self._senses.begin(tick)
+        self._links.begin(tick - 1)
+
+    def enter(self, tick: int) -> None:
+        """``tick`` is the first that the shard takes part in: nobody has sent it anything."""
+        self._first = tick
+        self.resume(tick)
+
+    def bury(self) -> None:
+        """Takes note of who is gone."""
+        last, form = self._lives.last, self._form
+        self._senses.bury(last(form.unit_cells))
+        # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
+        sources, targets = last(form.in_sources), last(form.in_targets)
+        self._links.bury([min(source, target - 1) for source, target in zip(sources, targets, strict=True)])
+
+    @property
+    def awaited(self) -> int:
+        """How many messages have not come of the tick that is not over yet."""
+        return len(self._links.missing(self._links.now))
+
+    def void(self, tick: int) -> None:
+        """Those who are gone by ``tick``, in which they were lost, said nothing in it; after ``bury``."""
+        # What they sent before has arrived, or will; of that tick it may have, or not: it never was.
+        gone = [part for part, until in enumerate(self._links.until) if until <= tick]
+        self._links.void(gone, tick)
+
+    def expect(self, cells: Iterable[int]) -> None:
+        """Cells (indices) that are gone may come back: their word may come before the news of it."""
+        back = set(cells)
+        sources = enumerate(self._form.in_sources)
+        self._links.expect(part for part, source in sources if not back.isdisjoint(source.tolist()))
+
+    def admit(self) -> None:
+        """Takes note of who takes part again."""
+        first, last, form = self._lives.first, self._lives.last, self._form
+        self._senses.admit(first(form.unit_cells), last(form.unit_cells))
+        sources, targets = form.in_sources, form.in_targets
+        since = [max(pair) for pair in zip(first(sources), first(targets), strict=True)]
+        until = [min(s, t - 1) for s, t in zip(last(sources), last(targets), strict=True)]
+        self._links.admit(since, until)
+
+
+_F8: Final = np.dtype(np.float64)
+
+
+@final
+class Outgoing:
+    """Makes a shard's frames into payloads with their publishers.
+
+    Args:
+        endpoint: The endpoint of the shard's process.
+        wiring: What both sides agreed on.
+        shard: Which shard this is.
+        form: Its side of the wire form.
+        lives: Who takes part, kept by the caller, who tells of changes by ``bury``.
+
+    Attributes:
+        publishers: All of them, by key.
+    """
+
+    def __init__(
+        self, endpoint: Endpoint, wiring: Wiring, shard: int, form: MemberForm, lives: Lives
+    ) -> None:
+        self._shard = shard
+        self._form = form
+        self._lives = lives
+        self._lattice = wiring.partition.lattice
+        self._message = self._seen = wiring.message
+        self._cells = wiring.partition.cells(shard)
+        self._shape = (len(self._cells), 2)
+        self._sources = wiring.partition.outgoing(shard).source
+        self._links_shape = self._sources.shape
+        self._drive = [endpoint.publisher(key) for key in form.drive_keys]
+        self._out = [endpoint.publisher(key) for key in form.out_keys]
+        self.publishers = dict(
+            zip((*form.drive_keys, *form.out_keys), (*self._drive, *self._out), strict=True)
+        )
+        self._drive_until = [NEVER] * len(self._drive)
+        self._out_until = self._target_until = [NEVER] * len(self._out)
+
+    def bury(self) -> None:
+        """Takes note of who is gone."""
+        last, form = self._lives.last, self._form
+        self._drive_until = last(form.unit_cells)
+        self._out_until, self._target_until = last(form.out_sources), last(form.out_targets)
+
+    def towards(self, cells: Collection[int]) -> list[Publisher]:
+        """Publishers of messages to any of ``cells`` (indices)."""
+        return [
+            publisher
+            for publisher, targets in zip(self._out, self._form.out_targets, strict=True)
+            if not set(targets.tolist()).isdisjoint(cells)
+        ]
+
+    def puts(self, drive: DriveFrame, links: LinkFrame | None) -> list[tuple[Publisher, bytes]]:
+        """A tick's payloads, each with its publisher.
+
+        Messages come first: when the plant has the drives, it has passed the messages on.
+
+        Raises:
+            BusError: A shape or type is not what was agreed, or a drive is not finite; names the cell.
+        """
+        self._check(drive, links)
+        tick = drive.tick
+        puts = [] if links is None else self.link_puts(links)
+        try:
+            driven = list(zip(self._drive, self._form.drive_payloads(drive), strict=True))
+        except WireError:
+            raise self._not_finite(drive) from None
+        if not self._lives.all:
+            driven = [put for put, until in zip(driven, self._drive_until, strict=True) if until > tick]
+        return puts + driven
+
+    def link_puts(self, links: LinkFrame) -> list[tuple[Publisher, bytes]]:
+        """A tick's messages, each payload with its publisher."""
+        tick = links.tick
+        if not self._out:
+            return []
+        if self._lives.all:
+            return list(zip(self._out, self._form.link_payloads(links), strict=True))
+        live = self._lives.until[self._sources] > tick
+        payloads = self._form.link_payloads(LinkFrame(tick, links.sent & live, links.message))
+        puts = zip(self._out, payloads, strict=True)
+        return [put for put, spoken in zip(puts, self._spoken(tick), strict=True) if spoken]
+
+    def _spoken(self, tick: int) -> list[bool]:
+        """Which parts of the outgoing links have somebody to send them, and somebody to read them a tick later."""
+        return [
+            source > tick and target > tick + 1
+            for source, target in zip(self._out_until, self._target_until, strict=True)
+        ]
+
+    def _check(self, drive: DriveFrame, links: LinkFrame | None) -> None:
+        values = drive.drive
+        if values.shape != self._shape or (values.dtype is not _F8 and values.dtype != _F8):
+            raise BusError(
+                f"drive of shard {self._shard}, tick {drive.tick}: must be float64 {self._shape}, "
+                f"is {values.dtype} {values.shape}"
+            )
+        if (links is None) != (self._message is None):
+            raise BusError(
+                f"links of shard {self._shard}: the firmware {'has' if links is None else 'has no'} messages"
+            )
+        if links is not None and not (
+            links.tick == drive.tick
+            and links.sent.shape == links.message.shape == self._links_shape
+            and (links.message.dtype is self._seen or self._is_agreed(links.message.dtype))
+        ):
+            raise BusError(
+                f"links of shard {self._shard}, tick {drive.tick}: must be {len(self._sources)} of {self._message}"
+                f", are {links.message.shape} of {links.message.dtype} of tick {links.tick}"
+            )
+
+    def _not_finite(self, frame: DriveFrame) -> BusError:
+        i = int(np.nonzero(~np.isfinite(frame.drive).all(axis=1))[0][0])
+        row, column = self._lattice.cells[int(self._cells[i])]
+        return BusError(
+            f"drive of cell {row},{column}, tick {frame.tick}: must be finite, is {frame.drive[i].tolist()}"
+        )
+
+    def _is_agreed(self, dtype: np.dtype[Any]) -> bool:
+        # Comparing structured types takes long, and it is the same object every tick.
+        if dtype != self._message:
+            return False
+        self._seen = dtype
+        return True
+
+
+@final
+class Company:
+    """Keeps a shard's books of the living; all cells are indices in the lattice.
+
+    Args:
+        cells: The shard's own.
+        lives: Of the run's cells.
+        incoming: What the shard takes in.
+        outgoing: What it sends.
+        counts: Where to count.
+    """
+
+    def __init__(
+        self, cells: Index, lives: Lives, incoming: Incoming, outgoing: Outgoing, counts: Counts
+    ) -> None:
+        self._cells = cells
+        self._lives = lives
+        self._incoming = incoming
+        self._outgoing = outgoing
+        self._counts = counts
+
+    def live(self, tick: int) -> Mask:
+        """``(n,)``: the shard's cells that take part in ``tick``."""
+        return self._lives.live(tick)[self._cells]
+
+    def none_live(self, tick: int) -> bool:
+        """Whether no cell of the shard takes part in ``tick``."""
+        return not self._lives.all and not self.live(tick).any()
+
+    def plan(self, cells: Iterable[int], tick: int) -> None:
+        """``cells`` will be gone for good from ``tick`` on: a scheduled death."""
+        self._lives.plan(cells, tick)
+        self._bury()
+
+    def retire(self, cells: Iterable[int], tick: int) -> None:
+        """``cells`` are gone from ``tick`` on."""
+        self._lives.retire(cells, tick)
+        self._bury()
+
+    def lose(self, cells: Iterable[int], tick: int) -> None:
+        """``cells`` were lost in ``tick``: what they have not said yet, they won't say."""
+        waited = self._incoming.awaited
+        self.retire(cells, tick)
+        self._counts.lost += waited - self._incoming.awaited
+        self._incoming.void(tick)
+
+    def expect(self, cells: Iterable[int]) -> None:
+        """``cells``, which are gone, may come back."""
+        self._incoming.expect(cells)
+
+    def admit(self, cells: Collection[int], tick: int) -> bool:
+        """``cells`` take part again from ``tick`` on, which is the next; whether any is the shard's own."""
+        self._lives.admit(cells, tick)
+        own = self.owns(cells)
+        if own:
+            self._incoming.enter(tick)
+        self._incoming.admit()
+        self._outgoing.bury()
+        return own
+
+    def owns(self, cells: Iterable[int]) -> bool:
+        """Whether any of ``cells`` is the shard's own."""
+        return not set(cells).isdisjoint(self._cells.tolist())
+
+    def _bury(self) -> None:
+        self._incoming.bury()
+        self._outgoing.bury()

@@ -1,0 +1,264 @@
+"""What objects carry from tick to tick: declared by their class, taken out, and put back into others like them.
+
+A class that changes as a run goes on names what changes::
+
+    class Motors:
+        remembers: ClassVar[Remembers] = Remembers("_volts", "_speed", "_travel")
+
+``remember`` makes bytes of that, and of what the objects remember that these attributes lead to; ``recall`` puts it
+back into an object that was made anew from the same scene: all that does not change is there already. A class adds
+what it declares to what its bases do.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, cast, final
+
+import numpy as np
+
+from bus.errors import MemoryRefusedError
+from bus.state_codec import NOT_SO, Part, Records, Stream, decode, encode
+
+DECLARED: Final = "remembers"
+"""The class attribute that says what is remembered."""
+
+
+@final
+class Remembers:
+    """What an object of a class carries from tick to tick.
+
+    Values are numbers, texts, arrays, and lists, maps and the like of them; random generators; and objects that
+    remember by themselves.
+
+    Args:
+        names: Attributes that get other values. A path (``packed.y``) leads over objects that stay.
+        shared: Attributes whose values are changed themselves, as others hold them too: arrays of one shape, lists,
+            maps, sets.
+        records: Frozen dataclasses and named tuples among the values.
+    """
+
+    __slots__ = ("names", "records", "shared")
+
+    def __init__(self, *names: str, shared: Sequence[str] = (), records: Sequence[type] = ()) -> None:
+        self.names = names
+        self.shared = tuple(shared)
+        self.records = tuple(records)
+
+
+def remember(owner: Any, records: Sequence[type] = ()) -> bytes:
+    """What an object remembers, as bytes.
+
+    Args:
+        owner: The object.
+        records: More types of values than its classes declare.
+
+    Raises:
+        MemoryRefusedError: It remembers something that is no value: says what.
+    """
+    return encode(_part(owner), _records(owner, records))
+
+
+def recall(owner: Any, data: bytes, records: Sequence[type] = ()) -> None:
+    """Let an object remember what another like it did.
+
+    Args:
+        owner: Made anew, as the other had been. If this raises it is of no use any more.
+        data: What ``remember`` made of the other.
+        records: As there.
+
+    Raises:
+        MemoryRefusedError: That is no memory of such an object: says where.
+    """
+    part = decode(data, _records(owner, records))
+    if not _is(part, Part):
+        raise MemoryRefusedError(f"not the memory of a {type(owner).__name__}")
+    try:
+        _put_back(owner, part, type(owner).__name__)
+    except NOT_SO as error:
+        raise MemoryRefusedError(
+            f"not the memory of a {type(owner).__name__}: {type(error).__name__}: {error}"
+        ) from None
+
+
+def declared(kind: Any) -> list[Remembers]:
+    """What a class and its bases declare, the bases first."""
+    return [vars(base)[DECLARED] for base in reversed(kind.__mro__) if DECLARED in vars(base)]
+
+
+# --- taking out -------------------------------------------------------------------------------------
+
+
+def _part(owner: Any) -> Part:
+    return Part({name: _taken(value) for name, value in _values(owner)})
+
+
+def _values(owner: Any) -> Iterator[tuple[str, Any]]:
+    """Every name that an object declares, and its value."""
+    for remembers in declared(type(owner)):
+        for name in (*remembers.names, *remembers.shared):
+            yield name, _found(owner, name)
+
+
+def _found(owner: Any, path: str) -> Any:
+    """The value at the end of a path; None where it breaks off."""
+    for name in path.split("."):
+        if owner is None:
+            return None
+        owner = getattr(owner, name)
+    return owner
+
+
+def _taken(value: Any) -> Any:
+    """A value with what objects in it remember instead of them."""
+    kind = cast("Any", type(value))
+    if _is(value, np.random.Generator):
+        return Stream(value.bit_generator.state)
+    if declared(kind):
+        return _part(value)
+    if _is(value, list, tuple, deque):
+        return kind(map(_taken, value))
+    if _is_map(value):
+        made: Any = kind if hasattr(kind, "update") else dict  # a view of a map can't be made of one
+        return made({key: _taken(item) for key, item in value.items()})
+    return value
+
+
+def _is_map(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _is(value: Any, *kinds: Any) -> bool:
+    """Whether a value is of one of these types itself, of none derived from it."""
+    return type(value) in kinds
+
+
+def _records(owner: Any, more: Sequence[type]) -> Records:
+    """Every type of record that an object, or one that it leads to, declares."""
+    found = {kind.__qualname__: kind for kind in more}
+    for part in _objects(owner):
+        for remembers in declared(type(part)):
+            found |= {kind.__qualname__: kind for kind in remembers.records}
+    return found
+
+
+def _objects(value: Any) -> Iterator[Any]:
+    """The objects in a value that remember, and those that they lead to."""
+    if declared(type(value)):
+        yield value
+        for _, item in _values(value):
+            yield from _objects(item)
+    elif _is_map(value) or _is(value, list, tuple):
+        for item in value.values() if _is_map(value) else value:
+            yield from _objects(item)
+
+
+# --- putting back -----------------------------------------------------------------------------------
+
+
+def _put_back(owner: Any, part: Part, place: str) -> None:
+    names = [name for name, _ in _values(owner)]
+    if part.values.keys() != set(names):
+        raise MemoryRefusedError(
+            f"{place}: must be {', '.join(sorted(names))}, is {', '.join(sorted(part.values))}"
+        )
+    for remembers in declared(type(owner)):
+        for name in (*remembers.names, *remembers.shared):
+            where, value = f"{place}.{name}", part.values[name]
+            # Looked up only now: what a name means may hang on those before it.
+            now = _found(owner, name)
+            if name in remembers.shared:
+                _fill(now, value, where)
+                continue
+            merged = _merged(now, value, where)
+            if merged is not now:
+                _set(owner, name, merged, where)
+
+
+def _set(owner: Any, path: str, value: Any, place: str) -> None:
+    *way, name = path.split(".")
+    holder = _found(owner, ".".join(way)) if way else owner
+    if holder is None:
+        raise MemoryRefusedError(f"{place}: must be nothing, is a {type(value).__name__}")
+    setattr(holder, name, value)
+
+
+def _merged(now: Any, value: Any, place: str) -> Any:
+    """What an attribute is to be, that is ``now`` as it is in an object made anew."""
+    if _is(value, Part):
+        if not declared(type(now)):
+            raise MemoryRefusedError(f"{place}: must be a {type(now).__name__}, which remembers nothing")
+        _put_back(now, value, place)
+        return now
+    if _is(value, Stream):
+        _set_stream(now, value, place)
+        return now
+    if _holds_parts(value):
+        return _each(now, value, place)
+    _check(now, value, place)
+    return value
+
+
+def _holds_parts(value: Any) -> bool:
+    if _is(value, list, tuple):
+        return any(map(_holds_parts, value))
+    return any(map(_holds_parts, value.values())) if _is(value, dict) else _is(value, Part)
+
+
+def _each(now: Any, value: Any, place: str) -> Any:
+    """Objects in a list or a map: those that are there remember."""
+    same = _is(value, cast("Any", type(now))) and len(now) == len(value)
+    if not same or (_is(value, dict) and now.keys() != value.keys()):
+        raise MemoryRefusedError(f"{place}: must be {len(now) if same else 'other'} objects")
+    pairs = [(key, now[key], value[key]) for key in (value if _is(value, dict) else range(len(value)))]
+    for key, mine, theirs in pairs:
+        if _is(theirs, list, tuple) and not len(theirs) and not len(mine):
+            continue
+        if _merged(mine, theirs, f"{place}[{key}]") is not mine:
+            raise MemoryRefusedError(f"{place}[{key}]: must be an object that remembers")
+    return now
+
+
+def _check(now: Any, value: Any, place: str) -> None:
+    """Refuse what is of another kind than before the first tick."""
+    if now is None or value is None or (_is_number(now) and _is_number(value)):
+        return
+    kind = cast("Any", type(now))
+    if not _is(value, kind) and not (_is_map(now) and _is(value, dict)):
+        raise MemoryRefusedError(f"{place}: must be a {kind.__name__}, is a {type(value).__name__}")
+    if _is(now, np.ndarray) and (now.dtype != value.dtype or now.ndim != value.ndim):
+        raise MemoryRefusedError(
+            f"{place}: must be {now.ndim} dimensions of {now.dtype}, is {value.ndim} of {value.dtype}"
+        )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, bool | int | float | np.generic)
+
+
+def _set_stream(now: Any, value: Stream, place: str) -> None:
+    if not isinstance(now, np.random.Generator):
+        raise MemoryRefusedError(f"{place}: must be a {type(now).__name__}, is a random generator's state")
+    now.bit_generator.state = value.state
+
+
+def _fill(now: Any, value: Any, place: str) -> None:
+    """Change what others hold too."""
+    if not _is(value, cast("Any", type(now))):
+        raise MemoryRefusedError(f"{place}: must be a {type(now).__name__}, is a {type(value).__name__}")
+    if now is None:
+        return
+    if _is(now, np.ndarray):
+        if now.shape != value.shape or now.dtype != value.dtype:
+            raise MemoryRefusedError(
+                f"{place}: must be {now.dtype} {now.shape}, is {value.dtype} {value.shape}"
+            )
+        now[...] = value
+    elif _is(now, list):
+        now[:] = value
+    elif _is(now, dict, set):
+        now.clear()
+        now.update(value)
+    else:
+        raise MemoryRefusedError(f"{place}: this is a bug: a {type(now).__name__} can't be shared")

@@ -1,0 +1,240 @@
+"""What a session's reader waits on.
+
+A callback of ours makes Zenoh's receiving threads wait for the interpreter: measured, a tenth of the exchange where
+eighteen processes share two cores. Payloads therefore come through Zenoh's own channels, and the reader sleeps in
+one of them, outside Python. That wait knows no time and no other channel; a bell ends it for whatever else happens.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable
+from typing import Any, Final, cast, final
+
+import zenoh
+from zenoh import handlers  # pyright: ignore[reportMissingModuleSource] - its source is the binary
+
+from bus.errors import TransportError
+from bus.transports.base import Event, Haste, Received
+
+PRECISION_S: Final = 0.1
+
+
+@final
+class Alarm:
+    """Rings when its time has come, at most ``PRECISION_S`` late, and again until it is put off.
+
+    Args:
+        ring: What it does.
+    """
+
+    def __init__(self, ring: Callable[[], None]) -> None:
+        self._ring = ring
+        self._until: float | None = None
+        self._thread: threading.Thread | None = None
+        self._closed = threading.Event()
+
+    def set(self, until: float | None) -> None:
+        """Rings at ``until`` (``time.monotonic``), or not at all."""
+        self._until = until
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._watch, name="alarm", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._closed.set()
+
+    def _watch(self) -> None:
+        while not self._closed.wait(PRECISION_S):
+            until = self._until
+            if until is not None and time.monotonic() >= until:
+                self._ring()
+
+
+_CAPACITY: Final = 65_536
+"""Payloads that wait for a reader; beyond it their senders do."""
+
+received = cast(
+    "Callable[[tuple[str, bytes]], Received]", functools.partial(cast("Any", tuple).__new__, Received)
+)
+"""As ``Received`` does, without a call into Python."""
+
+
+@final
+class Channel:
+    """What comes on one subscription. Its reader waits outside Python, and needs no callback of ours.
+
+    Args:
+        session: The session.
+        key_expr: What to subscribe to.
+
+    Attributes:
+        key: The key, where only one can match: nobody need ask the sample for it.
+        try_recv: Zenoh's own: a sample, or None where there is none.
+    """
+
+    def __init__(self, session: zenoh.Session, key_expr: str) -> None:
+        self._session = session
+        self._subscriber = session.declare_subscriber(key_expr, handlers.FifoChannel(_CAPACITY))
+        handler = cast("Any", self._subscriber.handler)
+        self._recv: Callable[[], zenoh.Sample] = handler.recv
+        self.try_recv: Callable[[], zenoh.Sample | None] = handler.try_recv
+        self.key = None if "*" in key_expr else key_expr
+        self._bell = key_expr.replace("**", "bell").replace("*", "bell")
+
+    def wait(self, events: list[Event]) -> None:
+        """Waits for a payload, which it adds, or for the bell."""
+        try:
+            sample = self._recv()
+        except zenoh.ZError:
+            raise TransportError("this endpoint was closed while it waited") from None
+        payload = sample.payload.to_bytes()
+        if payload or sample.kind == zenoh.SampleKind.PUT:
+            events.append(received((self.key or str(sample.key_expr), payload)))
+
+    def ring(self) -> None:
+        """Ends a wait, or the next: a deletion, which nobody puts on these keys, and that stays in this session."""
+        with contextlib.suppress(zenoh.ZError):  # The session may be closed already.
+            cast("Any", self._session).delete(self._bell, allowed_destination=zenoh.Locality.SESSION_LOCAL)
+
+
+def drain(channels: Iterable[Channel], events: list[Event]) -> None:
+    """Adds the payloads that are there; of each channel no more than it can hold, however fast others come after."""
+    for channel in channels:
+        key, try_recv = channel.key, channel.try_recv
+        for _ in range(_CAPACITY):
+            if (sample := try_recv()) is None:
+                break
+            payload = sample.payload.to_bytes()
+            if payload or sample.kind == zenoh.SampleKind.PUT:
+                events.append(received((key or str(sample.key_expr), payload)))
+
+
+_SHORT_S: Final = 0.1
+"""A wait up to this long looks every millisecond; a longer one may be late by the alarm's precision."""
+_LOOK_S: Final = 0.001
+
+_held: set[int] = set()
+"""Receiving threads that keep their Python state."""
+os.register_at_fork(after_in_child=_held.clear)  # those threads are not in the child
+
+
+@final
+class Mail:
+    """The payloads of one session, and its *news*: whatever ends a wait at once.
+
+    Args:
+        session: The session.
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._news: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._main: Channel | None = None
+        self._waking: list[Channel] = []
+        self._quiet: list[Channel] = []
+        self._subscribers: list[object] = []
+        self._alarm = Alarm(self._ring)
+
+    def tell(self, event: Event) -> None:
+        """Adds news. From any thread, or a signal handler."""
+        self._news.put(event)
+        self._ring()
+
+    def teller(self, take: Callable[[zenoh.Sample], Event]) -> handlers.Callback[zenoh.Sample]:
+        """A handler that makes news of each sample."""
+        return handlers.Callback(_keep_state(lambda sample: self.tell(take(sample))), indirect=False)
+
+    def subscribe(self, key_expr: str, haste: Haste) -> None:
+        """Subscribes. The reader sleeps in the first channel that is to wake it; what any other brings is news."""
+        if haste == "quiet":
+            self._quiet.append(Channel(self._session, key_expr))
+        elif haste == "wake" and self._main is None:
+            self._main = Channel(self._session, key_expr)
+            self._waking.append(self._main)
+        else:
+            self._subscribers.append(self._session.declare_subscriber(key_expr, self.teller(_payload)))
+
+    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+        """All that is there, once it is enough or there is news; see ``Endpoint``."""
+        until = None if timeout_s is None else time.monotonic() + timeout_s
+        left = timeout_s
+        data: list[Event] = []
+        news: list[Event] = []
+        while True:
+            if self._news.empty() and (left is None or left > 0.0):
+                self._sleep(left, until, data, news)
+            self._look(data, news)
+            if news or len(data) >= enough or (left is not None and left <= 0.0):
+                break
+            left = None if until is None else until - time.monotonic()
+        quiet: list[Event] = []
+        drain(self._quiet, quiet)
+        return quiet + data + news
+
+    def close(self) -> None:
+        """Ends what runs here."""
+        self._alarm.close()
+
+    def _look(self, data: list[Event], news: list[Event]) -> None:
+        """Takes what is there: also all data of before the last news, and all news of before the last data."""
+        empty = self._news.empty
+        while True:
+            drain(self._waking, data)
+            if empty():
+                return
+            while not empty():
+                news.append(self._news.get())
+
+    def _sleep(self, left: float | None, until: float | None, data: list[Event], news: list[Event]) -> None:
+        """Waits until something may have come, or the time is up."""
+        main = self._main
+        if main is None:
+            try:
+                news.append(self._news.get(timeout=left))
+            except queue.Empty:
+                return
+        elif left is None:
+            main.wait(data)
+        elif left <= _SHORT_S:
+            time.sleep(min(left, _LOOK_S))
+        else:
+            self._alarm.set(until)
+            try:
+                main.wait(data)
+            finally:
+                self._alarm.set(None)
+
+    def _ring(self) -> None:
+        if self._main is not None:
+            self._main.ring()
+
+
+def _payload(sample: zenoh.Sample) -> Event:
+    return received((str(sample.key_expr), sample.payload.to_bytes()))
+
+
+def _keep_state(call: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], Any]:
+    """``call``, made cheap for Zenoh's own threads.
+
+    CPython gives a thread that it did not start a new state, and that state new memory pages, for every call into
+    Python: a page fault and about 40 µs a sample. One hold that is never released lets the thread keep the
+    state of its first call. There are few such threads and they live as long as the process.
+    """
+    hold = ctypes.pythonapi.PyGILState_Ensure
+
+    def held_call(sample: zenoh.Sample) -> None:
+        thread = threading.get_ident()
+        if thread not in _held:
+            _held.add(thread)
+            hold()
+        call(sample)
+
+    return held_call

@@ -1,0 +1,129 @@
+"""Payloads that are the same bytes every tick but for the values: one call writes or reads the whole.
+
+MessagePack lets the writer choose how wide a number is. Written always as wide as its type, whatever its value,
+numbers stand always in the same places, and the struct module puts them there. What others write narrower is as
+good, but for ``bus.wire.msgpack_codec.reader`` to read.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Final, cast, final
+
+import msgpack  # pyright: ignore[reportMissingTypeStubs]
+
+from bus.wire.msgpack_codec import TICK_LIMIT, VERSION
+
+_MARKS: Final = {
+    "d": b"\xcb", "f": b"\xca", "B": b"\xcc", "H": b"\xcd", "I": b"\xce", "Q": b"\xcf",
+    "b": b"\xd0", "h": b"\xd1", "i": b"\xd2", "q": b"\xd3",
+}  # fmt: skip
+"""What MessagePack puts before a number, by its type in the struct module's words."""
+_TO_WIRE: Final = bytes.maketrans(b"\x00\x01", b"\xc2\xc3")
+_FROM_WIRE: Final = bytes({0xC2: 0, 0xC3: 1}.get(byte, 2) for byte in range(256))
+
+Place = str | tuple[str, ...] | int | None
+"""What stands under a name: a number, a list of numbers, a list of so many booleans, or nil; ``"?"``: a boolean."""
+
+
+Decode = Callable[[int, bytes], tuple[int, Any]]
+"""From the part of a frame and any payload to its tick and value, or WireError."""
+
+
+def flags(marks: bytes) -> bytes | None:
+    """Booleans, a byte each, 0 or 1, from what MessagePack has for them; None where it is something else."""
+    found = marks.translate(_FROM_WIRE)
+    return None if 2 in found else found
+
+
+@final
+class Fixed:
+    """One kind of payload; writes for one thread at a time.
+
+    Args:
+        places: What stands under each name, after ``v`` and ``tick``.
+    """
+
+    def __init__(self, places: Mapping[str, Place]) -> None:
+        between, values, self._booleans = _layout(places)
+        words = [f"{len(text)}s{value}" for text, value in zip(between, [*values, ""], strict=True)]
+        self._layout = struct.Struct(">" + "".join(words))
+        self._between = tuple(between)
+        self._parts: list[Any] = [b""] * (2 * len(values) + 1)
+        self._parts[::2] = between
+
+    def write(self, tick: int, rows: Iterable[Iterable[Any]]) -> list[bytes]:
+        """A payload a row of values, in their places' order; booleans are bytes, one each, 0 or 1."""
+        parts, pack = self._parts, self._layout.pack
+        parts[1] = tick
+        payloads: list[bytes] = []
+        for row in rows:
+            parts[3::2] = row
+            for i in self._booleans:
+                parts[i] = parts[i].translate(_TO_WIRE)
+            payloads.append(pack(*parts))
+        return payloads
+
+    def decoder(self, make: Callable[..., Any], other: Decode) -> Decode:
+        """What decodes such payloads.
+
+        Args:
+            make: From the values to what they stand for, or None if they are not what they should be; booleans
+                are for ``flags`` to read.
+            other: Decodes all else, and says what is wrong.
+        """
+        size, between, unpack = self._layout.size, self._between, self._layout.unpack
+
+        def decode(part: int, payload: bytes) -> tuple[int, Any]:
+            if len(payload) == size:
+                parts = unpack(payload)
+                if parts[::2] == between and parts[1] < TICK_LIMIT:
+                    value = make(*parts[3::2])
+                    if value is not None:
+                        return parts[1], value
+            return other(part, payload)
+
+        return decode
+
+
+def _layout(places: Mapping[str, Place]) -> tuple[list[bytes], list[str], list[int]]:
+    """The bytes before, between and after the values; the values' types; where between both the booleans are."""
+    packer = cast("Any", msgpack).Packer()
+    between, values, booleans = [b""], list[str](), list[int]()
+
+    def text(more: bytes) -> None:
+        between[-1] += more
+
+    def value(letter: str) -> None:
+        text(_MARKS.get(letter, b""))
+        values.append(letter)
+        between.append(b"")
+
+    def booleans_of(count: int) -> None:
+        booleans.append(2 * len(values) + 1)
+        value(f"{count}s")
+
+    text(
+        packer.pack_map_header(2 + len(places))
+        + packer.pack("v")
+        + packer.pack(VERSION)
+        + packer.pack("tick")
+    )
+    value("Q")
+    for name, place in places.items():
+        text(packer.pack(name))
+        if place is None:
+            text(packer.pack(None))
+        elif place == "?":
+            booleans_of(1)
+        elif isinstance(place, int):
+            text(packer.pack_array_header(place))
+            booleans_of(place)
+        elif isinstance(place, str):
+            value(place)
+        else:
+            text(packer.pack_array_header(len(place)))
+            for letter in place:
+                value(letter)
+    return between, values, booleans

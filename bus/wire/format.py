@@ -1,0 +1,157 @@
+"""What the lockstep asks of a wire form: frames to keys and payloads, and back.
+
+A form cuts the cells into *units*, each with its own keys: a shard in the packed form, a cell in the other. It
+cuts a shard's border links into *parts* likewise: a border between two shards, or a single link.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from bus.partition import Index, Partition
+from bus.sensors import Labels, Picture, Readings
+from bus.wire.fixed_layout import Decode
+from bus.wire.frames import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
+from bus.wire.keys import check_run
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """What both sides of a run must agree on.
+
+    Args:
+        run: Name of the run, second chunk of every key.
+        partition: How the cells are cut into shards.
+        readings: What there is to read.
+        message: The protocol's message type, None where cells send each other nothing.
+
+    Raises:
+        RunNameError: The name can't stand in a key.
+        WireError: The message type can't go over the wire.
+    """
+
+    run: str
+    partition: Partition
+    readings: Readings
+    message: np.dtype[Any] | None
+
+    def __post_init__(self) -> None:
+        check_run(self.run)
+        if self.message is not None:
+            object.__setattr__(self, "message", check_message(self.message))
+
+
+class Senses(NamedTuple):
+    """What n cells sense; may be written.
+
+    Attributes:
+        presence: ``(n, sensors)``.
+        encoder_m: ``(n, 2)`` travel, None without encoders.
+        level: ``(n, sensors)`` in [0, 1], None without levels.
+        label: ``(n,)``, None without scanners.
+        picture: The same for all; None where none comes in.
+    """
+
+    presence: Mask
+    encoder_m: Values | None
+    level: Values | None
+    label: Labels | None
+    picture: Picture | None
+
+
+class HostForm(ABC):
+    """The plant's side of a form.
+
+    Attributes:
+        unit_cells: Indices of each unit's cells.
+        sense_keys: Key of each unit's sense.
+        drive_units, alive_units, ready_units: Unit of each such key.
+        drive_expr, alive_expr, ready_expr: What to subscribe to and to watch.
+        blank_drives: What stands for each unit that sends none.
+        decode_drive: From a unit and any payload to the tick and value of its drive, or WireError.
+    """
+
+    unit_cells: tuple[Index, ...]
+    sense_keys: tuple[str, ...]
+    drive_units: dict[str, int]
+    alive_units: dict[str, int]
+    ready_units: dict[str, int]
+    drive_expr: str
+    alive_expr: str
+    ready_expr: str
+    blank_drives: list[Any]
+    decode_drive: Decode
+
+    @abstractmethod
+    def sense_payloads(self, frame: SenseFrame) -> list[bytes]:
+        """A payload a unit, in their order."""
+
+    @abstractmethod
+    def join_drives(self, values: list[Any]) -> Values:
+        """``(n, 2)`` from a value a unit; may be written."""
+
+
+class MemberForm(ABC):
+    """A shard's side of a form.
+
+    Attributes:
+        alive_keys, ready_keys, drive_keys: The shard's own keys, one a unit.
+        unit_cells: Indices (in the lattice) of each unit's cells.
+        sense_units: Unit of each sense key.
+        blank_senses: What stands for each unit that gets none.
+        decode_sense: From a unit and any payload to the tick and value of its sense, or WireError.
+        in_parts: Part of each key on which the shard hears its neighbours, in the order of its incoming links.
+        in_sources, in_targets: Cells of the units that send and hear each part.
+        blank_links: What stands for each part that does not come.
+        decode_link: From a part and any payload to the tick and value of its frame, or WireError.
+        out_keys: Key of each part that the shard sends, in the order of its outgoing links.
+        out_sources, out_targets: Cells of the units that send and hear each part.
+    """
+
+    alive_keys: tuple[str, ...]
+    ready_keys: tuple[str, ...]
+    drive_keys: tuple[str, ...]
+    unit_cells: tuple[Index, ...]
+    sense_units: dict[str, int]
+    blank_senses: list[Any]
+    decode_sense: Decode
+    in_parts: dict[str, int]
+    in_sources: tuple[Index, ...]
+    in_targets: tuple[Index, ...]
+    blank_links: list[Any]
+    decode_link: Decode
+    out_keys: tuple[str, ...]
+    out_sources: tuple[Index, ...]
+    out_targets: tuple[Index, ...]
+
+    @abstractmethod
+    def join_senses(self, values: list[Any]) -> Senses:
+        """What the shard's cells sense."""
+
+    @abstractmethod
+    def join_links(self, values: list[Any]) -> tuple[Mask, Message]:
+        """Mask and messages ``(m,)`` of all incoming links, messages zero where none was sent."""
+
+    @abstractmethod
+    def drive_payloads(self, frame: DriveFrame) -> list[bytes]:
+        """A payload a unit, in their order.
+
+        Raises:
+            WireError: A drive is not finite.
+        """
+
+    @abstractmethod
+    def link_payloads(self, frame: LinkFrame) -> list[bytes]:
+        """A payload a part that the shard sends, in their order."""
+
+
+def stretch(index: Index) -> slice | Index:
+    """The same selection as a slice where it is one: NumPy then copies instead of gathering."""
+    if len(index) and int(index[-1]) - int(index[0]) == len(index) - 1:
+        return slice(int(index[0]), int(index[-1]) + 1)
+    return index

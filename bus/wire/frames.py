@@ -1,0 +1,246 @@
+"""What goes over the bus: frames, which the two wire forms lay out as payloads, and records, alike in both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final, Literal, NamedTuple, cast, final
+
+import numpy as np
+
+from bus.errors import BusError, WireError
+from bus.sensors import Labels, Picture, Readings
+from bus.wire.msgpack_codec import TICK_LIMIT, VERSION, Mask, Message, Values, layout, packer, reader
+
+TEXT_LIMIT: Final = 4096
+"""Longest text in a control record or report, characters."""
+TALLY_LIMIT: Final = 64
+"""Most numbers in a report's tally, and longest name of one, characters."""
+_MESSAGE_LIMIT: Final = 4096
+_MESSAGE_FIELDS: Final = 64
+
+
+class SenseFrame(NamedTuple):
+    """What the cells sense as a tick begins: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None.
+
+    ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue; ``label`` ``(n,)`` what scanners read,
+    None where there are none; ``picture`` what a camera saw, in the ticks in which one comes in.
+    """
+
+    tick: int
+    presence: Mask
+    encoder_m: Values | None
+    level: Values | None = None
+    label: Labels | None = None
+    picture: Picture | None = None
+
+
+class DriveFrame(NamedTuple):
+    """What the wheels are to do during a tick: ``(n, 2)`` float64, m/s or volts."""
+
+    tick: int
+    drive: Values
+
+
+class LinkFrame(NamedTuple):
+    """What links carried in a tick: ``sent`` ``(m,)`` says which; ``message`` ``(m,)`` is zero elsewhere."""
+
+    tick: int
+    sent: Mask
+    message: Message
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Control:
+    """The plant's word to all: ``cells`` are ``(row, column)``.
+
+    ``keep``: it wants what the shards remember before ``tick``.
+    """
+
+    kind: Literal["start", "keep", "lost", "joining", "joined", "fault", "stop"]
+    tick: int
+    cells: tuple[tuple[int, int], ...] = ()
+    detail: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A shard's word to the plant.
+
+    Cells that ``failed``, whose program is ``hung``, or that can be sent to again (``linked``); that the shard is still
+    ``busy`` with ``tick``; or its final ``counts``.
+    """
+
+    kind: Literal["failed", "hung", "linked", "busy", "counts"]
+    tick: int
+    cells: tuple[tuple[int, int], ...] = ()
+    detail: str = ""
+    counts: tuple[int, int, int, int] = (0, 0, 0, 0)
+    """Payloads sent, delivered, lost, late."""
+    tally: tuple[tuple[str, int], ...] = ()
+    """What the cells counted themselves, by name."""
+
+
+def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
+    """A protocol's message type as it goes over the wire: packed, little-endian.
+
+    Args:
+        dtype: Structured, of plain booleans, integers and floats.
+
+    Raises:
+        WireError: Not structured, nested, an array or object field, too large, or a reserved field name.
+    """
+    if dtype.names is None or not dtype.names or len(dtype.names) > _MESSAGE_FIELDS:
+        raise WireError("message", "type", f"{dtype}: must be structured, of 1 to {_MESSAGE_FIELDS} fields")
+    fields: list[tuple[str, np.dtype[Any]]] = []
+    for name in dtype.names:
+        field = dtype[name]
+        if name in ("v", "tick") or not name.isidentifier():
+            raise WireError("message", "type", f"field {name!r}: must be an identifier other than v and tick")
+        if field.kind not in "biuf" or field.shape or field.itemsize > 8:
+            raise WireError(
+                "message", "type", f"field {name!r} is {field}: must be bool, int or float up to 64 bits"
+            )
+        fields.append((name, field.newbyteorder("<")))
+    packed = np.dtype(fields)
+    if packed.itemsize > _MESSAGE_LIMIT:
+        raise WireError("message", "type", f"{packed.itemsize} bytes: must be at most {_MESSAGE_LIMIT}")
+    return packed
+
+
+def check_sense(frame: SenseFrame, readings: Readings, cells: int) -> None:
+    """Checks that a frame of ``cells`` cells has what was agreed on, and nothing else.
+
+    Raises:
+        BusError: It has not.
+    """
+    each = (cells, readings.sensors)
+    expected = {
+        "presence": each,
+        "encoder travel": (cells, 2) if readings.encoders else None,
+        "levels": each if readings.levels else None,
+        "labels": (cells,) if readings.labels else None,
+    }
+    arrays = {
+        "presence": frame.presence,
+        "encoder travel": frame.encoder_m,
+        "levels": frame.level,
+        "labels": frame.label,
+    }
+    agreed = {name: shape for name, shape in expected.items() if shape is not None}
+    found = {name: array.shape for name, array in arrays.items() if array is not None}
+    if frame.picture is not None and not readings.camera:
+        found["a picture"] = frame.picture.pose.shape
+    if found != agreed:
+        raise BusError(f"sense frame of tick {frame.tick}: must have {agreed}, has {found}")
+
+
+def encode_control(control: Control) -> bytes:
+    """The payload of a control record."""
+    return packer()(
+        {
+            "v": VERSION,
+            "tick": control.tick,
+            "kind": control.kind,
+            "cells": control.cells,
+            "detail": control.detail[:TEXT_LIMIT],
+        }
+    )
+
+
+_CONTROLS: Final = ("start", "keep", "lost", "joining", "joined", "fault", "stop")
+_REPORTS: Final = ("failed", "hung", "linked", "busy", "counts")
+_CONTROL: Final = layout("kind", "cells", "detail")
+_REPORT: Final = layout("kind", "cells", "detail", "counts", "tally")
+
+
+def decode_control(payload: bytes, cells: int) -> Control:
+    """A control record that names at most ``cells`` cells.
+
+    Raises:
+        WireError: Anything else.
+    """
+    tick, fields = reader("control", _text_limit(cells), _CONTROL)(payload)
+    kind = fields["kind"]
+    if kind not in _CONTROLS:
+        raise WireError("control", "kind", f"must be one of {', '.join(_CONTROLS)}")
+    return Control(kind, tick, _places("control", fields["cells"], cells), _text("control", fields["detail"]))
+
+
+def encode_report(report: Report) -> bytes:
+    """The payload of a report."""
+    return packer()(
+        {
+            "v": VERSION,
+            "tick": report.tick,
+            "kind": report.kind,
+            "cells": report.cells,
+            "detail": report.detail[:TEXT_LIMIT],
+            "counts": report.counts,
+            "tally": report.tally,
+        },
+    )
+
+
+def decode_report(payload: bytes, cells: int) -> Report:
+    """A report that names at most ``cells`` cells.
+
+    Raises:
+        WireError: Anything else.
+    """
+    limit = _text_limit(cells) + TALLY_LIMIT * (4 * TALLY_LIMIT + 16)
+    tick, fields = reader("report", limit, _REPORT)(payload)
+    kind = fields["kind"]
+    if kind not in _REPORTS:
+        raise WireError("report", "kind", f"must be one of {', '.join(_REPORTS)}")
+    counts = fields["counts"]
+    if (
+        type(counts) is not list
+        or len(cast("list[object]", counts)) != 4
+        or not all(_is_count(c) for c in cast("list[object]", counts))
+    ):
+        raise WireError("report", "type", "counts must be four integers")
+    a, b, c, d = cast("list[int]", counts)
+    places = _places("report", fields["cells"], cells)
+    text, tally = _text("report", fields["detail"]), _tally(fields["tally"])
+    return Report(kind, tick, places, text, (a, b, c, d), tally)
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and 0 <= value < TICK_LIMIT
+
+
+def _tally(value: object) -> tuple[tuple[str, int], ...]:
+    if type(value) is list and len(cast("list[object]", value)) <= TALLY_LIMIT:
+        pairs = cast("list[list[Any]]", value)
+        if all(type(pair) is list and len(pair) == 2 for pair in pairs) and all(
+            type(name) is str and len(name) <= TALLY_LIMIT and _is_count(number) for name, number in pairs
+        ):
+            return tuple((name, number) for name, number in pairs)
+    raise WireError("report", "type", f"tally must be a list of at most {TALLY_LIMIT} names and numbers")
+
+
+def _text_limit(cells: int) -> int:
+    return 4 * TEXT_LIMIT + 11 * cells + 128
+
+
+def _text(kind: str, value: object) -> str:
+    if type(value) is not str or len(value) > TEXT_LIMIT:
+        raise WireError(kind, "type", f"detail must be text of at most {TEXT_LIMIT} characters")
+    return value
+
+
+def _places(kind: str, value: object, most: int) -> tuple[tuple[int, int], ...]:
+    if type(value) is not list or len(cast("list[object]", value)) > most:
+        raise WireError(kind, "type", f"cells must be a list of at most {most} pairs")
+    return tuple(_place(kind, item) for item in cast("Iterable[object]", value))
+
+
+def _place(kind: str, value: object) -> tuple[int, int]:
+    if type(value) is list and len(cast("list[object]", value)) == 2:
+        row, column = cast("list[object]", value)
+        if type(row) is int and type(column) is int:
+            return row, column
+    raise WireError(kind, "type", "a cell must be a list of its row and column")

@@ -1,0 +1,203 @@
+"""The packed form: one little-endian array a shard, and one a border between shards."""
+
+from __future__ import annotations
+
+from typing import Any, Final, cast, final
+
+import numpy as np
+
+from bus.errors import WireError
+from bus.partition import Index
+from bus.sensors import Readings
+from bus.wire import frames as wire
+from bus.wire import msgpack_codec as codec
+from bus.wire import msgpack_codec as readings_codec
+from bus.wire.format import HostForm, MemberForm, Senses, Wiring, stretch
+from bus.wire.keys import shard_key, shard_link_key
+
+_DRIVE: Final = codec.layout("drive")
+_LINK: Final = codec.layout("sent", "message")
+_NAME: Final = 16
+"""Bytes that the name of a value takes at most, and what says how long the value is."""
+
+
+@final
+class PackedHost(HostForm):
+    """The plant's side: a unit is a shard."""
+
+    def __init__(self, wiring: Wiring) -> None:
+        self._pack = codec.packer()
+        partition, run = wiring.partition, wiring.run
+        shards = range(partition.count)
+        self._cells = len(partition.lattice)
+        self._pictures = wiring.readings.camera > 0
+        self.unit_cells = tuple(partition.cells(s) for s in shards)
+        self._rows = tuple(stretch(cells) for cells in self.unit_cells)
+        self.sense_keys = tuple(shard_key(run, s, "sense") for s in shards)
+        self.drive_units = {shard_key(run, s, "drive"): s for s in shards}
+        self.alive_units = {shard_key(run, s, "alive"): s for s in shards}
+        self.ready_units = {shard_key(run, s, "ready"): s for s in shards}
+        self.drive_expr = shard_key(run, None, "drive")
+        self.alive_expr = shard_key(run, None, "alive")
+        self.ready_expr = shard_key(run, None, "ready")
+        self.decode_drive = self._decode_drive
+        self.blank_drives = [0.0] * partition.count
+        self._read_drive = [codec.reader("drive", len(cells) * 16, _DRIVE) for cells in self.unit_cells]
+
+    def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
+        """A payload a shard."""
+        common: dict[str, object] = {}
+        if self._pictures:
+            common["picture"] = readings_codec.picture_rows(frame.picture)
+        return [self._pack(_sense_fields(frame, rows) | common) for rows in self._rows]
+
+    def _decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
+        """Tick and ``(cells, 2)`` drives of a shard."""
+        tick, fields = self._read_drive[unit](payload)
+        return tick, codec.floats("drive", fields["drive"], len(self.unit_cells[unit]))
+
+    def join_drives(self, values: list[Any]) -> codec.Values:
+        """``(n, 2)`` from an array a shard."""
+        if len(values) == 1 and isinstance(values[0], np.ndarray):
+            return cast("codec.Values", values[0])
+        drives = np.empty((self._cells, 2))
+        for rows, value in zip(self._rows, values, strict=True):
+            drives[rows] = value
+        return drives
+
+
+def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, object]:
+    """What one shard is told of its cells; there is no field for levels or labels in a run that has none."""
+    encoder_m, level = frame.encoder_m, frame.level
+    fields: dict[str, object] = {
+        "v": codec.VERSION,
+        "tick": frame.tick,
+        "presence": codec.bits_bytes(frame.presence[rows]),
+        "encoder_m": None if encoder_m is None else encoder_m[rows].tobytes(),
+    }
+    if level is not None:
+        fields["level"] = level[rows].tobytes()
+    if frame.label is not None:
+        fields["label"] = readings_codec.label_bytes(frame.label[rows])
+    return fields
+
+
+def _sense_reader(readings: Readings, rows: int) -> codec.Read:
+    """What reads the senses of so many cells."""
+    names, limit = ["presence", "encoder_m"], rows * (readings.sensors + 16)
+    if readings.levels:
+        names.append("level")
+        limit += rows * 8 * readings.sensors
+    if readings.labels:
+        names.append("label")
+        limit += rows * 2 + _NAME
+    if readings.camera:
+        names.append("picture")
+        limit += readings.camera * readings_codec.PICTURED_BYTES + _NAME
+    return codec.reader("sense", limit, codec.layout(*names))
+
+
+@final
+class PackedMember(MemberForm):
+    """A shard's side: one unit, a part a border."""
+
+    def __init__(self, wiring: Wiring, shard: int) -> None:
+        self._pack = codec.packer()
+        partition, run = wiring.partition, wiring.run
+        cells = partition.cells(shard)
+        self._rows = len(cells)
+        self._readings = readings = wiring.readings
+        self.alive_keys = (shard_key(run, shard, "alive"),)
+        self.ready_keys = (shard_key(run, shard, "ready"),)
+        self.drive_keys = (shard_key(run, shard, "drive"),)
+        self.unit_cells = (cells,)
+        self.sense_units = {shard_key(run, shard, "sense"): 0}
+        self.decode_sense = self._decode_sense
+        self.decode_link = self._decode_link
+        self.blank_senses = [None]
+        self._last_bits = bytes((self._rows * readings.sensors + 7) // 8)
+        self._last_presence = np.zeros((self._rows, readings.sensors), dtype=np.bool_)
+        self._read_sense = _sense_reader(readings, self._rows)
+        self._message = np.dtype([]) if wiring.message is None else wiring.message
+        self._zero = np.zeros((), dtype=self._message)
+        incoming = () if wiring.message is None else partition.incoming_borders(shard)
+        outgoing = () if wiring.message is None else partition.outgoing_borders(shard)
+        self._no_links = (np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=self._message))
+        self._in_counts = tuple(b.stop - b.start for b in incoming)
+        self.in_parts = {shard_link_key(run, b.shard, shard): i for i, b in enumerate(incoming)}
+        self.in_sources = tuple(partition.cells(b.shard) for b in incoming)
+        self.in_targets = tuple(cells for _ in incoming)
+        self.blank_links = [
+            (np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=self._message))
+            for count in self._in_counts
+        ]
+        self._read_link = [
+            codec.reader("link", count * (1 + self._message.itemsize), _LINK) for count in self._in_counts
+        ]
+        self._out_links = tuple(slice(b.start, b.stop) for b in outgoing)
+        self.out_keys = tuple(shard_link_key(run, shard, b.shard) for b in outgoing)
+        self.out_sources = tuple(cells for _ in outgoing)
+        self.out_targets = tuple(partition.cells(b.shard) for b in outgoing)
+
+    def _decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
+        """Tick, and what the cells sense."""
+        tick, fields = self._read_sense(payload)
+        rows, readings = self._rows, self._readings
+        # Sensors change rarely: bytes that are the same as in the tick before need no reading.
+        if fields["presence"] != self._last_bits:
+            bits = codec.bits("sense", fields["presence"], rows * readings.sensors)
+            self._last_bits, self._last_presence = fields["presence"], bits.reshape(rows, readings.sensors)
+        presence, encoder_m, level, label, picture = self._last_presence.copy(), None, None, None, None
+        if readings.encoders:
+            encoder_m = codec.floats("sense", fields["encoder_m"], rows)
+        else:
+            codec.nothing("sense", "encoder_m", fields["encoder_m"])
+        if readings.levels:
+            level = codec.shares("sense", fields["level"], rows, readings.sensors)
+        if readings.labels:
+            label = readings_codec.labels("sense", fields["label"], rows, readings.labels)
+        if readings.camera:
+            picture = readings_codec.picture("sense", fields["picture"], readings.camera)
+        return tick, Senses(presence, encoder_m, level, label, picture)
+
+    def join_senses(self, values: list[Any]) -> Senses:
+        """Those of the one unit."""
+        return values[0]
+
+    def _decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:
+        """Tick, and ``(m,)`` mask with ``(m,)`` messages, zero where none was sent."""
+        count = self._in_counts[part]
+        tick, fields = self._read_link[part](payload)
+        sent = codec.bits("link", fields["sent"], count)
+        message = codec.messages("link", fields["message"], count, self._message)
+        if not sent.all():
+            message[~sent] = self._zero
+        return tick, (sent, message)
+
+    def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
+        """The borders' stretches in their order."""
+        if len(values) < 2:
+            return values[0] if values else self._no_links
+        return np.concatenate([sent for sent, _ in values]), np.concatenate(
+            [message for _, message in values]
+        )
+
+    def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
+        """One payload."""
+        if not codec.all_finite(frame.drive):
+            raise WireError("drive", "finite", "every value must be finite")
+        return [self._pack({"v": codec.VERSION, "tick": frame.tick, "drive": frame.drive.tobytes()})]
+
+    def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
+        """A payload a border."""
+        return [
+            self._pack(
+                {
+                    "v": codec.VERSION,
+                    "tick": frame.tick,
+                    "sent": codec.bits_bytes(frame.sent[links]),
+                    "message": frame.message[links].tobytes(),
+                }
+            )
+            for links in self._out_links
+        ]

@@ -1,0 +1,346 @@
+"""The form of one key a cell and link: maps that any tool reads, for cells in processes of their own.
+
+Between map and array the values go as packed bytes. Where every cell is a process, each of these lines runs on
+cold caches every tick: hence few calls, and a short way for payloads as this side lays them out.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any, Final, final
+
+import numpy as np
+
+from bus.sensors import Picture, Readings
+from bus.wire import frames as wire
+from bus.wire import msgpack_codec as codec
+from bus.wire import msgpack_codec as readings_codec
+from bus.wire.fixed_layout import Decode, Fixed, Place, flags
+from bus.wire.format import HostForm, MemberForm, Senses, Wiring
+from bus.wire.keys import cell_key, cell_link_key
+
+VALUE: Final = 80
+"""Bytes that one named value of a payload may take, its name included up to four fifths of that."""
+PAIR: Final = struct.Struct("<2d")
+Sensed = tuple[bytes, bytes, bytes, int, Picture | None]
+"""Of a cell: presence a byte each; travel and levels packed, empty where there are none; its label; a picture."""
+
+
+def blank(readings: Readings) -> Sensed:
+    """What stands for a cell that senses nothing."""
+    return bytes(readings.sensors), bytes(PAIR.size), bytes(8 * readings.sensors), 0, None
+
+
+def _places(readings: Readings) -> dict[str, Place]:
+    """What stands under each name, in a tick without a picture."""
+    places: dict[str, Place] = {
+        "presence": readings.sensors,
+        "encoder_m": ("d", "d") if readings.encoders else None,
+    }
+    if readings.levels:
+        places["level"] = ("d",) * readings.sensors
+    if readings.labels:
+        places["label"] = "H"
+    if readings.camera:
+        places["picture"] = None
+    return places
+
+
+@final
+class SenseWriter:
+    """Makes a payload a cell; for one thread at a time.
+
+    Args:
+        readings: What there is to read.
+    """
+
+    def __init__(self, readings: Readings) -> None:
+        self._readings = readings
+        self._fixed = Fixed(_places(readings))
+        self._pack = codec.packer()
+
+    def write(self, frame: wire.SenseFrame) -> list[bytes]:
+        """``{"presence": [bool, ...], "encoder_m": [x, y] | nil}``, and what else there is to read."""
+        if frame.picture is not None:
+            return self._write_pictured(frame, frame.picture)
+        sensors, write = self._readings.sensors, self._fixed.write
+        there = frame.presence.tobytes()
+        presence = [there[i : i + sensors] for i in range(0, len(there), sensors)]
+        rows: list[tuple[Any, ...]] = [(bits,) for bits in presence]
+        numbers = [part for part in (frame.encoder_m, frame.level) if part is not None]
+        for part in numbers:
+            rows = [(*row, *more) for row, more in zip(rows, part.tolist(), strict=True)]
+        if frame.label is not None:
+            rows = [(*row, label) for row, label in zip(rows, frame.label.tolist(), strict=True)]
+        if numbers:
+            return write(frame.tick, rows)
+        # Without numbers all cells that sense alike get the same bytes: encode each pattern once.
+        patterns = list(set(rows))
+        made = dict(zip(patterns, write(frame.tick, patterns), strict=True))
+        return [made[row] for row in rows]
+
+    def _write_pictured(self, frame: wire.SenseFrame, picture: Picture) -> list[bytes]:
+        """In a tick in which a picture comes in: not the same places as ever."""
+        n, shown = len(frame.presence), readings_codec.picture_rows(picture)
+        columns: dict[str, list[Any]] = {
+            "presence": frame.presence.tolist(),
+            "encoder_m": [None] * n if frame.encoder_m is None else frame.encoder_m.tolist(),
+        }
+        if frame.level is not None:
+            columns["level"] = frame.level.tolist()
+        if frame.label is not None:
+            columns["label"] = frame.label.tolist()
+        envelope = {"v": codec.VERSION, "tick": frame.tick}
+        return [
+            self._pack(
+                {**envelope, **{name: column[i] for name, column in columns.items()}, "picture": shown}
+            )
+            for i in range(n)
+        ]
+
+
+def joined(readings: Readings, values: list[Sensed]) -> Senses:
+    """What so many cells sense; the picture is the first one's that has one: all are told the same."""
+    bits, travel, levels, labels, pictures = zip(*values, strict=True)
+    each = (len(values), readings.sensors)
+    presence, encoder_m, level, label = np.ndarray(each, np.bool_, bytearray().join(bits)), None, None, None
+    if readings.encoders:
+        encoder_m = np.ndarray((len(values), 2), np.float64, bytearray().join(travel))
+    if readings.levels:
+        level = np.ndarray(each, np.float64, bytearray().join(levels))
+    if readings.labels:
+        label = np.array(labels, dtype=np.int64)
+    picture = next((one for one in pictures if one is not None), None) if readings.camera else None
+    return Senses(presence, encoder_m, level, label, picture)
+
+
+def sense_decoder(readings: Readings) -> Decode:
+    """From a sense payload to its tick and what the cell senses."""
+    sensors, largest, most = readings.sensors, readings.labels, readings.camera
+    names = list(_places(readings))
+    limit = (len(names) - 1) * VALUE + most * readings_codec.PICTURED_BYTES
+    read, pack = codec.reader("sense", limit, codec.layout(*names)), struct.Struct(f"<{sensors}d").pack
+
+    def decode(unit: int, payload: bytes) -> tuple[int, Sensed]:  # noqa: ARG001 - all cells alike
+        tick, fields = read(payload)
+        presence = bytes(codec.booleans("sense", fields["presence"], sensors))
+        travel, level, label, picture = b"", b"", 0, None
+        if readings.encoders:
+            travel = PAIR.pack(*codec.pair("sense", fields["encoder_m"]))
+        else:
+            codec.nothing("sense", "encoder_m", fields["encoder_m"])
+        if readings.levels:
+            level = pack(*codec.share_list("sense", fields["level"], sensors))
+        if largest:
+            label = readings_codec.label("sense", fields["label"], largest)
+        if most:
+            picture = readings_codec.picture("sense", fields["picture"], most)
+        return tick, (presence, travel, level, label, picture)
+
+    return Fixed(_places(readings)).decoder(_short(readings, pack), decode)
+
+
+def _short(readings: Readings, pack: Callable[..., bytes]) -> Callable[..., Sensed | None]:
+    """From the values as they come to what the cell senses; None if they are not what they should be."""
+    encoders, levels, largest = readings.encoders, readings.levels, readings.labels
+
+    def sensed(marks: bytes, *values: float) -> Sensed | None:
+        presence, label = flags(marks), values[-1] if largest else 0
+        numbers = values[:-1] if largest else values
+        travel, shares = (finite_pair(*numbers[:2]), numbers[2:]) if encoders else (b"", numbers)
+        fits = label <= largest and all(0.0 <= share <= 1.0 for share in shares)
+        if presence is None or travel is None or not fits:
+            return None
+        return presence, travel, pack(*shares) if levels else b"", int(label), None
+
+    if levels or largest:
+        return sensed
+    return _travelled if encoders else _present
+
+
+def finite_pair(first: float, second: float) -> bytes | None:
+    """Two numbers, packed; None if one is not finite."""
+    # Only a finite number minus itself is zero.
+    return PAIR.pack(first, second) if first - first == second - second == 0.0 else None
+
+
+def _travelled(marks: bytes, x: float, y: float) -> Sensed | None:
+    presence, travel = flags(marks), finite_pair(x, y)
+    return None if presence is None or travel is None else (presence, travel, b"", 0, None)
+
+
+def _present(marks: bytes) -> Sensed | None:
+    presence = flags(marks)
+    return None if presence is None else (presence, b"", b"", 0, None)
+
+
+_LETTERS: Final = {
+    "b1": "?", "i1": "b", "i2": "h", "i4": "i", "i8": "q", "u1": "B", "u2": "H", "u4": "I", "u8": "Q",
+    "f2": "e", "f4": "f", "f8": "d",
+}  # fmt: skip
+"""The struct module's letter for each kind of field and its size."""
+_NO_MESSAGE: Final = codec.layout()
+_DRIVE: Final[dict[str, Place]] = {"drive": ("d", "d")}
+
+_read_drive = codec.reader("drive", VALUE, codec.layout("drive"))
+
+
+@final
+class CellsHost(HostForm):
+    """The plant's side: a unit is a cell."""
+
+    def __init__(self, wiring: Wiring) -> None:
+        cells, run = wiring.partition.lattice.cells, wiring.run
+        self._sense = SenseWriter(wiring.readings)
+        self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in range(len(cells)))
+        self.sense_keys = tuple(cell_key(run, cell, "sense") for cell in cells)
+        self.drive_units = {cell_key(run, cell, "drive"): i for i, cell in enumerate(cells)}
+        self.alive_units = {cell_key(run, cell, "alive"): i for i, cell in enumerate(cells)}
+        self.ready_units = {cell_key(run, cell, "ready"): i for i, cell in enumerate(cells)}
+        self.drive_expr = cell_key(run, None, "drive")
+        self.alive_expr = cell_key(run, None, "alive")
+        self.ready_expr = cell_key(run, None, "ready")
+        self.decode_drive = _drive_decoder()
+        self.blank_drives = [bytes(PAIR.size)] * len(cells)
+
+    def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
+        """A payload a cell."""
+        return self._sense.write(frame)
+
+    def join_drives(self, values: list[Any]) -> codec.Values:
+        """``(n, 2)`` from a packed pair a cell."""
+        return np.ndarray((len(values), 2), np.float64, bytearray().join(values))
+
+
+def _drive_decoder() -> Decode:
+    """From a drive payload to its tick and the drive as a packed pair."""
+
+    def decode(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
+        tick, fields = _read_drive(payload)
+        return tick, PAIR.pack(*codec.pair("drive", fields["drive"]))
+
+    return Fixed(_DRIVE).decoder(finite_pair, decode)
+
+
+@final
+class CellsMember(MemberForm):
+    """A shard's side: a unit a cell, a part a link."""
+
+    def __init__(self, wiring: Wiring, shard: int) -> None:
+        partition, run = wiring.partition, wiring.run
+        cells = partition.lattice.cells
+        mine = partition.cells(shard)
+        names = [cells[int(i)] for i in mine]
+        self._readings = wiring.readings
+        self.alive_keys = tuple(cell_key(run, cell, "alive") for cell in names)
+        self.ready_keys = tuple(cell_key(run, cell, "ready") for cell in names)
+        self.drive_keys = tuple(cell_key(run, cell, "drive") for cell in names)
+        self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in mine)
+        self.sense_units = {cell_key(run, cell, "sense"): i for i, cell in enumerate(names)}
+        self.decode_sense = sense_decoder(wiring.readings)
+        self.blank_senses = [blank(wiring.readings)] * len(names)
+        message = np.dtype([]) if wiring.message is None else wiring.message
+        incoming, outgoing = partition.incoming(shard), partition.outgoing(shard)
+        heard = range(0 if wiring.message is None else len(incoming))
+        said = range(0 if wiring.message is None else len(outgoing))
+        self.in_parts = {
+            cell_link_key(run, cells[int(incoming.source[i])], int(incoming.source_side[i])): i for i in heard
+        }
+        self.in_sources = tuple(incoming.source[i : i + 1] for i in heard)
+        self.in_targets = tuple(incoming.target[i : i + 1] for i in heard)
+        self.decode_link = _link_decoder(message)
+        self.blank_links = [b""] * len(heard)
+        self._no_message = bytes(message.itemsize)
+        self._message = message
+        self._fields = _struct(message, "1s").iter_unpack
+        self._drive, self._link, self._silence = Fixed(_DRIVE), Fixed(_link_places(message)), Fixed({})
+        self.out_keys = tuple(
+            cell_link_key(run, cells[int(outgoing.source[i])], int(outgoing.source_side[i])) for i in said
+        )
+        self.out_sources = tuple(outgoing.source[i : i + 1] for i in said)
+        self.out_targets = tuple(outgoing.target[i : i + 1] for i in said)
+
+    def join_senses(self, values: list[Any]) -> Senses:
+        """From what each cell senses."""
+        return joined(self._readings, values)
+
+    def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
+        """From the packed message of each link, empty where there was none."""
+        sent = bytearray(map(bool, values))
+        if 0 in sent:
+            values = [value or self._no_message for value in values]
+        return np.frombuffer(sent, np.bool_), np.frombuffer(bytearray().join(values), self._message)
+
+    def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
+        """A payload a cell: ``{"drive": [a, b]}``."""
+        pairs = list(PAIR.iter_unpack(frame.drive.tobytes()))
+        for first, second in pairs:
+            codec.check_finite("drive", first, second)
+        return self._drive.write(frame.tick, pairs)
+
+    def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
+        """A payload a link: the message's fields by name, none where nothing was sent."""
+        sent = frame.sent.tobytes()
+        payloads = self._link.write(frame.tick, self._fields(frame.message.tobytes()))
+        if 0 in sent:
+            (silence,) = self._silence.write(frame.tick, [()])
+            payloads = [payload if said else silence for payload, said in zip(payloads, sent, strict=True)]
+        return payloads
+
+
+def _link_decoder(message: np.dtype[Any]) -> Decode:
+    """From a link payload to its tick and the message's packed fields, empty where nothing was sent."""
+    silence = Fixed({}).decoder(bytes, _any_link_decoder(message))
+    return Fixed(_link_places(message)).decoder(_message_packer(message), silence)
+
+
+def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
+    """From a message's values as they come to its packed fields."""
+    letters = _letters(message).values()
+    packed = _struct(message, "1s")
+    if not {"?", "e"} & set(letters):
+        return packed.pack
+    booleans = [letter == "?" for letter in letters]
+
+    def pack(*values: Any) -> bytes | None:
+        made = [flags(value) if is_flag else value for value, is_flag in zip(values, booleans, strict=True)]
+        try:
+            return None if None in made else packed.pack(*made)
+        except OverflowError:  # Half a float does not hold it.
+            return None
+
+    return pack
+
+
+def _any_link_decoder(message: np.dtype[Any]) -> Decode:
+    """As ``_link_decoder``, whatever the layout."""
+    names = message.names or ()
+    pack = _struct(message, "?").pack
+    readers = [codec.scalar_reader("link", name, message[name]) for name in names]
+    limit = sum(VALUE + 4 * len(name) for name in names)
+    read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
+
+    def decode(part: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all links alike
+        tick, fields = read(payload)
+        if len(fields) == len(_NO_MESSAGE):
+            return tick, b""
+        return tick, pack(*[reader(fields[name]) for name, reader in zip(names, readers, strict=True)])
+
+    return decode
+
+
+def _letters(message: np.dtype[Any]) -> dict[str, str]:
+    """The struct module's letter for each field of a message; they mean other sizes than NumPy's."""
+    fields = ((name, message[name]) for name in message.names or ())
+    return {name: _LETTERS[field.kind + str(field.itemsize)] for name, field in fields}
+
+
+def _link_places(message: np.dtype[Any]) -> dict[str, Place]:
+    """A message in MessagePack, which has no half floats."""
+    return {name: "f" if letter == "e" else letter for name, letter in _letters(message).items()}
+
+
+def _struct(message: np.dtype[Any], boolean: str) -> struct.Struct:
+    """The layout of a message, with booleans as Python's (``"?"``) or as a byte each (``"1s"``)."""
+    return struct.Struct("<" + "".join(_letters(message).values()).replace("?", boolean))

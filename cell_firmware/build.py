@@ -1,0 +1,224 @@
+"""Puts the controller of a scene's cells together: what a scene does not ask for is not imported."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from cell_firmware.board import Board
+from cell_firmware.components import LinkPart, MessageMeter, WheelPart
+from cell_firmware.controller import Controller
+from cell_firmware.effects.registry import CellEffects
+from cell_firmware.errors import SettingError
+from cell_firmware.firmware import Firmware
+from cell_firmware.specs import CellsSpec, SpeedLoopSpec
+
+if TYPE_CHECKING:
+    from bus.fault import Injected
+    from bus.lattice import Lattice
+    from cell_firmware.clocks import ArrayClocks
+    from cell_firmware.effects.base import Site, Stage
+    from cell_firmware.effects.clock.spec import ClockSpec
+    from cell_firmware.effects.encoder import EncoderSpec
+    from cell_firmware.effects.fixed_point import FixedPointSpec
+    from cell_firmware.effects.pwm import PwmSpec
+    from cell_firmware.effects.serial.timing import LineSettings
+    from cell_firmware.faults.base import CellFault
+    from cell_firmware.speed_loop.fixed_point import FixedPointLoop
+    from cell_firmware.speed_loop.output import Pwm
+    from cell_firmware.speed_loop.sensing import Encoder
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class CellFaults:
+    """The faults of a run that cells carry out.
+
+    Attributes:
+        lattice: Of the array.
+        injected: All of them.
+        seed: The scene's.
+    """
+
+    lattice: Lattice
+    injected: tuple[Injected[CellFault], ...]
+    seed: int = 0
+
+    def stages(self, site: Site) -> tuple[Stage, ...]:
+        """What the inputs of a shard's cells have to pass after the effects, fault by fault."""
+        return tuple(stage for one in self.injected for stage in one.fault.stages(site, self.lattice, one))
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Motors:
+    """What a board must know of the motors that it drives.
+
+    Attributes:
+        supply_v: What the output stage can give, V.
+        free_speed_m_s: Surface speed of a wheel at the supply's voltage without load or dry friction, m/s.
+        wheel_radius_m: None where the motors are described without one.
+    """
+
+    supply_v: float
+    free_speed_m_s: float
+    wheel_radius_m: float | None = None
+
+
+def assemble(
+    firmware: Firmware,
+    spec: CellsSpec,
+    effects: CellEffects,
+    motors: Motors | None,
+    clocks: ArrayClocks | None = None,
+    *,
+    faults: CellFaults | None = None,
+    live: bool = False,
+    metered: bool = False,
+) -> Controller:
+    """The controller that every cell has.
+
+    Args:
+        firmware: The cells' program.
+        spec: What the scene says of cells.
+        effects: Of the cells.
+        motors: None where the wheels run at the speed that they are told.
+        clocks: None where all cells step at once, by the plant's clock.
+        faults: None where nothing happens to cells or their links.
+        live: Whether more may happen to them that is not known yet.
+        metered: Whether every cell of a firmware with messages counts them.
+
+    Raises:
+        SettingError: Settings of the board that don't go together.
+    """
+    controller: Controller = Board(
+        firmware,
+        wheels_of(spec, effects, motors),
+        _links(firmware, spec, effects, clocks, disturbed=live or faults is not None),
+        MessageMeter() if metered and firmware.message is not None else None,
+    )
+    if effects.cop is not None:
+        from cell_firmware.effects.cop.wrapper import Watchdog
+
+        controller = Watchdog(controller, effects.cop, spec.period_ns)
+    if clocks is not None:
+        from cell_firmware.effects.clock.wrapper import Clocked
+
+        controller = Clocked(controller, clocks)
+    if faults is not None:
+        from cell_firmware.faults.attach import joined
+
+        for injected in faults.injected:
+            controller = joined(controller, faults.lattice, faults.seed, injected)
+    return controller
+
+
+def wheels_of(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> WheelPart | None:
+    """What closes on the motors; None where the wheels run at the speed that they are told.
+
+    Raises:
+        SettingError: Settings that don't go together.
+    """
+    if motors is None:
+        return None
+    gains = spec.speed_loop or SpeedLoopSpec()
+    encoder = (
+        None if effects.encoder is None else _encoder(effects.encoder, effects.clock, spec.period_s, motors)
+    )
+    pwm = None if effects.pwm is None else _pwm(effects.pwm, motors)
+    if effects.fixed_point is not None:
+        return _fixed_point(effects.fixed_point, gains, spec.period_s, motors, encoder, pwm)
+    from cell_firmware.speed_loop import SpeedLoop
+
+    return SpeedLoop(gains, spec.period_s, motors.supply_v, encoder, pwm)
+
+
+def _encoder(effect: EncoderSpec, clock: ClockSpec | None, period_s: float, motors: Motors) -> Encoder:
+    from cell_firmware.speed_loop.sensing import LARGEST_DIFFERENCE, Encoder
+
+    radius, theirs = effect.wheel_radius_m, motors.wheel_radius_m
+    if radius is not None and theirs is not None and radius != theirs:
+        rule = f"must be that of effects.motors, {theirs:g}, or be left out"
+        raise SettingError(("effects", "encoder", "wheel_radius_m"), radius, rule)
+    encoder = Encoder(period_s, effect.m_per_count(theirs))
+    counts = motors.free_speed_m_s / encoder.unit_m_s * (1.0 if clock is None else clock.longest)
+    if counts > LARGEST_DIFFERENCE:
+        rule = (
+            f"at most {LARGEST_DIFFERENCE} counts a period can be told apart, and a wheel without load makes "
+            f"{counts:.1f} at supply_v"
+        )
+        path = ("effects", "encoder", "counts_per_revolution")
+        raise SettingError(path, effect.counts_per_revolution, rule)
+    return encoder
+
+
+def _pwm(effect: PwmSpec, motors: Motors) -> Pwm:
+    from cell_firmware.speed_loop.output import Pwm
+
+    return Pwm(effect.counts, motors.supply_v)
+
+
+def _fixed_point(
+    effect: FixedPointSpec,
+    gains: SpeedLoopSpec,
+    period_s: float,
+    motors: Motors,
+    encoder: Encoder | None,
+    pwm: Pwm | None,
+) -> FixedPointLoop:
+    from cell_firmware.speed_loop.fixed_point import FixedPointLoop
+    from cell_firmware.speed_loop.scaling import IDEAL_LEVELS, Scaling
+    from cell_firmware.speed_loop.sensing import Words
+
+    if encoder is not None and effect.speed_unit_m_s is not None:
+        rule = "the unit of speeds is a count a period where there is effects.encoder: leave it out"
+        raise SettingError(("effects", "fixed_point", "speed_unit_m_s"), effect.speed_unit_m_s, rule)
+    tachometer = Words(period_s, effect.unit_m_s) if encoder is None else encoder
+    told = tachometer.largest * tachometer.unit_m_s
+    if motors.free_speed_m_s > told:
+        rule = (
+            f"a 16-bit word tells speeds up to {told:.4g} m/s, and a wheel without load has "
+            f"{motors.free_speed_m_s:.4g} at supply_v"
+        )
+        raise SettingError(("effects", "fixed_point", "speed_unit_m_s"), effect.unit_m_s, rule)
+    levels = IDEAL_LEVELS if pwm is None else pwm.levels
+    return FixedPointLoop(Scaling(gains, period_s, motors.supply_v, levels, tachometer), tachometer, pwm)
+
+
+def _links(
+    firmware: Firmware, spec: CellsSpec, effects: CellEffects, clocks: ArrayClocks | None, *, disturbed: bool
+) -> LinkPart | None:
+    """What messages have to pass."""
+    if firmware.message is None:
+        return None
+    if effects.serial is not None:
+        settings = effects.serial.settings(spec.period_ns)
+        return _serial(settings, firmware.message, effects, clocks, disturbed=disturbed)
+    if clocks is None:
+        return None
+    from cell_firmware.effects.clock.mailbox import Mailbox
+
+    return Mailbox(firmware.message, clocks.all.window_ns)
+
+
+def _serial(
+    settings: LineSettings,
+    message: np.dtype[Any],
+    effects: CellEffects,
+    clocks: ArrayClocks | None,
+    *,
+    disturbed: bool,
+) -> LinkPart:
+    """Serial lines: byte by byte where something may happen to a byte."""
+    from cell_firmware.effects.serial.lines import SerialLines
+    from cell_firmware.effects.serial.message_level import WholeMessages, undisturbed
+
+    window_ns = settings.period_ns if clocks is None else clocks.all.window_ns
+    worst_ppb = 0 if clocks is None else int(np.abs(clocks.all.ppb).max(initial=0))
+    # a cell that begins to talk as soon as it was reset runs into what it had not finished to say
+    reboots = effects.cop is None or effects.cop.reboot_s * 1e9 >= 2 * settings.period_ns
+    safe = effects.link_loss is None and effects.link_delay is None and reboots and not disturbed
+    kind = WholeMessages if safe and undisturbed(settings, window_ns, worst_ppb) else SerialLines
+    return kind(settings, message) if clocks is None else kind(settings, message, window_ns, clocks.ppb)

@@ -1,0 +1,110 @@
+"""What effects of the cells are made of: stages between the bus and the firmware."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.effect import EffectSpec
+from bus.lattice import SIDES
+from bus.state import Remembers
+from cell_firmware.clocks import NEVER, Clocks
+from cell_firmware.firmware import Bools, Inputs
+from cell_firmware.specs import CellsSpec
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Site:
+    """The cells of one shard, as far as effects are concerned.
+
+    Attributes:
+        cells: ``(n,)`` int64, the shard's cells by index into the lattice.
+        sensors: Presence sensors of a cell.
+        message: Type of a message between neighbours; None if they don't talk.
+        seed: The scene's.
+        levels: Whether sensors have levels.
+        said: Type of what programs say, which ``message`` carries; None: that itself.
+        tick_ns: From one exchange to the next.
+        clocks: The cells' clocks, which say in which exchange a cell has a new reading; None: all have in each.
+    """
+
+    cells: NDArray[np.int64]
+    sensors: int
+    message: np.dtype[Any] | None
+    seed: int
+    levels: bool = False
+    said: np.dtype[Any] | None = None
+    tick_ns: int = 0
+    clocks: Clocks | None = None
+
+    def fresh(self, tick: int) -> Bools | None:
+        """Cells with a reading of their own in an exchange, ``(n,)``; None: all have one.
+
+        The pins of the others say what they last read.
+        """
+        return None if self.clocks is None else self.clocks.instants(tick - 1) != NEVER
+
+    def sensor_places(self) -> NDArray[np.int64]:
+        """``(n sensors,)``: a number for every sensor that is its own in the whole array."""
+        return places(self.cells, self.sensors)
+
+    def link_places(self) -> NDArray[np.int64]:
+        """``(4 n,)``: the same for every side on which a cell may hear a neighbour."""
+        return places(self.cells, len(SIDES))
+
+
+def places(whose: NDArray[np.int64], each: int) -> NDArray[np.int64]:
+    """Numbers, ``each`` of them for every one of ``whose`` numbers, ``(each m,)``, no two alike."""
+    return (each * whose[:, None] + np.arange(each)).ravel()
+
+
+class Stage(ABC):
+    """Changes what the cells of a shard see: each tick once, in order of ticks, before the firmware.
+
+    Attributes:
+        counted: What happened so far to cells that were alive, by name.
+    """
+
+    remembers: ClassVar[Remembers] = Remembers("counted")
+
+    def __init__(self) -> None:
+        self.counted: Counter[str] = Counter()
+
+    @abstractmethod
+    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """What the cells see instead.
+
+        Args:
+            tick: The tick.
+            inputs: Of all n cells of the shard, dead ones too. The inbox may be written to.
+            alive: Rows of the cells that live. What becomes of the others concerns nobody, and is not counted.
+        """
+
+    def count(self, name: str, happened: Bools, alive: NDArray[np.int64] | slice) -> None:
+        """Counts what ``happened``, ``(n, ...)``, to cells that live."""
+        self.counted[name] += int(np.count_nonzero(happened[alive]))
+
+
+class CellEffectSpec(EffectSpec):
+    """An effect of the cells: assembled once, when a shard is built; what it does not need is not there.
+
+    It acts on what cells see, as stages, or it is a part of their board: see ``cell_firmware.build``.
+    """
+
+    def stages(self, site: Site) -> Iterator[Stage]:  # noqa: ARG002
+        """What the shard's inputs have to pass, in this order; nothing where the settings change nothing."""
+        yield from ()
+
+    def unfit(
+        self,
+        cells: CellsSpec,  # noqa: ARG002
+    ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+        """What does not fit the cells: path from the effect's table, value, and the rule that it breaks."""
+        yield from ()

@@ -1,0 +1,98 @@
+"""Links of cells whose clocks differ: a message waits for its receiver, and a newer one takes its place."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.lattice import SIDES
+from cell_firmware.components import LinkPart
+from cell_firmware.controller import Instant
+from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State, solid
+
+
+@final
+class Mailbox(LinkPart):
+    """Hands over whole messages, each a window after it was sent.
+
+    One that is sent at r is there for its receiver from r + W on, W being the window; the receiver reads it at its
+    first instant not before that, once. Each link holds one message: a newer one that is there before the receiver
+    read replaces the older, and that is counted.
+
+    An exchange brings what was sent in one window to cells that step in the next. So which of the two is earlier in
+    its window decides, and that is what a message carries: a link that delays it by whole windows changes nothing else.
+
+    Args:
+        message: The program's type.
+        window_ns: W.
+    """
+
+    effect: ClassVar[str] = "clock"
+
+    def __init__(self, message: np.dtype[Any], window_ns: int) -> None:
+        self._message = message
+        self._names: tuple[str, ...] = message.names or ()
+        self._stamp = "after_ns"
+        while self._stamp in self._names:
+            self._stamp += "_"
+        self._window_ns = window_ns
+        self.line = np.dtype([(self._stamp, "<i8"), *((name, message[name]) for name in self._names)])
+
+    def init(self, cells: Cells) -> State:
+        """Messages that wait, ``(n, 4)``, whether there is one, and how many were replaced, ``(n, 4)``."""
+        shape = (len(cells), len(SIDES))
+        return {
+            "waits": np.zeros(shape, dtype=np.bool_),
+            "message": np.zeros(shape, dtype=self._message),
+            "overwritten": np.zeros(shape, dtype=np.int64),
+        }
+
+    def after_reset(self, cells: Cells, state: State) -> State:
+        """All is forgotten; what was counted is the observer's, not the cell's."""
+        return {**self.init(cells), "overwritten": state["overwritten"]}
+
+    def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
+        """What waited, or has come just in time, for the cells that are stepped."""
+        steps, into_ns = (now.at_ns >= 0)[:, None], (now.at_ns % self._window_ns)[:, None]
+        came, waits = lines.received, state["waits"]
+        message = np.zeros(came.shape, dtype=self._message)
+        for name in self._names:
+            message[name] = lines.message[name]
+        in_time = came & steps & (lines.message[self._stamp] <= into_ns)
+        received = in_time | (waits & steps)
+        stays, kept = came & ~in_time, waits & ~steps
+        after = {
+            "waits": stays | kept,
+            "message": _either(stays, message, kept, state["message"]),
+            "overwritten": state["overwritten"] + (came & waits & (in_time | ~steps)),
+        }
+        return after, Inbox(received, _either(in_time, message, received, state["message"]))
+
+    def send(self, now: Instant, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
+        """The messages, and when in the window they were sent."""
+        n = len(now.at_ns)
+        if outbox is None:
+            return state, Outbox.empty(n, self.line)
+        line = np.empty((n, len(SIDES)), dtype=self.line)
+        line[self._stamp] = (now.at_ns % self._window_ns)[:, None]
+        for name in self._names:
+            line[name] = outbox.message[name]
+        return state, Outbox(outbox.sent, line)
+
+    def registers(self, state: State) -> dict[str, NDArray[Any]]:
+        """Which sides have a message waiting, and how many were replaced."""
+        return {"waits": state["waits"], "overwritten": state["overwritten"]}
+
+    def counted(self, state: State) -> dict[str, int]:
+        """Messages that a newer one replaced before they were read."""
+        return {"overwritten": int(state["overwritten"].sum())}
+
+
+def _either(first: Bools, message: Messages, second: Bools, other: Messages) -> Messages:
+    """Where ``first`` is true a ``message``, else where ``second`` is the ``other``; zeros elsewhere."""
+    found = np.where(first, message, other)
+    whole = solid(found)
+    whole[~(first | second)] = np.zeros((), dtype=whole.dtype)
+    return found

@@ -1,0 +1,74 @@
+"""Cells with clocks of their own: each is stepped at its own instants, and what it does holds in between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import final
+
+import numpy as np
+
+from cell_firmware.clocks import NEVER, ArrayClocks, Clocks
+from cell_firmware.controller import Around, Controller, ControllerOutputs, ControllerState, Instant
+from cell_firmware.errors import FirmwareFailed
+from cell_firmware.firmware import Cells, Inputs
+
+
+@final
+class Clocked(Around):
+    """Lets cells step when their own clocks say so.
+
+    Exchange k brings what each cell with an instant r in window k - 1 read at r: those cells are stepped, each with its
+    own r, and the others are not. What a cell computed at r acts from r + W on, W being the window, until what it
+    computes next does. See ``cell_firmware.clocks``.
+
+    Args:
+        controller: Of the cells.
+        clocks: Of the whole array.
+    """
+
+    part = "clock"
+    shown = ("ppb", "count")
+
+    def __init__(self, controller: Controller, clocks: ArrayClocks) -> None:
+        super().__init__(controller)
+        self._clocks = clocks
+
+    def init(self, cells: Cells) -> ControllerState:
+        """The state before a cell's first instant: its wheels stand still."""
+        inner = self.controller.init(cells)
+        clocks = self._clocks.of(cells.row, cells.column)
+        clock = {
+            "ppb": clocks.ppb,
+            "phase_ns": clocks.phase_ns,
+            "count": np.zeros(len(cells), dtype=np.int64),
+            "drive": np.zeros((len(cells), 2)),
+        }
+        return self.outer(inner, clock)
+
+    def act(
+        self, now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """One exchange: a control period of the cells that have an instant in the window before it."""
+        clock = state.parts[self.part]
+        whole, window = self._clocks.all, now.tick - 1
+        clocks = Clocks(whole.period_ns, whole.window_ns, clock["ppb"], clock["phase_ns"])
+        then = Instant(window, clocks.due(window, clock["count"]))
+        stepped = then.at_ns != NEVER
+        inner, inputs = self.controller.listen(then, self.inner(state), inputs)
+        inner, outputs = self.controller.act_on(np.flatnonzero(stepped), then, inner, inputs)
+        drive = np.where(stepped[:, None], outputs.drive, clock["drive"])
+        after = {**clock, "count": clock["count"] + stepped, "drive": drive}
+        return (
+            self.outer(inner, after),
+            ControllerOutputs(
+                drive,
+                outputs.outbox,
+                _in_tick(now.tick, outputs.failures),
+                hung=_in_tick(now.tick, outputs.hung),
+            ),
+        )
+
+
+def _in_tick(tick: int, failures: Mapping[int, FirmwareFailed]) -> dict[int, FirmwareFailed]:
+    """The same failures, told by the exchange in which they came out."""
+    return {i: FirmwareFailed(one.cell, tick, one.problem, one.trace) for i, one in failures.items()}

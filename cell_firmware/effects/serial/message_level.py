@@ -1,0 +1,224 @@
+"""Lines on which nothing can happen to a byte: messages go whole, and come when the last of their bytes would have."""
+
+from __future__ import annotations
+
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.components import LinkPart
+from cell_firmware.controller import Instant
+from cell_firmware.effects.serial.framing import bytes_of
+from cell_firmware.effects.serial.receiver import COUNTERS, ErrorsOf, neighbours_errors
+from cell_firmware.effects.serial.timing import LONGEST_PERIOD_NS, Ints, LineSettings, LineTimes, by_clock
+from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State
+
+_NEVER: Final = np.iinfo(np.int64).max
+_MOST_WINDOWS: Final = 8
+"""That a message may be under way after its last byte has begun; with more it is cheaper to follow the bytes."""
+_BILLION: Final = 1_000_000_000
+
+
+def undisturbed(settings: LineSettings, window_ns: int, worst_ppb: int) -> bool:
+    """Whether every byte that is sent comes, and is read as it was sent.
+
+    That is so where interrupts fill a ring that holds all that can come between two looks, every side has a UART, and
+    no two clocks are so far apart that a sample misses its bit. Links must lose and delay nothing either.
+
+    Args:
+        settings: Of the lines.
+        window_ns: How long a window of the exchange is.
+        worst_ppb: Greatest error of a clock, either way.
+    """
+    fast, slow = _BILLION - worst_ppb, _BILLION + worst_ppb
+    # the last sample, of the stop bit, is 9.5 of the receiver's bits after the start
+    in_bit = 18 * slow <= 19 * fast and 19 * slow < 20 * fast
+    between_looks = settings.period_ns * slow // (settings.byte_ns * fast) + 2
+    return (
+        settings.period_ns <= LONGEST_PERIOD_NS
+        and not settings.polled
+        and settings.dwell_periods is None
+        and in_bit
+        and between_looks <= settings.room
+        and _windows(settings, window_ns) <= _MOST_WINDOWS
+    )
+
+
+def _windows(settings: LineSettings, window_ns: int) -> int:
+    """Exchanges in which a message can be heard of before it is there, and one more."""
+    return (settings.period_ns + 3 * settings.byte_ns) // window_ns + 3
+
+
+@final
+class WholeMessages(LinkPart):
+    """What ``SerialLines`` does where ``undisturbed`` holds, at the price of a message instead of that of its bytes.
+
+    A sender keeps a message until the step from which its last byte goes, so that one that is cut short by its cell's
+    end or reset is never heard of; a receiver holds it until the idle character behind it has passed. A receiver that
+    was reset hears nothing of messages that had begun before. Counters tell of whole messages.
+
+    Args:
+        settings: Of the lines.
+        message: The program's message type.
+        window_ns: How long a tick is; None: a control period.
+        errors_of: Clocks' errors, for cells with clocks of their own; None: all are equal.
+    """
+
+    def __init__(
+        self,
+        settings: LineSettings,
+        message: np.dtype[Any],
+        window_ns: int | None = None,
+        errors_of: ErrorsOf | None = None,
+    ) -> None:
+        self._settings = settings
+        self._message = message
+        self._names: tuple[str, ...] = message.names or ()
+        self._window_ns = settings.period_ns if window_ns is None else window_ns
+        self._errors_of = errors_of
+        self._length = bytes_of(message)
+        self._slots = _windows(settings, self._window_ns)
+        self._last, self._began = (_other_than(self._names, name) for name in ("last_ns", "began"))
+        fields = [(name, message[name]) for name in self._names]
+        self.line = np.dtype([(self._last, "<i4"), (self._began, "<u4"), *fields])
+
+    def init(self, cells: Cells) -> State:
+        """Nothing under way, nothing counted."""
+        lines = (len(cells), 4)
+        late_ns = 0 if self._errors_of is None else self._window_ns + self._settings.bit_ns
+        own = sender = None
+        if self._errors_of is not None:
+            own, sender = neighbours_errors(self._errors_of, cells)
+        times = LineTimes.of(self._settings, late_ns, own, sender)
+        state: dict[str, NDArray[Any]] = {
+            "reaches": cells.has_neighbour.copy(),
+            "whole_ns": np.broadcast_to(times.idle_ns + late_ns, lines).copy(),
+            "since": np.zeros((len(cells), 1), dtype=np.int64),
+            "waiting": np.zeros(lines, dtype=self._message),
+            "waits": np.zeros(lines, dtype=np.bool_),
+            "going": np.zeros(lines, dtype=self._message),
+            "goes": np.zeros(lines, dtype=np.bool_),
+            "began": np.zeros(lines, dtype=np.int64),
+            "last_ns": np.zeros(lines, dtype=np.int64),
+            "free_ns": np.zeros(lines, dtype=np.int64),
+            **{name: np.zeros(lines, dtype=np.int64) for name in _COUNTED},
+        }
+        for slot in range(self._slots):
+            state[f"there_{slot}_ns"] = np.full(lines, _NEVER)
+            state[f"message_{slot}"] = np.zeros(lines, dtype=self.line)
+        if own is not None:
+            state["ppb"] = own
+        return state
+
+    def after_reset(self, cells: Cells, state: State) -> State:
+        """All is forgotten, and what has begun on the lines; what was counted is the observer's, not the cell's."""
+        since = np.full_like(state["since"], -1)  # until the next exchange tells when that is
+        return {**self.init(cells), "since": since, **{name: state[name] for name in _COUNTED}}
+
+    def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
+        """Messages that have come since the cells last looked; of two on a side the later one."""
+        sent_in = now.tick - 1
+        since = np.where(state["since"] < 0, sent_in, state["since"])
+        began = sent_in - lines.message[self._began].astype(np.int64)
+        heard = lines.received & (began >= since)
+        there_ns = sent_in * self._window_ns + lines.message[self._last].astype(np.int64) + state["whole_ns"]
+        new = now.tick % self._slots
+        after = {
+            **state,
+            "since": since,
+            f"there_{new}_ns": np.where(heard, there_ns, _NEVER),
+            f"message_{new}": lines.message,
+        }
+        whole = np.zeros(heard.shape, dtype=np.bool_)
+        message = np.zeros(heard.shape, dtype=self._message)
+        at_ns = now.at_ns[..., None]
+        for slot in range(new + 1, new + 1 + self._slots):  # the oldest first
+            self._take(after, slot % self._slots, at_ns, whole, message)
+        return after, Inbox(whole, message)
+
+    def _take(
+        self, after: dict[str, NDArray[Any]], slot: int, at_ns: Ints, whole: Bools, message: Messages
+    ) -> None:
+        """Those of one exchange that have come."""
+        there_ns = after[f"there_{slot}_ns"]
+        come = there_ns <= at_ns
+        row = np.flatnonzero(come)
+        if not len(row):
+            return
+        after[f"there_{slot}_ns"] = np.where(come, _NEVER, there_ns)
+        after["received"] = after["received"] + self._length * come
+        whole |= come
+        source = after[f"message_{slot}"].reshape(-1)
+        for name in self._names:
+            message[name].reshape(-1)[row] = source[name][row]
+
+    def send(self, now: Instant, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
+        """Messages whose last byte starts before the cells' next step."""
+        after = dict(state)
+        at_ns, ppb = now.at_ns[..., None], state.get("ppb")
+        next_ns = at_ns + by_clock(self._settings.period_ns, ppb)
+        byte_ns = by_clock(self._settings.byte_ns, ppb)
+        if outbox is not None:
+            _put_aside(after, outbox)
+        ends = after["goes"] & (after["last_ns"] < next_ns)
+        begins = after["waits"] & (~after["goes"] | ends) & (after["free_ns"] < next_ns)
+        line = np.zeros(ends.shape, dtype=self.line)
+        self._fill(line, np.flatnonzero(ends), after["going"], after, now.tick)
+        if begins.any():
+            start_ns = np.maximum(after["free_ns"], at_ns)
+            last_ns = start_ns + (self._length - 1) * byte_ns
+            after["last_ns"] = np.where(begins, last_ns, after["last_ns"])
+            after["free_ns"] = np.where(begins, last_ns + 2 * byte_ns, after["free_ns"])
+            after["began"] = np.where(begins, now.tick, after["began"])
+            after["waits"] = after["waits"] & ~begins
+            at_once = begins & ~ends & (last_ns < next_ns)
+            self._fill(line, np.flatnonzero(at_once), after["waiting"], after, now.tick)
+            stays = np.flatnonzero(begins & ~at_once)
+            if len(stays):
+                after["going"] = after["going"].copy()
+                for name in self._names:
+                    after["going"][name].reshape(-1)[stays] = after["waiting"][name].reshape(-1)[stays]
+            after["goes"] = (after["goes"] & ~ends) | (begins & ~at_once)
+            ends = ends | at_once
+        else:
+            after["goes"] = after["goes"] & ~ends
+        after["sent"] = after["sent"] + self._length * ends
+        return after, Outbox(ends, line)
+
+    def _fill(
+        self, line: Messages, row: NDArray[np.int64], source: Messages, after: State, window: int
+    ) -> None:
+        """Writes messages of these links, and when their first and last bytes start."""
+        line[self._last].reshape(-1)[row] = after["last_ns"].reshape(-1)[row] - window * self._window_ns
+        line[self._began].reshape(-1)[row] = window - after["began"].reshape(-1)[row]
+        for name in self._names:
+            line[name].reshape(-1)[row] = source[name].reshape(-1)[row]
+
+    def registers(self, state: State) -> dict[str, NDArray[Any]]:
+        """What was counted on each side, ``(n, 4)``; nothing ever is of what can't happen."""
+        nothing = np.zeros_like(state["sent"])
+        return {name: state.get(name, nothing) for name in ("sent", *COUNTERS, "replaced")}
+
+    def counted(self, state: State) -> dict[str, int]:
+        """The same, of all sides of all cells."""
+        return {name: int(value.sum()) for name, value in self.registers(state).items()}
+
+
+_COUNTED: Final = ("sent", "received", "replaced")
+
+
+def _put_aside(after: dict[str, NDArray[Any]], outbox: Outbox) -> None:
+    """What the program says waits, instead of what may still be waiting."""
+    sent = outbox.sent
+    fresh = sent & after["reaches"]
+    after["replaced"] = after["replaced"] + (fresh & after["waits"])
+    after["waiting"] = outbox.message if sent.all() else np.where(sent, outbox.message, after["waiting"])
+    after["waits"] = after["waits"] | fresh
+
+
+def _other_than(names: tuple[str, ...], name: str) -> str:
+    """The name, or one like it that none of the names is."""
+    while name in names:
+        name += "_"
+    return name

@@ -1,0 +1,202 @@
+"""Cells whose program stands still, or begins anew, because a fault says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.fault import Injected
+from cell_firmware.clocks import NEVER
+from cell_firmware.controller import ControllerOutputs, ControllerState, Instant
+from cell_firmware.effects.clock.wrapper import Clocked
+from cell_firmware.effects.cop.wrapper import Watchdog
+from cell_firmware.faults.base import CellFault, FaultAround, Pause
+from cell_firmware.firmware import Bools, Floats, Inbox, Inputs, State, solid
+
+
+@final
+class Slowed(FaultAround):
+    """Steps the cells in the periods in which their clock lets them; what they drive holds in between.
+
+    Their controller, watchdog and all, knows nothing of the periods between. Lines are listened to in each of them, but
+    a message that goes over whole, without a mailbox or a ring to wait in, is lost with its period.
+
+    It is around the watchdog, whose counter is as slow.
+    """
+
+    part = "slow_clock"
+    beneath = (Clocked,)
+    shown = ("skipped",)
+
+    def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
+        """The state of cells none of whose periods was counted so far."""
+        n = len(inner.cells)
+        own: State = {
+            "place": self.lattice.find(inner.cells.row, inner.cells.column),
+            "drive": np.zeros((n, 2)) if drive is None else drive.copy(),
+            "runs": np.ones(n, dtype=np.bool_),
+            "skipped": np.zeros(n, dtype=np.int64),
+            **{str(one.number): np.zeros(n, dtype=np.int64) for one in self.faults},
+        }
+        return self.outer(inner, own)
+
+    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+        """What came over the lines, for the cells that run."""
+        own, tick = dict(state.parts[self.part]), now.tick + self.lag
+        steps, runs = np.asarray(now.at_ns >= 0), np.ones(len(state.cells), dtype=np.bool_)
+        for injected in self.faults:
+            if not injected.acts(tick):
+                continue
+            periods = own.get(str(injected.number), np.zeros(len(runs), dtype=np.int64))
+            runs &= ~np.isin(own["place"], injected.cells) | injected.fault.runs(periods)
+            own[str(injected.number)] = periods + steps
+        then = now if runs.all() else Instant(now.tick, np.where(runs, now.at_ns, NEVER))
+        inner, inputs = self.controller.listen(then, self.inner(state), inputs)
+        after = {
+            **own,
+            "runs": runs,
+            "skipped": own["skipped"] + (steps & ~runs),
+        }
+        return self.outer(inner, after), inputs
+
+    def act(
+        self, now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """One control period of those that run."""
+        own = state.parts[self.part]
+        inner, outputs = self.controller.act_on(np.flatnonzero(own["runs"]), now, self.inner(state), inputs)
+        drive = np.where(own["runs"][:, None], outputs.drive, own["drive"])
+        return (
+            self.outer(inner, {**own, "drive": drive.copy()}),
+            ControllerOutputs(drive, outputs.outbox, outputs.failures, outputs.served, outputs.hung),
+        )
+
+    def counted(self, state: ControllerState) -> dict[str, int]:
+        """Periods that cells missed."""
+        skipped = int(state.parts[self.part]["skipped"].sum())
+        return {f"faults.{self.part}.periods": skipped, **super().counted(state)}
+
+
+@final
+class Outages(FaultAround):
+    """Steps the cells whose programs no fault has stopped.
+
+    A program that stands still sends nothing; its parts go on as on a board without power for their program
+    (``Controller.idle``), and its wheels are commanded to 0 or to what they were. One that begins anew has forgotten
+    everything but what the observer counted, and its wheels stand until it commands them.
+
+    What faults say is noted in every exchange, of all cells, and carried out when the cell is stepped: with clocks of
+    their own cells are not stepped in every exchange, and one that is repaired meanwhile still begins anew.
+
+    It is inside of the watchdog, which resets a program that hangs.
+    """
+
+    part = "faults"
+    beneath = (Clocked, Slowed, Watchdog)
+    shown = ("stopped", "begun_anew")
+
+    def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
+        """The state of cells whose programs nothing has stopped so far."""
+        n = len(inner.cells)
+        own = {
+            "place": self.lattice.find(inner.cells.row, inner.cells.column),
+            "drive": np.zeros((n, 2)) if drive is None else drive.copy(),
+            **{name: np.zeros(n, dtype=np.bool_) for name in ("stopped", "keeps", "unserved", "reset")},
+            "begun_anew": np.zeros(n, dtype=np.int64),
+            **{_periods(one): np.zeros(n, dtype=np.int64) for one in self.faults},
+        }
+        return self.outer(inner, own)
+
+    def after_reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
+        """What the cells' controller keeps of itself; pins are low, and what a reset was to do is done."""
+        own = state.parts[self.part]
+        after = {**own, "drive": np.zeros_like(own["drive"]), "reset": np.zeros_like(own["reset"])}
+        return self.outer(self.controller.after_reset(self.inner(state), warm=warm), after)
+
+    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+        """What came over the lines; and what faults say."""
+        inner, inputs = self.controller.listen(now, self.inner(state), inputs)
+        own = state.parts[self.part]
+        place, steps = own["place"], np.asarray(now.at_ns >= 0)
+        pause, periods = Pause.none(len(self.lattice)), dict[str, NDArray[Any]]()
+        for injected in self.faults:
+            before = pause.stopped.copy()
+            injected.fault.pause(now.tick + self.lag, injected, pause)
+            name = _periods(injected)
+            stands = (pause.stopped & ~before)[place] & steps
+            periods[name] = periods.get(name, own.get(name, 0)) + stands
+        noted = {
+            "stopped": pause.stopped[place],
+            "keeps": pause.keeps[place],
+            "unserved": pause.unserved[place],
+            "reset": own["reset"] | pause.reset[place],
+        }
+        return self.outer(inner, {**own, **noted, **periods}), inputs
+
+    def act(
+        self, now: Instant, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, ControllerOutputs]:
+        """One control period of the programs that run."""
+        own, inner = state.parts[self.part], self.inner(state)
+        stopped, reset, before = own["stopped"], own["reset"], own["drive"]
+        if reset.any():
+            rows = np.flatnonzero(reset)
+            inner = inner.put(rows, self.controller.after_reset(inner.take(rows)))
+            inputs = _unheard(inputs, rows)
+            before = np.where(reset[:, None], 0.0, before)
+        if not stopped.any():
+            inner, outputs = self.controller.act(now, inner, inputs)
+            drive, served = outputs.drive, outputs.served
+        else:
+            waits = np.flatnonzero(stopped)
+            inner = inner.put(waits, self.controller.idle(now.take(waits), inner.take(waits)))
+            inner, outputs = self.controller.act_on(np.flatnonzero(~stopped), now, inner, inputs)
+            drive = np.where((stopped & own["keeps"])[:, None], before, outputs.drive)
+            served = _served(stopped, own["unserved"], outputs.served)
+        after: State = {
+            **own,
+            "drive": drive.copy(),
+            "reset": np.zeros_like(reset),
+            "begun_anew": own["begun_anew"] + (reset & ~stopped),
+        }
+        return (
+            self.outer(inner, after),
+            ControllerOutputs(drive, outputs.outbox, outputs.failures, served, outputs.hung),
+        )
+
+    def counted(self, state: ControllerState) -> dict[str, int]:
+        """Periods in which programs stood still, by what stopped them, and how often one began anew."""
+        own = state.parts[self.part]
+        told = {
+            f"{self.part}.{name.removeprefix(_PERIODS)}.periods": int(value.sum())
+            for name, value in own.items()
+            if name.startswith(_PERIODS)
+        }
+        return {**told, f"{self.part}.begun_anew": int(own["begun_anew"].sum()), **super().counted(state)}
+
+
+_PERIODS = "periods_"
+
+
+def _periods(injected: Injected[CellFault]) -> str:
+    """Where it is counted for how many periods a fault's kind has stopped programs."""
+    return f"{_PERIODS}{injected.fault.called}"
+
+
+def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:
+    """The inputs, but these cells hear nothing: what was sent to them came before they began."""
+    if inputs.inbox is None:
+        return inputs
+    received, message = inputs.inbox.received.copy(), inputs.inbox.message.copy()
+    received[rows] = False
+    slots = solid(message)
+    slots[rows] = np.zeros((), dtype=slots.dtype)
+    return replace(inputs, inbox=Inbox(received, message))
+
+
+def _served(stopped: Bools, unserved: Bools, told: Bools | None) -> Bools:
+    """Whose watchdog is served: of those that stand still, where the fault doesn't say otherwise."""
+    return np.where(stopped, ~unserved, True if told is None else told)

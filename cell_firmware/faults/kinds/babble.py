@@ -1,0 +1,85 @@
+"""Fault ``babble``: cells that flood their links with noise, whatever their program says."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.fault import CellTarget, Injected
+from bus.lattice import SIDES
+from bus.random_streams import Draws
+from cell_firmware.effects.base import places
+from cell_firmware.faults.base import CellFault, purpose
+from cell_firmware.faults.message_fault import Talk, Tamper
+from cell_firmware.firmware import Bools, Messages, Outbox
+
+if TYPE_CHECKING:
+    from cell_firmware.controller import Instant
+
+Ints = NDArray[np.int64]
+
+
+@final
+class BabbleFault(CellTarget, CellFault):
+    """Cells that send random bytes to all their neighbours, in every control period in which their program runs.
+
+    Where links hand over whole messages, each is a message of random bytes; on serial lines bytes follow one another
+    without a pause, so that no message ever ends there.
+    """
+
+    called: ClassVar[str] = "babble"
+    damages: ClassVar[bool] = True
+    kind: Literal["babble"] = "babble"
+
+    def tampers(self, talk: Talk, injected: Injected[CellFault]) -> Tamper:
+        """Noise instead of what programs say."""
+        return _Noise(talk, injected)
+
+
+@final
+class _Noise(Tamper):
+    counts = "messages"
+
+    def __init__(self, talk: Talk, injected: Injected[CellFault]) -> None:
+        from cell_firmware.effects.serial.lines import SerialLines
+        from cell_firmware.faults.payload_bytes import Whole, drawn_each
+
+        super().__init__(injected)
+        lattice, links = talk.lattice, talk.links
+        self._line: np.dtype[Any] = talk.message if links is None else links.line
+        self._whole = Whole(talk.message)
+        self._raw = links if isinstance(links, SerialLines) else None
+        self._width = self._whole.width if self._raw is None else self._raw.most_bytes
+        self._number = np.full(len(lattice), -1)
+        self._number[injected.cells] = np.arange(len(injected.cells))
+        self._sides: Bools = lattice.neighbours >= 0
+        sides = places(injected.cells, len(SIDES))
+        self._draws = Draws(talk.seed, purpose(injected), places(sides, drawn_each(self._width)))
+
+    def say(self, now: Instant, tick: int, place: Ints, outbox: Outbox | None) -> tuple[Outbox | None, Ints]:
+        """Noise on all sides of those that babble."""
+        from cell_firmware.faults.payload_bytes import drawn
+
+        rows = np.flatnonzero(self._number[place] >= 0)
+        if not len(rows):
+            return outbox, np.zeros(len(place), dtype=np.int64)
+        told = Outbox.empty(len(place), self._line)
+        if outbox is not None:
+            told = Outbox(outbox.sent.copy(), np.array(outbox.message))
+        sides = len(SIDES)
+        data = drawn(self._draws, tick, sides * len(self.injected.cells), self._width)
+        data = data.reshape(-1, sides, self._width)[self._number[place[rows]]]
+        told.sent[rows] = self._sides[place[rows]]
+        told.message[rows] = self._carried(now.take(rows), data)
+        noise = np.zeros(len(place), dtype=np.int64)
+        noise[rows] = told.sent[rows].sum(axis=1)
+        return told, noise
+
+    def _carried(self, now: Instant, data: NDArray[np.uint8]) -> Messages:
+        """What links carry that bring these bytes; a stamp of 0: since the window began."""
+        if self._raw is not None:
+            return self._raw.raw(now, data)
+        blank = np.zeros(data.shape[0] * data.shape[1], dtype=self._line)
+        return self._whole.write(blank, data.reshape(len(blank), -1)).reshape(data.shape[:2])

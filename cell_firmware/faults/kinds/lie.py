@@ -1,0 +1,173 @@
+"""Fault ``lie``: cells that tell their neighbours what is not so, in words that look right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import model_validator
+
+from bus.fault import CellTarget, Injected, Problem, links_of
+from bus.lattice import SIDES
+from bus.random_streams import Draws
+from bus.spec import Finite
+from cell_firmware.errors import FirmwareError
+from cell_firmware.faults.base import CellFault, purpose
+from cell_firmware.faults.message_fault import Talk, Tamper
+from cell_firmware.firmware import Bools, Inbox, State
+
+if TYPE_CHECKING:
+    from cell_firmware.specs import CellsSpec
+
+Ints = NDArray[np.int64]
+Values = NDArray[Any]
+
+
+@final
+class LieFault(CellTarget, CellFault):
+    """Numbers in what cells tell are replaced, as their neighbours hear it: whole messages, behind lines and framing.
+
+    Modes: ``stuck``, what the link brought first while the fault acts, again and again; ``offset``, more by ``by``;
+    ``factor``, times ``by``; ``random``, a number between the least and the greatest that the link has brought while
+    the fault acts, anew for every neighbour and tick. Whole numbers are rounded, and kept in their field's range.
+    """
+
+    called: ClassVar[str] = "lie"
+    damages: ClassVar[bool] = True
+    kind: Literal["lie"] = "lie"
+    mode: Literal["stuck", "offset", "factor", "random"]
+    by: Finite | None = None
+    """How much more, or how many times as much."""
+    field: str | None = None
+    """Of the message; None: all that are numbers, and no booleans."""
+
+    @model_validator(mode="after")
+    def _by_what(self) -> Self:
+        if (self.by is None) == (self.mode in ("offset", "factor")):
+            raise ValueError(f"mode {self.mode} goes {'with' if self.by is None else 'without'} by")
+        return self
+
+    def unfit(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:
+        """A field that is no number of what the firmware says."""
+        del sensors
+        from cell_firmware.loader import load
+
+        try:
+            message = load(cells).message
+        except FirmwareError:
+            return  # which is another problem
+        named = [] if message is None else _numbers(message)
+        if self.field is not None and self.field not in named:
+            told = ", ".join(named) or "none"
+            yield ("field",), self.field, f"must be a number that {cells.firmware} says: {told}"
+
+    def tampers(self, talk: Talk, injected: Injected[CellFault]) -> Tamper:
+        """Lies, at whoever hears them."""
+        return _Lies(self, talk, injected)
+
+
+@final
+class _Lies(Tamper):
+    counts = "messages"
+
+    def __init__(self, fault: LieFault, talk: Talk, injected: Injected[CellFault]) -> None:
+        super().__init__(injected)
+        self._mode, self._by = fault.mode, 0.0 if fault.by is None else fault.by
+        self._fields = [name for name in _numbers(talk.message) if fault.field in (None, name)]
+        lattice = talk.lattice
+        heard = links_of(lattice, injected.cells, heard=False, told=True)
+        self._message = talk.message
+        self._struck = np.zeros((len(lattice), len(SIDES)), dtype=np.bool_)
+        self._struck[heard[:, 0], heard[:, 1]] = True
+        self._draws: Draws | None = None
+        if fault.mode == "random" and len(heard):
+            self._links = heard
+            self._draws = Draws(talk.seed, purpose(injected), len(SIDES) * heard[:, 0] + heard[:, 1])
+        self._cells = len(lattice)
+
+    def begin(self, cells: int) -> State:
+        """Whether a link has brought anything, and the least and greatest of it; the first is both where it sticks."""
+        if self._mode not in ("stuck", "random"):
+            return {}
+        shape = (cells, len(SIDES))
+        return {
+            "known": np.zeros(shape, dtype=np.bool_),
+            "least": np.zeros(shape, dtype=self._message),
+            "greatest": np.zeros(shape, dtype=self._message),
+        }
+
+    def hear(self, tick: int, own: State, place: Ints, inbox: Inbox) -> tuple[State, Inbox, Ints]:
+        """Other numbers, on links from those that lie."""
+        lies = self._struck[place] & inbox.received
+        message = np.array(inbox.message)
+        if own:
+            own = self._learnt(own, lies, inbox.message)
+        chance = self._chance(tick, place)[lies]
+        with np.errstate(over="ignore", invalid="ignore"):  # what is no number any more is refused
+            for name in self._fields:
+                message[name][lies] = self._instead(name, own, message[name][lies], lies, chance)
+        return own, Inbox(inbox.received, message), lies.sum(axis=1)
+
+    def _instead(
+        self, name: str, own: State, told: Values, lies: Bools, chance: NDArray[np.float64]
+    ) -> Values:
+        """What is heard of a field."""
+        if self._mode == "offset":
+            return _shifted(told, self._by)
+        if self._mode == "factor":
+            return _times(told, self._by)
+        if self._mode == "stuck":
+            return own["least"][name][lies]
+        return _between(own["least"][name][lies], own["greatest"][name][lies], chance)
+
+    def _chance(self, tick: int, place: Ints) -> NDArray[np.float64]:
+        """``(n, 4)``: a number for each link."""
+        chance = np.zeros((self._cells, len(SIDES)))
+        if self._draws is not None:
+            chance[self._links[:, 0], self._links[:, 1]] = self._draws.uniform(tick)
+        return chance[place]
+
+    def _learnt(self, own: State, lies: Bools, message: Values) -> State:
+        """What links have brought, with this."""
+        known, least, greatest = own["known"], np.array(own["least"]), np.array(own["greatest"])
+        for name in self._fields:
+            first = lies & ~known
+            if self._mode == "stuck":
+                least[name] = np.where(first, message[name], least[name])
+                continue
+            least[name] = np.where(first | (lies & (message[name] < least[name])), message[name], least[name])
+            more = first | (lies & (message[name] > greatest[name]))
+            greatest[name] = np.where(more, message[name], greatest[name])
+        return {"known": known | lies, "least": least, "greatest": greatest}
+
+
+def _numbers(message: np.dtype[Any]) -> list[str]:
+    """Fields that are numbers."""
+    return [name for name in message.names or () if message[name].kind in "iuf"]
+
+
+def _shifted(told: Values, by: float) -> Values:
+    if told.dtype.kind == "f":
+        return (told + by).astype(told.dtype)
+    return _kept([value + round(by) for value in told.tolist()], told.dtype)
+
+
+def _times(told: Values, by: float) -> Values:
+    if told.dtype.kind == "f":
+        return (told * by).astype(told.dtype)
+    return _kept([round(value * by) for value in told.tolist()], told.dtype)
+
+
+def _between(least: Values, greatest: Values, chance: NDArray[np.float64]) -> Values:
+    if least.dtype.kind == "f":
+        return (least + chance * (greatest - least)).astype(least.dtype)
+    pairs = zip(least.tolist(), greatest.tolist(), chance.tolist(), strict=True)
+    return _kept([low + int(share * (high - low + 1)) for low, high, share in pairs], least.dtype)
+
+
+def _kept(values: list[int], dtype: np.dtype[Any]) -> Values:
+    """Whole numbers within a type's range."""
+    lowest, highest = np.iinfo(dtype).min, np.iinfo(dtype).max
+    return np.array([min(max(value, lowest), highest) for value in values], dtype=dtype)

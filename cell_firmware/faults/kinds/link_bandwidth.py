@@ -1,0 +1,84 @@
+"""Fault ``link_bandwidth``: links that carry so many messages a second, and no more."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Annotated, ClassVar, Final, Literal, final
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from bus.fault import Injected, LinkTarget
+from bus.state import Remembers
+from cell_firmware.faults.base import CellFault
+from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.firmware import Bools, Messages
+
+_PLACES: Final = 1_000
+_BILLION: Final = 1_000_000_000
+
+
+@final
+class LinkBandwidthFault(LinkTarget, OnLinks):
+    """A token bucket a link: tokens come at ``messages_per_s``, at most ``burst`` of them wait, each message takes one.
+
+    In every tick, in this order: tokens come; a message that comes goes to the end of the queue; if there is a token,
+    the first of the queue is heard, one a tick being all that a cell can hear; of a queue of more than ``queue`` the
+    oldest is lost. Buckets begin full. What still waits when the fault ends is lost. Integers keep the tokens: nothing
+    drifts.
+    """
+
+    called: ClassVar[str] = "link_bandwidth"
+    kind: Literal["link_bandwidth"] = "link_bandwidth"
+    messages_per_s: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
+    """At most three decimal places."""
+    burst: Annotated[int, Field(ge=1, le=1_000)] = 1
+    """Most tokens in a bucket."""
+    queue: Annotated[int, Field(ge=0, le=1_000)] = 0
+    """Most messages that wait."""
+
+    @field_validator("messages_per_s")
+    @classmethod
+    def _few_places(cls, value: float) -> float:
+        if (Fraction(repr(value)) * _PLACES).denominator != 1:
+            raise ValueError("must have at most three decimal places")
+        return value
+
+    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+        """Queues."""
+        return _Bucket(self, links, injected)
+
+
+@final
+class _Bucket(LinkStage):
+    """Tokens in parts of one, of which a whole number comes each tick; the queue's oldest message first."""
+
+    remembers: ClassVar[Remembers] = Remembers("_tokens", "_length", "_queue")
+
+    def __init__(self, fault: LinkBandwidthFault, links: Links, injected: Injected[CellFault]) -> None:
+        super().__init__(links, injected, "waited", "lost", lingers=1)
+        gain = Fraction(repr(fault.messages_per_s)) * links.site.tick_ns / _BILLION
+        self._token = gain.denominator
+        self._most = fault.burst * self._token
+        self._gain = min(gain.numerator, self._most)
+        self._tokens = np.full(len(links), self._most, dtype=np.int64)
+        self._length = np.zeros(len(links), dtype=np.int64)
+        self._queue = self.blank(fault.queue + 1)
+
+    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+        """The first of each queue, where there is a token for it."""
+        waiting = self._length
+        if not self.acts(tick):
+            return came, words, {"lost": waiting}
+        self._queue[waiting[came], np.flatnonzero(came)] = words[came]
+        self._tokens = np.minimum(self._tokens + self._gain, self._most)
+        length = waiting + came
+        heard = (length > 0) & (self._tokens >= self._token)
+        self._tokens = self._tokens - self._token * heard
+        first = self._queue[0].copy()
+        length = length - heard
+        lost = length == len(self._queue)
+        moves = heard | lost
+        self._queue[:-1, moves] = self._queue[1:, moves]
+        self._length = length - lost
+        return heard, first, {"waited": heard & (waiting > 0), "lost": lost}

@@ -1,0 +1,62 @@
+"""Fault ``link_corrupt``: links that change bits of what they carry."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal, final
+
+import numpy as np
+from pydantic import Field
+
+from bus.fault import Injected, LinkTarget
+from cell_firmware.effects.sensor import Probability
+from cell_firmware.faults.base import CellFault
+from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.firmware import Bools, Messages
+
+
+@final
+class LinkCorruptFault(LinkTarget, OnLinks):
+    """Bits of messages are changed, in their bytes as they are on the wire.
+
+    On serial lines these are the bytes of a tick, and the check byte finds what happened, but for one in 256. Whole
+    messages have none: their fields' bytes change, and a receiver can refuse no more than a float that is no number
+    (``faults.words.refused``); any other value it takes for what was said.
+    """
+
+    called: ClassVar[str] = "link_corrupt"
+    damages: ClassVar[bool] = True
+    kind: Literal["link_corrupt"] = "link_corrupt"
+    probability: Probability
+    """Of a message, that it is changed."""
+    bits: Annotated[int, Field(ge=1, le=64)] = 1
+    """How many bits of it: different ones, each as likely."""
+
+    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+        """Changes some."""
+        return _Changed(self, links, injected)
+
+
+@final
+class _Changed(LinkStage):
+    def __init__(self, fault: LinkCorruptFault, links: Links, injected: Injected[CellFault]) -> None:
+        from cell_firmware.faults.payload_bytes import OnWire
+
+        super().__init__(links, injected, "corrupted")
+        self._probability, self._bits = fault.probability, fault.bits
+        self._draws = links.draws(injected)
+        self._which = links.draws(injected, ".bits", self._bits)
+        self._wire = OnWire.of(links.message, links.site.said or links.message)
+
+    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+        """Other bytes, where chance has it."""
+        from cell_firmware.faults.payload_bytes import flipped
+
+        hit = came & (self._draws.uniform(tick) < self._probability)
+        rows = np.flatnonzero(hit)
+        if len(rows):
+            struck = words[rows].view(self._links.message)
+            data, count = self._wire.read(struck)
+            chance = self._which.uniform(tick).reshape(len(words), -1)[rows]
+            struck = self._wire.write(struck, flipped(data, count, self._bits, chance))
+            words[rows] = struck.view(words.dtype)
+        return came, words, {"corrupted": hit}

@@ -1,0 +1,103 @@
+"""Fault ``link_loss``: links on which messages get lost, each by itself or many in a row."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal, Self, final
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from bus.fault import Injected, LinkTarget
+from bus.state import Remembers
+from cell_firmware.effects.sensor import Probability
+from cell_firmware.faults.base import CellFault
+from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.firmware import Bools, Messages
+
+
+@final
+class LinkLossFault(LinkTarget, OnLinks):
+    """Messages are lost independently, or in bursts by Gilbert's model.
+
+    In it each link is good or bad, by itself: a good one loses nothing, a bad one everything. From tick to tick a bad
+    one turns good with probability ``1 / burst_ticks``, a good one bad with ``probability / ((1 - probability)
+    burst_ticks)``; it begins bad with ``probability``. So that is the share of ticks in which it is bad, and bursts
+    last ``burst_ticks`` in the mean.
+
+    Source: Gilbert, "Capacity of a burst-noise channel", Bell System Technical Journal 39 (1960), with h = 0.
+    """
+
+    called: ClassVar[str] = "link_loss"
+    kind: Literal["link_loss"] = "link_loss"
+    probability: Probability
+    """Share of the messages that are lost."""
+    burst_ticks: Annotated[float, Field(ge=1, le=1e9, allow_inf_nan=False)] | None = None
+    """For how many ticks in a row a link is bad, in the mean; None: each message is lost or not by itself."""
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.burst_ticks is None:
+            return self
+        if self.probability == 1.0:
+            raise ValueError(
+                "burst_ticks goes with a probability below 1: else there is one burst, without an end"
+            )
+        if self.turns_bad > 1.0:
+            least = self.probability / (1.0 - self.probability)
+            raise ValueError(
+                f"burst_ticks must be at least probability / (1 - probability), {least:g}, not {self.burst_ticks:g}"
+            )
+        return self
+
+    @property
+    def turns_bad(self) -> float:
+        """Probability, a tick, that a good link turns bad; with bursts only."""
+        assert self.burst_ticks is not None
+        return self.probability / ((1.0 - self.probability) * self.burst_ticks)
+
+    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+        """Loses some."""
+        if self.burst_ticks is None:
+            return _EachByItself(self.probability, links, injected)
+        return _Bursts(self, links, injected)
+
+
+@final
+class _EachByItself(LinkStage):
+    def __init__(self, probability: float, links: Links, injected: Injected[CellFault]) -> None:
+        super().__init__(links, injected, "lost")
+        self._probability = probability
+        self._draws = links.draws(injected)
+
+    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+        """What chance leaves."""
+        lost = came & (self._draws.uniform(tick) < self._probability)
+        return came & ~lost, words, {"lost": lost}
+
+
+@final
+class _Bursts(LinkStage):
+    """Keeps whether each link is bad: one number a tick and link says what becomes of it."""
+
+    remembers: ClassVar[Remembers] = Remembers("_bad")
+
+    def __init__(self, fault: LinkLossFault, links: Links, injected: Injected[CellFault]) -> None:
+        super().__init__(links, injected, "lost")
+        assert fault.burst_ticks is not None
+        self._share, self._turns_bad, self._stays_bad = (
+            fault.probability,
+            fault.turns_bad,
+            1.0 - 1.0 / fault.burst_ticks,
+        )
+        self._draws = links.draws(injected)
+        self._bad: Bools | None = None
+
+    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+        """What good links bring."""
+        chance = self._draws.uniform(tick)
+        if self._bad is None:
+            self._bad = chance < self._share
+        else:
+            self._bad = chance < np.where(self._bad, self._stays_bad, self._turns_bad)
+        lost = came & self._bad
+        return came & ~lost, words, {"lost": lost}

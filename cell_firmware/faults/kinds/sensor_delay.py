@@ -1,0 +1,66 @@
+"""Fault ``sensor_delay``: presence sensors whose readings come late."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bus.fault import Injected
+from bus.state import Remembers
+from cell_firmware.effects.sensor import LONGEST_TICKS
+from cell_firmware.faults.base import CellFault
+from cell_firmware.faults.sensors import SensorFault, SensorStage, Struck
+from cell_firmware.firmware import Floats, Inputs
+
+
+@final
+class SensorDelayFault(SensorFault):
+    """Sensors that lag: they say in every tick what they said so many before, in a younger run what they said first."""
+
+    called: ClassVar[str] = "sensor_delay"
+    kind: Literal["sensor_delay"] = "sensor_delay"
+    ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)]
+
+    def acting(self, struck: Struck, injected: Injected[CellFault]) -> SensorStage:
+        """Delays."""
+        return _Delay(self.ticks, struck, injected)
+
+
+@final
+class _Delay(SensorStage):
+    """Writes down what sensors say from as many ticks before the fault begins as it delays them."""
+
+    remembers: ClassVar[Remembers] = Remembers("_begun", "_bits", "_levels")
+
+    def __init__(self, ticks: int, struck: Struck, injected: Injected[CellFault]) -> None:
+        super().__init__(struck, injected)
+        self._ticks = ticks
+        self._begun = False
+        self._bits = np.zeros((ticks, *struck.shape), dtype=np.bool_)
+        self._levels = np.zeros((ticks, *struck.shape))
+
+    def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """What the cells see instead, while the fault acts."""
+        if self._injected.first - self._ticks <= tick < self._injected.first:
+            at = self._struck.at
+            self.say(tick, inputs.presence[at], None if inputs.level is None else inputs.level[at])
+        return super().apply(tick, inputs, alive)
+
+    def say(
+        self, tick: int, bit: NDArray[np.bool_], level: Floats | None
+    ) -> tuple[NDArray[np.bool_], Floats | None]:
+        """What was said then; what is said now takes its place."""
+        if not self._begun:
+            self._begun = True
+            self._bits[:] = bit
+            self._levels[:] = 0.0 if level is None else level
+        slot = tick % self._ticks
+        then = self._bits[slot].copy(), self._levels[slot].copy()
+        self._bits[slot] = bit
+        if level is None:
+            return then[0], None
+        self._levels[slot] = level
+        return then

@@ -1,0 +1,43 @@
+"""Fault ``sensor_flip``: presence sensors that now and then say the opposite."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.fault import Injected
+from cell_firmware.effects.sensor import Probability
+from cell_firmware.faults.base import CellFault
+from cell_firmware.faults.sensors import SensorFault, SensorStage, Struck
+from cell_firmware.firmware import Floats
+
+
+@final
+class SensorFlipFault(SensorFault):
+    """Readings that are the wrong way round, each by itself; of an analogue sensor one less the level."""
+
+    called: ClassVar[str] = "sensor_flip"
+    kind: Literal["sensor_flip"] = "sensor_flip"
+    rate: Probability
+    """Probability, a reading and tick."""
+
+    def acting(self, struck: Struck, injected: Injected[CellFault]) -> SensorStage:
+        """Flips."""
+        return _Flip(self.rate, struck, injected)
+
+
+@final
+class _Flip(SensorStage):
+    def __init__(self, rate: float, struck: Struck, injected: Injected[CellFault]) -> None:
+        super().__init__(struck, injected)
+        self._rate = rate
+        self._draws = struck.draws(injected)
+
+    def say(
+        self, tick: int, bit: NDArray[np.bool_], level: Floats | None
+    ) -> tuple[NDArray[np.bool_], Floats | None]:
+        """The opposite, where chance has it."""
+        wrong = (self._draws.uniform(tick) < self._rate).reshape(bit.shape)
+        return bit ^ wrong, None if level is None else np.where(wrong, 1.0 - level, level)

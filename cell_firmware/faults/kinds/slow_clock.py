@@ -1,0 +1,45 @@
+"""Fault ``slow_clock``: a cell's program runs in some of its control periods only."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Annotated, ClassVar, Final, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from bus.fault import CellTarget
+from cell_firmware.faults.base import CellFault
+from cell_firmware.firmware import Bools
+
+_PLACES: Final = 10**6
+
+
+@final
+class SlowClockFault(CellTarget, CellFault):
+    """Cells that are too slow: their programs run in ``factor`` of their control periods.
+
+    Of the periods m = 0, 1, 2, ... since it began these are those in which ``floor((m + 1) factor) > floor(m factor)``:
+    of any stretch of them the share to within one. Integers say so, and nothing drifts. In the others pins keep what
+    they had, nothing is sent, and the watchdog does not count either: it is as slow.
+    """
+
+    called: ClassVar[str] = "slow_clock"
+    slows: ClassVar[bool] = True
+    kind: Literal["slow_clock"] = "slow_clock"
+    factor: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)]
+    """Of its control periods, those in which it runs; at most six decimal places."""
+
+    @field_validator("factor")
+    @classmethod
+    def _few_places(cls, value: float) -> float:
+        if (Fraction(repr(value)) * _PLACES).denominator != 1:
+            raise ValueError("must have at most six decimal places")
+        return value
+
+    def runs(self, period: NDArray[np.int64]) -> Bools:
+        """Where the whole part of ``m factor`` goes on."""
+        share = Fraction(repr(self.factor))
+        over = period % share.denominator * share.numerator % share.denominator
+        return over + share.numerator >= share.denominator

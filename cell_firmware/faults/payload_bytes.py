@@ -1,0 +1,134 @@
+"""The bytes of messages as they are on the wire, and what becomes of messages whose bytes somebody changed."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.random_streams import Draws
+from bus.wire.frames import check_message
+from cell_firmware.effects.serial.bursts import WORD, BurstType
+from cell_firmware.firmware import Messages
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+_DRAWN: Final = 6
+"""Bytes of a draw, which has 53 bits."""
+
+
+class OnWire(ABC):
+    """What links carry, as bytes.
+
+    Attributes:
+        width: Most bytes of a link in a tick.
+    """
+
+    width: int
+
+    @abstractmethod
+    def read(self, messages: Messages) -> tuple[Bytes, Ints]:
+        """``(m, width)`` bytes of ``(m,)`` messages, and how many each has."""
+
+    @abstractmethod
+    def write(self, messages: Messages, data: Bytes) -> Messages:
+        """These messages with other bytes."""
+
+    @staticmethod
+    def of(carried: np.dtype[Any], said: np.dtype[Any]) -> OnWire:
+        """Of links that carry ``carried`` for programs that say ``said``: that and perhaps a stamp, or bytes of it."""
+        if set(said.names or ()) <= set(carried.names or ()):
+            return Whole(said)
+        words = sum(name.startswith("word_") for name in carried.names or ())
+        return Bursts(BurstType(WORD * words))
+
+
+@final
+class Whole(OnWire):
+    """Whole messages: the program's fields, packed and little-endian. A stamp that goes with them is no byte of theirs.
+
+    Args:
+        said: The program's type.
+    """
+
+    def __init__(self, said: np.dtype[Any]) -> None:
+        self._names: tuple[str, ...] = said.names or ()
+        self._packed = check_message(said)
+        self.width = self._packed.itemsize
+
+    def read(self, messages: Messages) -> tuple[Bytes, Ints]:
+        """All of them."""
+        packed = np.empty(len(messages), dtype=self._packed)
+        for name in self._names:
+            packed[name] = messages[name]
+        return packed.view(np.uint8).reshape(len(messages), -1), np.full(len(messages), self.width)
+
+    def write(self, messages: Messages, data: Bytes) -> Messages:
+        """Any bytes are a number; a boolean is true unless its byte is 0."""
+        values, after = np.ascontiguousarray(data).view(self._packed)[:, 0], messages.copy()
+        for name in self._names:
+            value = values[name]
+            after[name] = value.view(np.uint8) != 0 if value.dtype.kind == "b" else value
+        return after
+
+
+@final
+class Bursts(OnWire):
+    """Bytes on serial lines: those that are there change, and neither their number nor their times.
+
+    Args:
+        burst: Of what a line carries in a window.
+    """
+
+    def __init__(self, burst: BurstType) -> None:
+        self._burst = burst
+        self.width = burst.width
+
+    def read(self, messages: Messages) -> tuple[Bytes, Ints]:
+        """Those of both runs."""
+        parts = self._burst.from_wire(messages)
+        count = parts["bytes_1"].astype(np.int64) + parts["bytes_2"]
+        return parts["byte"].copy(), np.minimum(count, self.width)
+
+    def write(self, messages: Messages, data: Bytes) -> Messages:
+        """The same runs of other bytes."""
+        parts = self._burst.from_wire(messages).copy()
+        parts["byte"] = data
+        return self._burst.to_wire(parts)
+
+
+def flipped(data: Bytes, count: Ints, bits: int, chance: NDArray[np.float64]) -> Bytes:
+    """Bytes of which so many bits are changed, all of them different ones; all where there are no more.
+
+    Args:
+        data: ``(m, width)``.
+        count: ``(m,)``, how many of them there are.
+        bits: How many bits of each row.
+        chance: ``(m, bits)``, in [0, 1): which.
+    """
+    after, row = data.copy(), np.arange(len(data))
+    chosen = np.full((len(data), bits), 8 * data.shape[1] + bits)  # ascending; beyond the last: none yet
+    for number in range(bits):
+        left = 8 * count - number
+        bit = (chance[:, number] * left).astype(np.int64)  # of those that are left
+        for earlier in range(number):
+            bit += bit >= chosen[:, earlier]
+        some = left > 0
+        after[row[some], bit[some] // 8] ^= (1 << bit[some] % 8).astype(np.uint8)
+        chosen[some, number] = bit[some]
+        chosen.sort(axis=1)
+    return after
+
+
+def drawn(draws: Draws, tick: int, rows: int, width: int) -> Bytes:
+    """``(rows, width)`` random bytes, of draws that have ``drawn_each(width)`` numbers a row."""
+    numbers = (draws.uniform(tick) * 2.0 ** (8 * _DRAWN)).astype("<u8").reshape(rows, -1, 1)
+    return numbers.view(np.uint8)[..., :_DRAWN].reshape(rows, -1)[:, :width]
+
+
+def drawn_each(width: int) -> int:
+    """Draws for so many bytes."""
+    return -(-width // _DRAWN)

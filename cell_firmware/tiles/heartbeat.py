@@ -1,0 +1,104 @@
+"""Who leads a tile, which of its cells live, and whether a parcel is over any: asked by its leader in rounds."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.firmware import Bools, Inbox
+from cell_firmware.tiles.messages import MASK_16, gathered
+
+Ints = NDArray[np.int64]
+
+_TURN_TICKS: Final = 8
+"""By so much later each cell takes its turn to lead, once nobody does: more than a word takes through a tile."""
+_ROUND_TICKS: Final = 24
+"""After so many ticks a round ends though some have not answered."""
+_SILENT_ROUNDS: Final = 2
+"""A cell that has not answered in so many rounds in a row that ended so counts as dead."""
+
+
+def begun(place: dict[str, NDArray[Any]], tile_cells: int) -> dict[str, NDArray[Any]]:
+    """What a cell remembers of its tile's rounds before the first tick: nothing, and it takes all cells for living."""
+    n, everyone = len(place["used"]), (1 << tile_cells * tile_cells) - 1
+    return {
+        **{name: np.zeros(n, dtype=np.int64) for name in ("pulse", "alive", "covered", "label")},
+        **{name: np.zeros(n, dtype=np.int64) for name in ("recent", "missed", "since", "sure", "read")},
+        "members": np.full(n, everyone),
+        "occupied": np.zeros(n, dtype=np.bool_),
+    }
+
+
+def heard(
+    state: Any, inbox: Inbox, here: Bools, label: Ints, patience: int
+) -> tuple[dict[str, NDArray[Any]], Bools, Bools]:
+    """A tick of listening: the newest pulse, one's own answer to it, and who leads.
+
+    A cell leads whose pulse is the newest that it knows. Where the last has died out, ``patience`` ticks after it was
+    sent, cells take over in the order of their rank. Where two lead, the one of lower rank has the greater pulse, and
+    the other follows.
+
+    Args:
+        state: Of the firmware.
+        inbox: What came.
+        here: ``(n,)``: is a parcel over the cell?
+        label: ``(n,)``, what its label reader says; 0 for nothing.
+        patience: For how many ticks a pulse is believed.
+
+    Returns:
+        What it remembers from now on; who leads; who has just taken over.
+    """
+    pulse, alive, covered, read = gathered(state, inbox)
+    silence = np.where(pulse == 0, state["silence"] + 1, 0)
+    mine = 255 - state["rank"]
+    takes_over = state["used"] & (silence > _TURN_TICKS * state["rank"])
+    leads = state["used"] & (takes_over | (pulse >> 24 == mine))
+    number = np.where(takes_over, state["pulse"] >> 8 & MASK_16, pulse >> 8 & MASK_16)
+    pulse = np.where(leads, mine << 24 | number << 8 | patience, pulse)
+    after = {
+        "pulse": pulse,
+        "silence": np.where(takes_over, 0, silence),
+        "alive": np.where(pulse > 0, alive | state["bit"], 0),
+        "covered": np.where(pulse > 0, covered | np.where(here, state["bit"], 0), 0),
+        "label": np.where(pulse > 0, np.maximum(read, label), 0),
+    }
+    return after, leads, takes_over
+
+
+def ended(state: Any, after: dict[str, NDArray[Any]], leads: Bools) -> Bools:
+    """A tick of a leader's rounds; adds to ``after`` what it has learnt.
+
+    A round in which all that count as living have answered says whether a parcel is over any of them. One that takes
+    too long says nothing; after some of these in a row, who has answered in none counts as dead. Who answers lives.
+
+    Returns:
+        ``(n,)``: has a round ended in which all have answered?
+    """
+    since = state["since"] + 1
+    full = leads & (after["alive"] & state["members"] == state["members"])
+    late = leads & ~full & (since >= _ROUND_TICKS)
+    missed = np.where(late, state["missed"] + 1, np.where(full, 0, state["missed"]))
+    recent = np.where(late, state["recent"] | after["alive"], np.where(full, 0, state["recent"]))
+    fewer = missed >= _SILENT_ROUNDS
+    members = np.where(fewer, recent, state["members"]) | np.where(full, after["alive"], 0)
+    after["members"] = members
+    after["missed"] = np.where(fewer, 0, missed)
+    after["recent"] = np.where(fewer, 0, recent)
+    after["occupied"] = np.where(full, after["covered"] != 0, state["occupied"])
+    after["read"] = np.where(full & (after["covered"] != 0), after["label"], np.where(full, 0, state["read"]))
+    after["sure"] = np.where(full, state["sure"] + 1, state["sure"])
+    after["since"] = np.where(leads, since, 0)
+    return full | late
+
+
+def begin(state: Any, after: dict[str, NDArray[Any]], where: Bools, here: Bools, label: Ints) -> None:
+    """Leaders begin a new round, at once, where they want to know something anew."""
+    pulse = after["pulse"]
+    number = (pulse >> 8) + 1 & MASK_16
+    after["pulse"] = np.where(where, pulse >> 24 << 24 | number << 8 | pulse & 255, pulse)
+    after["alive"] = np.where(where, state["bit"], after["alive"])
+    after["covered"] = np.where(where, np.where(here, state["bit"], 0), after["covered"])
+    after["label"] = np.where(where, label, after["label"])
+    after["since"] = np.where(where, 0, after["since"])

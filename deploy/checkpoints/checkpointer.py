@@ -1,0 +1,307 @@
+"""Takes checkpoints of a run while it goes on."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from bus.errors import MemoryRefusedError
+from bus.state import remember
+from deploy.checkpoints.checkpoint import Checkpoint
+from deploy.checkpoints.store import Store
+from deploy.errors import DeployError, InputError
+from deploy.recordings.format import EVENTS
+
+if TYPE_CHECKING:
+    from bus.lockstep.coordinator import Host
+    from bus.lockstep.snapshots import Together
+    from deploy.protocol_report.reporter import Reporter
+    from deploy.recordings.run_log import Ledger
+    from deploy.recordings.writer import Recorder
+    from deploy.scenes.scene import Scene
+    from deploy.workers.plan import Plan, RunOptions
+    from plant.plant import Plant
+    from plant.process import PlantProcess
+
+
+PATIENCE_S: Final = 5.0
+"""The least wall time that cells get to tell what they remember."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class About:
+    """What all checkpoints of a run have in common: see ``Checkpoint``.
+
+    Attributes:
+        wall_s: Of the ticks that were over when this process took the run up.
+    """
+
+    scene_name: str
+    scene: dict[str, Any]
+    bound: dict[str, str]
+    options: dict[str, Any]
+    resumed: tuple[int, ...] = ()
+    wall_s: float = 0.0
+
+
+@final
+@dataclass(slots=True)
+class _Draft:
+    """A checkpoint under way.
+
+    Attributes:
+        tick: Before which it is.
+        asked: When the cells were asked, monotonic wall seconds.
+        plant: What the plant's side is then, by ``Checkpoint``'s names; None until it has come so far.
+        mark: What of the recording has to be safe first.
+    """
+
+    tick: int
+    asked: float
+    plant: Mapping[str, Any] | None = None
+    mark: int = 0
+
+
+@final
+class Keeper:
+    """Takes a checkpoint every so many seconds of wall time.
+
+    It begins with each so much earlier as the last took to be on the disk: then what has to be done again after a kill
+    is no more than that time, whenever the kill comes.
+
+    The cells are asked a tick ahead and answer when they have driven that tick; meanwhile the plant goes on. It stands
+    still only for its own part to be copied. A thread writes the file. One checkpoint is under way at a time, and one
+    that can't be finished is given up: the run goes on.
+
+    Args:
+        every_s: Wall time from one to the next.
+        host: Of the lockstep; its shards may be asked.
+        ledger: Of the run.
+        recorder: Of the run.
+        reporter: Of the protocol; None: nobody watches it.
+        store: Where checkpoints are written.
+        about: What they have in common.
+        patience_s: Wall time that cells get to answer.
+        warn: Told of what was given up, one line.
+        clock: Monotonic wall seconds.
+
+    Attributes:
+        written: Ticks before which there are checkpoints now, or were.
+    """
+
+    def __init__(
+        self,
+        every_s: float,
+        host: Host,
+        ledger: Ledger,
+        recorder: Recorder,
+        reporter: Reporter | None,
+        store: Store,
+        about: About,
+        *,
+        patience_s: float,
+        warn: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._every_s, self._patience_s = every_s, max(patience_s, PATIENCE_S)
+        self._host, self._ledger, self._recorder, self._reporter = host, ledger, recorder, reporter
+        self._store, self._about, self._warn, self._clock = store, about, warn, clock
+        self._begun = clock()
+        self._last = self._begun
+        self._took_s = 0.0
+        self._draft: _Draft | None = None
+        self._writer: threading.Thread | None = None
+        self._trouble: str | None = None
+        self.written: list[int] = []
+
+    def attend(self, process: PlantProcess) -> None:
+        """A tick is about to begin, and nothing of it has happened; all before it are over."""
+        draft = self._draft
+        if draft is None:
+            due = self._last + self._every_s - self._took_s
+            if self._clock() >= due and self._writer is None:
+                self._last = self._clock()
+                self._host.ask(process.tick + 1)
+                self._draft = _Draft(process.tick + 1, self._last)
+        elif draft.plant is None:
+            process.report()
+            self._host.note()
+            if self._ledger.controls:
+                self._stop("what was done to the run while it went on is in its recording: see --replay")
+                return
+            draft.plant, draft.mark = self._plant(process)
+
+    def _plant(self, process: PlantProcess) -> tuple[dict[str, Any], int]:
+        """The plant's side as it is now, and what of the recording belongs to it."""
+        recorded, mark = self._recorder.mark()
+        return {
+            "tick": process.tick,
+            "time_ns": process.time_ns,
+            "process": remember(process),
+            "ledger": remember(self._ledger),
+            "reporter": None if self._reporter is None else remember(self._reporter),
+            "recorded": recorded,
+            "dead": tuple(np.flatnonzero(process.lost).tolist()),
+            "wall_s": self._about.wall_s + self._clock() - self._begun,
+        }, mark
+
+    def look(self) -> None:
+        """Look whether everybody has answered; once a tick."""
+        if self._writer is not None and not self._writer.is_alive():
+            self._finish()
+        draft = self._draft
+        if draft is None or draft.plant is None:
+            return
+        together = self._host.take_kept()
+        if together is not None:
+            self._draft = None
+            self._write(draft.plant, together, draft)
+        elif self._clock() > draft.asked + self._patience_s:
+            self._draft = None
+            shards = ", ".join(map(str, self._host.give_up()))
+            self._warn(
+                f"no checkpoint before tick {draft.tick}: shard {shards} has not told what it remembers within "
+                f"{self._patience_s:g} s"
+            )
+
+    def _stop(self, why: str) -> None:
+        """Take no more checkpoints."""
+        self._host.give_up()
+        self._draft, self._last = None, float("inf")
+        self._warn(f"no more checkpoints: {why}")
+
+    def close(self) -> None:
+        """Wait until what is being written is."""
+        if self._writer is not None:
+            self._writer.join()
+            self._finish()
+
+    def _finish(self) -> None:
+        self._writer = None
+        if self._trouble is not None:
+            self._warn(f"no checkpoint: {self._trouble}")
+            self._trouble = None
+
+    def _write(self, plant: Mapping[str, Any], together: Together, draft: _Draft) -> None:
+        about, counts = self._about, together.counts
+        checkpoint = Checkpoint(
+            scene_name=about.scene_name,
+            scene=about.scene,
+            bound=about.bound,
+            options=about.options,
+            resumed=about.resumed,
+            states=together.states,
+            counts=(counts.sent, counts.delivered, counts.lost, counts.late),
+            refused=dict(counts.refused),
+            tally=dict(counts.tally),
+            **plant,
+        )
+        self._writer = threading.Thread(
+            target=self._put, args=(checkpoint, draft), name="checkpoint", daemon=True
+        )
+        self._writer.start()
+
+    def _put(self, checkpoint: Checkpoint, draft: _Draft) -> None:
+        """In a thread: first the recording, up to there, and then the checkpoint that counts on it."""
+        try:
+            self._recorder.secure(draft.mark)
+            self._store.write(checkpoint.to_bytes())
+            self.written.append(checkpoint.tick)
+            self._took_s = self._clock() - draft.asked
+        except (DeployError, OSError, ValueError) as error:  # ValueError: the recording has been closed
+            self._trouble = str(error)
+
+
+def about_run(
+    scene: Scene, plan: Plan, options: RunOptions, plant: Plant, resumed: Checkpoint | None, *, live: bool
+) -> About | None:
+    """What all checkpoints of a run have in common; None where there are to be none.
+
+    Args:
+        scene: What runs.
+        plan: What is started.
+        options: How it runs.
+        plant: Of the scene, at its start.
+        resumed: From which it goes on; None: it begins.
+        live: Whether faults may come while it runs.
+
+    Raises:
+        InputError: The run can't be kept, or can't go on from the one that it is to go on from.
+    """
+    if options.checkpoint_s is None:
+        return None
+    from bus.state import remember
+    from deploy.checkpoints.store import bound, check, told
+
+    try:
+        remember(plant)
+    except MemoryRefusedError as error:
+        raise InputError(f"--checkpoint: this plant can't be kept: {error}") from None
+    about = About(
+        scene_name=scene.name,
+        scene=scene.model_dump(mode="json"),
+        bound=bound(scene),
+        options=told(plan, options, live=live),
+    )
+    if resumed is None:
+        return about
+    check(resumed, about.bound)
+    return replace(about, resumed=(*resumed.resumed, resumed.tick), wall_s=resumed.wall_s)
+
+
+def keeper_of(
+    about: About | None,
+    options: RunOptions,
+    host: Host,
+    ledger: Ledger,
+    recorder: Recorder,
+    reporter: Reporter | None,
+    resumed: Checkpoint | None,
+    patience_s: float,
+) -> Keeper | None:
+    """What takes a run's checkpoints; None where there are to be none.
+
+    Args:
+        about: Of the run.
+        options: How it runs.
+        host: The plant's side of the lockstep.
+        ledger: Of the run.
+        recorder: In whose folder they are left.
+        reporter: What watches the protocol, where that is asked for.
+        resumed: From which it goes on; it stays until there is a newer one.
+        patience_s: Wall seconds that the cells have to tell what they remember.
+    """
+    if about is None or options.checkpoint_s is None:
+        return None
+
+    store = Store(recorder.path.parent)
+    if resumed is not None:
+        store.keep(resumed)
+    return Keeper(
+        options.checkpoint_s,
+        host,
+        ledger,
+        recorder,
+        reporter,
+        store,
+        about,
+        patience_s=patience_s,
+        warn=ledger.warn,
+    )
+
+
+def go_on(resumed: Checkpoint, process: PlantProcess, ledger: Ledger, reporter: Reporter | None) -> None:
+    """Let all of the plant's process be as it was."""
+    from bus.state import recall
+
+    recall(process, resumed.process)
+    recall(ledger, resumed.ledger)
+    ledger.show(resumed.recorded.get(EVENTS, 0))
+    if reporter is not None and resumed.reporter is not None:
+        recall(reporter, resumed.reporter)

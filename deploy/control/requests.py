@@ -1,0 +1,94 @@
+"""What can be asked of a running system, as JSON."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, Final, Literal, cast
+
+from pydantic import Field, ValidationError, field_validator
+
+from bus.spec import Spec
+from deploy.errors import DeployError
+from deploy.faults.registry import Fault
+from deploy.scenes.errors import problems_of, strictly
+
+_LONGEST: Final = 65_536
+_TOLD: Final = 20
+"""Problems of a request that are told: the answer is no longer than a question may be."""
+
+
+def _kind_of(fault: object) -> object:
+    return cast("dict[str, object]", fault).get("kind") if isinstance(fault, dict) else None
+
+
+class InjectRequest(Spec):
+    """A fault from the next tick on."""
+
+    do: Literal["inject"]
+    fault: Fault
+    for_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)] | None = None
+    """Simulated time until it is repaired; None: as ``fault.until_s`` says, or never."""
+
+    @field_validator("fault", mode="before")
+    @classmethod
+    def _can_begin_now(cls, fault: object) -> object:
+        if _kind_of(fault) == "add":
+            raise ValueError("add is for scenes: inject remove, and repair it to plug the cells in again")
+        return fault
+
+
+class RepairRequest(Spec):
+    """A fault that acts is repaired at the next tick."""
+
+    do: Literal["repair"]
+    number: Annotated[int, Field(ge=0)]
+
+
+class ListRequest(Spec):
+    """Which faults there are."""
+
+    do: Literal["list"]
+
+
+Request = InjectRequest | RepairRequest | ListRequest
+
+
+class _Asked(Spec):
+    request: Annotated[Request, Field(discriminator="do")]
+
+
+class RequestError(DeployError):
+    """A request that can't be carried out.
+
+    Attributes:
+        problems: Why, a line each.
+    """
+
+    def __init__(self, *problems: str) -> None:
+        super().__init__("; ".join(problems))
+        self.problems = problems
+
+
+def read_request(payload: bytes | None) -> Request:
+    """What somebody asks.
+
+    Args:
+        payload: JSON; None: it was too long to be looked at.
+
+    Raises:
+        RequestError: It is nothing that can be asked.
+    """
+    if payload is None or len(payload) > _LONGEST:
+        raise RequestError(f"a request: must be at most {_LONGEST} bytes")
+    try:
+        data: Any = {"request": json.loads(payload)}
+    except (ValueError, RecursionError):
+        raise RequestError("a request: must be JSON, of a few levels") from None
+    try:
+        return strictly(_Asked, data).request
+    except ValidationError as error:
+        problems = problems_of(error, data, _Asked)
+        told = [str(problem).removeprefix("request.") for problem in problems[:_TOLD]]
+        if len(problems) > _TOLD:
+            told.append(f"and {len(problems) - _TOLD} more")
+        raise RequestError(*told) from None

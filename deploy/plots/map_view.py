@@ -1,0 +1,316 @@
+"""The overhead view: array, wheel velocities, the parcels' paths and outlines."""
+
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
+# (matplotlib leaves the keywords of its drawing methods untyped.)
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.faults.records import OUT, lost_for_good, out_of_array
+from deploy.recordings.trace import Track
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c6d00", "#332288", "#56b4e9")
+"""One a parcel, in turn: after Okabe and Ito, told apart by colour-blind readers and on light grey."""
+
+INK = "#22272e"
+LOST = "#c1121f"
+LABEL: Any = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
+"""Behind words that lines may cross."""
+_CELL = "#eceff3"
+_CELL_LARGE = "#f3f5f8"
+_ARROW = "#7d8a9a"
+_EXIT = "#4b7a3f"
+_PULLED = "#8a5a00"
+RAIL = "#3a424d"
+
+_SQUARES = 2500
+"""Up to this many cells each is a square of its own; beyond, gaps would be under a pixel."""
+_ARROWS_ACROSS = 26
+_OUTLINES = 9
+"""Outlines of a parcel on its way, start and end included, for few parcels."""
+_FEW = 6
+_NARROW = 0.2
+"""A view this many times as wide as high has room for one number below it."""
+
+
+def colour(parcel: int) -> str:
+    """Colour of a parcel in every part of the picture."""
+    return COLOURS[parcel % len(COLOURS)]
+
+
+def extent(track: Track) -> tuple[float, float, float, float]:
+    """Left, right, bottom and top of the view: the array, and where parcels went, within reason."""
+    half = track.pitch_m / 2
+    low, high = track.positions_m.min(axis=0) - half, track.positions_m.max(axis=0) + half
+    reach = 0.5 * float((high - low).max())
+    corners = [low, high]
+    for parcel, footprint in enumerate(track.footprints_m):
+        centres = track.parcels[:, parcel, :2]
+        centres = centres[np.isfinite(centres).all(axis=1)]
+        if len(centres):
+            radius = float(np.hypot(footprint[:, 0], footprint[:, 1]).max())
+            corners += [centres.min(axis=0) - radius, centres.max(axis=0) + radius]
+    # An unstable run may fling a parcel anywhere: the array must stay in sight.
+    bounds = np.clip(np.array(corners), low - reach, high + reach)
+    left, bottom = bounds.min(axis=0) - half
+    right, top = bounds.max(axis=0) + half
+    return float(left), float(right), float(bottom), float(top)
+
+
+def draw_map(axes: Axes, track: Track) -> None:
+    """Draw the overhead view, metres along both axes."""
+    left, right, bottom, top = extent(track)
+    axes.set_aspect("equal")
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    _draw_cells(axes, track)
+    _draw_arrows(axes, track)
+    _draw_faults(axes, track)
+    _draw_exits(axes, track)
+    for rail in track.rails_m:
+        axes.fill(*np.array(rail).T, fc=RAIL, ec=RAIL, lw=2.4, joinstyle="round", zorder=2.8)
+    for parcel in range(len(track.footprints_m)):
+        _draw_parcel(axes, track, parcel)
+    _draw_incidents(axes, track)
+    if right - left < _NARROW * (top - bottom):
+        axes.set_xticks([round(0.5 * (left + right), 3)])
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+
+
+def _squares(centres: NDArray[np.float64], side: float) -> NDArray[np.float64]:
+    """``(n, 4, 2)`` corners of squares."""
+    corners = 0.5 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return centres[:, None, :] + corners
+
+
+def _draw_cells(axes: Axes, track: Track) -> None:
+    from matplotlib.collections import PolyCollection
+
+    large = len(track.positions_m) > _SQUARES
+    squares = _squares(track.positions_m, track.pitch_m * (1.0 if large else 0.92))
+    axes.add_collection(
+        PolyCollection(
+            list(squares),
+            facecolors=_CELL_LARGE if large else _CELL,
+            edgecolors="none",
+            antialiaseds=not large,
+            zorder=1,
+        ),
+        autolim=False,
+    )
+
+
+def _draw_arrows(axes: Axes, track: Track) -> None:
+    """Wheel velocities, of every k-th cell each way where the array is large."""
+    if track.wheel_speeds is None:
+        return
+    cells = np.array(track.cells).reshape(-1, 2)
+    across = np.ptp(cells, axis=0).max() + 1
+    stride = int(-(-across // _ARROWS_ACROSS))
+    shown = ((cells - stride // 2) % stride == 0).all(axis=1)
+    speeds = track.wheel_speeds[shown]
+    speed = np.hypot(speeds[:, 0], speeds[:, 1])
+    moving = np.isfinite(speed) & (speed > 0)
+    if not moving.any():
+        return
+    fastest = float(speed[moving].max())
+    # With an even stride no cell is in the middle: arrows as long as the stride would stick out of the array.
+    reach = (stride - 1 + stride % 2) * track.pitch_m
+    left, right, bottom, top = extent(track)
+    axes.quiver(
+        track.positions_m[shown][moving, 0],
+        track.positions_m[shown][moving, 1],
+        speeds[moving, 0],
+        speeds[moving, 1],
+        angles="xy",
+        pivot="mid",
+        units="xy",
+        scale_units="xy",
+        scale=fastest / (0.92 * reach),
+        width=min(0.055 * reach, 0.004 * max(right - left, top - bottom)),
+        headwidth=4.0,
+        headlength=4.6,
+        headaxislength=4.1,
+        minlength=0.1,
+        color=_ARROW,
+        linewidth=0,
+        zorder=2,
+    )
+    axes.set_title(f"wheels, longest arrow {fastest:.3g} m/s", loc="right", color=_ARROW, fontsize=8, pad=4)
+
+
+def struck_cells(track: Track) -> set[tuple[int, int]]:
+    """Cells that a fault struck which begins and ends, and that were in the array all the time."""
+    return {
+        (row, column)
+        for fault in track.faults
+        if "phase" in fault and fault["kind"] not in OUT
+        for row, column in fault["cells"]
+    }
+
+
+def _draw_faults(axes: Axes, track: Track) -> None:
+    """Cells that were pulled, white and dashed; that a fault struck, with a red rim; that are lost, with a cross too.
+
+    One that was plugged in, or in again, has its arrow; one that isn't there at the end has none.
+    """
+    if not track.faults:
+        return
+    index = {(row, column): i for i, (row, column) in enumerate(track.cells)}
+    out = out_of_array(track.faults)
+    _draw_squares(
+        axes,
+        track,
+        [index[cell] for cell in out if cell in index],
+        edgecolors=_PULLED,
+        linestyles=(0, (2, 1.5)),
+    )
+    away = [index[cell] for cell, again_s in out.items() if again_s is None and cell in index]
+    _draw_squares(axes, track, away, facecolors="white", edgecolors=_PULLED, linestyles=(0, (2, 1.5)))
+    struck = [index[cell] for cell in struck_cells(track) if cell in index]
+    _draw_squares(axes, track, struck, edgecolors=LOST)
+    lost = [index[cell] for cell in lost_for_good(track.faults) if cell in index]
+    _draw_squares(axes, track, lost, facecolors="#fbd9d3", edgecolors=LOST)
+    _draw_crosses(axes, track, lost)
+
+
+def _draw_squares(
+    axes: Axes, track: Track, cells: list[int], *, facecolors: str = "none", **look: Any
+) -> None:
+    from matplotlib.collections import PolyCollection
+
+    if not cells:
+        return
+    squares = list(_squares(track.positions_m[sorted(cells)], 0.92 * track.pitch_m))
+    axes.add_collection(
+        PolyCollection(squares, facecolors=facecolors, linewidths=0.8, zorder=2.5, **look), autolim=False
+    )
+
+
+def _draw_crosses(axes: Axes, track: Track, cells: list[int]) -> None:
+    from matplotlib.collections import LineCollection
+
+    if not cells:
+        return
+    crosses = _squares(track.positions_m[cells], 0.5 * track.pitch_m)
+    strokes = [crosses[:, [0, 2]], crosses[:, [1, 3]]]
+    axes.add_collection(
+        LineCollection(list(np.concatenate(strokes)), colors=LOST, linewidths=1.1, zorder=2.6), autolim=False
+    )
+
+
+def _draw_exits(axes: Axes, track: Track) -> None:
+    """Each exit with its name, at whichever of its corners lies farthest up and to the right."""
+    for name, corners in track.exits:
+        axes.fill(*corners.T, fc="none", ec=_EXIT, hatch="////", lw=0, alpha=0.3, zorder=1.5)
+        axes.fill(*corners.T, fill=False, ec=_EXIT, lw=1.2, ls=(0, (4, 2)), zorder=2.7)
+        x, y = corners[np.argmax(corners.sum(axis=1))]
+        axes.annotate(
+            name,
+            (x, y),
+            xytext=(-3, -4),
+            textcoords="offset points",
+            ha="right",
+            va="top",
+            color=_EXIT,
+            fontsize=8,
+            fontweight="bold",
+            bbox=LABEL,
+            zorder=7,
+            parse_math=False,
+        )
+
+
+def _outline(footprint: NDArray[np.float64], state: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of a footprint at a pose."""
+    cosine, sine = np.cos(state[2]), np.sin(state[2])
+    turn = np.array([[cosine, sine], [-sine, cosine]])
+    return footprint @ turn + state[:2]
+
+
+def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
+    """Path, outlines at regular times growing more solid, and the last with its front where it is still there."""
+    from matplotlib.patheffects import withStroke
+
+    states = track.parcels[:, parcel]
+    whole = np.flatnonzero(np.isfinite(states).all(axis=1))
+    if not len(whole):
+        return
+    footprint, shade = track.footprints_m[parcel], colour(parcel)
+    few = len(track.footprints_m) <= _FEW
+    path = states[whole]
+    axes.plot(
+        path[:, 0], path[:, 1], color=shade, lw=1.6 if few else 0.8, alpha=0.9 if few else 0.5, zorder=4
+    )
+    axes.plot(path[:1, 0], path[:1, 1], "o", ms=4 if few else 2.5, mfc="white", mec=shade, zorder=5)
+    times = np.linspace(track.time_s[whole[0]], track.time_s[whole[-1]], _OUTLINES if few else 2)
+    passed = np.unique(np.searchsorted(track.time_s[whole], times).clip(max=len(whole) - 1))[:-1]
+    for place, step in enumerate(passed):
+        corners = _outline(footprint, path[step])
+        weight = 0.22 + 0.5 * place / max(len(passed), 1)
+        axes.fill(*corners.T, fill=False, ec=shade, lw=1.0, alpha=weight, zorder=3)
+    last = path[-1]
+    corners = _outline(footprint, last)
+    if parcel in _left(track):
+        axes.fill(*corners.T, fill=False, ec=shade, lw=1.0, alpha=0.6, zorder=3)
+        axes.plot(*last[:2], ">", ms=4 if few else 3, color=shade, zorder=6)
+        return
+    axes.fill(*corners.T, fc=shade, ec="none", alpha=0.22, zorder=3.5)
+    axes.fill(*corners.T, fill=False, ec=shade, lw=2.0 if few else 1.3, joinstyle="round", zorder=5)
+    front = np.array([[0.0, 0.0], [float(footprint[:, 0].max()), 0.0]])
+    axes.plot(*_outline(front, last).T, color=shade, lw=1.6 if few else 1.0, zorder=5)
+    axes.plot(*last[:2], "o", ms=4 if few else 2.5, color=shade, zorder=6)
+    if 1 < len(track.footprints_m) <= 12:
+        axes.annotate(
+            str(parcel),
+            (last[0], last[1]),
+            xytext=(5, 5),
+            textcoords="offset points",
+            color=INK,
+            fontsize=9,
+            fontweight="bold",
+            path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            zorder=7,
+        )
+
+
+def _left(track: Track) -> set[int]:
+    """Parcels that left through an exit."""
+    return {event["parcel"] for event in track.events if event["kind"] == "left"}
+
+
+def incidents(track: Track) -> list[tuple[float, str, int | None]]:
+    """Time, words and parcel of the events worth a mark: outcomes, not every change of support."""
+    return [
+        (float(event["time_s"]), str(event["kind"]).replace("_", " "), event.get("parcel"))
+        for event in track.events
+        if event["kind"] in ("tipped", "off_array") or "overlap" in event["kind"]
+    ]
+
+
+def _draw_incidents(axes: Axes, track: Track) -> None:
+    for time_s, words, parcel in incidents(track):
+        if parcel is None or not len(track.time_s):
+            continue
+        step = min(int(np.searchsorted(track.time_s, time_s)), len(track.time_s) - 1)
+        x, y = track.parcels[step, parcel, :2]
+        if np.isfinite(x) and np.isfinite(y):
+            axes.plot(x, y, "^", ms=8, mfc="white", mec=LOST, mew=1.4, zorder=8)
+            axes.annotate(
+                words,
+                (x, y),
+                xytext=(7, -10),
+                textcoords="offset points",
+                color=LOST,
+                fontsize=8,
+                bbox=LABEL,
+                zorder=8,
+            )

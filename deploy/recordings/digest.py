@@ -1,0 +1,83 @@
+"""The chained digest of a run: two runs with the same digest did the same thing, bit for bit."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from typing import ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.state import Remembers
+from deploy.errors import DeployError
+
+PARCEL_FIELDS = ("x", "y", "angle", "vx", "vy", "omega")
+"""Columns of a parcel's state."""
+
+
+@final
+class Digest:
+    """SHA-256 over all that the cells sensed and commanded and how the parcels moved.
+
+    ``d_0 = SHA256(description)`` and ``d_k = SHA256(d_(k-1) + tick bytes)``: the 32 bytes of ``value``
+    are the whole state, so a checkpoint carries them. The bytes of a tick, little-endian: the tick as
+    uint64; the presence bits in row-major cell order, a cell's sensors side by side, bit i of the row in
+    bit i mod 8 of byte i div 8 and the last byte filled with zeros; the drives as float64; the parcel
+    states as float64. Minus zero is written as zero.
+
+    Args:
+        description: Canonical bytes of what is run: scene, seed and versions of the formats, without
+            anything that may differ between equal runs (partition, transport, paths, wall clock).
+    """
+
+    __slots__ = ("value",)
+    remembers: ClassVar[Remembers] = Remembers("value")
+
+    def __init__(self, description: bytes) -> None:
+        self.value: bytes = sha256(description).digest()
+        """The chain so far, 32 bytes."""
+
+    @property
+    def hexdigest(self) -> str:
+        """The chain so far, 64 hexadecimal digits."""
+        return self.value.hex()
+
+    def tick(
+        self,
+        tick: int,
+        presence: NDArray[np.bool_],
+        drives: NDArray[np.float64],
+        parcels: NDArray[np.float64],
+    ) -> None:
+        """Add one tick, once the plant has advanced through it.
+
+        Args:
+            tick: Which, from 0.
+            presence: ``(n, sensors)`` bits sensed at the start of the tick.
+            drives: ``(n, 2)`` that acted during the tick, a dead cell's as the stall policy has it.
+            parcels: ``(m, 6)`` states at the end of the tick, so that the last state of a run is covered.
+
+        Raises:
+            DeployError: A NaN, which must have been found long before it came here.
+        """
+        # Adding +0 turns minus zero into zero and nothing else.
+        numbers = np.concatenate((drives.ravel(), parcels.ravel())).astype("<f8", copy=False) + 0.0
+        # A maximum is NaN if one number is: one cheap look a tick.
+        if np.isnan(np.maximum.reduce(numbers, initial=-np.inf)):
+            raise _found_nan(tick, drives, parcels)
+        chain = sha256(self.value)
+        chain.update(tick.to_bytes(8, "little"))
+        chain.update(np.packbits(presence, bitorder="little").tobytes())
+        chain.update(numbers.tobytes())
+        self.value = chain.digest()
+
+
+def _found_nan(tick: int, drives: NDArray[np.float64], parcels: NDArray[np.float64]) -> DeployError:
+    """Name the first NaN, drives before parcels."""
+    if np.isnan(drives).any():
+        cell, wheel = np.argwhere(np.isnan(drives))[0]
+        where = f"drives[{cell}, {wheel}]"
+    else:
+        parcel, field = np.argwhere(np.isnan(parcels))[0]
+        where = f"parcels[{parcel}].{PARCEL_FIELDS[field]}"
+    return DeployError(f"this is a bug: tick {tick}: {where} is NaN when the digest is taken")

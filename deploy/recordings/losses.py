@@ -1,0 +1,86 @@
+"""Cells that were lost, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from bus.lockstep.counters import Loss
+
+if TYPE_CHECKING:
+    from bus.lockstep.counters import Reason
+
+Places = Sequence[tuple[int, int]]
+"""``(row, column)`` of every cell, in the lattice's order."""
+
+_WORDS: Final = {"token lost": "its process went away", "stalled": "it did not answer in time"}
+_KINDS: Final[Mapping[str, Reason]] = {"token_lost": "token lost", "stalled": "stalled", "failed": "failed"}
+"""Reason of a loss by the kind of fault that is recorded for it."""
+_NAMED: Final = 6
+"""Cells that a line names before it only counts them."""
+
+
+def kind_of(loss: Loss) -> str:
+    """The kind of fault that is recorded for a loss."""
+    return loss.reason.replace(" ", "_")
+
+
+def found(faults: Sequence[Mapping[str, Any]], places: Places) -> list[Loss]:
+    """The losses among recorded faults: those that nobody asked for."""
+    index = {place: cell for cell, place in enumerate(places)}
+    return [
+        Loss(index[row, column], fault["tick"], _KINDS[fault["kind"]], fault["detail"])
+        for fault in faults
+        if fault["kind"] in _KINDS
+        for row, column in [fault["cell"]]
+    ]
+
+
+def lines(losses: Sequence[Loss], places: Places, period_ns: int) -> list[str]:
+    """A line for all that were lost alike: which cells, when and why."""
+    alike: dict[tuple[int, str], list[str]] = {}
+    for loss in losses:
+        row, column = places[loss.cell]
+        alike.setdefault((loss.tick, _why(loss)), []).append(f"{row},{column}")
+    told: list[str] = []
+    for (tick, why), names in alike.items():
+        told.append(f"{_cells(names)} lost in {_when(tick, period_ns)}: {why}")
+    return told
+
+
+def unreported(cells: Sequence[int], places: Places) -> str:
+    """That messages of cells (indices) are not among those counted."""
+    names = [f"{row},{column}" for row, column in map(places.__getitem__, cells)]
+    return f"messages of {_cells(names)} were not counted: no report of them came in time"
+
+
+def failure(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
+    """The first of the programs that failed in a tick, and how many more there were; cells ascending."""
+    first, more = losses[0], len(losses) - 1
+    row, column = places[first.cell]
+    others = f"; {more} cell{'s' if more > 1 else ''} more failed in that tick" if more else ""
+    return (
+        f"the program of cell {row},{column} failed in {_when(first.tick, period_ns)}: {_why(first)}{others}"
+    )
+
+
+def nobody(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
+    """Why no cell is left at the end of a run, as far as losses tell."""
+    told = lines(losses, places, period_ns)
+    more = f"; and {len(told) - 3} times more" if len(told) > 3 else ""
+    return f"no cell was alive at the end: {'; '.join(told[:3]) or 'live faults struck them'}{more}"
+
+
+def _cells(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"cell{'s' if len(names) > 1 else ''} {' '.join(names[:_NAMED])}{more}"
+
+
+def _when(tick: int, period_ns: int) -> str:
+    return f"tick {tick} ({tick * period_ns * 1e-9:g} s)"
+
+
+def _why(loss: Loss) -> str:
+    """The cause in a line: of a traceback its last one."""
+    written = [line for line in loss.detail.splitlines() if line.strip()]
+    return _WORDS.get(loss.reason) or (written[-1].strip() if written else loss.reason)

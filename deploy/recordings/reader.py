@@ -1,0 +1,305 @@
+"""Loads a recording, whole or cut."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.errors import InputError
+from deploy.recordings.format import (
+    CONTROL,
+    END,
+    EVENTS,
+    FAULTS,
+    FILE_NAME,
+    FORMAT,
+    HEADER_RECORD,
+    PROFILE,
+    REGISTERS,
+    TICK,
+    Header,
+)
+from deploy.recordings.trace import Track, while_there
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A field that is written when it changes: its values and which of them each instant has.
+
+    Attributes:
+        values: ``(changes, ...)``, what was written.
+        index: ``(T,)`` int64 into ``values``.
+    """
+
+    values: NDArray[Any]
+    index: NDArray[np.int64]
+
+    def at(self, instant: int) -> NDArray[Any]:
+        """The value at one instant."""
+        return self.values[self.index[instant]]
+
+    def all(self) -> NDArray[Any]:
+        """``(T, ...)``, the value at every instant: as large as that says."""
+        return self.values[self.index]
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """A recording in memory. Rows are instants: the start of each tick and, of a complete run, the end.
+
+    Attributes:
+        path: The file.
+        header: What it says of its run.
+        tick: ``(T,)`` int64.
+        time_ns: ``(T,)`` int64, simulated.
+        parcels: ``(T, m, 6)`` states: x, y, angle, and their rates.
+        held_presence: ``(n, sensors)`` bool per change: what the cells sensed at the instant.
+        held_drives: ``(n, 2)`` per change: the drives acting from the instant on; the end repeats the last.
+        held_wheel_speeds: ``(n, 2)`` per change: the wheels' surface speeds at the instant, m/s.
+        register_tick: ``(R,)`` int64, ticks after which the cells' registers were recorded; none unless asked for.
+        registers: By name, ``(R, n, ...)``: what the cells showed of themselves then; zero of those that were gone.
+        events: Events of the plant.
+        faults: Faults.
+        control: Live commands.
+        status: How the run ended; None where the recording was cut before it could say.
+        digest: Of the run, in hexadecimal; None where the recording does not say.
+    """
+
+    path: Path
+    header: Header
+    tick: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    parcels: NDArray[np.float64]
+    held_presence: Held
+    held_drives: Held
+    held_wheel_speeds: Held
+    register_tick: NDArray[np.int64]
+    registers: dict[str, NDArray[Any]]
+    events: Sequence[dict[str, Any]]
+    faults: Sequence[dict[str, Any]]
+    control: Sequence[dict[str, Any]]
+    status: str | None
+    digest: str | None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the recording holds the whole of its run, however that ended."""
+        return self.status is not None
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """``(T,)`` simulated time."""
+        return self.time_ns.astype(np.float64) * 1e-9
+
+    @cached_property
+    def presence(self) -> NDArray[np.bool_]:
+        """``(T, n, sensors)`` what the cells sensed at every instant."""
+        return self.held_presence.all()
+
+    @cached_property
+    def drives(self) -> NDArray[np.float64]:
+        """``(T, n, 2)`` the drives acting from every instant on."""
+        return self.held_drives.all()
+
+    @cached_property
+    def wheel_speeds(self) -> NDArray[np.float64]:
+        """``(T, n, 2)`` the wheels' surface speeds at every instant, m/s."""
+        return self.held_wheel_speeds.all()
+
+    def track(self) -> Track:
+        """What a picture needs; the wheel speeds are those at the end."""
+        header = self.header
+        footprints = [np.array(corners, dtype=np.float64) for corners in header["footprints_m"]]
+        return Track(
+            title=header["title"],
+            scene=header["scene_name"],
+            pitch_m=header["pitch_m"],
+            cells=[(row, column) for row, column in header["cells"]],
+            positions_m=np.array(header["positions_m"], dtype=np.float64).reshape(-1, 2),
+            footprints_m=footprints,
+            time_s=self.time_s,
+            parcels=while_there(
+                self.parcels, self.time_s, header.get("own_parcels", len(footprints)), self.events
+            ),
+            exits=[
+                (exit_["name"], np.array(exit_["corners_m"], dtype=np.float64))
+                for exit_ in header.get("exits", ())
+            ],
+            wheel_speeds=self.held_wheel_speeds.at(-1) if len(self.tick) else None,
+            events=self.events,
+            faults=self.faults,
+            rails_m=_rails(header["scene"]),
+            status=self.status,
+        )
+
+
+def load(path: str | Path) -> Recording:
+    """Load a recording, whole or cut.
+
+    Args:
+        path: The file, or the output folder it is in.
+
+    Raises:
+        InputError: There is no such file, it is no recording, it is corrupt before its end, or it was cut
+            before it said what it is a recording of.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if not (path / FILE_NAME).exists():
+            raise InputError(f"there is no {FILE_NAME} in {path}; of a simulation there never is one")
+        path = path / FILE_NAME
+    try:
+        return _load(path)
+    except OSError as error:
+        raise InputError(f"can't read the recording {path}: {error.strerror or error}") from error
+    except (ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
+        raise InputError(f"{path} is corrupt: {error}") from error
+
+
+def _load(path: Path) -> Recording:
+    import msgpack  # pyright: ignore[reportMissingTypeStubs]
+
+    from deploy.recordings.checks import check_comings, check_end, check_faults, check_records
+    from deploy.recordings.mcap_reader import Message, scan
+
+    unpack = cast(Callable[[bytes], object], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
+    header: Header | None = None
+    rows = _Rows()
+    shown: list[dict[str, Any]] = []
+    logs: dict[str, list[object]] = {EVENTS: [], FAULTS: [], CONTROL: [], END: []}
+    for record in scan(path, PROFILE):
+        if isinstance(record, Message):
+            if record.topic == TICK:
+                rows.add(record.time_ns, _map(unpack(record.data)))
+            elif record.topic == REGISTERS:
+                shown.append(_map(unpack(record.data)))
+            elif record.topic in logs:
+                logs[record.topic].append(json.loads(record.data))
+        elif record.name == HEADER_RECORD:
+            header = _header(path, record.values)
+    if header is None:
+        raise InputError(f"can't read the recording {path}: it holds no complete header")
+    status, digest = check_end(logs[END][-1]) if logs[END] else (None, None)
+    events = check_records(logs[EVENTS])
+    check_comings(events, len(header["footprints_m"]))
+    return Recording(
+        path=path,
+        header=header,
+        events=events,
+        faults=check_faults(logs[FAULTS]),
+        control=check_records(logs[CONTROL]),
+        status=status,
+        digest=digest,
+        register_tick=np.array([message["tick"] for message in shown], dtype=np.int64),
+        registers=_registers(shown),
+        **rows.arrays(header),
+    )
+
+
+def _map(value: object) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise TypeError(f"a message is a {type(value).__name__}, not a map")
+    return cast("dict[str, Any]", value)
+
+
+def _registers(shown: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """What was recorded of registers, by name; zero where a register was not there, or had another shape."""
+    found: dict[str, NDArray[Any]] = {}
+    for row, message in enumerate(shown):
+        for name, (code, shape, data) in _map(message["registers"]).items():
+            values = np.frombuffer(data, np.dtype(code)).reshape(shape)
+            if name not in found:
+                found[name] = np.zeros((len(shown), *values.shape), dtype=values.dtype)
+            if found[name].shape[1:] == values.shape:
+                found[name][row] = values
+    return found
+
+
+def _rails(scene: dict[str, Any]) -> Sequence[Sequence[tuple[float, float]]]:
+    """Corners of a scene's guide rails."""
+    effects: dict[str, Any] = scene.get("effects") or {}
+    contact: dict[str, Any] = effects.get("parcel_contact") or {}
+    return contact.get("rails", ())
+
+
+def _header(path: Path, values: dict[str, str]) -> Header:
+    """The header, if this program can read it."""
+    if values.get("format") != str(FORMAT):
+        raise InputError(
+            f"{path} is a recording of format {values.get('format')}: this version reads format {FORMAT}"
+        )
+    from deploy.recordings.checks import check_header
+
+    header = cast(Header, json.loads(values["json"]))
+    absent = sorted(Header.__required_keys__ - set(header))
+    if absent:
+        raise InputError(f"{path} is not a recording of mdms: its header has no {', '.join(absent)}")
+    return check_header(header)
+
+
+_FIELDS = ("presence", "drives", "wheel_speeds", "parcels")
+
+
+@final
+class _Rows:
+    """Gathers the messages of ``/tick``; a field that is absent is as it was."""
+
+    def __init__(self) -> None:
+        self._ticks: list[int] = []
+        self._times: list[int] = []
+        self._written: dict[str, list[bytes]] = {name: [] for name in _FIELDS}
+        self._index: dict[str, list[int]] = {name: [] for name in _FIELDS}
+
+    def add(self, time_ns: int, message: dict[str, Any]) -> None:
+        if type(message["tick"]) is not int:
+            raise TypeError("a tick must be an integer")
+        self._ticks.append(message["tick"])
+        self._times.append(time_ns)
+        for name in _FIELDS:
+            written = self._written[name]
+            if name in message:
+                written.append(message[name])
+            self._index[name].append(max(len(written) - 1, 0))
+
+    def arrays(self, header: Header) -> dict[str, Any]:
+        """The arguments of ``Recording`` that come from the ticks."""
+        cells, sensors = len(header["cells"]), len(header["sensors_m"])
+        return {
+            "tick": np.array(self._ticks, dtype=np.int64),
+            "time_ns": np.array(self._times, dtype=np.int64),
+            "parcels": self._numbers("parcels", (len(header["footprints_m"]), 6)).all(),
+            "held_presence": self._bits("presence", (cells, sensors)),
+            "held_drives": self._numbers("drives", (cells, 2)),
+            "held_wheel_speeds": self._numbers("wheel_speeds", (cells, 2)),
+        }
+
+    def _numbers(self, name: str, shape: tuple[int, int]) -> Held:
+        width = shape[0] * shape[1]
+        values = np.frombuffer(b"".join(self._joined(name, width * 8)), dtype="<f8")
+        return self._held(name, values.astype(np.float64, copy=False).reshape(-1 if width else 1, *shape))
+
+    def _bits(self, name: str, shape: tuple[int, int]) -> Held:
+        width = shape[0] * shape[1]
+        size = (width + 7) // 8
+        rows = np.frombuffer(b"".join(self._joined(name, size)), dtype=np.uint8).reshape(-1, size)
+        bits = np.unpackbits(rows, axis=1, count=width, bitorder="little")
+        return self._held(name, bits.astype(np.bool_).reshape(-1, *shape))
+
+    def _joined(self, name: str, size: int) -> list[bytes]:
+        """What was written; one zero value where a run of no ticks never wrote its drives."""
+        written = self._written[name]
+        if any(len(values) != size for values in written):
+            raise ValueError(f"{name} must be {size} bytes")
+        return [bytes(size)] if self._ticks and not written else written
+
+    def _held(self, name: str, values: NDArray[Any]) -> Held:
+        return Held(values, np.array(self._index[name], dtype=np.int64))

@@ -1,0 +1,227 @@
+"""What happened in a run, tick by tick: digested, recorded, shown, and counted for the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+from bus.fault import turns
+from bus.state import Remembers
+from deploy.faults.records import turned
+from deploy.recordings.digest import Digest
+from deploy.recordings.losses import found, kind_of, lines
+from deploy.recordings.mishaps import Mishaps
+
+if TYPE_CHECKING:
+    from bus.fault import FaultSpec, Injected
+    from bus.lockstep.counters import Loss
+    from bus.lockstep.registers import Shown
+    from bus.wire.frames import Report
+    from deploy.recordings.writer import Recorder
+    from deploy.util.progress import Progress
+    from plant.observations import Event
+    from plant.process import TickRecord
+
+
+@final
+class Ledger:
+    """Takes in every tick of a run.
+
+    Args:
+        cells: ``(row, column)`` of every cell, in the lattice's order.
+        period_ns: Of a tick.
+        digest: Continued tick by tick.
+        recorder: Where ticks, events and faults are written.
+        progress: What shows how far the run has come.
+        policy: What the wheels of a cell do that goes away.
+        warn: Told of every loss, and of parcels that tip or fall, one line.
+        injected: Faults that begin and end on the way.
+
+    Attributes:
+        cells: As given.
+        period_ns: As given.
+        ticks: Ticks that are over.
+        time_ns: Simulated time reached.
+        faults: Injected and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``; of those that begin
+            and end, ``phase``, ``number`` and all their ``cells``.
+        cells_lost: ``(row, column)`` of each, in order.
+        warn: As given.
+        controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
+    """
+
+    remembers: ClassVar[Remembers] = Remembers(
+        "_digest", "ticks", "time_ns", "faults", "cells_lost", "_hung", "_turns"
+    )
+
+    def __init__(
+        self,
+        cells: Sequence[tuple[int, int]],
+        period_ns: int,
+        *,
+        digest: Digest,
+        recorder: Recorder,
+        progress: Progress,
+        policy: str,
+        warn: Callable[[str], None],
+        injected: Sequence[Injected[FaultSpec]] = (),
+    ) -> None:
+        self.cells = cells
+        self.period_ns = period_ns
+        self._digest = digest
+        self._recorder = recorder
+        self._progress = progress
+        self._policy = policy
+        self.warn = warn
+        self._mishaps = Mishaps(warn)
+        self.ticks = 0
+        self.time_ns = 0
+        self.faults: list[Mapping[str, Any]] = []
+        self.cells_lost: list[tuple[int, int]] = []
+        self.controls: list[Mapping[str, Any]] = []
+        self._hung: set[str] = set()
+        self._injected = list(injected)
+        self._turns = turns(self._injected)
+
+    def show(self, events: int) -> None:
+        """Have the progress show what was before this process took the run up; ``events`` of the plant."""
+        self._progress.events, self._progress.lost = events, len(self.cells_lost)
+
+    def tick(self, record: TickRecord) -> None:
+        """Take in one tick, once it is over."""
+        if self._turns and record.tick >= self._turns[0]:
+            self._turned(record.tick)
+        if record.died:
+            self.died(record.tick, record.died)
+        if record.losses:
+            self.lost(record.losses)
+        self._digest.tick(record.tick, record.sense.presence, record.drives, record.after)
+        self._recorder.tick(
+            record.tick,
+            record.start_ns,
+            record.sense.presence,
+            record.drives,
+            record.wheel_speed,
+            record.before,
+        )
+        if record.events:
+            self._take_events(record.events)
+        self.ticks = record.tick + 1
+        self.time_ns = record.until_ns
+        self._progress.update(self.ticks, self.time_ns)
+
+    @property
+    def digest(self) -> str:
+        """Of the run so far, in hexadecimal."""
+        return self._digest.hexdigest
+
+    def inject(self, fault: Injected[FaultSpec]) -> None:
+        """One more fault, from a tick on that has not been taken in yet."""
+        self._injected.append(fault)
+        self.replan()
+
+    def replan(self) -> None:
+        """The end of a fault has changed."""
+        self._turns = [turn for turn in turns(self._injected) if turn >= self.ticks]
+
+    def control(self, record: Mapping[str, Any]) -> None:
+        """Note a live command."""
+        self.controls.append(record)
+        self._recorder.control(record)
+
+    def _turned(self, tick: int) -> None:
+        """Note the faults that begin or end."""
+        self._turns.pop(0)
+        for one in self._injected:
+            if tick in (one.first, one.end):
+                fault = turned(one, tick, self.period_ns, self.cells)
+                self.faults.append(fault)
+                self._recorder.fault(fault)
+
+    def registers(self, shown: Shown) -> None:
+        """Record what the cells showed of themselves."""
+        self._recorder.registers(shown.tick, shown.tick * self.period_ns, shown.registers)
+
+    def _take_events(self, events: Sequence[Event]) -> None:
+        for event in events:
+            self._recorder.event(event_record(event))
+        self._mishaps.take(events)
+        self._progress.events += len(events)
+
+    def died(self, tick: int, cells: Sequence[int]) -> None:
+        """Note cells that died at the start of a tick because the scene said so."""
+        for cell in cells:
+            self._fault(tick, "crash", cell, "scheduled")
+
+    def lost(self, losses: Sequence[Loss]) -> None:
+        """Note cells that were found lost, and say so: once for those that were lost alike."""
+        self.note(losses)
+        then = "the run ends" if self._policy == "abort" else f"wheels {self._policy}"
+        for line in lines(losses, self.cells, self.period_ns):
+            self.warn(f"{line}; {then}")
+
+    def note(self, losses: Sequence[Loss]) -> None:
+        """Note cells that were found lost."""
+        for loss in losses:
+            self._fault(loss.tick, kind_of(loss), loss.cell, loss.detail)
+
+    def rejoined(self, tick: int, cells: Sequence[int]) -> None:
+        """Note that cells take part again from ``tick`` on."""
+        places = [self.cells[cell] for cell in cells]
+        fault = {
+            "time_s": tick * self.period_ns * 1e-9,
+            "kind": "respawn",
+            "phase": "happens",
+            "cell": list(places[0]) if len(places) == 1 else None,
+            "cells": [list(place) for place in places],
+            "tick": tick,
+            "detail": "as after power-on",
+        }
+        self.faults.append(fault)
+        self._recorder.fault(fault)
+        self.cells_lost = [place for place in self.cells_lost if place not in places]
+        self._progress.lost -= len(places)
+
+    def hung(self, reports: Sequence[Report]) -> None:
+        """Say which programs hang, once for those that do for the same reason."""
+        for report in reports:
+            problem = report.detail.partition("\n")[0]
+            if problem in self._hung:
+                continue
+            self._hung.add(problem)
+            row, column = report.cells[0]
+            since = f"tick {report.tick} ({report.tick * self.period_ns * 1e-9:g} s)"
+            self.warn(
+                f"the program of cell {row},{column} hangs from {since} until it is reset (others that hang for the "
+                f"same reason are counted, not told): {report.detail}"
+            )
+
+    @property
+    def found(self) -> list[Loss]:
+        """Losses of cells so far that nobody asked for, those of cells that came back included."""
+        return found(self.faults, self.cells)
+
+    def _fault(self, tick: int, kind: str, cell: int, detail: str) -> None:
+        place = self.cells[cell]
+        fault = {
+            "time_s": tick * self.period_ns * 1e-9,
+            "kind": kind,
+            "cell": list(place),
+            "tick": tick,
+            "detail": detail,
+        }
+        self.faults.append(fault)
+        self.cells_lost.append(place)
+        self._recorder.fault(fault)
+        self._progress.lost += 1
+
+
+def event_record(event: Event) -> dict[str, Any]:
+    """An event of the plant as the recording has it."""
+    return {
+        "time_s": event.time_s,
+        "kind": event.kind,
+        "parcel": event.parcel,
+        "cells": event.cells,
+        "position_m": event.position_m,
+        "detail": event.detail,
+    }

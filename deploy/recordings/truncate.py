@@ -1,0 +1,48 @@
+"""The beginning of a recording, copied: what a resumed run goes on from."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from deploy.errors import InputError
+from deploy.recordings.format import PROFILE, TICK
+from deploy.recordings.mcap import McapFile
+
+
+def copy_beginning(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[str, bytes]:
+    """Copy the first messages of every topic of a recording, whole or cut.
+
+    Args:
+        path: The recording.
+        file: What they are added to.
+        counts: How many, by topic; of topics that are not named, none.
+
+    Returns:
+        What each field of ``/tick`` is after the last of them.
+
+    Raises:
+        InputError: The recording holds fewer, is none, or is corrupt.
+    """
+    import msgpack  # pyright: ignore[reportMissingTypeStubs]
+
+    from deploy.recordings.mcap_reader import Message, scan
+
+    unpack = cast(Callable[[bytes], dict[str, Any]], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
+    left, last = Counter(counts), dict[str, bytes]()
+    try:
+        for record in scan(path, PROFILE):
+            if isinstance(record, Message) and left[record.topic] > 0:
+                left[record.topic] -= 1
+                file.add(file.channels[record.topic], record.time_ns, record.data)
+                if record.topic == TICK:
+                    last |= {k: v for k, v in unpack(record.data).items() if isinstance(v, bytes)}
+    except FileNotFoundError:
+        raise InputError(f"there is no {path.name} in {path.parent} to go on with") from None
+    missing = {topic: number for topic, number in left.items() if number > 0}
+    if missing:
+        told = ", ".join(f"{number} messages of {topic}" for topic, number in missing.items())
+        raise InputError(f"{path} does not reach as far as the checkpoint: it lacks {told}")
+    return last

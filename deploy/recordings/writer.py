@@ -1,0 +1,296 @@
+"""Writes what happens in a run to ``recording.mcap`` while it happens, so that a crash loses little."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, deque
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.errors import DeployError, InputError
+from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, FILE_NAME, PARCELS, REGISTERS, TICK, Header
+from deploy.recordings.json_text import json_bytes, parcels_text
+from deploy.recordings.mcap import McapFile
+from deploy.util.files import sync_folder
+
+FLUSH_S = 0.25
+"""Wall time between two flushes; a crash loses this much and the time of one flush."""
+
+CHUNK_BYTES = 256 * 1024
+"""A chunk is compressed and written when it has grown to this, or at the flush."""
+
+BACKLOG_BYTES = 64 * 1024 * 1024
+"""More than this unwritten, and the run waits for the disk."""
+
+
+@final
+class Recorder:
+    """Records one run into a folder.
+
+    The caller's methods only serialise and queue. A thread of the recorder does all that touches the file:
+    it writes and flushes every ``flush_s`` of wall time, also while the run stands still, and never sees a
+    signal, so that an interrupt at any moment leaves whole records. Only one thread may call the methods.
+    An open recorder being a thread, never fork from its process.
+
+    Used as a context manager, leaving it closes a recording that is still open, as ``interrupted`` after
+    KeyboardInterrupt and as ``failed`` otherwise.
+
+    Args:
+        folder: Output folder, made with its parents where absent; a recording in it is replaced.
+        header: What the recording says of its run.
+        flush_s: Wall time between two flushes.
+        kept: By topic, how many messages of the recording that is there this one begins with; None: it begins anew.
+
+    Attributes:
+        path: The file.
+
+    Raises:
+        InputError: The folder or the file can't be made or written.
+        DeployError: From any method: the file can no longer be written (a full disk, say).
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        header: Header,
+        *,
+        flush_s: float = FLUSH_S,
+        kept: Mapping[str, int] | None = None,
+    ) -> None:
+        self.path: Path = Path(folder) / FILE_NAME
+        self._flush_s = flush_s
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._last: dict[str, bytes] = {}
+            if kept is None:
+                self._file = McapFile(self.path, header, CHUNK_BYTES)
+            else:
+                self._file = self._continued(header, kept)
+        except OSError as error:
+            raise InputError(f"output {folder}: can't write {self.path.name} there: {_why(error)}") from error
+        self._channels = self._file.channels
+        self._counts = Counter(kept or {})
+        self._ticks = 0
+        self._time_ns = 0
+        self._queue: deque[tuple[int, int, bytes]] = deque()
+        self._queued = 0  # bytes, counted by the caller's thread
+        self._written = 0  # bytes, counted by the recorder's thread
+        self._flushed = 0
+        self._closing = False
+        self._ended = False
+        self._error: DeployError | None = None
+        self._wake = threading.Event()
+        self._progress = threading.Condition()
+        self._thread = threading.Thread(target=self._write, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def broken(self) -> bool:
+        """Whether the file can no longer be written: every method raises then."""
+        return self._error is not None
+
+    def _continued(self, header: Header, kept: Mapping[str, int]) -> McapFile:
+        """A file that begins as the recording does, in its place; until it is whole the other stays."""
+        from deploy.recordings.truncate import copy_beginning
+
+        draft = self.path.with_name(f".{self.path.name}.draft")
+        file = McapFile(draft, header, CHUNK_BYTES)
+        try:
+            self._last = copy_beginning(self.path, file, kept)
+            file.flush()  # a sync alone leaves the last chunk in this process
+            file.sync()
+            draft.replace(self.path)
+            sync_folder(self.path.parent)
+        except BaseException:
+            file.abandon()
+            draft.unlink(missing_ok=True)
+            raise
+        return file
+
+    def tick(
+        self,
+        tick: int,
+        time_ns: int,
+        presence: NDArray[np.bool_],
+        drives: NDArray[np.float64] | None,
+        wheel_speeds: NDArray[np.float64],
+        parcels: NDArray[np.float64],
+    ) -> None:
+        """Record the state at one instant and the drives that act from it on.
+
+        Call it once per tick, before the plant advances, and a last time with ``drives=None`` when the run is
+        over, so that the recording holds the final state too.
+
+        Args:
+            tick: Which, from 0; at the end the number of ticks.
+            time_ns: Simulated time of the instant.
+            presence: ``(n, sensors)`` bits sensed at the instant.
+            drives: ``(n, 2)`` that act from the instant on, or None at the end of the run.
+            wheel_speeds: ``(n, 2)`` surface speed of each wheel at the instant, m/s.
+            parcels: ``(m, 6)`` states at the instant.
+        """
+        message: dict[str, Any] = {"tick": tick}
+        self._add_changed(message, "presence", np.packbits(presence, bitorder="little").tobytes())
+        if drives is None:
+            message["end"] = True
+        else:
+            self._add_changed(message, "drives", drives.astype("<f8", copy=False).tobytes())
+        self._add_changed(message, "wheel_speeds", wheel_speeds.astype("<f8", copy=False).tobytes())
+        self._add_changed(message, "parcels", parcels.astype("<f8", copy=False).tobytes())
+        self._ticks = tick
+        self._time_ns = time_ns
+        self._put(TICK, time_ns, self._file.pack(message))
+        self._put(PARCELS, time_ns, parcels_text(tick, time_ns, parcels))
+
+    def registers(self, tick: int, time_ns: int, registers: Mapping[str, NDArray[Any]]) -> None:
+        """Record what the cells showed of themselves after they had computed a tick.
+
+        Args:
+            tick: Which.
+            time_ns: Simulated time at which it began.
+            registers: By name, ``(n, ...)`` arrays of all cells; of those that are gone, zeros.
+        """
+        told = {
+            name: [array.dtype.str, list(array.shape), array.tobytes()] for name, array in registers.items()
+        }
+        self._put(REGISTERS, time_ns, self._file.pack({"tick": tick, "registers": told}))
+
+    def event(self, event: Mapping[str, Any]) -> None:
+        """Record an event of the plant: at least ``time_s`` and ``kind``."""
+        self._put_json(EVENTS, event)
+
+    def fault(self, fault: Mapping[str, Any]) -> None:
+        """Record a fault, scheduled, live or found: at least ``time_s`` and ``kind``."""
+        self._put_json(FAULTS, fault)
+
+    def control(self, control: Mapping[str, Any]) -> None:
+        """Record a live command at its effective time: at least ``time_s`` and ``kind``."""
+        self._put_json(CONTROL, control)
+
+    def flush(self) -> None:
+        """Return when all that was recorded is in the file, safe from the death of this process."""
+        target = self._queued
+        self._wake.set()
+        with self._progress:
+            self._progress.wait_for(lambda: self._ended or self._flushed >= target)
+        self._check()
+
+    def mark(self) -> tuple[dict[str, int], int]:
+        """How many messages of each topic there are by now, and what `secure` is to be told to have them safe."""
+        return dict(self._counts), self._queued
+
+    def secure(self, mark: int) -> None:
+        """Return when all up to a mark is on the disk, safe from a loss of power; from any thread.
+
+        Raises:
+            DeployError: It never will be.
+        """
+        self._wake.set()
+        with self._progress:
+            self._progress.wait_for(lambda: self._ended or self._flushed >= mark)
+        if self._flushed < mark:
+            raise DeployError(f"the recording {self.path} was not written so far")
+        self._file.sync()
+
+    def close(self, status: str, digest: str | None = None) -> None:
+        """Write the end record and finish the file; a second call does nothing.
+
+        Args:
+            status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
+            digest: Of the run, in hexadecimal, where there is one.
+        """
+        if self._closing:
+            return
+        end = {"status": status, "ticks": self._ticks, "time_s": self._time_ns * 1e-9, "digest": digest}
+        try:
+            self._put(END, self._time_ns, json_bytes(end))
+        finally:
+            self._closing = True
+            self._wake.set()
+            self._thread.join()
+        self._check()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None or self._error is None:  # otherwise the file may be what broke, and it is closed
+            self.close("interrupted" if isinstance(error, KeyboardInterrupt) else "failed")
+
+    # --- the caller's thread ---------------------------------------------------------------------
+
+    def _add_changed(self, message: dict[str, Any], name: str, data: bytes) -> None:
+        """A field that is as it was costs nothing; the loader carries it on."""
+        if self._last.get(name) != data:
+            self._last[name] = message[name] = data
+
+    def _put_json(self, topic: str, record: Mapping[str, Any]) -> None:
+        self._put(topic, round(record["time_s"] * 1e9), json_bytes(record))
+
+    def _put(self, topic: str, time_ns: int, data: bytes) -> None:
+        self._counts[topic] += 1
+        if self._ended:
+            self._check()
+            raise DeployError(f"this is a bug: {self.path} is closed and can't take more")
+        # In this order an interrupt between the two lines leaves a flush too short, never one without end.
+        self._queue.append((self._channels[topic], time_ns, data))
+        self._queued += len(data)
+        backlog = self._queued - self._written
+        if backlog > CHUNK_BYTES:
+            self._wake.set()
+            if backlog > BACKLOG_BYTES:
+                with self._progress:
+                    self._progress.wait_for(
+                        lambda: self._ended or self._queued - self._written < BACKLOG_BYTES
+                    )
+
+    def _check(self) -> None:
+        """Raise if the recorder's thread ended before it was asked to."""
+        if self._error is not None:
+            raise self._error
+        if self._ended and not self._closing:
+            raise DeployError(f"this is a bug: the recorder of {self.path} ended by itself")
+
+    # --- the recorder's thread -------------------------------------------------------------------
+
+    def _write(self) -> None:
+        """Write and flush on the clock until closed; then finish the file."""
+        try:
+            while not self._closing:
+                self._wake.wait(self._flush_s)
+                self._wake.clear()
+                self._drain()
+            self._drain()
+            self._file.finish()
+        except OSError as error:
+            self._file.abandon()
+            self._error = DeployError(f"can't write the recording {self.path}: {_why(error)}")
+        finally:
+            with self._progress:
+                self._ended = True
+                self._progress.notify_all()
+
+    def _drain(self) -> None:
+        """Write what is queued and hand it to the operating system."""
+        if not self._queue:
+            return
+        written = self._written
+        while self._queue:
+            channel, time_ns, data = self._queue.popleft()
+            self._file.add(channel, time_ns, data)
+            written += len(data)
+        self._file.flush()
+        with self._progress:
+            self._written = self._flushed = written
+            self._progress.notify_all()
+
+
+def _why(error: OSError) -> str:
+    return error.strerror or str(error)

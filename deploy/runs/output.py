@@ -1,0 +1,142 @@
+"""Name, header, versions and picture of a run or a simulation."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.errors import DeployError
+from deploy.plots.overview import FILE_NAME as PICTURE
+from deploy.plots.overview import draw_overview
+from deploy.recordings.format import Header
+from deploy.recordings.trace import Exit
+from deploy.runs.summary import ParcelOutcome, Summary
+from deploy.util.files import versions
+from deploy.util.signals import Interrupted, Interruption
+
+if TYPE_CHECKING:
+    from deploy.recordings.reader import Recording
+    from deploy.recordings.trace import Track
+    from deploy.scenes.scene import Scene
+    from plant.array import CellArray
+    from plant.plant import Plant
+
+
+def run_name(scene: Scene, suffix: str) -> str:
+    """A name for the run that can stand in a key expression and a file name."""
+    stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(scene.name).stem).strip("-_")
+    return f"{stem[:40] or 'scene'}-{suffix}"
+
+
+def header(run: str, scene: Scene, array: CellArray, footprints_m: Sequence[NDArray[np.float64]]) -> Header:
+    """What the recording says of its run.
+
+    Args:
+        run: Its name.
+        scene: What runs.
+        array: The scene's cells.
+        footprints_m: Of every parcel, those that are fed too; ``(v, 2)`` about its centre of mass, in its axes.
+    """
+    made = Header(
+        run=run,
+        title=scene.title,
+        scene_name=scene.name,
+        scene=scene.model_dump(mode="json"),
+        versions=versions(),
+        period_ns=scene.tick_ns,
+        pitch_m=scene.array.pitch_m,
+        cells=[list(cell) for cell in array.lattice.cells],
+        positions_m=array.positions_m.tolist(),
+        sensors_m=[list(point) for point in scene.array.sensors_m],
+        footprints_m=[corners.tolist() for corners in footprints_m],
+    )
+    if scene.effects.feeders is not None:
+        made["own_parcels"] = len(scene.parcels)
+        made["exits"] = [{"name": name, "corners_m": corners.tolist()} for name, corners in exits(scene)]
+    return made
+
+
+def exits(scene: Scene) -> list[Exit]:
+    """Name and corners of every exit, in world coordinates."""
+    feeders = scene.effects.feeders
+    return [] if feeders is None else [(exit_.name, exit_.corners()) for exit_ in feeders.exits]
+
+
+def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
+    """Where every parcel is, and in which state."""
+    return [
+        ParcelOutcome.of(numbers, status.state, status.time_s, status.detail)
+        for numbers, status in zip(plant.state, plant.status, strict=True)
+    ]
+
+
+def validity(plant: Plant, scene: Scene) -> dict[str, Any]:
+    """What limits how far a run's course can be believed, as the fields of a summary."""
+    outrun = [
+        (float(since_s), i) for i, since_s in enumerate(plant.outrun_s) if since_s <= plant.time_ns * 1e-9
+    ]
+    captured = np.flatnonzero(plant.captured).tolist()
+    return {
+        "events_left_out": plant.events_left_out,
+        "law_not_valid": [{"parcel": i, "since_s": since_s} for since_s, i in sorted(outrun)],
+        "captured": {"capture_m": getattr(scene.solver, "capture_m", 0.0), "parcels": captured}
+        if captured
+        else None,
+    }
+
+
+def left(
+    summary: Summary,
+    folder: Path,
+    leave: Callable[[Summary, Path], Summary],
+    warn: Callable[[str], None],
+) -> Summary:
+    """Leave something in a run's folder. What can't be left there is said, and fails a run that was ok."""
+    try:
+        return leave(summary, folder)
+    except DeployError as error:
+        reason = str(error)
+        warn(f"{reason}; what the run came to is printed all the same")
+    if summary.status == "ok":
+        summary = replace(summary, status="failed", reason=reason)
+        with suppress(DeployError):
+            summary.write(folder)
+    return summary
+
+
+def illustrate(
+    summary: Summary, run: Callable[[], Recording | Track], folder: Path, interruption: Interruption
+) -> Summary:
+    """Draw the overview of a run into its folder.
+
+    Args:
+        summary: Of the run.
+        run: Gets what is to be drawn.
+        folder: The run's.
+        interruption: Gives the picture up.
+
+    Returns:
+        The summary; where the picture was given up the run counts as interrupted, in its file too.
+
+    Raises:
+        DeployError: It can't be written.
+    """
+    return drawn(summary, lambda: draw_overview(run(), folder / PICTURE), folder, interruption)
+
+
+def drawn(summary: Summary, draw: Callable[[], None], folder: Path, interruption: Interruption) -> Summary:
+    """Draw a picture of a run; see ``illustrate``, which has one of what to draw."""
+    try:
+        with interruption.allowed():
+            draw()
+    except Interrupted:
+        summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
+        summary.write(folder)
+    return summary

@@ -1,0 +1,249 @@
+"""The whole system: cells, bus and plant in lockstep; a recording, a summary and a picture at the end."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+from deploy.checkpoints.checkpointer import about_run
+from deploy.checkpoints.store import Store
+from deploy.control.client import announced
+from deploy.errors import DeployError
+from deploy.recordings.digest import Digest
+from deploy.recordings.run_log import Ledger
+from deploy.recordings.writer import Recorder
+from deploy.runs.output import drawn, header, illustrate, left
+from deploy.runs.output_folder import output_folder, remove_results
+from deploy.runs.rejections import Refused
+from deploy.runs.result import Ending, summary_of
+from deploy.runs.setup import Prepared, load_plant, prepared
+from deploy.runs.simulation import Execution
+from deploy.runs.summary import Outcome, Summary
+from deploy.util.output_lock import OutputLock
+from deploy.util.progress import Progress
+from deploy.util.signals import Interruption
+from deploy.workers.plan import RunOptions
+from deploy.workers.system import System
+
+if TYPE_CHECKING:
+    from deploy.checkpoints.checkpoint import Checkpoint
+    from deploy.checkpoints.checkpointer import About
+    from deploy.protocol_report.report import ProtocolReport
+    from deploy.scenes.scene import Scene
+    from plant.plant import Plant
+
+
+def run(
+    scene: Scene,
+    options: RunOptions | None = None,
+    *,
+    quiet: bool = False,
+    interruption: Interruption | None = None,
+    resumed: Checkpoint | None = None,
+    lock: OutputLock | None = None,
+) -> Outcome:
+    """Run the whole system once.
+
+    Once the cells are started, whatever ends the run is told by the outcome's status and reason. However this
+    ends, every process that was started has ended, and what was recorded is complete up to there.
+
+    Args:
+        scene: What to run.
+        options: How to run it.
+        quiet: Show no progress and no warnings on stderr.
+        interruption: The caller's, where it watches for signals itself.
+        resumed: From which to go on, in ``options.output``: scene and options are its own.
+        lock: On ``options.output`` where the caller holds it, having looked for the checkpoint there.
+
+    Raises:
+        InputError: Bad input, such as a scene that the plant refuses, or an output folder to which another process
+            is writing; nothing was started.
+        Interrupted: SIGINT or SIGTERM came before the run had a recording.
+    """
+    begun = time.monotonic()
+    interruption = interruption or Interruption()
+    with interruption.watching():
+        with interruption.allowed():
+            asked = prepared(scene, options or RunOptions(), resumed)
+        with ExitStack() as locked:
+            return _Run(asked, interruption, begun, lock, locked, quiet=quiet).go()
+
+
+@final
+class _Run:
+    """One run, from its processes to the picture."""
+
+    def __init__(
+        self,
+        asked: Prepared,
+        interruption: Interruption,
+        begun: float,
+        lock: OutputLock | None,
+        locked: ExitStack,
+        *,
+        quiet: bool,
+    ) -> None:
+        self.asked = asked
+        self.interruption = interruption
+        self.begun = begun
+        self.lock = lock
+        self.locked = locked
+        self.quiet = quiet
+        self.about: About | None = None
+        self.ending = Ending()
+
+    def go(self) -> Outcome:
+        """Everything; see `run`."""
+        asked = self.asked
+        for line in asked.cautions:
+            self._warn(f"caution: {line}")
+        with System(asked.plan, asked.scene, asked.options) as system:
+            with self.interruption.allowed():
+                plant = load_plant(asked.scene, self._warn)
+                self.about = about_run(
+                    asked.scene, asked.plan, asked.options, plant, asked.resumed, live=asked.live
+                )
+            system.open()
+            if asked.options.listen is not None and system.locator:
+                self._warn(f"listeners and operators connect to {system.locator}")
+            self.interruption.check()
+            folder = self._folder()
+            ledger, refused = self._record(system, plant, folder)
+        self._compare(ledger.digest)
+        summary = summary_of(
+            asked.scene,
+            asked.plan,
+            self.ending,
+            plant,
+            ledger,
+            refused,
+            folder,
+            cautions=asked.cautions,
+            protocol=self._report(ledger),
+            resumed=() if self.about is None else self.about.resumed,
+        )
+        for leave in (self._write, self._write_report, self._illustrate):
+            summary = left(summary, folder, leave, self._warn)
+        return Outcome(summary, self.ending.detail)
+
+    def _folder(self) -> Path:
+        """The output folder, locked until the run is over."""
+        scene, wanted = self.asked.scene, self.asked.options.output
+        if self.asked.resumed is None:
+            return self.locked.enter_context(output_folder(scene, wanted, self._warn))
+        assert wanted is not None, "this is a bug: a run goes on in no folder"
+        if self.lock is None:
+            self.locked.enter_context(OutputLock(wanted, self._warn))
+        return wanted
+
+    def _record(self, system: System, plant: Plant, folder: Path) -> tuple[Ledger, Refused]:
+        """The run itself, recorded."""
+        scene, resumed = self.asked.scene, self.asked.resumed
+        run = self.asked.plan.run
+        with (
+            Recorder(
+                folder,
+                header(run, scene, plant.array, plant.footprints_m),
+                kept=None if resumed is None else resumed.recorded,
+            ) as recorder,
+            Progress(scene.duration_ns, quiet=self.quiet) as progress,
+        ):
+            if resumed is not None:  # not before its recording is whole: a full disk is to cost nothing
+                remove_results(folder)
+            warn = partial(self._warn, progress=progress)
+            ledger = Ledger(
+                plant.array.lattice.cells,
+                scene.tick_ns,
+                digest=Digest(scene.canonical()),
+                recorder=recorder,
+                progress=progress,
+                policy=scene.stall.policy,
+                warn=warn,
+                injected=self.asked.lasting,
+            )
+            refused = Refused(system.refusals, warn)
+            execution = Execution(
+                self.asked,
+                self.about,
+                system,
+                plant,
+                ledger,
+                recorder,
+                refused,
+                self.interruption,
+                self.ending,
+            )
+            with announced(run, system.locator, folder):
+                execution.run(self.begun)
+            self._close(recorder, ledger.digest)
+        return ledger, refused
+
+    def _close(self, recorder: Recorder, digest: str) -> None:
+        """End the recording; what can't be written of it fails the run."""
+        try:
+            recorder.close(self.ending.status, digest)
+        except DeployError as error:
+            if self.ending.status == "ok":
+                self.ending.by("failed", str(error))
+            elif str(error) != self.ending.reason:
+                self._warn(str(error))
+
+    def _compare(self, digest: str) -> None:
+        """Say whether a run that was to repeat another came to the same."""
+        replayed, path = self.asked.replayed, self.asked.options.replay
+        if replayed is None or self.ending.status != replayed.status:
+            return
+        if digest == replayed.digest:
+            self._warn(f"the digest is that of {path}")
+        else:
+            self.ending.by("failed", f"the digest differs from that of {path}, {replayed.digest}")
+
+    # --- what it leaves ---------------------------------------------------------------------------
+
+    def _write(self, summary: Summary, folder: Path) -> Summary:
+        summary.write(folder)
+        if self.about is not None and self.ending.status == "ok":
+            Store(folder).clear()
+        return summary
+
+    def _illustrate(self, summary: Summary, folder: Path) -> Summary:
+        if not self.asked.options.picture or summary.status == "interrupted":
+            return summary
+        from deploy.recordings.reader import load
+
+        return illustrate(summary, lambda: load(folder), folder, self.interruption)
+
+    def _report(self, ledger: Ledger) -> ProtocolReport | None:
+        """What the protocol did, where that is asked for."""
+        if self.asked.reporter is None:
+            return None
+        from deploy.protocol_report.reporter import deaths_of
+
+        return self.asked.reporter.report(ledger.ticks, deaths_of(ledger.faults), self.ending.counts.tally)
+
+    def _write_report(self, summary: Summary, folder: Path) -> Summary:
+        """The report's table, and its picture unless there are to be none; nothing where none was asked for."""
+        reporter = self.asked.reporter
+        if reporter is None or summary.protocol is None:
+            return summary
+        from deploy.protocol_report.output import write_csv
+        from deploy.protocol_report.plot import draw_protocol
+        from deploy.protocol_report.report import CSV, PICTURE
+
+        report = summary.protocol
+        write_csv(reporter.residuals, folder / CSV)
+        if not self.asked.options.picture or self.ending.status == "interrupted":
+            return summary
+        path = folder / PICTURE
+        return drawn(summary, lambda: draw_protocol(reporter, report, path), folder, self.interruption)
+
+    def _warn(self, line: str, progress: Progress | None = None) -> None:
+        if progress is not None:
+            progress.say(line)
+        elif not self.quiet:
+            sys.stderr.write(f"mdms: {line}\n")
+            sys.stderr.flush()

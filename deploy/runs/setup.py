@@ -1,0 +1,343 @@
+"""A run before anything of it is started: what is asked of it, looked up and checked."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+import numpy as np
+
+from bus.sensors import Readings
+from bus.state import Remembers
+from cell_firmware.clocks import NEVER
+from deploy.errors import InputError
+from deploy.runs.output import run_name
+from deploy.scenes.fault_schedule import active, deaths, lasting, rests
+from deploy.scenes.warnings import scene_cautions
+from deploy.workers.plan import plan
+from plant.errors import PlantError, PlantStopped, PlantUnstable
+from plant.sampling import Timing
+
+if TYPE_CHECKING:
+    from bus.fault import FaultSpec, Injected
+    from bus.lattice import Lattice
+    from cell_firmware.clocks import Clocks, Ints
+    from cell_firmware.firmware import Cells
+    from deploy.checkpoints.checkpoint import Checkpoint
+    from deploy.protocol_report.reporter import Reporter
+    from deploy.recordings.reader import Recording
+    from deploy.scenes.scene import Scene
+    from deploy.workers.plan import Plan, RunOptions
+    from plant.effects.camera.camera import Camera
+    from plant.observations import Sense
+    from plant.plant import Plant
+    from plant.process import LockstepHost, PlantProcess, TickRecord
+
+
+def cautions_of(scene: Scene) -> tuple[str, ...]:
+    """Return a line for each thing that looks mistaken, or will go wrong, though nothing forbids it.
+
+    Raises:
+        FirmwareError: The firmware raised when it was asked; with its traceback.
+    """
+    from cell_firmware.loader import load
+
+    firmware = load(scene.cells)
+    of_firmware = tuple(firmware.cautions(scene.lattice()))
+    return (*scene_cautions(scene), *of_firmware, *_processor(scene, talks=firmware.message is not None))
+
+
+def tell_cautions(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
+    """Tell each caution of a scene in a line; returns them.
+
+    Raises:
+        FirmwareError: The firmware raised when it was asked; with its traceback.
+    """
+    cautions = cautions_of(scene)
+    for line in cautions:
+        tell(f"caution: {line}")
+    return cautions
+
+
+def _processor(scene: Scene, *, talks: bool) -> tuple[str, ...]:
+    """A line where the scene's boards would need more time than their processor has."""
+    from cell_firmware.processor_time import period_e, shares
+    from deploy.scenes.motor_facts import told
+
+    sides = int((scene.lattice().neighbours >= 0).sum(axis=1).max()) if talks else 0
+    period_ns = scene.cells.period_ns
+    takes = shares(scene.effects, told(scene.effects.motors), period_ns, sides)
+    if not takes:
+        return ()
+    whole = period_e(period_ns)
+    least, most = (
+        sum(bound) / whole for bound in zip(*((one.least, one.most) for one in takes), strict=True)
+    )
+    if most <= 1.0:
+        return ()
+    parts = ", ".join(f"{one.what} {_percent(one.least / whole, one.most / whole)}" for one in takes)
+    line = (
+        f"an MC68HC11 would be busy for {_percent(least, most)} of a control period of {whole:,.0f} E: {parts}; "
+        "the emulation takes no time for it, and a real board would miss periods and bytes"
+    )
+    return (line,)
+
+
+def _percent(least: float, most: float) -> str:
+    low, high = round(100 * least), round(100 * most)
+    return f"{low} %" if low == high else f"{low} to {high} %"
+
+
+def cautions_of_registers(scene: Scene) -> tuple[str, ...]:
+    """A line where registers are to be recorded and the program's variables can't be, or not all of them."""
+    from cell_firmware.cell import PerCell
+    from cell_firmware.loader import load
+
+    firmware = load(scene.cells)
+    if not isinstance(firmware, PerCell):
+        return ()
+    try:
+        problem = firmware.unrecorded(_first_cell(scene))
+    except Exception:  # noqa: BLE001 - its cells fail as they begin, and say with what
+        return ()
+    return () if problem is None else (f"--registers: {Path(scene.cells.firmware).name}: {problem}",)
+
+
+def _first_cell(scene: Scene) -> Cells:
+    from cell_firmware.firmware import Cells
+    from plant.array import CellArray
+
+    array = CellArray(scene.array)
+    cells = Cells.of(
+        array.lattice,
+        array.positions_m,
+        scene.cells.period_s,
+        scene.array.sensors_m,
+        pitch_m=array.pitch_m,
+    )
+    return cells.take(np.array([0]))
+
+
+@final
+class CellTimes:
+    """The plant's side of ``cell_firmware.effects.clock.wrapper``, by the same clocks.
+
+    In tick k cells read at their instants r in window k. They are told in tick k + 1, and what they answer acts
+    at r + W, in that tick.
+
+    Args:
+        clocks: Of all cells.
+    """
+
+    remembers: ClassVar[Remembers] = Remembers("_tick", "_count", "_read_ns")
+
+    def __init__(self, clocks: Clocks) -> None:
+        self._clocks = clocks
+        self._tick = 0
+        self._count: Ints = np.zeros(len(clocks), dtype=np.int64)
+        self._read_ns: Ints = np.full(len(clocks), NEVER)
+
+    def __call__(self, tick: int) -> Timing:
+        """When drives act and cells read in a tick, which is one more than the last that was asked for."""
+        assert tick == self._tick, "this is a bug: clocks are followed tick by tick"
+        read_ns, clocks = self._read_ns, self._clocks
+        acts_ns = np.where(read_ns == NEVER, NEVER, read_ns + clocks.window_ns)
+        self._read_ns = clocks.due(tick, self._count)
+        self._count = self._count + (self._read_ns != NEVER)
+        self._tick += 1
+        return Timing(acts_ns, self._read_ns)
+
+
+def cell_times(scene: Scene) -> CellTimes | None:
+    """Those of a scene; None where its cells step at once."""
+    clocks = scene.clocks()
+    return None if clocks is None else CellTimes(clocks.all)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """What is to be run.
+
+    Attributes:
+        scene: What runs.
+        options: How.
+        plan: What will be started.
+        resumed: From which it goes on; None: it begins.
+        lasting: The scene's faults that begin and end on the way.
+        live: Whether lines carry bytes: what keeps pace with a clock, or repeats what did, is what somebody watches,
+            and has time for them.
+        cautions: What is said before it begins.
+        reporter: Watches the protocol, where that is asked for.
+        replayed: The recording that it is to repeat, where there is one.
+        script: What was done to the run that it repeats.
+    """
+
+    scene: Scene
+    options: RunOptions
+    plan: Plan
+    resumed: Checkpoint | None
+    lasting: tuple[Injected[FaultSpec], ...]
+    live: bool
+    cautions: tuple[str, ...]
+    reporter: Reporter | None
+    replayed: Recording | None
+    script: Sequence[Mapping[str, Any]]
+
+
+def prepared(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -> Prepared:
+    """Look up what a run needs besides its processes.
+
+    Args:
+        scene: What to run.
+        options: How to run it.
+        resumed: From which to go on.
+
+    Raises:
+        InputError: Bad input.
+    """
+    planned = plan(scene, options, run_name(scene, secrets.token_hex(4)))
+    live = options.realtime is not None or options.replay is not None
+    cautions = cautions_of(scene)
+    if options.registers is not None:
+        cautions += cautions_of_registers(scene)
+    reporter = _reporter(scene, planned.partition.lattice, options.protocol_report)
+    replayed, script = None, ()
+    if options.replay is not None:
+        from deploy.control.replay import script_of
+        from deploy.recordings.reader import load
+
+        replayed = load(options.replay)
+        if options.output is not None and options.output.resolve() == replayed.path.parent.resolve():
+            raise InputError(
+                f"--replay {options.replay}: would be overwritten by --output {options.output}: name another folder"
+            )
+        script = script_of(replayed, scene)
+    return Prepared(
+        scene,
+        options,
+        planned,
+        resumed,
+        lasting(scene),
+        live if resumed is None else resumed.options["live"],
+        cautions,
+        reporter,
+        replayed,
+        script,
+    )
+
+
+def _reporter(scene: Scene, lattice: Lattice, every: int | None) -> Reporter | None:
+    if every is None:
+        return None
+    from deploy.protocol_report.reporter import Reporter
+
+    return Reporter(scene, lattice, every)
+
+
+def readings_of(scene: Scene, sense: Sense) -> Readings:
+    """What there is to read, from the scene and from what its cells sense first.
+
+    A camera is there for programs that subscribe to it: nobody is shown its pictures otherwise.
+    """
+    from cell_firmware.loader import load
+
+    effects = scene.effects
+    exits = () if effects.feeders is None else effects.feeders.exits
+    subscribed = effects.camera is not None and load(scene.cells).subscribes()
+    return Readings(
+        len(scene.array.sensors_m),
+        encoders=sense.encoder_m is not None,
+        levels=sense.level is not None,
+        labels=0 if sense.label is None else max(1, len(exits)),
+        camera=scene.parcel_count if subscribed else 0,
+    )
+
+
+def camera_of(scene: Scene, readings: Readings) -> Camera | None:
+    """What takes the pictures that these cells are shown; None where nothing does."""
+    if not readings.camera:
+        return None
+    from plant.factories import make_camera
+
+    # where cells have clocks of their own, what a tick brings them they read in the tick before
+    later = 0 if scene.effects.clock is None else 1
+    return make_camera(scene.effects.of_plant(), scene.tick_ns, scene.seed, later)
+
+
+def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
+    """The plant of a scene, its kernels compiled or loaded; says so where that takes long.
+
+    Raises:
+        InputError: The plant refuses the scene.
+    """
+    from plant.kernels.common.cache import folder
+    from plant.plant import Plant
+    from plant.solvers.registry import is_compiled
+
+    motors = scene.effects.motors
+    divided = scene.effects.clock is not None or (motors is not None and motors.first_order.static_v > 0.0)
+    if not is_compiled(scene.solver, divided=divided):
+        _, lasting = folder()
+        once = "once" if lasting else "every time: the cache folder can't be written, see NUMBA_CACHE_DIR"
+        warn(f"compiling the solver ({once}) ...")
+    try:
+        plant = Plant(scene.plant_spec())
+    except PlantError as error:
+        raise InputError(f"scene {scene.name}: {error}") from None
+    if divided:
+        plant.make_ready()
+    return plant
+
+
+def process_of(
+    scene: Scene,
+    plant: Plant,
+    host: LockstepHost,
+    readings: Readings,
+    observe: Callable[[TickRecord], None],
+    *,
+    lasts: Sequence[Injected[FaultSpec]] | None = None,
+    pace: Callable[[int], None] | None = None,
+    attend: Callable[[int], None] | None = None,
+) -> PlantProcess:
+    """What runs a scene's plant in lockstep with its cells.
+
+    Args:
+        scene: What runs.
+        plant: At its start.
+        host: Of the lockstep.
+        readings: What cells have to read.
+        observe: Told of every tick.
+        lasts: The scene's faults that begin and end, where there is more to do with them; see ``active``.
+        pace: See ``PlantProcess``.
+        attend: Likewise.
+    """
+    from plant.process import PlantProcess
+
+    return PlantProcess(
+        plant,
+        host,
+        tick_ns=scene.tick_ns,
+        duration_ns=scene.duration_ns,
+        schedule=deaths(scene),
+        stall=scene.stall,
+        stops=scene.cells.on_failure == "stop",
+        timing=cell_times(scene),
+        camera=camera_of(scene, readings),
+        faults=active(scene, lasts),
+        rests=rests(scene),
+        observer=observe,
+        pace=pace,
+        attend=attend,
+    )
+
+
+def status_of(error: PlantError) -> str:
+    """``unstable`` where a motion can't be followed, ``interrupted`` where it was to end, else ``failed``."""
+    if isinstance(error, PlantStopped):
+        return "interrupted"
+    return "unstable" if isinstance(error, PlantUnstable) else "failed"

@@ -1,0 +1,227 @@
+"""The outcome of a run: for programs as JSON, for people as a table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.util.files import SUMMARY, write_text
+from plant.observations import TrafficCount
+
+if TYPE_CHECKING:
+    from deploy.protocol_report.report import ProtocolReport
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParcelOutcome:
+    """Where a parcel ended.
+
+    Attributes:
+        state: ``waiting``, ``moving``, ``at_rest``, ``tipped``, ``off_array`` or ``delivered``.
+        time_s: Since when it is in that state.
+        detail: About which edge it tipped, or whatever else there is to say.
+    """
+
+    position_m: tuple[float, float]
+    angle_rad: float
+    velocity_m_s: tuple[float, float]
+    angular_velocity_rad_s: float
+    state: str
+    time_s: float
+    detail: str = ""
+
+    @classmethod
+    def of(cls, numbers: NDArray[np.float64], state: str, time_s: float, detail: str = "") -> ParcelOutcome:
+        """From the six numbers of a parcel's state: x, y, angle, and their rates."""
+        x, y, angle, vx, vy, omega = (float(number) for number in numbers)
+        return cls(
+            position_m=(x, y),
+            angle_rad=angle,
+            velocity_m_s=(vx, vy),
+            angular_velocity_rad_s=omega,
+            state=state,
+            time_s=time_s,
+            detail=detail,
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProtocolMessages:
+    """Messages between the programs of neighbouring cells, whatever carried them.
+
+    Cells whose process was killed from outside are not in the counts.
+
+    Attributes:
+        sent: Messages that programs gave to a link with a neighbour at its end.
+        heard: Messages that programs were given. Messages that were lost or replaced, or are on their way as the run
+            ends, are sent and not heard.
+    """
+
+    sent: int
+    heard: int
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Messages:
+    """Payloads on the bus, and the cells' own messages apart from them.
+
+    A payload is a frame of the lockstep: senses, drives, or all messages across one border in one tick. Messages within
+    a process need no payload.
+
+    Attributes:
+        sent: Payloads put, once for every receiver.
+        delivered: Payloads taken in.
+        lost: Payloads waited for and given up.
+        late: Payloads of a tick that was over, or of a cell given up before.
+        protocol: The cells' own messages; None where their firmware has none.
+        denied: Payloads, subscriptions, tokens and queries that somebody had no leave for.
+        malformed: Payloads that could not be read.
+    """
+
+    sent: int = 0
+    delivered: int = 0
+    lost: int = 0
+    late: int = 0
+    denied: int = 0
+    malformed: int = 0
+    protocol: ProtocolMessages | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """The outcome of ``mdms run`` or ``mdms simulate``.
+
+    Attributes:
+        status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
+        reason: Why not ``ok``: what failed and where, one line.
+        scene: Name of the bundled scene, or the file.
+        duration_s: Simulated time asked for.
+        simulated_s: Simulated time reached.
+        cells: How many.
+        firmware: The cells' program: ``name``, ``form`` (on arrays, or cell by cell), ``message_bytes`` (0: they don't
+            talk); None without cells.
+        processes: Worker processes; 0 where everything ran in one process.
+        transport: ``zenoh``, ``memory``, or None without a bus.
+        solver: ``name``, and ``tolerance`` or ``step_s``.
+        events_left_out: Events of parcels that are listed nowhere, as there were too many of one parcel in one call of
+            the solver. An ``outrun`` among them is missing from ``law_not_valid``.
+        law_not_valid: Of each parcel that outran a wheel which the friction law takes to be faster: ``parcel`` and
+            ``since_s``, in the order of time.
+        captured: Where chatter was captured, so that positions are right to ``capture_m`` and not to the solver's
+            tolerance: ``capture_m``, and ``parcels``; None: it was not.
+        wall_s: The run itself, without start-up.
+        support_changes: How often a cell came under or out from under a parcel's load.
+        faults: Scheduled, live and found: each at least ``time_s`` and ``kind``.
+        cells_lost: ``(row, column)`` of each.
+        refused: Of what was denied or malformed ``why`` and ``what``, ``whose`` it was, and the ``number``; connections
+            that were turned away, too.
+        feeders: What came and went; None where the scene has no feeders.
+        cautions: What the firmware said before the run will go wrong, a line each.
+        effects: What effects of the cells did to cells that lived, by ``effect.what``, of all processes that said so:
+            one that is killed from outside does not.
+        protocol: What the cells' protocol did, held against theory; None unless asked for.
+        digest: See ``deploy/recordings/digest.py``; None where there is none.
+        resumed: Ticks before which the run was taken up again from a checkpoint, in order; what was done twice counts
+            once, in ``wall_s`` too.
+        output: The folder with everything the run left behind; None where it left nothing.
+    """
+
+    status: str
+    scene: str
+    seed: int
+    duration_s: float
+    simulated_s: float
+    cells: int
+    processes: int
+    transport: str | None
+    solver: Mapping[str, str | float]
+    ticks: int
+    wall_s: float
+    startup_s: float
+    parcels: Sequence[ParcelOutcome]
+    support_changes: int
+    events_left_out: int = 0
+    law_not_valid: Sequence[Mapping[str, Any]] = ()
+    captured: Mapping[str, Any] | None = None
+    messages: Messages = field(default_factory=Messages)
+    faults: Sequence[Mapping[str, Any]] = ()
+    cells_lost: Sequence[tuple[int, int]] = ()
+    refused: Sequence[Mapping[str, Any]] = ()
+    feeders: TrafficCount | None = None
+    cautions: Sequence[str] = ()
+    effects: Mapping[str, int] = field(default_factory=dict[str, int])
+    firmware: Mapping[str, str | int] | None = None
+    protocol: ProtocolReport | None = None
+    digest: str | None = None
+    resumed: Sequence[int] = ()
+    output: str | None = None
+    reason: str | None = None
+
+    @property
+    def ticks_per_s(self) -> float | None:
+        """Ticks a second of wall time; None if it took no time."""
+        return self.ticks / self.wall_s if self.wall_s > 0 else None
+
+    @property
+    def realtime_factor(self) -> float | None:
+        """Simulated over wall time; None if it took no time."""
+        return self.simulated_s / self.wall_s if self.wall_s > 0 else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON object: numbers that are not finite (an unstable run's) as None."""
+        numbers = asdict(self)
+        numbers["ticks_per_s"] = self.ticks_per_s
+        numbers["realtime_factor"] = self.realtime_factor
+        return _finite(numbers)
+
+    def to_json(self, indent: int | None = None) -> str:
+        """The JSON object as text."""
+        return json.dumps(self.to_dict(), indent=indent, allow_nan=False, ensure_ascii=False)
+
+    def write(self, folder: str | Path) -> Path:
+        """Write ``summary.json`` into the folder, whole or not at all.
+
+        Raises:
+            DeployError: It can't be written.
+        """
+        path = Path(folder) / SUMMARY
+        write_text(path, self.to_json(indent=2) + "\n")
+        return path
+
+
+def _finite(value: Any) -> Any:
+    """The same in JSON's types, without NaN and infinity."""
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, np.ndarray | np.generic):
+        return _finite(value.tolist())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]  # pyright: ignore[reportUnknownVariableType]
+    return value
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes:
+        summary: For programs and people.
+        detail: Several lines on what went wrong, such as a firmware's traceback; empty where all is well.
+    """
+
+    summary: Summary
+    detail: str = ""

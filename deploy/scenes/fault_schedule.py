@@ -1,0 +1,139 @@
+"""When the scheduled faults of a scene act, and on whom."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol, cast
+
+from bus.fault import FaultSpec, Injected
+from bus.lattice import NEVER, Lattice
+from cell_firmware.faults.base import CellFault
+from deploy.faults.crash import CrashFault
+from plant.faults.base import PlantFault
+
+if TYPE_CHECKING:
+    from plant.effects.motors import MotorsSpec
+    from plant.faults.schedule import ActiveFaults
+    from plant.wheels import LossPolicy
+
+Deaths = dict[int, tuple[int, ...]]
+"""Indices of the cells that are dead for good from a tick on, by that tick, ascending."""
+
+
+class Timetable(Protocol):
+    """What the schedule needs of ``deploy.scenes.scene.Scene``, which is made of faults itself."""
+
+    @property
+    def faults(self) -> Sequence[FaultSpec]:
+        """All of them, in the scene's order."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """Of everything that is left to chance."""
+        ...
+
+    def lattice(self) -> Lattice:
+        """The cells that exist."""
+        ...
+
+    def tick_at(self, at_s: float) -> int:
+        """The tick in which something scheduled acts."""
+        ...
+
+
+def injected(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
+    """The scene's faults with the cells that they strike and their ticks, in the scene's order."""
+    if not scene.faults:
+        return ()
+    lattice = scene.lattice()
+    return tuple(
+        Injected(
+            number,
+            fault,
+            fault.struck(lattice, scene.seed, number),
+            *fault.span(scene.tick_at),
+        )
+        for number, fault in enumerate(scene.faults)
+    )
+
+
+def deaths(scene: Timetable) -> Deaths:
+    """When which cells crash for good. A cell that is to crash twice dies the first time."""
+    first: dict[int, int] = {}
+    for one in injected(scene):
+        if is_death(one):
+            for cell in one.cells.tolist():
+                first[cell] = min(one.first, first.get(cell, one.first))
+    by_tick: dict[int, list[int]] = {}
+    for cell in sorted(first):
+        by_tick.setdefault(first[cell], []).append(cell)
+    return {tick: tuple(cells) for tick, cells in sorted(by_tick.items())}
+
+
+def rests(scene: Timetable) -> dict[int, LossPolicy]:
+    """What the wheels of cells do that crash for good, by cell, where the fault says it."""
+    found: dict[int, tuple[int, LossPolicy | None]] = {}
+    for one in injected(scene):
+        if isinstance(one.fault, CrashFault) and is_death(one):
+            for cell in one.cells.tolist():
+                if cell not in found or one.first < found[cell][0]:
+                    found[cell] = one.first, one.fault.wheels
+    return {cell: wheels for cell, (_, wheels) in found.items() if wheels is not None}
+
+
+def lasting(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
+    """All but deaths: what happens to cells that stay in the lockstep."""
+    return tuple(one for one in injected(scene) if not is_death(one))
+
+
+def of_cells(faults: Sequence[Injected[FaultSpec]]) -> tuple[Injected[CellFault], ...]:
+    """Those of the lasting ones that the cells carry out."""
+    return tuple(cast("Injected[CellFault]", one) for one in faults if isinstance(one.fault, CellFault))
+
+
+def of_plant(faults: Sequence[Injected[FaultSpec]]) -> tuple[Injected[PlantFault], ...]:
+    """Those of the lasting ones that the plant carries out."""
+    return tuple(cast("Injected[PlantFault]", one) for one in faults if isinstance(one.fault, PlantFault))
+
+
+def of_cells_alone(scene: Timetable) -> list[str]:
+    """What a plant without cells leaves out, ``faults[2] (hang)`` each."""
+    return [
+        f"faults[{number}] ({fault.called})"
+        for number, fault in enumerate(scene.faults)
+        if not isinstance(fault, PlantFault)
+    ]
+
+
+def on_ideal_wheels(scene: Timetable, motors: MotorsSpec) -> tuple[FaultSpec, ...]:
+    """The scene's faults, where its motors are left out."""
+    return tuple(
+        fault.on_ideal_wheels(motors) if isinstance(fault, PlantFault) else fault for fault in scene.faults
+    )
+
+
+def active(scene: Timetable, lasts: Sequence[Injected[FaultSpec]] | None = None) -> ActiveFaults | None:
+    """What begins and ends in the plant; None where nothing does.
+
+    Args:
+        scene: What runs.
+        lasts: ``lasting(scene)``, where there is more to do with the same.
+    """
+    faults = of_plant(lasting(scene) if lasts is None else lasts)
+    if not faults:
+        return None
+    from plant.faults.schedule import ActiveFaults
+
+    return ActiveFaults(len(scene.lattice()), faults)
+
+
+def is_death(one: Injected[FaultSpec]) -> bool:
+    """Whether its cells leave the lockstep, never to come back: a scheduled crash that is not repaired."""
+    return isinstance(one.fault, CrashFault) and one.end == NEVER and not one.live
+
+
+def crash_aborts(cell: tuple[int, int], at_s: float) -> str:
+    """Why a run is over, a cell of which crashed as the scene says, where the policy is ``abort``."""
+    row, column = cell
+    return f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"

@@ -1,0 +1,162 @@
+"""Scenes by name: bundled ones and files; reading, overriding, and every error at once."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, cast
+
+from pydantic import TypeAdapter, ValidationError
+
+from cell_firmware.board_presets import with_board
+from cell_firmware.specs import CellsSpec
+from deploy.errors import InputError
+from deploy.faults.registry import Fault
+from deploy.scenes.checks import cross_problems
+from deploy.scenes.effects import EffectsSpec
+from deploy.scenes.errors import CROSS, Problem, SceneError, nearest, problems_of, strictly, strictly_any
+from deploy.scenes.overrides import Override, apply
+from deploy.scenes.scene import Scene
+from plant.friction.registry import FrictionSpec
+from plant.parcel_spec import ArraySpec, ParcelSpec
+from plant.solver_specs import SolverSpec, settings_of
+
+
+def bundled_names() -> tuple[str, ...]:
+    """The scenes that come with the package, sorted."""
+    folder = resources.files("deploy") / "scenes"
+    return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
+
+
+def scene_text(scene: str) -> str:
+    """The TOML of a bundled scene, or of a file.
+
+    A bundled name wins over a file of that name; ``./NAME`` means the file.
+
+    Raises:
+        InputError: There is no such scene, or it cannot be read.
+    """
+    if scene in bundled_names():
+        return (resources.files("deploy") / "scenes" / f"{scene}.toml").read_text(encoding="utf-8")
+    path = Path(scene)
+    if not path.exists() and path.suffix != ".toml" and len(path.parts) == 1:
+        advice = nearest(scene, bundled_names())
+        raise InputError(
+            f"scene {scene}: neither a bundled scene nor a file; {advice} (`mdms scenes` lists them)"
+        )
+    try:
+        return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
+    except OSError as error:
+        raise InputError(f"scene {scene}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"scene {scene}: must be UTF-8 text; byte {error.start} is not") from None
+
+
+def load_scene(scene: str, overrides: Sequence[Override] = ()) -> Scene:
+    """Read, override and validate a scene.
+
+    Args:
+        scene: A bundled name, or a file.
+        overrides: Applied in order, before anything is validated.
+
+    Raises:
+        InputError: There is no such scene, or it is no TOML.
+        SceneError: It is refused; all that is wrong with it, one line each.
+    """
+    text = scene_text(scene)
+    folder = None if scene in bundled_names() else Path(scene).parent
+    return parse_scene(text, scene, overrides, folder)
+
+
+def parse_scene(
+    text: str, name: str, overrides: Sequence[Override] = (), folder: Path | None = None
+) -> Scene:
+    """Validate the text of a scene.
+
+    Args:
+        text: TOML.
+        name: What errors and results call it.
+        overrides: Applied in order, before anything is validated.
+        folder: Where the file's own relative paths start; default: the working directory, as for ``--set``.
+
+    Raises:
+        InputError: It is no TOML.
+        SceneError: It is refused; all that is wrong with it, one line each.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"scene {name}: not TOML: {error}") from None
+    if folder is not None:
+        _resolve_firmware(data, folder)
+    _change_solver(data, overrides)
+    apply(data, overrides)
+    data = with_board(data)
+    try:
+        return strictly(Scene, data).named(name)
+    except ValidationError as error:
+        problems = problems_of(error, data, Scene)
+        if any(detail["type"] != CROSS for detail in error.errors()):
+            problems += _cross_problems(data)
+        raise SceneError(name, [_blame(problem, overrides) for problem in problems]) from None
+
+
+def _resolve_firmware(data: dict[str, Any], folder: Path) -> None:
+    """A firmware's file is looked for beside its scene."""
+    cells: Any = data.get("cells")
+    firmware: Any = cast("dict[str, Any]", cells).get("firmware") if isinstance(cells, dict) else None
+    if isinstance(firmware, str) and firmware.partition(":")[0].endswith(".py"):
+        cells["firmware"] = str(folder.resolve() / firmware)
+
+
+def _change_solver(data: dict[str, Any], overrides: Sequence[Override]) -> None:
+    """Another solver than the file's is asked for: what the file sets that only its own one has is left out."""
+    table: Any = data.get("solver")
+    chosen = [override.value for override in overrides if override.path == ("solver", "name")]
+    if not chosen or not isinstance(table, dict):
+        return
+    own = cast("dict[str, Any]", table)
+    wanted = settings_of(chosen[-1])
+    if wanted:
+        for key in settings_of(own.get("name", "exact")) - wanted:
+            own.pop(key, None)
+
+
+def _cross_problems(data: dict[str, Any]) -> list[Problem]:
+    """What does not agree between those sections that are valid by themselves."""
+    return cross_problems(
+        _part(ArraySpec, data.get("array")),
+        _part(CellsSpec, data.get("cells", {})),
+        _part(FrictionSpec, data.get("friction")),
+        _part(EffectsSpec, data.get("effects", {})),
+        _part(SolverSpec, data.get("solver", {})),
+        _valid(Fault, data.get("faults")),
+        _valid(ParcelSpec, data.get("parcels")),
+    )
+
+
+def _valid(model: Any, data: Any) -> dict[int, Any]:
+    """The items of a list that are valid by themselves, by their number."""
+    listed = cast("list[Any]", data) if isinstance(data, list) else []
+    parts = {number: _part(model, item) for number, item in enumerate(listed)}
+    return {number: part for number, part in parts.items() if part is not None}
+
+
+def _part(model: Any, data: Any) -> Any:
+    """A section that is valid by itself, or None; ``model`` may be a union of models."""
+    try:
+        return strictly_any(TypeAdapter(model), data)
+    except ValidationError:
+        return None  # reported with its path by the validation of the whole
+
+
+def _blame(problem: Problem, overrides: Sequence[Override]) -> Problem:
+    """Name the option that set the value, or something inside it or around it."""
+    for override in reversed(overrides):
+        shared = min(len(problem.path), len(override.path))
+        if shared and problem.path[:shared] == override.path[:shared]:
+            return replace(problem, option=override.option)
+    return problem

@@ -1,0 +1,96 @@
+"""Cautions about values of a scene that are allowed and hardly meant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+    from plant.parcel_spec import PolygonSpec
+
+_LONG_PERIOD_S: Final = 1.0
+"""Control period from which it is taken for one in other units."""
+
+
+def scene_cautions(scene: Scene) -> Iterator[str]:
+    """Yield a line for each value that looks like a mistake: its key, the value and why."""
+    yield from _degrees(scene)
+    yield from _large_parcels(scene)
+    yield from _late_faults(scene)
+    period_s = scene.cells.period_s
+    if period_s >= _LONG_PERIOD_S:
+        yield f"cells.period_s = {period_s:g}: a control period of seconds; an HC11's real-time interrupt is 0.004096 s"
+    if scene.ticks <= 1:
+        yield (
+            f"duration_s = {scene.duration_s:g}: the run is over after one tick, which takes {scene.tick_ns * 1e-9:g} s"
+        )
+
+
+def _degrees(scene: Scene) -> Iterator[str]:
+    """Angles of more than a turn."""
+    parts = {
+        "parcels": [parcel.model_dump() for parcel in scene.parcels],
+        "effects": scene.effects.model_dump(),
+        "cells.parameters": scene.cells.parameters,
+    }
+    for key, value in _leaves(parts):
+        if key.endswith("_rad") and isinstance(value, int | float) and abs(value) > math.tau:
+            yield (
+                f"{key} = {value:g}: more than a turn, and angles are in radians: {value:g} degrees are "
+                f"{math.radians(value):.4g}"
+            )
+
+
+def _leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the path and value of everything in nested tables and lists."""
+    if isinstance(value, Mapping):
+        inside = list(cast("Mapping[object, object]", value).items())
+    elif isinstance(value, list | tuple):
+        inside = list(enumerate(cast("Sequence[object]", value)))
+    else:
+        yield path, value
+        return
+    for key, item in inside:
+        yield from _leaves(item, f"{path}.{key}" if path else str(key))
+
+
+def _large_parcels(scene: Scene) -> Iterator[str]:
+    """Parcels that lie on the array in no direction along its rows or columns."""
+    lattice = scene.lattice()
+    array = [scene.array.pitch_m * (int(np.ptp(index)) + 1) for index in (lattice.columns, lattice.rows)]
+    feeders = scene.effects.feeders
+    named: list[tuple[str, PolygonSpec]] = [
+        (f"parcels.{number}", parcel) for number, parcel in enumerate(scene.parcels)
+    ]
+    named += [
+        (f"effects.feeders.feed.{number}", feed)
+        for number, feed in enumerate(() if feeders is None else feeders.feed)
+    ]
+    for key, spec in named:
+        size = _extent(spec)
+        if any(one > other for one, other in zip(sorted(size), sorted(array), strict=True)):
+            told, cells = (" × ".join(f"{side:.4g}" for side in sides) for sides in (size, array))
+            yield f"{key}: {told} m, larger than the array, which is {cells} m"
+
+
+def _extent(spec: PolygonSpec) -> Sequence[float]:
+    if spec.size_m is not None:
+        return spec.size_m
+    corners: Any = np.asarray(spec.vertices_m)
+    return [float(side) for side in np.ptp(corners, axis=0)]
+
+
+def _late_faults(scene: Scene) -> Iterator[str]:
+    """Faults that begin when the run is over."""
+    late = [
+        (number, fault.at_s)
+        for number, fault in enumerate(scene.faults)
+        if scene.tick_at(fault.at_s) >= scene.ticks
+    ]
+    if late:
+        told = ", ".join(f"faults.{number}.at_s = {at_s:g}" for number, at_s in late)
+        yield f"{told}: after the end of the run (duration_s = {scene.duration_s:g}): never acts"

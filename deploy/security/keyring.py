@@ -1,0 +1,177 @@
+"""The keys in a folder: whether they fit a run, and what a session needs of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from pydantic import ValidationError
+
+from deploy.errors import InputError
+from deploy.security.manifest import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, About
+from deploy.security.policy import QUESTION_LIMITS, part_of, size_limits
+from deploy.security.roles import OPERATOR, PLANT, Cut, roles_of
+from deploy.util.formatting import counted
+
+if TYPE_CHECKING:
+    from bus.transports.zenoh import Gate, Identity
+
+
+def identity_of(folder: Path, role: str) -> Identity:
+    """What a role shows the plant.
+
+    Args:
+        folder: The role's own.
+        role: Its name.
+
+    Raises:
+        InputError: A file is missing, or others than its owner can read what is secret or change what is trusted.
+    """
+    from bus.transports.zenoh.session import Certificate, Password
+
+    if (folder / PASSWORD).exists():
+        return Password(role, _secret(folder / PASSWORD).read_text(encoding="utf-8").strip())
+    authority, certificate = _sound(folder / AUTHORITY), _sound(folder / CERTIFICATE)
+    return Certificate(str(authority), str(certificate), str(_secret(folder / KEY)))
+
+
+def operator_of(folder: Path) -> Identity:
+    """What an operator shows the plant, from a run's keys or from the operator's own folder of them.
+
+    Raises:
+        InputError: These are not an operator's; they have ended; see ``identity_of``.
+    """
+    own = folder / OPERATOR if (folder / KEYS).exists() else folder
+    identity = identity_of(own, OPERATOR)
+    _check(identity, OPERATOR)
+    return identity
+
+
+@final
+class Keyring:
+    """A run's keys.
+
+    Args:
+        folder: Where ``mdms keys`` has put them.
+
+    Attributes:
+        about: What they are for.
+
+    Raises:
+        InputError: There are none.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not (folder / KEYS).exists():
+            raise InputError(
+                f"--keys {folder}: is no folder of keys, there is no {KEYS}: mdms keys DIR SCENE makes one"
+            )
+        self._folder = folder.absolute()
+        try:
+            self.about = About.model_validate_json(_sound(folder / KEYS).read_bytes())
+        except ValidationError as error:
+            raise InputError(
+                f"{folder / KEYS}: {error.errors()[0]['msg']}; mdms keys makes a new one"
+            ) from None
+        except OSError as error:
+            raise InputError(f"{folder / KEYS}: can't be read: {error.strerror}") from None
+
+    def check(self, cut: Cut, host: str | None) -> None:
+        """Whether every process has its keys, and they hold today.
+
+        Args:
+            cut: How the cells are cut into processes.
+            host: Name or address under which the plant is to be reached; None: loopback's.
+
+        Raises:
+            InputError: What doesn't fit, in one line.
+        """
+        about, roles = self.about, {role.name: role.cells for role in roles_of(cut)}
+        if about.wire != cut.wire or about.roles != roles:
+            raise InputError(
+                f"--keys {self._folder}: made for {_told(about.roles, about.wire)} (scene {about.scene}), "
+                f"not for these {_told(roles, cut.wire)}: mdms keys makes others"
+            )
+        if about.kind == "certificate" and host not in (None, *about.hosts):
+            raise InputError(
+                f"--keys {self._folder}: the plant's certificate is for {', '.join(about.hosts)}, not for {host}: "
+                f"mdms keys --host {host} makes another"
+            )
+        for role in roles:
+            identity = identity_of(self._folder / role, role)
+            if role != OPERATOR:
+                _check(identity, role)
+
+    def gate(self, cut: Cut) -> Gate:
+        """Gate of the session that cells join, for cells that are cut like this; operators may do nothing there."""
+        return self._gate(size_limits(cut), operators=False)
+
+    def outer_gate(self) -> Gate:
+        """Gate of the session for listeners and operators; cells may do nothing there."""
+        return self._gate(QUESTION_LIMITS, operators=True)
+
+    def _gate(self, limits: list[dict[str, Any]], *, operators: bool) -> Gate:
+        from bus.transports.zenoh.session import Gate
+
+        own = self._folder / PLANT
+        users = str(_secret(own / USERS)) if self.about.kind == "password" else None
+        access = json.dumps(part_of(self._access(), operators=operators))
+        return Gate(identity_of(own, PLANT), access, json.dumps(limits), users)
+
+    def of_cells(self, cut: Cut) -> tuple[Path, ...]:
+        """The folder of each process of cells, by shard."""
+        return tuple(self._folder / cut.role(shard) for shard in range(cut.partition.count))
+
+    def _access(self) -> dict[str, Any]:
+        """The access control without its comments, of which Python's JSON knows nothing."""
+        path = _sound(self._folder / ACCESS)
+        lines = path.read_text(encoding="utf-8").splitlines()
+        try:
+            access: dict[str, Any] = json.loads(
+                "\n".join(line for line in lines if not line.startswith("//"))
+            )
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from None
+        if not access.get("enabled") or access.get("default_permission") != "deny":
+            raise InputError(f"{path}: must be enabled, and deny what no rule allows")
+        return access
+
+
+def _told(roles: dict[str, tuple[tuple[int, int], ...]], wire: str) -> str:
+    """How an array is cut, in a few words."""
+    processes = [cells for role, cells in roles.items() if role not in (PLANT, OPERATOR)]
+    cells = sum(map(len, processes))
+    return f"{cells:,} cells in {counted(len(processes), 'process', 'processes')}, wire form {wire}"
+
+
+def _check(identity: Identity, role: str) -> None:
+    """Whether a certificate is the role's, and holds."""
+    if identity.kind == "certificate":
+        from deploy.security.verify import check_certificate
+
+        check_certificate(identity, role)
+
+
+def _there(path: Path) -> Path:
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file: mdms keys makes it")
+    return path
+
+
+def _sound(path: Path) -> Path:
+    """A file that says whom to trust: none but its owner may change or replace it."""
+    for changed in (_there(path), path.parent):
+        mode = changed.stat().st_mode
+        if mode & 0o022:
+            raise InputError(
+                f"{changed}: others can change it, mode {mode & 0o777:04o}: chmod go-w {changed}"
+            )
+    return path
+
+
+def _secret(path: Path) -> Path:
+    mode = _there(path).stat().st_mode
+    if mode & 0o077:
+        raise InputError(f"{path}: others can read it, mode {mode & 0o777:04o}: chmod 600 {path}")
+    return path

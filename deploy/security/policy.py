@@ -1,0 +1,131 @@
+"""The access control of the plant's sessions, as Zenoh reads it.
+
+A folder of keys has one for all roles. The session that cells join takes the part of the cells' roles, the session for
+listeners and operators takes the operators' part.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Final
+
+from bus.lockstep.snapshots import CELL_LIMIT
+from bus.wire.frames import TALLY_LIMIT, TEXT_LIMIT
+from bus.wire.keys import cell_key, plant_key, shard_key
+from deploy.security.roles import OPERATOR, OPERATORS, PLANT, Role
+
+if TYPE_CHECKING:
+    from bus.transports.zenoh.session import Gate
+    from deploy.security.roles import Cut
+
+
+_ENVELOPE: Final = 1 << 10
+"""Bytes for what every payload has: names, tick, version."""
+_MESSAGE: Final = 1 << 13
+"""Bytes for the message of one link: twice what a firmware may declare, with the names of its fields."""
+_REGISTERS: Final = 1 << 14
+"""Bytes for the registers of one cell."""
+_QUESTION: Final = 1 << 17
+
+
+def size_limits(cut: Cut) -> list[dict[str, Any]]:
+    """Zenoh's ``low_pass_filter`` of the session that cells join.
+
+    Messages that are longer are dropped as they come in, and counted as denied.
+    """
+    shards = range(cut.partition.count)
+    cells = max(len(cut.partition.cells(shard)) for shard in shards)
+    links = max(len(cut.partition.outgoing(shard)) for shard in shards)
+    report = 4 * TEXT_LIMIT + TALLY_LIMIT * (4 * TALLY_LIMIT + 16) + 16 * cells
+    link_keys = ["mdms/*/cell/*/*/to/*", "mdms/*/shard/*/to/*"]
+    return [
+        _limit(
+            "drive", [cell_key("*", None, "drive"), shard_key("*", None, "drive")], _ENVELOPE + 16 * cells
+        ),
+        _limit("link", link_keys, _ENVELOPE + _MESSAGE * max(links, 1)),
+        _limit("report", [shard_key("*", None, "report")], _ENVELOPE + report),
+        _limit("registers", [shard_key("*", None, "registers")], _ENVELOPE + _REGISTERS * cells),
+        _limit("memory", [shard_key("*", None, "memory")], _ENVELOPE + CELL_LIMIT * (cells + 1)),
+    ]
+
+
+def _limit(name: str, keys: list[str], size: int, message: str = "put") -> dict[str, Any]:
+    return {"id": name, "flows": ["ingress"], "messages": [message], "key_exprs": keys, "size_limit": size}
+
+
+QUESTION_LIMITS: Final = [_limit("question", [plant_key("*", "operator")], _QUESTION, "query")]
+"""Zenoh's ``low_pass_filter`` of the session for listeners and operators."""
+
+
+_SUBJECT: Final = {"certificate": "cert_common_names", "password": "usernames"}
+"""By what Zenoh knows a session."""
+_MESSAGES: Final = {
+    "puts": ["put"],
+    "hears": ["declare_subscriber"],
+    "shows": ["liveliness_token"],
+    "watches": ["declare_liveliness_subscriber", "liveliness_query"],
+    "asks": ["query"],
+}
+"""Messages that each of a role's rights takes."""
+_OUT: Final = "what the plant lets out"
+
+
+def access_control(roles: Iterable[Role], kind: str | None) -> dict[str, Any]:
+    """Zenoh's ``access_control``: nobody may do anything but what their role says.
+
+    All traffic passes the plant's sessions, and is checked as it comes in. What goes out is not: it goes to whoever
+    subscribed, and subscribing is what is checked.
+
+    Args:
+        roles: Who there is.
+        kind: ``certificate`` or ``password``: how they prove who they are. None: not at all, everybody has the
+            only role.
+    """
+    others = [role for role in roles if role.name != PLANT]
+    rules = [_rule(_OUT, ["egress"], ["put", "reply", *_DECLARED], ["**"])]
+    policies: list[dict[str, Any]] = []
+    for role in others:
+        own = [
+            _rule(f"{role.name} {right}", ["ingress"], messages, keys)
+            for right, messages in _MESSAGES.items()
+            if (keys := list(getattr(role, right)))
+        ]
+        rules += own
+        policies.append({"rules": [_OUT, *(rule["id"] for rule in own)], "subjects": [role.name]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [
+            {"id": role.name, **({} if kind is None else {_SUBJECT[kind]: [role.name]})} for role in others
+        ],
+        "policies": policies,
+    }
+
+
+def part_of(access: dict[str, Any], *, operators: bool) -> dict[str, Any]:
+    """The part of an access control for the session of operators, or for the session that cells join."""
+    kept = {name for one in access["subjects"] if ((name := one["id"]) == OPERATOR) == operators}
+    policies = [
+        {**one, "subjects": own}
+        for one in access["policies"]
+        if (own := [s for s in one["subjects"] if s in kept])
+    ]
+    subjects = [one for one in access["subjects"] if one["id"] in kept]
+    return {**access, "subjects": subjects, "policies": policies}
+
+
+def open_gate() -> Gate:
+    """Let anybody listen to a run and ask for live commands, and do nothing else."""
+    from bus.transports.zenoh.session import Gate
+
+    return Gate(None, json.dumps(access_control([OPERATORS], None)), json.dumps(QUESTION_LIMITS))
+
+
+_DECLARED: Final = ["declare_subscriber", "declare_queryable", "liveliness_token"]
+"""What the plant's session tells of others: who subscribed, who is there."""
+
+
+def _rule(name: str, flows: list[str], messages: list[str], keys: list[str]) -> dict[str, Any]:
+    return {"id": name, "permission": "allow", "flows": flows, "messages": messages, "key_exprs": keys}

@@ -1,0 +1,124 @@
+"""The roles of a run, and what each of them may do on the bus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal, final
+
+from bus.wire.keys import cell_key, cell_link_key, plant_key, shard_key, shard_link_key
+
+if TYPE_CHECKING:
+    from bus.partition import Partition
+
+PLANT: Final = "plant"
+OPERATOR: Final = "operator"
+
+_ANY: Final = "*"
+"""Keys hold for any run: its name is drawn as it begins."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Role:
+    """What whoever has a certificate of this name may do; of anything else they may do nothing.
+
+    Attributes:
+        name: Common name of the certificate, or user.
+        cells: ``(row, column)`` of the cells whose process has the role.
+        puts: Keys to put on.
+        hears: Keys to subscribe to.
+        shows: Keys of liveliness tokens to show.
+        watches: Keys of liveliness tokens to watch.
+        asks: Keys to query.
+    """
+
+    name: str
+    cells: tuple[tuple[int, int], ...] = ()
+    puts: tuple[str, ...] = ()
+    hears: tuple[str, ...] = ()
+    shows: tuple[str, ...] = ()
+    watches: tuple[str, ...] = ()
+    asks: tuple[str, ...] = ()
+
+
+OPERATORS: Final = Role(
+    OPERATOR, hears=("mdms/**",), watches=("mdms/**",), asks=(plant_key(_ANY, "operator"),)
+)
+"""Who listens to a run from outside and asks for live commands."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """How the cells of a run are cut into processes.
+
+    Attributes:
+        partition: The cells of each process.
+        wire: The wire form.
+        names: Name of each process, ``cells 3`` or ``cell 3,4``.
+    """
+
+    partition: Partition
+    wire: Literal["packed", "cells"]
+    names: tuple[str, ...]
+
+    def role(self, shard: int) -> str:
+        """Name of a process's role: ``cells-3``, or ``cell-3-4`` where each cell has a process."""
+        return self.names[shard].replace(" ", "-").replace(",", "-")
+
+    def cells(self, shard: int) -> tuple[tuple[int, int], ...]:
+        """``(row, column)`` of a process's cells."""
+        cells = self.partition.lattice.cells
+        return tuple(cells[int(i)] for i in self.partition.cells(shard))
+
+
+def roles_of(cut: Cut) -> tuple[Role, ...]:
+    """The plant first, then a role for each process of cells, by shard, and operators last.
+
+    The plant's own session is where access is controlled: it needs leave for nothing.
+    """
+    cells = (_cells(cut, shard) for shard in range(cut.partition.count))
+    return Role(PLANT), *cells, OPERATORS
+
+
+def _cells(cut: Cut, shard: int) -> Role:
+    puts, hears, shows = (_packed if cut.wire == "packed" else _by_cell)(cut, shard)
+    return Role(
+        cut.role(shard),
+        cut.cells(shard),
+        puts=(*puts, *(shard_key(_ANY, shard, leaf) for leaf in ("report", "registers", "memory"))),
+        hears=(*hears, plant_key(_ANY, "control")),
+        shows=shows,
+        watches=(plant_key(_ANY, "alive"),),
+    )
+
+
+_Keys = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+
+
+def _packed(cut: Cut, shard: int) -> _Keys:
+    """What a shard puts, hears and shows in the packed form."""
+    puts = [shard_key(_ANY, shard, "drive")]
+    puts += [shard_link_key(_ANY, shard, border.shard) for border in cut.partition.outgoing_borders(shard)]
+    hears = [shard_key(_ANY, shard, "sense")]
+    hears += [shard_link_key(_ANY, border.shard, shard) for border in cut.partition.incoming_borders(shard)]
+    return tuple(puts), tuple(hears), (shard_key(_ANY, shard, "alive"), shard_key(_ANY, shard, "ready"))
+
+
+def _by_cell(cut: Cut, shard: int) -> _Keys:
+    """The same in the form with a key a cell and link."""
+    partition, own = cut.partition, cut.cells(shard)
+    cells = partition.lattice.cells
+    outgoing, incoming = partition.outgoing(shard), partition.incoming(shard)
+    puts = [cell_key(_ANY, cell, "drive") for cell in own]
+    puts += [
+        cell_link_key(_ANY, cells[int(source)], int(side))
+        for source, side in zip(outgoing.source, outgoing.source_side, strict=True)
+    ]
+    hears = [cell_key(_ANY, cell, "sense") for cell in own]
+    hears += [
+        cell_link_key(_ANY, cells[int(source)], int(side))
+        for source, side in zip(incoming.source, incoming.source_side, strict=True)
+    ]
+    shows = [cell_key(_ANY, cell, leaf) for cell in own for leaf in ("alive", "ready")]
+    return tuple(puts), tuple(hears), tuple(shows)

@@ -1,0 +1,42 @@
+"""An operator's session with a run that goes on elsewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bus.errors import TransportError
+from deploy.errors import InputError
+
+if TYPE_CHECKING:
+    from bus.transports.zenoh import ZenohEndpoint
+
+
+def operator_session(connect: str, timeout_s: float, keys: Path | None) -> ZenohEndpoint:
+    """Connects to a run's plant.
+
+    Args:
+        connect: Where it listens, such as ``tcp/127.0.0.1:7447``.
+        timeout_s: Wall seconds to go on trying.
+        keys: The run's, or the operator's folder of them; None where the run has none.
+
+    Raises:
+        InputError: Nobody listens there, they let nobody in with these keys, or these are none.
+    """
+    from bus.transports.zenoh import open_client
+
+    if keys is None and connect.startswith("tls/"):
+        raise InputError(f"{connect}: tls/ needs certificates: --keys DIR, the run's or the operator's")
+    identity = None
+    if keys is not None:
+        from deploy.security.keyring import operator_of
+
+        identity = operator_of(keys)
+        if (identity.kind == "certificate") != connect.startswith("tls/"):
+            raise InputError(
+                f"{connect}: certificates go with tls/, passwords don't; {keys}: a {identity.kind}"
+            )
+    try:
+        return open_client(connect, timeout_s=timeout_s, identity=identity)
+    except TransportError as error:
+        raise InputError(f"--connect {connect}: {error}") from None

@@ -1,0 +1,52 @@
+"""Whether a certificate holds, before Zenoh is asked: it says no more than that nobody answers."""
+
+from __future__ import annotations
+
+import ssl
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from deploy.errors import InputError
+from deploy.security.roles import PLANT
+
+if TYPE_CHECKING:
+    from bus.transports.zenoh import Certificate
+
+
+def check_certificate(identity: Certificate, role: str) -> None:
+    """Has the certificate's owner shake hands with itself, in memory: as a server the plant, as clients all others.
+
+    Raises:
+        InputError: It has ended, another authority signed it, the key is another's, it is another role's.
+    """
+    try:
+        shown = _shaken(identity, as_server=role == PLANT)
+    except ssl.SSLCertVerificationError as error:
+        raise InputError(f"{identity.certificate}: {error.verify_message}: mdms keys makes another") from None
+    except (ssl.SSLError, OSError) as error:
+        reason = getattr(error, "reason", None) or error.strerror or error
+        text = str(reason).lower().replace("_", " ")
+        raise InputError(f"{Path(identity.certificate).parent}: no certificate and its key: {text}") from None
+    if shown != role:
+        raise InputError(f"{identity.certificate}: is {shown}'s, not {role}'s")
+
+
+def _shaken(identity: Certificate, *, as_server: bool) -> str | None:
+    """The common name that one side has shown and the other has verified."""
+    server, client = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    client.check_hostname = False  # under which name the plant is reached, its clients look at
+    client.verify_mode = ssl.CERT_REQUIRED if as_server else ssl.CERT_NONE
+    server.verify_mode = ssl.CERT_NONE if as_server else ssl.CERT_REQUIRED
+    for side in (server, client):
+        side.load_cert_chain(identity.certificate, identity.key)
+        side.load_verify_locations(identity.authority)
+    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+    sides = (server.wrap_bio(there, back, server_side=True), client.wrap_bio(back, there))
+    for _ in range(4):  # each has its say twice at most
+        for side in reversed(sides):
+            with suppress(ssl.SSLWantReadError):
+                side.do_handshake()
+    verified = cast("dict[str, Any]", sides[1 if as_server else 0].getpeercert() or {})
+    names = {name: value for part in verified.get("subject", ()) for name, value in part}
+    return names.get("commonName")

@@ -1,0 +1,203 @@
+"""The pictures of a study: work against precision, tolerance asked against error got, the price of sampling."""
+
+# pyright: reportUnknownMemberType=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deploy.plots.map_view import COLOURS
+from deploy.plots.theme import DPI, draw_heading, write_picture
+from deploy.util.files import write_text
+from deploy.util.formatting import counted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from deploy.studies.accuracy.report import Report, Row
+
+
+_WIDTH, _HEIGHT = 9.6, 6.0
+"""Of a page, inches."""
+_MARKS = "os^Dv<>Ph*X"
+_STROKES = ("-", "--", "-.", ":")
+_FLOOR_M = 1e-16
+"""Errors below this, nought among them, are drawn here: rounding."""
+_GUIDE = "#8b95a1"
+
+
+def draw_work_precision(report: Report, path: Path) -> None:
+    """Error against wall time, a line a solver, both logarithmic."""
+    write_picture(lambda: _work_precision(report), path)
+
+
+def draw_tolerance(report: Report, path: Path) -> None:
+    """Error got against tolerance asked, both logarithmic; the line of slope 1 is what was asked for."""
+    write_picture(lambda: _tolerance(report), path)
+
+
+def draw_sampling(report: Report, path: Path) -> None:
+    """Error of the whole system against its wall time, a point a control period."""
+    write_picture(lambda: _sampling(report), path)
+
+
+def _page(report: Report, title: str, facts: Sequence[str]) -> tuple[Figure, Axes]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")
+    axes = figure.add_axes((0.085, 0.1, 0.66, 0.74))
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.grid(visible=True, which="major", color="#e4e8ec", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.minorticks_off()
+    draw_heading(figure, title, "  ·  ".join([report.scene, report.title, *facts]), 0.35)
+    return figure, axes
+
+
+def _of(report: Report, line: str) -> list[Row]:
+    return [row for row in report.rows if row.line == line and row.error_max is not None]
+
+
+def _errors(rows: Sequence[Row]) -> list[float]:
+    return [max(row.error_max or 0.0, _FLOOR_M) for row in rows]
+
+
+def _look(report: Report, line: str) -> dict[str, Any]:
+    """Colour by solver, stroke and mark by line, the same in every picture."""
+    names = report.lines
+    solvers = list(dict.fromkeys(row.solver for row in report.rows))
+    solver = next(row.solver for row in report.rows if row.line == line)
+    number = names.index(line)
+    among = list(dict.fromkeys(row.line for row in report.rows if row.solver == solver)).index(line)
+    return {
+        "color": COLOURS[solvers.index(solver) % len(COLOURS)],
+        "marker": _MARKS[number % len(_MARKS)],
+        "ls": _STROKES[among % len(_STROKES)],
+        "ms": 5.5,
+        "lw": 2.2 if solver == "exact" else 1.3,
+        "zorder": 5 if solver == "exact" else 3,
+    }
+
+
+def _legend(axes: Axes, report: Report) -> None:
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, borderaxespad=0.0)
+    _list(axes, [f"{row.line}: {row.status}" for row in report.rows if row.error_max is None])
+
+
+def _work_precision(report: Report) -> Figure:
+    figure, axes = _page(
+        report, "Work and precision", [f"{report.duration_s:g} s", f"reference: {report.reference.method}"]
+    )
+    for line in report.lines:
+        rows = _of(report, line)
+        if not rows:
+            continue
+        walls = [row.wall_s or 0.0 for row in rows]
+        low = [(row.wall_s or 0.0) - (row.wall_low_s or 0.0) for row in rows]
+        high = [(row.wall_high_s or 0.0) - (row.wall_s or 0.0) for row in rows]
+        axes.errorbar(
+            walls, _errors(rows), xerr=[low, high], label=line, elinewidth=0.7, **_look(report, line)
+        )
+    axes.set_xlabel("wall time (s), median; bars: shortest to longest")
+    axes.set_ylabel("largest displacement of a corner over the run (m)")
+    _legend(axes, report)
+    return figure
+
+
+def _tolerance(report: Report) -> Figure:
+    figure, axes = _page(
+        report,
+        "Tolerance asked, error got",
+        [f"{report.duration_s:g} s", "on the dashed line a solver gives what was asked"],
+    )
+    asked: list[float] = []
+    for line in report.lines:
+        rows = [row for row in _of(report, line) if row.key == "tolerance"]
+        if not rows:
+            continue
+        tolerances = [row.value or 0.0 for row in rows]
+        asked += tolerances
+        axes.plot(tolerances, _errors(rows), label=line, **_look(report, line))
+    if asked:
+        ends = [min(asked), max(asked)]
+        axes.plot(ends, ends, ls="--", color=_GUIDE, lw=1.2, zorder=2, label="error = tolerance")
+    axes.invert_xaxis()
+    axes.set_xlabel("tolerance asked (m; with scipy and heyoka of a step)")
+    axes.set_ylabel("error got: largest displacement of a corner (m)")
+    _legend(axes, report)
+    return figure
+
+
+def _sampling(report: Report) -> Figure:
+    figure, axes = _page(
+        report,
+        "The price of sampling",
+        [counted(report.cells, "cell"), "cells, bus and plant in one process"],
+    )
+    lowest, highest = 1.0, _FLOOR_M
+    for number, sampling in enumerate(report.sampling):
+        rows = [row for row in sampling.rows if row.error_max is not None]
+        walls, errors = (
+            [row.wall_s or 0.0 for row in rows],
+            [max(row.error_max or 0.0, _FLOOR_M) for row in rows],
+        )
+        label = f"{sampling.wheels}:\nerrors from\n{sampling.against}"
+        axes.plot(walls, errors, marker=_MARKS[number], color=COLOURS[number], lw=1.6, ms=6, label=label)
+        lowest, highest = min([lowest, *errors]), max([highest, *errors])
+        for row, wall, error in zip(rows, walls, errors, strict=True):
+            axes.annotate(
+                f"{row.period_s * 1e3:.3g} ms",
+                (wall, error),
+                xytext=(0, 8),
+                textcoords="offset points",
+                ha="center",
+                fontsize=8,
+            )
+    axes.set_ylim(lowest / 10.0, highest * 10.0)
+    axes.set_xlabel("wall time of the run (s); beside each point the control period")
+    axes.set_ylabel("largest displacement of a corner (m)")
+    axes.legend(
+        loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, borderaxespad=0.0, labelspacing=1.2
+    )
+    _list(
+        axes,
+        [
+            f"{row.period_s * 1e3:.3g} ms: {row.status}"
+            for one in report.sampling
+            for row in one.rows
+            if row.status != "ok"
+        ],
+    )
+    return figure
+
+
+def _list(axes: Axes, left: Sequence[str]) -> None:
+    """What is not drawn, by name."""
+    if left:
+        text = "\n".join(["not drawn", *dict.fromkeys(left)])
+        axes.text(1.03, 0.0, text, transform=axes.transAxes, fontsize=7.5, color="#6b7580", va="bottom")
+
+
+JSON_NAME = "accuracy.json"
+CSV_NAME = "accuracy.csv"
+WORK_PRECISION = "work_precision.png"
+TOLERANCE = "tolerance.png"
+SAMPLING = "sampling.png"
+
+
+def write_report(report: Report, folder: Path) -> None:
+    """Write all files, each whole or not at all.
+
+    Raises:
+        DeployError: One can't be written.
+    """
+    write_text(folder / JSON_NAME, report.to_json() + "\n")
+    write_text(folder / CSV_NAME, report.to_csv())
+    draw_work_precision(report, folder / WORK_PRECISION)
+    draw_tolerance(report, folder / TOLERANCE)
+    if report.sampling:
+        draw_sampling(report, folder / SAMPLING)

@@ -1,0 +1,267 @@
+"""A study of what accuracy costs: every solver that claims a scene, at every setting of its sweeps."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from deploy.errors import InputError
+from deploy.runs.field_simulation import field_speeds, ideal
+from deploy.runs.setup import load_plant
+from deploy.scenes.fault_schedule import of_cells_alone
+from deploy.studies.accuracy.errors import (
+    compare_events,
+    corner_speeds,
+    displacement_m,
+    distribution_distance,
+)
+from deploy.studies.accuracy.reference import METHODS, Referee, Reference
+from deploy.studies.accuracy.report import Report, Row, Sampling
+from deploy.studies.accuracy.sampling_cost import price_of_sampling
+from deploy.studies.accuracy.sweep import Trial, lines, refusal, with_solver
+from deploy.studies.accuracy.trace import Course, follow, timed
+from plant.errors import PlantError
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+
+LONG_S = 0.2
+"""A run this long needs no other before it to be warm: it counts."""
+QUICK_S = 20.0
+"""Processor time after which a quick study begins no further run; coarse settings come first. The reference's time is
+taken off, ..."""
+QUICK_LEFT_S = 5.0
+"""... but so much is left."""
+QUICK_SAMPLING_S = 1.5
+"""Wall time of a run of the whole system after which a quick study tries no shorter period."""
+QUICK_PARCELS = 8
+"""Parcels beyond which a quick study does without references that are made one parcel at a time."""
+QUICK_REFERENCE_S = 8.0
+"""Processor time for the reference of a quick study."""
+FEWEST = 5
+"""Samples of a distribution, at least."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a study is made.
+
+    Attributes:
+        quick: few settings, few runs, and no more than half a minute.
+        repeats: runs that are timed, each setting.
+        limit_s: processor time that one run may take.
+        timing_s: wall time after which a setting is not repeated again.
+        sampling: whether the whole system is run, too, at several control periods.
+    """
+
+    quick: bool = False
+    repeats: int = 5
+    limit_s: float = 60.0
+    timing_s: float = 10.0
+    sampling: bool = True
+
+    @classmethod
+    def of(cls, *, quick: bool, repeats: int | None = None) -> Plan:
+        """The usual ones; where repeats are asked for, all of them are made."""
+        if quick:
+            return cls(True, repeats or 3, limit_s=3.0, timing_s=np.inf if repeats else 1.0)
+        return cls(repeats=repeats or 5, timing_s=np.inf if repeats else 10.0)
+
+
+def study(
+    scene: Scene,
+    plan: Plan | None = None,
+    *,
+    say: Callable[[str], None] | None = None,
+    look: Callable[[], None] = lambda: None,
+) -> Report:
+    """Run every solver on a scene and judge it.
+
+    Args:
+        scene: its firmware must be ``velocity_field``; motors are left out, as ``mdms simulate`` does.
+        plan: how.
+        say: told what comes next.
+        look: called now and then; may raise.
+
+    Raises:
+        InputError: The scene has no field or no parcels, the plant refuses it, or nobody gets through it.
+    """
+    return _Study(scene, plan or Plan(), say or (lambda _: None), look).report()
+
+
+@final
+class _Study:
+    """One study."""
+
+    def __init__(
+        self, scene: Scene, plan: Plan, say: Callable[[str], None], look: Callable[[], None]
+    ) -> None:
+        self._named, self._plan, self._say, self._look = scene, plan, say, look
+        self._scene = ideal(scene)
+        self._over_s = np.inf
+
+    def report(self) -> Report:
+        plan, scene = self._plan, self._scene
+        plant = load_plant(scene, self._say)
+        self._say("loading every solver (seconds each where a version's kernels are compiled first) ...")
+        field_speeds(scene, plant.array.positions_m)
+        for fault in of_cells_alone(self._named):
+            self._say(
+                f"{fault} is left out of all but the price of sampling: solvers move parcels without cells"
+            )
+        if not len(plant.state):
+            raise InputError(f"scene {scene.name}: has no parcels: there is nothing to be accurate about")
+        self._say("the reference ...")
+        many, begun_s = plan.quick and len(plant.state) > QUICK_PARCELS, time.process_time()
+        referee = Referee(
+            scene,
+            limit_s=2.0 * plan.limit_s,
+            budget_s=QUICK_REFERENCE_S if plan.quick else np.inf,
+            thorough=not plan.quick,
+            look=self._look,
+            methods=[one for one in METHODS if not (many and one["name"] in ("heyoka", "scipy"))],
+        )
+        reference = referee.find()
+        rows = self._rows(reference, time.process_time() - begun_s)
+        sampling: list[Sampling] = []
+        if plan.sampling:
+            self._say("the whole system, at several control periods ...")
+            sampling += price_of_sampling(
+                self._named,
+                reference.course,
+                quick=plan.quick,
+                limit_s=QUICK_SAMPLING_S if plan.quick else plan.limit_s,
+                look=self._look,
+            )
+        return Report(
+            scene=self._named.name,
+            title=scene.title or scene.name,
+            duration_s=scene.duration_s,
+            cells=len(plant.array),
+            parcels=len(plant.state),
+            period_s=scene.cells.period_ns * 1e-9,
+            quick=plan.quick,
+            reference=reference,
+            rows=rows,
+            sampling=sampling,
+        )
+
+    def _rows(self, reference: Reference, spent_s: float) -> list[Row]:
+        """All rows, line by line; coarse settings of every line are run before finer ones of any.
+
+        ``spent_s`` is what the reference took.
+        """
+        swept = [
+            tuple(trial for trial in line if trial.quick or not self._plan.quick)
+            for line in lines(self._scene)
+        ]
+        done: dict[tuple[int, int], Row] = {}
+        first = [line[0] for line in lines(self._scene)]
+        refused = {number: why for number, trial in enumerate(first) if (why := self._refusal(trial))}
+        if self._plan.quick:  # all that had to be compiled is
+            self._over_s = time.process_time() + max(QUICK_S - spent_s, QUICK_LEFT_S)
+        for level in range(max(map(len, swept))):
+            for number, line in enumerate(swept):
+                if number not in refused and level < len(line):
+                    done[number, level] = self._row(line[level], reference)
+        rows: list[Row] = []
+        for number, line in enumerate(swept):
+            if number in refused:
+                rows.append(_bare(first[number], "omitted", refused[number], whole=True))
+            elif not line:
+                rows.append(_bare(first[number], "omitted", "takes no part in a quick study", whole=True))
+            rows += [done[number, level] for level in range(len(line)) if (number, level) in done]
+        return rows
+
+    def _refusal(self, trial: Trial) -> str | None:
+        """Why a solver takes no part: it doesn't claim the scene, or its package is not installed."""
+        why = refusal(self._scene, trial.settings)
+        if why is not None:
+            return why
+        from plant.plant import Plant
+
+        try:
+            # what a solver needs is looked for where its plant is built
+            Plant(with_solver(self._scene, trial.settings).plant_spec())
+        except PlantError as error:
+            return str(error)
+        return None
+
+    def _row(self, trial: Trial, reference: Reference) -> Row:
+        """One solver at one setting, judged and timed."""
+        if time.process_time() > self._over_s:
+            return _bare(trial, "omitted", "not begun, for lack of time: the study is quick")
+        self._say(f"{trial.solver} {trial.setting}")
+        scene = with_solver(self._scene, trial.settings)
+        judge, known = reference.judge(trial.solver)
+        course = follow(scene, self._plan.limit_s, self._look)
+        row = replace(_bare(trial, course.status, course.reason), judged_by=judge, effort=course.effort)
+        if course.status != "ok":
+            return replace(row, **_before(course, known, reference))
+        walls = [course.wall_s] if course.wall_s > LONG_S else []
+        while len(walls) < self._plan.repeats and sum(walls) < self._plan.timing_s:
+            walls.append(timed(scene, self._look))
+        median = statistics.median(walls)
+        return replace(
+            row,
+            **_judged(course, known, reference),
+            wall_s=median,
+            wall_low_s=min(walls),
+            wall_high_s=max(walls),
+            repeats=len(walls),
+            speed=self._scene.duration_s / median,
+        )
+
+
+def _bare(trial: Trial, status: str, reason: str | None, *, whole: bool = False) -> Row:
+    """A row without figures; of a whole line where none of its settings was tried."""
+    return Row(
+        solver=trial.solver,
+        line=trial.line,
+        setting="all" if whole else trial.setting,
+        key=trial.key,
+        value=None if whole else trial.value,
+        status=status,
+        reason=reason,
+        note=trial.note or None,
+    )
+
+
+def _judged(course: Course, known: Course, reference: Reference) -> dict[str, Any]:
+    """Errors of a whole course."""
+    off = displacement_m(course.state, known.state, known.footprints_m)
+    events = compare_events(course.events, known.events, reference.duration_s)
+    found: dict[str, Any] = {
+        "error_max": float(off.max()),
+        "error_end": float(off[-1]),
+        "event_time_error": events.time_error_s,
+        "events_found": events.found,
+        "events_missed": events.missed,
+        "events_invented": events.invented,
+        "order_until": events.order_until_s,
+    }
+    until = reference.chatter_s if events.order_until_s is None else events.order_until_s
+    if until is not None:
+        count = max(course.samples_until(until), 1)
+        found["error_before"] = float(off[:count].max())
+        if len(off) - count >= FEWEST:
+            found["speed_distance"] = distribution_distance(
+                corner_speeds(course.state[count:], known.footprints_m),
+                corner_speeds(known.state[count:], known.footprints_m),
+            )
+    return found
+
+
+def _before(course: Course, known: Course, reference: Reference) -> dict[str, Any]:
+    """Error before chatter of a course that got that far, and no farther than into it."""
+    if reference.chatter_s is None or course.time_s[-1] < reference.chatter_s:
+        return {}
+    count = course.samples_until(reference.chatter_s)
+    off = displacement_m(course.state[:count], known.state[:count], known.footprints_m)
+    return {"error_before": float(off.max(initial=0.0))}

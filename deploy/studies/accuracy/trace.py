@@ -1,0 +1,127 @@
+"""One run of a scene's field under one solver: states, events, time, effort, and how it ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.runs.field_simulation import field_speeds, in_parts
+from deploy.runs.setup import status_of
+from plant.errors import PlantError
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+    from plant.observations import Event
+    from plant.plant import Plant
+
+Floats = NDArray[np.float64]
+
+SAMPLES = 250
+"""Samples a call of the plant: between two calls the time that a run may take is looked at."""
+
+
+class _OutOfTimeError(Exception):
+    """A run takes longer than it may."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How a scene went.
+
+    Attributes:
+        time_s: ``(T,)`` instants, a control period apart, as far as it came.
+        state: ``(T, m, 6)``.
+        events: of the plant.
+        footprints_m: ``(v, 2)`` corners of each parcel about its centre of mass, in its axes.
+        wall_s: what the plant took, without being built.
+        effort: of the solver: steps, or right-hand sides.
+        status: ``ok``, ``unstable``, ``failed`` or ``stopped``: it took longer than it may.
+        reason: why it is not ``ok``.
+    """
+
+    time_s: Floats
+    state: Floats
+    events: Sequence[Event]
+    footprints_m: Sequence[Floats]
+    wall_s: float
+    effort: int
+    status: str
+    reason: str | None
+
+    def samples_until(self, until_s: float) -> int:
+        """How many of the instants come before a time, or at it."""
+        return int(np.searchsorted(self.time_s, until_s + 1e-12, side="right"))
+
+
+def follow(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | None = None) -> Course:
+    """Simulate a scene as ``mdms simulate`` does, from a plant built for it.
+
+    Args:
+        scene: With ideal wheels, and the solver to use.
+        limit_s: Processor time after which it is given up.
+        look: Called now and then; may raise.
+
+    Raises:
+        PlantError: The plant refuses the scene, or a package is not installed.
+    """
+    from plant.plant import Plant
+
+    plant = Plant(scene.plant_spec())
+    speeds = field_speeds(scene, plant.array.positions_m)
+    times: list[Floats] = [np.zeros(1)]
+    states: list[Floats] = [plant.state[None]]
+    events: list[Event] = []
+    begun, worked = time.perf_counter(), time.process_time()
+
+    def check() -> None:
+        if look is not None:
+            look()
+        if time.process_time() - worked > limit_s:
+            raise _OutOfTimeError
+
+    status, reason = "ok", None
+    try:
+        for part in in_parts(scene, plant, speeds, check=check, samples=SAMPLES):
+            times.append(part.time_ns[1:].astype(np.float64) * 1e-9)
+            states.append(part.state[1:])
+            events += part.events
+    except _OutOfTimeError:
+        status, reason = (
+            "stopped",
+            f"took longer than {limit_s:.3g} s, at {times[-1][-1]:.6g} s of simulated time",
+        )
+    except PlantError as error:
+        status, reason = status_of(error), str(error)
+    wall_s = time.perf_counter() - begun
+    return Course(
+        np.concatenate(times),
+        np.concatenate(states),
+        events,
+        plant.footprints_m,
+        wall_s,
+        plant.effort,
+        status,
+        reason,
+    )
+
+
+def timed(scene: Scene, look: Callable[[], None] | None = None) -> float:
+    """Wall time of one more run, s: the same calls of the plant, and nothing kept."""
+    from plant.plant import Plant
+
+    plant = Plant(scene.plant_spec())
+    speeds = field_speeds(scene, plant.array.positions_m)
+    return _spent(scene, plant, speeds, look or (lambda: None))
+
+
+def _spent(scene: Scene, plant: Plant, speeds: Floats, look: Callable[[], None]) -> float:
+    begun = time.perf_counter()
+    for _ in in_parts(scene, plant, speeds, check=look, samples=SAMPLES):
+        pass
+    return time.perf_counter() - begun

@@ -1,0 +1,327 @@
+"""The runs of a campaign: a scene for every combination of values, and the undisturbed one beside it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from bus.fault import CellTarget, FaultSpec
+from deploy.errors import InputError
+from deploy.faults.registry import KINDS
+from deploy.scenes.errors import KeyPath
+from deploy.scenes.files import parse_scene
+from deploy.scenes.overrides import Override
+from deploy.studies.campaign.criterion import Criterion, criterion_of
+from deploy.util.formatting import counted
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+    from deploy.studies.campaign.spec import Asked
+
+
+FAULT = "fault"
+"""First part of a key that belongs to the fault of the campaign, not to the scene."""
+
+_MOST_VALUES = 10_000
+"""Values of one key, and seeds."""
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(?::({_NUMBER}))?")
+_WHOLE = re.compile(r"[+-]?\d+")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A key and the values that it takes in turn.
+
+    Attributes:
+        key: As it was given, with dots.
+        path: The same in parts.
+        values: At least one, all different, as TOML would have them.
+        option: What the user typed; errors name it.
+    """
+
+    key: str
+    path: KeyPath
+    values: tuple[Any, ...]
+    option: str
+
+    @classmethod
+    def parse(cls, text: str, option: str) -> Axis:
+        """Read ``KEY=VALUES``.
+
+        Args:
+            text: The key, and what `values_of` reads.
+            option: What the user typed.
+
+        Raises:
+            InputError: It is no such thing.
+        """
+        key, equals, values = text.partition("=")
+        if not equals:
+            raise InputError(
+                f"{option}: must be KEY=VALUES: FROM:TO:STEP, or values with commas between them"
+            )
+        path = Override.parse(f"{key}=0", option).path
+        if path == ("seed",):
+            raise InputError(f"{option}: seeds are varied by --seeds")
+        return cls(key.strip(), path, values_of(values.strip(), option), option)
+
+    def override(self, value: Any) -> Override:
+        """What puts a value where the key says."""
+        return Override(self.path, value, f"{self.option}, value {value}")
+
+
+def values_of(text: str, option: str) -> tuple[Any, ...]:
+    """``FROM:TO:STEP``, TO included where the steps reach it, or TOML values with commas between them.
+
+    Steps are counted in decimal, as they were typed: the third of 0:0.5:0.1 is the number 0.2 itself. Values are whole
+    numbers only where FROM and STEP are. Bare words need no quotes.
+
+    Raises:
+        InputError: Neither, no value at all, too many, or one of them twice.
+    """
+    found = _RANGE.fullmatch(text)
+    values = _listed(text, option) if found is None else _range(found[1], found[2], found[3], option)
+    if not values:
+        raise InputError(f"{option}: no value at all")
+    if len({repr(value) for value in values}) < len(values):
+        raise InputError(f"{option}: the same value twice")
+    return values
+
+
+def _range(start: str, stop: str, step: str | None, option: str) -> tuple[Any, ...]:
+    first, last, stride = Decimal(start), Decimal(stop), Decimal(step or "1")
+    if not stride:
+        raise InputError(f"{option}: the step must not be 0")
+    count = math.floor((last - first) / stride) + 1
+    if count < 1:
+        raise InputError(f"{option}: steps of {stride} don't lead from {first} to {last}")
+    if count > _MOST_VALUES:
+        raise InputError(f"{option}: {count:,} values; at most {_MOST_VALUES:,}")
+    whole = bool(_WHOLE.fullmatch(start) and _WHOLE.fullmatch(step or "1"))
+    numbers = (first + stride * i for i in range(count))
+    return tuple(int(number) if whole else float(number) for number in numbers)
+
+
+def _listed(text: str, option: str) -> tuple[Any, ...]:
+    try:
+        table = tomllib.loads(f"values = [{text}]")
+    except tomllib.TOMLDecodeError:
+        words = [Override.parse(f"value={word}", option) for word in text.split(",")]
+        return tuple(word.value for word in words)
+    if len(table) != 1:  # a line break in the values began another key
+        raise InputError(f"{option}: values of one key, not of {len(table)}")
+    return tuple(table["values"])
+
+
+def seeds_of(text: str, first: int) -> tuple[int, ...]:
+    """The seeds that ``--seeds`` asks for.
+
+    Args:
+        text: How many; or ``FROM:TO``, ``FROM:TO:STEP``, or a list.
+        first: The first of so many: the scene's own.
+
+    Raises:
+        InputError: It is no such thing, or a seed is none.
+    """
+    option = f"--seeds {text}"
+    if _WHOLE.fullmatch(text):
+        if not 1 <= int(text) <= _MOST_VALUES:
+            raise InputError(f"{option}: so many must be 1..{_MOST_VALUES:,}")
+        return tuple(range(first, first + int(text)))
+    seeds = values_of(text, option)
+    for seed in seeds:
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**63:
+            raise InputError(f"{option}: {seed}: a seed must be a whole number from 0")
+    return seeds
+
+
+def combinations(axes: Sequence[Axis]) -> Iterator[tuple[Any, ...]]:
+    """Every combination of values, the last key's fastest; a single empty one where nothing is varied."""
+    return itertools.product(*(axis.values for axis in axes))
+
+
+def check_size(axes: Sequence[Axis], seeds: Sequence[int], most: int) -> None:
+    """Refuse a campaign of more than ``most`` runs.
+
+    Raises:
+        InputError: It is one.
+    """
+    runs = math.prod(len(axis.values) for axis in axes) * len(seeds)
+    if runs > most:
+        raise InputError(f"campaign: {counted(runs, 'run')}; at most {most:,}")
+
+
+_TARGETS = CellTarget.model_fields.keys() - FaultSpec.model_fields.keys()
+"""Keys by which a fault that strikes cells says which."""
+
+_MOST_RUNS = 1_000_000
+"""Runs of a campaign."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One combination of values, whatever the seed.
+
+    Attributes:
+        number: Its place in the grid, the last key fastest.
+        values: What is varied, by key.
+        scene: What runs.
+        undisturbed: What that is compared with; None: with nothing.
+        criterion: What makes a run of it a success.
+        beside: Names the undisturbed scene, seed aside: cases that are compared with the same have the same; empty
+            where there is none.
+    """
+
+    number: int
+    values: dict[str, Any]
+    scene: Scene
+    undisturbed: Scene | None
+    criterion: Criterion
+    beside: str = ""
+
+    def undisturbed_key(self, seed: int) -> str:
+        """Names the run that the one with this seed is compared with; empty where there is none."""
+        return f"{self.beside}-{seed}" if self.beside else ""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Cases:
+    """All that runs.
+
+    Attributes:
+        scene: As it is where nothing is varied, without the campaign's fault.
+        axes: What is varied.
+        seeds: Every case runs with each.
+        cases: In the order of the grid.
+    """
+
+    scene: Scene
+    axes: tuple[Axis, ...]
+    seeds: tuple[int, ...]
+    cases: tuple[Case, ...]
+
+    @property
+    def runs(self) -> int:
+        """How many, undisturbed ones not counted."""
+        return len(self.cases) * len(self.seeds)
+
+    @property
+    def undisturbed_runs(self) -> int:
+        """How many of those, each once for all cases that share it."""
+        return len({case.beside for case in self.cases} - {""}) * len(self.seeds)
+
+
+def with_seed(scene: Scene, seed: int) -> Scene:
+    """The same scene, left to another chance; what is valid with one seed is with all."""
+    return scene.model_copy(update={"seed": seed})
+
+
+def cases_of(asked: Asked, text: str) -> Cases:
+    """Make and validate the scenes of all cases.
+
+    Args:
+        asked: The campaign.
+        text: TOML of its scene.
+
+    Raises:
+        InputError: What was asked makes no sense, or not with this scene; nothing was started.
+    """
+    everywhere, of_fault = _sets(asked)
+    folder = None if asked.folder is None else Path(asked.folder)
+
+    def scene_with(overrides: Sequence[Override]) -> Scene:
+        return parse_scene(text, asked.scene, [*everywhere, *overrides], folder)
+
+    plain = scene_with(())
+    axes = _axes(asked)
+    seeds = seeds_of(asked.seeds, plain.seed)
+    check_size(axes, seeds, _MOST_RUNS)
+    against = [Override.parse(one, f"--against {one}") for one in asked.against]
+    fault = _fault(asked, of_fault, axes)
+    place = len(plain.faults)
+
+    def case(number: int, values: tuple[Any, ...]) -> Case:
+        varied = [axis.override(value) for axis, value in zip(axes, values, strict=True)]
+        own = [one for one in varied if one.path[0] != FAULT]
+        faulty = [*fault, *(one for one in varied if one.path[0] == FAULT)]
+        undisturbed = scene_with([*own, *against]) if fault or against else None
+        scene = scene_with([*own, *(_placed(one, place) for one in faulty)])
+        return Case(
+            number,
+            {axis.key: value for axis, value in zip(axes, values, strict=True)},
+            scene,
+            undisturbed,
+            criterion_of(asked, scene, compared=undisturbed is not None),
+            "" if undisturbed is None else sha256(undisturbed.canonical()).hexdigest()[:16],
+        )
+
+    return Cases(plain, axes, seeds, tuple(case(*one) for one in enumerate(combinations(axes))))
+
+
+def _sets(asked: Asked) -> tuple[list[Override], list[Override]]:
+    """What ``--set`` changes in the scene, and in the campaign's fault."""
+    sets = [Override.parse(text) for text in asked.set]
+    if asked.duration_s is not None:
+        sets.append(Override(("duration_s",), asked.duration_s, f"--duration {asked.duration_s:g}"))
+    everywhere = [one for one in sets if one.path[0] != FAULT]
+    of_fault = [one for one in sets if one.path[0] == FAULT]
+    for one in of_fault:
+        _check_fault(asked, one.path, one.option)
+    return everywhere, of_fault
+
+
+def _axes(asked: Asked) -> tuple[Axis, ...]:
+    options = [] if asked.share is None else [(f"{FAULT}.share={asked.share}", f"--share {asked.share}")]
+    options += [(one, f"--vary {one}") for one in asked.vary]
+    axes = tuple(Axis.parse(text, option) for text, option in options)
+    for number, axis in enumerate(axes):
+        _check_fault(asked, axis.path, axis.option)
+        if axis.path in [other.path for other in axes[:number]]:
+            raise InputError(f"{axis.option}: {axis.key} is varied already")
+    return axes
+
+
+def _check_fault(asked: Asked, path: Sequence[str | int], option: str) -> None:
+    if path[0] != FAULT:
+        return
+    if len(path) < 2:
+        raise InputError(f"{option}: must name a key of the fault: {FAULT}.KEY")
+    if asked.fault is None:
+        raise InputError(f"{option}: of which fault? --fault KIND adds one")
+
+
+def _fault(asked: Asked, more: Sequence[Override], axes: Sequence[Axis]) -> list[Override]:
+    """The campaign's fault, without what is varied of it; empty where there is none.
+
+    One that strikes cells, and of which nothing says which, strikes all of them.
+    """
+    if asked.fault is None:
+        for option, given_s in (("--at", asked.at_s or None), ("--until", asked.until_s)):
+            if given_s is not None:
+                raise InputError(f"{option} {given_s:g}: of which fault? --fault KIND adds one")
+        return []
+    table: dict[str, Any] = {"kind": asked.fault, "at_s": asked.at_s}
+    if asked.until_s is not None:
+        table["until_s"] = asked.until_s
+    said = {one.path[1] for one in (*more, *axes) if one.path[0] == FAULT}
+    kind = KINDS.get(asked.fault)
+    if kind is not None and issubclass(kind, CellTarget) and not said & _TARGETS:
+        table["share"] = 1.0
+    return [Override((FAULT,), table, f"--fault {asked.fault}"), *more]
+
+
+def _placed(override: Override, place: int) -> Override:
+    """An override of the campaign's fault as one of the scene's ``faults``, the last."""
+    return Override(("faults", place, *override.path[1:]), override.value, override.option)

@@ -1,0 +1,289 @@
+"""Runs of a campaign in worker processes of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import signal
+import socket
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from types import TracebackType
+from typing import TYPE_CHECKING, Protocol, Self, final
+
+from deploy.studies.campaign.result import Ending, ending_of
+from deploy.workers.pool import Crew, WorkerError, describe_exit
+from deploy.workers.socket_folder import SocketFolder
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+
+
+PRELOAD = (
+    "asyncio",
+    "msgpack",
+    "numpy",
+    "bus.lockstep",
+    "bus.transports.memory",
+    "cell_firmware.agent",
+    "cell_firmware.build",
+    "deploy.studies.campaign.pool",
+    "deploy.runs.headless",
+    "plant.kernels.exact.block",
+    "plant.plant",
+    "plant.process",
+)
+"""What a worker needs: imported once, before the workers are forked. Importing kernels neither compiles
+nor runs one."""
+
+_CELLS = "cells"
+"""Name of the thread in which a run's cells are."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What a worker does until nobody hands it anything more.
+
+    Args:
+        address: Path of the socket on which scenes are handed out.
+    """
+
+    address: str
+
+    def __call__(self, worker: int) -> None:
+        """Run scenes; ``worker`` is this one's number."""
+        line = socket.socket(socket.AF_UNIX)
+        line.connect(self.address)
+        with Connection(line.detach()) as desk:
+            desk.send(worker)
+            while True:
+                try:
+                    scene: Scene = desk.recv()
+                except (EOFError, ConnectionResetError):
+                    return
+                ending = _run(scene)
+                # A firmware that never returns would slow down what runs here next: another process does that.
+                spent = any(thread.name == _CELLS for thread in threading.enumerate())
+                desk.send((ending, spent))
+                if spent:
+                    return
+
+
+def _run(scene: Scene) -> Ending:
+    try:
+        return ending_of(scene)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is how this run ended, and the others go on
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        return Ending(status="failed", reason=f"{error!r} ({where.filename}, line {where.lineno})")
+
+
+_LOOK_S = 0.02
+"""How often the limit, signals and workers that never came are looked for."""
+
+_STILLBORN = 3
+"""Workers that may end before they come, one after another."""
+
+_REPORT_S = 2.0
+"""How long to wait for how a worker ended that has gone."""
+
+
+class Executor(Protocol):
+    """Runs scenes, wherever that is."""
+
+    def carry_out(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, Ending]]:
+        """Run scenes; how each ended comes with its place among them, in any order.
+
+        A run that fails, hangs or is killed ends as failed, and the others go on.
+        """
+        ...
+
+
+@final
+@dataclass(slots=True)
+class _Job:
+    """A run that is to be done or is being done.
+
+    Attributes:
+        place: Among the scenes that were given.
+        scene: What runs.
+        since: Wall time at which it was handed out.
+        tried: Whether a worker was lost over it.
+    """
+
+    place: int
+    scene: Scene
+    since: float = 0.0
+    tried: bool = False
+
+
+@final
+@dataclass(slots=True)
+class _Desk:
+    """A worker that has come, and what it is at.
+
+    Attributes:
+        worker: Its number.
+        line: To it.
+        job: None: nothing.
+    """
+
+    worker: int
+    line: Connection
+    job: _Job | None = None
+
+
+@final
+class Pool:
+    """Worker processes, each with one run at a time; leaving the context ends them, whatever they are at.
+
+    They are forked by a nursery, which runs nothing itself, and end with this process however that ends.
+
+    Args:
+        jobs: Runs at a time.
+        limit_s: Wall time of a run, after which it is ended.
+        look: Called many times a second; may raise.
+    """
+
+    def __init__(self, jobs: int, limit_s: float, look: Callable[[], None]) -> None:
+        self._jobs = jobs
+        self._limit_s = limit_s
+        self._look = look
+        self._desks: list[_Desk] = []
+        self._coming: set[int] = set()
+        """Workers that were started and have not come yet."""
+        self._stillborn = 0
+        """Workers that ended before they came, since the last that did come."""
+        with contextlib.ExitStack() as stack:
+            address = str(stack.enter_context(SocketFolder()).path / "desk")
+            self._door = stack.enter_context(socket.socket(socket.AF_UNIX))
+            self._door.bind(address)
+            self._door.listen(jobs)
+            self._crew = stack.enter_context(Crew(PRELOAD))
+            self._crew.start(Work(address), ())
+            stack.callback(self._dismiss)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def _dismiss(self) -> None:
+        """Workers that wait for a scene end by themselves."""
+        for desk in self._desks:
+            desk.line.close()
+
+    def carry_out(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, Ending]]:
+        """Run scenes; see `Executor`.
+
+        Raises:
+            WorkerError: No worker can be started.
+        """
+        more = (_Job(place, scene) for place, scene in enumerate(scenes))
+        todo = deque(itertools.islice(more, self._jobs))
+        while todo or any(desk.job for desk in self._desks):
+            self._look()
+            self._staff(len(todo))
+            self._hand_out(todo)
+            ready = wait([self._door, *(desk.line for desk in self._desks)], _LOOK_S)
+            if self._door in ready:
+                self._greet()
+            for desk in [desk for desk in self._desks if desk.line in ready]:
+                yield from self._hear(desk, todo)
+            yield from self._overdue()
+            todo.extend(itertools.islice(more, max(0, self._jobs - len(todo))))
+
+    def _staff(self, todo: int) -> None:
+        """Have as many workers as there is work for, and no more than were asked for."""
+        while self._crew.poll():
+            pass
+        if self._crew.gone:
+            raise WorkerError("the process that starts workers has ended")
+        for worker in [worker for worker in self._coming if worker in self._crew.ended]:
+            self._coming.discard(worker)
+            self._stillborn += 1
+            if self._stillborn > _STILLBORN:
+                why = next((one.error for one in self._crew.failures if one.worker == worker), "")
+                raise WorkerError(
+                    "worker processes end before they have run anything: "
+                    f"{why or describe_exit(self._crew.ended[worker])}"
+                )
+        busy = sum(desk.job is not None for desk in self._desks)
+        wanted = min(self._jobs, busy + todo) - len(self._desks) - len(self._coming)
+        for _ in range(wanted):
+            self._coming.add(self._crew.add("mdms campaign"))
+
+    def _greet(self) -> None:
+        line = Connection(self._door.accept()[0].detach())
+        try:
+            worker: int = line.recv()
+        except (EOFError, ConnectionResetError):
+            line.close()  # its end is reported, too
+            return
+        self._coming.discard(worker)
+        self._stillborn = 0
+        self._desks.append(_Desk(worker, line))
+
+    def _hand_out(self, todo: deque[_Job]) -> None:
+        for desk in self._desks:
+            if desk.job is None and todo:
+                desk.job = todo.popleft()
+                desk.job.since = time.monotonic()
+                # One that has gone is heard of in the next turn.
+                with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                    desk.line.send(desk.job.scene)
+
+    def _hear(self, desk: _Desk, todo: deque[_Job]) -> Iterator[tuple[int, Ending]]:
+        """What a worker tells, or that it has gone."""
+        job, desk.job = desk.job, None
+        try:
+            told: tuple[Ending, bool] = desk.line.recv()
+        except (EOFError, ConnectionResetError):
+            self._part(desk)
+            if job is not None:
+                yield from self._lost(desk.worker, job, todo)
+            return
+        assert job is not None
+        ending, spent = told
+        if spent:
+            self._part(desk)
+        yield job.place, ending
+
+    def _lost(self, worker: int, job: _Job, todo: deque[_Job]) -> Iterator[tuple[int, Ending]]:
+        """What becomes of a run whose worker has gone."""
+        if job.tried:
+            reason = f"its process was lost twice: {self._how(worker)}"
+            yield job.place, Ending(status="failed", reason=reason)
+        else:
+            job.tried = True
+            todo.appendleft(job)
+
+    def _part(self, desk: _Desk) -> None:
+        """Nothing more is handed to a worker, which ends by itself."""
+        self._desks.remove(desk)
+        desk.line.close()
+
+    def _how(self, worker: int) -> str:
+        """How a worker ended."""
+        deadline = time.monotonic() + _REPORT_S
+        while worker not in self._crew.ended and (left := deadline - time.monotonic()) > 0.0:
+            self._crew.poll(left)
+        return describe_exit(self._crew.ended[worker]) if worker in self._crew.ended else "nobody knows how"
+
+    def _overdue(self) -> Iterator[tuple[int, Ending]]:
+        """End what takes longer than it may."""
+        now = time.monotonic()
+        for desk in list(self._desks):
+            if desk.job is not None and now - desk.job.since > self._limit_s:
+                self._crew.signal(signal.SIGKILL, [desk.worker])
+                self._part(desk)
+                yield desk.job.place, Ending(status="failed", reason=f"not over after {self._limit_s:g} s")

@@ -1,0 +1,246 @@
+"""What a run is judged by: whether it succeeded, how far its parcels are off, how long they took."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from deploy.errors import DeployError
+from plant.errors import PlantError
+
+if TYPE_CHECKING:
+    from deploy.runs.headless import Course
+    from deploy.scenes.scene import Scene
+    from deploy.studies.campaign.criterion import Criterion
+
+
+Corners = tuple[tuple[float, float], ...]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ParcelEnd:
+    """How one parcel ended.
+
+    Attributes:
+        state: As ``plant.observations.ParcelStatus`` has it.
+        time_s: Since when.
+        place_m: Of its centre of mass, in world coordinates.
+        corners_m: Of its footprint, in world coordinates.
+    """
+
+    state: str
+    time_s: float
+    place_m: tuple[float, float]
+    corners_m: Corners
+
+    @property
+    def left(self) -> bool:
+        """Whether it left through an exit."""
+        return self.state == "delivered"
+
+    @property
+    def there(self) -> bool:
+        """Whether it has come and has not left; one that tipped lies where it tipped."""
+        return self.state != "waiting" and not self.left
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ending:
+    """How one run ended.
+
+    Attributes:
+        status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
+        reason: Why it isn't ``ok``; empty where it is.
+        parcels: All of them, in the scene's order; none where the run did not come to its end.
+        misrouted: How many left by another exit than theirs.
+        cells_lost: Cells that were lost though no fault struck them: their program raised, or they did not answer in
+            time. What follows from the latter is not repeatable.
+        digest: Of all ticks, as ``mdms run`` has it; None where the run did not come to its end.
+        wall_s: Of the run itself, without start-up.
+    """
+
+    status: str
+    reason: str = ""
+    parcels: tuple[ParcelEnd, ...] = ()
+    misrouted: int = 0
+    cells_lost: int = 0
+    digest: str | None = None
+    wall_s: float = 0.0
+
+
+def ending_of(scene: Scene) -> Ending:
+    """Run a scene, the whole system in this process; whatever goes wrong in it is how it ended."""
+    from cell_firmware.errors import FirmwareError
+    from deploy.recordings.digest import Digest
+    from deploy.runs.headless import follow
+
+    digest = Digest(scene.canonical())
+    try:
+        course = follow(scene, cells=True, digest=digest)
+    except (DeployError, PlantError, FirmwareError) as error:
+        return Ending(status="failed", reason=str(error))
+    if course.status != "ok":
+        return Ending(
+            status=course.status, reason=course.reason, cells_lost=course.cells_lost, wall_s=course.wall_s
+        )
+    return Ending(
+        status="ok",
+        parcels=_parcels(course),
+        misrouted=course.misrouted,
+        cells_lost=course.cells_lost,
+        digest=digest.hexdigest,
+        wall_s=course.wall_s,
+    )
+
+
+def _parcels(course: Course) -> tuple[ParcelEnd, ...]:
+    from plant.geometry import placed
+
+    return tuple(
+        ParcelEnd(
+            fate.state,
+            fate.time_s,
+            (float(course.states[number, 0]), float(course.states[number, 1])),
+            tuple((float(x), float(y)) for x, y in placed(footprint, course.states[number])),
+        )
+        for number, (fate, footprint) in enumerate(zip(course.fates, course.footprints_m, strict=True))
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What one run came to.
+
+    Attributes:
+        status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
+        reason: Why it isn't ``ok``, or why it did not succeed; empty where it did.
+        succeeded: See `judged`.
+        error_m: The same.
+        time_s: The same.
+        cells_lost: Cells that were lost though no fault struck them.
+        digest: Of all ticks, as ``mdms run`` has it; None where the run did not come to its end.
+        wall_s: Of the run itself, without start-up.
+    """
+
+    status: str
+    reason: str
+    succeeded: bool
+    error_m: float | None
+    time_s: float | None
+    cells_lost: int
+    digest: str | None
+    wall_s: float
+
+
+def judged(ending: Ending, undisturbed: Ending | None, criterion: Criterion) -> Outcome:
+    """Judge a run.
+
+    It has *succeeded* if its status is ``ok``; no parcel tipped, fell off the array (left it other than through an
+    exit) or was misrouted; every parcel that rests in the undisturbed run rests here or has left, and every one that
+    left there has left here; and what the criterion demands holds.
+
+    The *error* is the largest distance, at the end, of any corner of a parcel's footprint from where it is in the
+    undisturbed run, over the parcels that are there in both. Without an undisturbed run it is the largest distance of a
+    parcel's centre of mass from the criterion's place. None where there is none. The *time* is when the last
+    parcel came to rest or left; None unless every parcel did.
+
+    Args:
+        ending: Of the run.
+        undisturbed: Of the run that it is compared with; None: with nothing.
+        criterion: Demands on the run.
+    """
+    status, reason = ending.status, ending.reason
+    if status == "ok" and undisturbed is not None and undisturbed.status != "ok":
+        status, reason = "failed", f"the undisturbed run: {undisturbed.status}: {undisturbed.reason}"
+    if status != "ok":
+        return Outcome(
+            status=status,
+            reason=reason,
+            succeeded=False,
+            error_m=None,
+            time_s=None,
+            cells_lost=ending.cells_lost,
+            digest=ending.digest,
+            wall_s=ending.wall_s,
+        )
+    if undisturbed is not None:
+        error_m = error_of(ending, undisturbed)
+    else:
+        error_m = None if criterion.place_m is None else distance_of(ending, criterion.place_m)
+    flaw = _flaw(ending, undisturbed) or _unmet(ending, error_m, criterion)
+    return Outcome(
+        status=status,
+        reason=flaw,
+        succeeded=not flaw,
+        error_m=error_m,
+        time_s=time_of(ending),
+        cells_lost=ending.cells_lost,
+        digest=ending.digest,
+        wall_s=ending.wall_s,
+    )
+
+
+def _flaw(ending: Ending, undisturbed: Ending | None) -> str:
+    """Why a run that came to its end did not succeed, as far as its parcels' states tell; empty: it may have."""
+    for number, parcel in enumerate(ending.parcels):
+        if parcel.state == "tipped":
+            return f"parcel {number} tipped"
+        if parcel.state == "off_array":
+            return f"parcel {number} fell off the array"
+    if ending.misrouted:
+        return f"{ending.misrouted} misrouted"
+    for number, (parcel, other) in enumerate(zip(ending.parcels, _of(undisturbed), strict=False)):
+        if other.left and not parcel.left:
+            return f"parcel {number} has not left"
+        if other.state == "at_rest" and not _done(parcel):
+            return f"parcel {number} is {parcel.state}"
+    return ""
+
+
+def _unmet(ending: Ending, error_m: float | None, criterion: Criterion) -> str:
+    """The criterion's demand that isn't met; empty: all are."""
+    for number, parcel in enumerate(ending.parcels):
+        if criterion.delivered and not parcel.left and parcel.state != "waiting":
+            return f"parcel {number} is {parcel.state}, not delivered"
+        if criterion.at_rest and not _done(parcel):
+            return f"parcel {number} is {parcel.state}"
+    if criterion.within_m is not None and error_m is not None and error_m > criterion.within_m:
+        return f"{error_m:.3g} m from {criterion.reference}"
+    return ""
+
+
+def _of(ending: Ending | None) -> tuple[ParcelEnd, ...]:
+    return () if ending is None else ending.parcels
+
+
+def _done(parcel: ParcelEnd) -> bool:
+    """Whether it came to rest or left."""
+    return parcel.left or parcel.state == "at_rest"
+
+
+def error_of(ending: Ending, undisturbed: Ending) -> float | None:
+    """The largest distance of a corner from where it is in the undisturbed run, m; None where no parcel is in both."""
+    pairs = zip(ending.parcels, undisturbed.parcels, strict=False)
+    distances = [
+        math.dist(corner, other)
+        for one, there in pairs
+        if one.there and there.there
+        for corner, other in zip(one.corners_m, there.corners_m, strict=False)
+    ]
+    return max(distances, default=None)
+
+
+def distance_of(ending: Ending, place_m: tuple[float, float]) -> float | None:
+    """The largest distance of a parcel's centre of mass from a place, m; None where no parcel is there."""
+    return max((math.dist(one.place_m, place_m) for one in ending.parcels if one.there), default=None)
+
+
+def time_of(ending: Ending) -> float | None:
+    """When the last parcel came to rest or left, s; None unless every parcel did, and where there is none."""
+    if not all(_done(parcel) for parcel in ending.parcels):
+        return None
+    return max((parcel.time_s for parcel in ending.parcels), default=None)

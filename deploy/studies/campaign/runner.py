@@ -1,0 +1,237 @@
+"""A campaign from what was asked to its report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, final
+
+from pydantic import TypeAdapter
+
+from deploy.errors import DeployError, InputError
+from deploy.studies.campaign.cases import with_seed
+from deploy.studies.campaign.console import Progress
+from deploy.studies.campaign.pool import Executor, Pool
+from deploy.studies.campaign.report import Report, rows_of
+from deploy.studies.campaign.result import Ending, Outcome, judged
+from deploy.util.formatting import say, silent
+from deploy.util.signals import Interrupted, Interruption
+
+if TYPE_CHECKING:
+    from deploy.studies.campaign.cases import Case, Cases
+    from deploy.studies.campaign.spec import Asked
+
+
+FILE_NAME = "runs.jsonl"
+
+_ENDING = TypeAdapter(Ending)
+_OUTCOME = TypeAdapter(Outcome)
+
+
+@final
+class Journal:
+    """The runs that are over, in the file and at hand.
+
+    A line is written in one go and flushed: whatever ends the campaign, only the last can be torn, and that is dropped
+    when the file is opened again.
+
+    Args:
+        folder: The campaign's, locked by the caller (``deploy.util.output_lock``).
+
+    Raises:
+        InputError: A line of the file makes no sense.
+        DeployError: The file can't be opened.
+
+    Attributes:
+        runs: What each run came to, by the case's number and the seed.
+        undisturbed: How each undisturbed run ended, by its key.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.runs: dict[tuple[int, int], Outcome] = {}
+        self.undisturbed: dict[str, Ending] = {}
+        self._path = folder / FILE_NAME
+        try:
+            self._file = self._path.open("ab+", buffering=0)
+        except OSError as error:
+            raise DeployError(f"can't open {self._path}: {error.strerror or error}") from None
+        try:
+            self._read()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def _read(self) -> None:
+        self._file.seek(0)
+        content = self._file.read()
+        whole = content.rfind(b"\n") + 1
+        self._file.truncate(whole)
+        for number, line in enumerate(content[:whole].splitlines(), start=1):
+            try:
+                self._take(json.loads(line))
+            except (ValueError, KeyError, TypeError) as error:
+                raise InputError(f"{self._path}: line {number} is no run of a campaign: {error!r}") from None
+
+    def _take(self, line: Mapping[str, Any]) -> None:
+        if "undisturbed" in line:
+            self.undisturbed[line["undisturbed"]] = _ENDING.validate_python(line["ending"])
+        else:
+            self.runs[line["case"], line["seed"]] = _OUTCOME.validate_python(line)
+
+    def add_undisturbed(self, key: str, seed: int, ending: Ending) -> None:
+        """Keep how an undisturbed run ended.
+
+        Raises:
+            DeployError: It can't be written.
+        """
+        self._append({"undisturbed": key, "seed": seed, "ending": asdict(ending)})
+        self.undisturbed[key] = ending
+
+    def add_run(self, case: Case, seed: int, outcome: Outcome) -> None:
+        """Keep what a run came to.
+
+        Raises:
+            DeployError: It can't be written.
+        """
+        self._append({"case": case.number, "seed": seed, "values": case.values, **asdict(outcome)})
+        self.runs[case.number, seed] = outcome
+
+    def _append(self, line: Mapping[str, Any]) -> None:
+        content = json.dumps(line, ensure_ascii=False, default=str).encode() + b"\n"
+        try:
+            while content:
+                content = content[self._file.write(content) :]
+        except OSError as error:
+            raise DeployError(f"can't write {self._path}: {error.strerror or error}") from error
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """What is run, and where its results go.
+
+    Attributes:
+        asked: What was asked for.
+        cases: What that means.
+        folder: Where results go, those of runs done before included; locked by the caller
+            (``deploy.util.output_lock``).
+        quiet: Show no progress and no warnings on stderr.
+    """
+
+    asked: Asked
+    cases: Cases
+    folder: Path
+    quiet: bool = False
+
+    def run(self, jobs: int, interruption: Interruption) -> Report:
+        """Do all runs that are missing, in worker processes of this machine.
+
+        Args:
+            jobs: Runs at a time.
+            interruption: Ends the campaign early; what is over by then is kept.
+
+        Returns:
+            The report, of all runs that are over.
+
+        Raises:
+            InputError: A line of the file of runs that are over makes no sense.
+            DeployError: No worker can be started, or a result can't be written.
+        """
+        with Journal(self.folder) as journal:
+            status, reason = "ok", ""
+            try:
+                if len(journal.runs) < self.cases.runs:
+                    self._work(journal, jobs, interruption)
+            except Interrupted:
+                over, total = len(journal.runs), self.cases.runs
+                status = "interrupted"
+                reason = (
+                    f"{over:,} of {total:,} runs are over; `mdms campaign --resume {self.folder}` goes on"
+                )
+            return self._report(journal, status, reason)
+
+    def _work(self, journal: Journal, jobs: int, interruption: Interruption) -> None:
+        # Workers import what they need while this process compiles kernels, or finds them compiled.
+        with Pool(jobs, self.asked.limit_s, interruption.check) as pool:
+            with interruption.allowed():
+                self._make_ready()
+            self.carry_out(pool, journal)
+
+    def carry_out(self, executor: Executor, journal: Journal) -> None:
+        """Do all runs that are missing: first the undisturbed ones, each once, then those that are judged by them.
+
+        Args:
+            executor: Who runs scenes.
+            journal: Of the runs that are over; continued.
+        """
+        runs = [
+            (case, seed)
+            for case in self.cases.cases
+            for seed in self.cases.seeds
+            if (case.number, seed) not in journal.runs
+        ]
+        beside = {
+            case.undisturbed_key(seed): with_seed(case.undisturbed, seed)
+            for case, seed in runs
+            if case.undisturbed is not None
+        }
+        missing = [(key, scene) for key, scene in beside.items() if key not in journal.undisturbed]
+        failed = sum(one.status != "ok" for one in journal.runs.values())
+        done = len(journal.runs)
+        with Progress(self.cases.runs + len(missing), done, failed, quiet=self.quiet) as progress:
+            for place, ending in executor.carry_out(scene for _, scene in missing):
+                key, scene = missing[place]
+                journal.add_undisturbed(key, scene.seed, ending)
+                progress.advance(failed=False)
+            self._judge(executor, journal, runs, progress)
+
+    def _judge(
+        self, executor: Executor, journal: Journal, runs: Sequence[tuple[Case, int]], progress: Progress
+    ) -> None:
+        for place, ending in executor.carry_out(with_seed(case.scene, seed) for case, seed in runs):
+            case, seed = runs[place]
+            undisturbed = journal.undisturbed.get(case.undisturbed_key(seed))
+            outcome = judged(ending, undisturbed, case.criterion)
+            journal.add_run(case, seed, outcome)
+            progress.advance(failed=outcome.status != "ok")
+
+    def _make_ready(self) -> None:
+        """Have kernels on disk before several processes look for them there."""
+        from deploy.runs.setup import load_plant
+
+        seen: set[tuple[object, ...]] = set()
+        for case in self.cases.cases:
+            effects = case.scene.effects
+            kind = (case.scene.solver.name, effects.clock is None, effects.motors is None)
+            if kind not in seen:
+                seen.add(kind)
+                with suppress(InputError):  # every run of it will say so
+                    load_plant(case.scene, silent if self.quiet else say)
+
+    def _report(self, journal: Journal, status: str, reason: str) -> Report:
+        outcomes = journal.runs
+        if status == "ok" and all(one.status != "ok" for one in outcomes.values()):
+            first = outcomes[min(outcomes)]
+            status, reason = "failed", f"no run came to its end; the first: {first.status}: {first.reason}"
+        rows = tuple(rows_of(self.cases, outcomes, self.asked.confidence))
+        return Report(
+            status=status,
+            reason=reason,
+            asked=self.asked,
+            cases=self.cases,
+            outcomes=outcomes,
+            rows=rows,
+            folder=self.folder,
+        )

@@ -1,0 +1,160 @@
+"""What a campaign was asked for, as its folder keeps it: enough to go on with it."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, final
+
+from pydantic import Field, ValidationError
+
+from bus.spec import Finite, NotNegative, Positive, Spec
+from deploy.errors import InputError
+from deploy.scenes.errors import problems_of, strictly
+from deploy.util.files import write_text
+
+FILE_NAME = "campaign.toml"
+SCENE_NAME = "scene.toml"
+
+
+@final
+class Asked(Spec):
+    """The arguments of ``mdms campaign`` that decide what its runs are, and what is made of them.
+
+    Texts are kept as they were typed.
+    """
+
+    scene: str
+    """Bundled name, or the file."""
+    folder: str | None = None
+    """Where the file's own relative paths start; None for a bundled scene."""
+    set: tuple[str, ...] = ()
+    duration_s: Finite | None = None
+    fault: str | None = None
+    share: str | None = None
+    vary: tuple[str, ...] = ()
+    at_s: NotNegative = 0.0
+    until_s: NotNegative | None = None
+    seeds: str = "10"
+    against: tuple[str, ...] = ()
+    within_m: Positive | None = None
+    limit_s: Positive = 600.0
+    confidence: Annotated[float, Field(gt=0, lt=1)] = 0.95
+
+
+OPTIONS = {
+    "scene": "SCENE",
+    "duration_s": "--duration",
+    "at_s": "--at",
+    "until_s": "--until",
+    "within_m": "--within",
+    "limit_s": "--limit",
+}
+"""How fields are told on the command line, where it isn't ``--`` and their name."""
+
+
+def asked_for(given: dict[str, Any]) -> Asked:
+    """What the command line asks for.
+
+    Args:
+        given: By field; None where nothing was said.
+
+    Raises:
+        InputError: A value that is not allowed, one line each.
+    """
+    data = {name: value for name, value in given.items() if value is not None}
+    try:
+        return strictly(Asked, data)
+    except ValidationError as error:
+        problems = problems_of(error, data, Asked)
+        lines = [f"{_option(str(one.path[0]))} {data[str(one.path[0])]}: {one.rule}" for one in problems]
+        raise InputError("\n".join(lines)) from None
+
+
+def write(asked: Asked, scene: str, versions: dict[str, str], folder: Path) -> None:
+    """Keep what was asked for, and the scene's text, in the campaign's folder.
+
+    Raises:
+        DeployError: It can't be written.
+    """
+    write_text(folder / SCENE_NAME, scene)
+    said = {name: value for name, value in asked.model_dump(mode="json").items() if value is not None}
+    lines = ["# What was asked of `mdms campaign`; `mdms campaign --resume` reads it.", ""]
+    lines += [f"{name} = {_toml(value)}" for name, value in said.items()]
+    lines += ["", "[versions]", *(f"{name} = {_toml(value)}" for name, value in versions.items())]
+    write_text(folder / FILE_NAME, "\n".join(lines) + "\n")
+
+
+def read(folder: Path) -> tuple[Asked, str, dict[str, str]]:
+    """What `write` kept: what was asked for, the scene's text, the versions.
+
+    Raises:
+        InputError: There is no campaign in the folder, or it can't be read.
+    """
+    try:
+        data = tomllib.loads((folder / FILE_NAME).read_text(encoding="utf-8"))
+        scene = (folder / SCENE_NAME).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"--resume {folder}: no campaign there: {FILE_NAME} is missing") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"--resume {folder}: {FILE_NAME}: {error}") from None
+    versions = data.pop("versions", {})
+    try:
+        return strictly(Asked, data), scene, dict(versions)
+    except ValidationError as error:
+        lines = [f"--resume {folder}: {FILE_NAME}: {one}" for one in problems_of(error, data, Asked)]
+        raise InputError("\n".join(lines)) from None
+
+
+def check_same(kept: Asked, given: dict[str, Any], folder: Path) -> None:
+    """Refuse to go on with a campaign under other arguments than it was begun with.
+
+    Args:
+        kept: What it was begun with.
+        given: By field; None where nothing was said.
+        folder: The campaign's.
+
+    Raises:
+        InputError: Names what differs, one line each.
+    """
+    data = kept.model_dump()
+    lines = [
+        f"--resume {folder}: {_option(name)} {_typed(value)}: the campaign there was begun with {_typed(data[name])}"
+        for name, value in given.items()
+        if value is not None and value != data[name]
+    ]
+    if lines:
+        raise InputError("\n".join(lines))
+
+
+def check_versions(kept: dict[str, str], now: dict[str, str], folder: Path) -> None:
+    """Refuse to mix runs of several versions of anything that decides a run's bits.
+
+    Raises:
+        InputError: Names what differs.
+    """
+    names = sorted(kept.keys() | now.keys())
+    changed = [
+        f"{name} {kept.get(name)}, now {now.get(name)}" for name in names if kept.get(name) != now.get(name)
+    ]
+    if changed:
+        raise InputError(
+            f"--resume {folder}: begun with other versions: {'; '.join(changed)}: runs may differ in their last bits; "
+            "--other-versions goes on all the same"
+        )
+
+
+def _option(name: str) -> str:
+    return OPTIONS.get(name, f"--{name}")
+
+
+def _typed(value: Any) -> str:
+    if value is None or value == ():
+        return "none"
+    return " ".join(value) if isinstance(value, tuple) else str(value)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+
+
+def _toml(value: Any) -> str:
+    """A text, a number or a list of texts: JSON's form of them is TOML too, but for one character."""
+    return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,79 @@
+"""Which effects a scene could go without, and which it lacks though they would change its answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from deploy.runs.headless import needs_cells
+from deploy.studies.effects.ablation import NotPossible, dependents, tables, variant
+from deploy.studies.effects.sensitivity import Influence, compare
+
+if TYPE_CHECKING:
+    from deploy.studies.effects.study import Row, Study
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Advice:
+    """What to do about a scene's effects.
+
+    Attributes:
+        tolerance_m: How far a corner may be off at the end for the answer to count as the same.
+        can_go: Effects that the scene has and whose influence is within that, each by itself.
+        together: The influence of leaving out all of these at once; None where there are none, or it couldn't be found.
+        missing: Effects that the scene lacks and whose influence, with typical settings, is beyond it.
+        unclear: Effects whose influence is known no better than that: the solver's own error is beyond the tolerance.
+    """
+
+    tolerance_m: float
+    can_go: tuple[str, ...]
+    together: Influence | None
+    missing: tuple[str, ...]
+    unclear: tuple[str, ...]
+
+
+def advise(study: Study, rows: Sequence[Row], tolerance_m: float) -> Advice:
+    """Sort a scene's effects by whether they change its answer.
+
+    Args:
+        study: Of the scene.
+        rows: Its rows.
+        tolerance_m: Greater than 0.
+    """
+    told = [row for row in rows if row.influence is not None]
+    unclear = {row.name for row in told if _off(row.error) >= tolerance_m}
+    clear = [row for row in told if row.name not in unclear]
+    can_go = tuple(row.name for row in clear if row.on and _off(row.influence) < tolerance_m)
+    return Advice(
+        tolerance_m=tolerance_m,
+        can_go=can_go,
+        together=_together(study, can_go) if can_go else None,
+        missing=tuple(row.name for row in clear if not row.on and _off(row.influence) >= tolerance_m),
+        unclear=tuple(row.name for row in told if row.name in unclear),
+    )
+
+
+def _off(influence: Influence | None) -> float:
+    """How far the answer is off, m; a parcel that is there on one side only is off without bound."""
+    if influence is None:
+        return 0.0
+    return float("inf") if influence.parcels else influence.displacement_m or 0.0
+
+
+def _together(study: Study, names: Sequence[str]) -> Influence | None:
+    """The influence of all of these at once, with those that build on them."""
+    scene, own = study.scene, tables(study.scene)
+    gone = {other for name in names for other in dependents(name, own)}
+    try:
+        without = variant(
+            scene,
+            {name: table for name, table in own.items() if name not in gone},
+            solver=scene.solver.model_dump(mode="json"),
+        )
+    except NotPossible:
+        return None
+    cells = needs_cells(scene) or needs_cells(without)
+    courses = [study.course(one, cells=cells) for one in (scene, without)]
+    return compare(*courses) if all(course.status == "ok" for course in courses) else None

@@ -1,0 +1,186 @@
+"""A ladder of fidelity: one scene from a quasi-static motion to all effects, cost against distance from the top."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import TYPE_CHECKING, Any, final
+
+from deploy.errors import InputError
+from deploy.runs.headless import Course, follow, needs_cells
+from deploy.studies.effects.ablation import (
+    NotPossible,
+    Table,
+    dependents,
+    effect_types,
+    summary,
+    tables,
+    typical,
+    variant,
+)
+from deploy.studies.effects.sensitivity import Influence, compare
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+
+QUASI_STATIC: Table = {"name": "quasi_static"}
+VISCOUS: Table = {"law": "viscous", "coefficient_s_per_m": 0.2}
+STICK_SLIP: Table = {
+    "law": "stick_slip",
+    "coefficient": 0.2,
+    "motor_constant_n_per_a": 1.0,
+    "resistance_ohm": 4.0,
+    "gain_v_s_per_m": 10.0,
+}
+"""Laws of the lower rungs where the scene has none of that kind: those of the bundled scenes."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """One rung: what is below, and one thing more.
+
+    Attributes:
+        name: Of what it adds.
+        adds: That in words.
+        scene: What is run; None where it doesn't fit on what is below.
+        reason: Why not; empty where it does.
+        instead: Effects below that it leaves out because it doesn't go with them: it stands beside the ladder.
+    """
+
+    name: str
+    adds: str
+    scene: Scene | None
+    reason: str = ""
+    instead: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """What it adds, and in place of what."""
+        return f"{self.adds}; in place of {', '.join(self.instead)}" if self.instead else self.adds
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Climbed:
+    """A rung, run.
+
+    Attributes:
+        rung: Which.
+        wall_s: Median of its runs; None where it was not run, or came to no end.
+        distance: From the top rung; None likewise.
+        reason: Why; empty where all is well.
+    """
+
+    rung: Rung
+    wall_s: float | None = None
+    distance: Influence | None = None
+    reason: str = ""
+
+
+def rungs(scene: Scene) -> list[Rung]:
+    """The ladder of a scene, from the bottom.
+
+    Below are a quasi-static motion under viscous friction, the same with inertia, and stick-slip. On these come the
+    registered effects that have a place, in its order, with the scene's settings or typical ones; from the motors on
+    they, and no longer the law, are what drives, and traction is Coulomb's alone. What has no place (feeders, rails) is
+    the same on all rungs, as the scene has it. An effect that doesn't go with one below stands beside the ladder, in
+    the other's place, and those above do without it.
+
+    Args:
+        scene: With or without effects; its law's coefficients serve where they can.
+    """
+    kept = {name: table for name, table in tables(scene).items() if effect_types()[name].rung is None}
+    viscous, stick_slip = _law(scene, VISCOUS), _law(scene, STICK_SLIP)
+    above = _solver(scene)
+    found = [
+        _rung("quasi_static", "viscous friction, no inertia", scene, kept, viscous, QUASI_STATIC),
+        _rung("viscous", "inertia", scene, kept, viscous, above),
+        _rung("stick_slip", "rolling wheels, traction that runs out", scene, kept, stick_slip, above),
+    ]
+    for name, kind in effect_types().items():
+        if kind.rung is not None:
+            found.append(rung := _next(scene, kept, name))
+            if rung.scene is not None and not rung.instead:
+                kept = tables(rung.scene)
+    return found
+
+
+def _next(scene: Scene, kept: Mapping[str, Table], name: str) -> Rung:
+    """An effect on what is ``kept`` from below."""
+    own = tables(scene)
+    gone = _in_its_way(name, kept)
+    instead = tuple(other for other in kept if other in gone)
+    try:
+        settings = own[name] if name in own else typical(name, scene)
+    except NotPossible as why:
+        return Rung(name, summary(name), None, str(why))
+    effects = {**{other: table for other, table in kept.items() if other not in gone}, name: settings}
+    law = _law(scene, STICK_SLIP)
+    if "motors" in effects:
+        law = {"law": "coulomb", "coefficient": law["coefficient"]}
+    return replace(_rung(name, summary(name), scene, effects, law, _solver(scene)), instead=instead)
+
+
+def _in_its_way(name: str, kept: Mapping[str, Table]) -> set[str]:
+    """Effects with which one doesn't go, and those that build on them; none where the scene itself can't do without."""
+    types = effect_types()
+    against = [other for other in kept if other in types[name].excludes or name in types[other].excludes]
+    found = {other for one in against for other in dependents(one, kept)}
+    return set() if any(types[other].rung is None for other in found) else found
+
+
+def _law(scene: Scene, usual: Table) -> Table:
+    """The scene's law if it is of that kind, else the usual one of it."""
+    own = scene.friction.model_dump(mode="json")
+    return own if own["law"] == usual["law"] else usual
+
+
+def _solver(scene: Scene) -> Table:
+    """What the rungs with inertia run under: the scene's solver if it knows all effects, with its settings."""
+    return scene.solver.model_dump(mode="json") if scene.solver.name == "implicit" else {"name": "implicit"}
+
+
+def _rung(name: str, adds: str, scene: Scene, effects: Mapping[str, Any], law: Table, solver: Table) -> Rung:
+    try:
+        return Rung(name, adds, variant(scene, effects, law=law, solver=solver))
+    except NotPossible as why:
+        return Rung(name, adds, None, str(why))
+
+
+def climb(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> list[Climbed]:
+    """Run every rung, all in the same way: with their cells if one of them needs them.
+
+    Args:
+        ladder: From the bottom; the distance is from the last that comes to its end, and is not beside it.
+        repeats: Timed runs of each, at least 1, after one that is not timed; they take turns, so that a slower machine
+            is slower for all.
+        tell: Told what begins, one line.
+    """
+    there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
+    cells = any(needs_cells(scene) for scene in there.values())
+    courses: dict[str, Course] = {}
+    reasons = {rung.name: rung.reason for rung in ladder}
+    for name, scene in there.items():
+        tell(f"{name} ...")
+        try:
+            course = follow(scene, cells=cells)
+        except InputError as why:  # a scene may be valid, and its plant still refuse it
+            reasons[name] = str(why)
+            continue
+        reasons[name] = course.reason
+        if course.status == "ok":
+            courses[name] = course
+    walls: dict[str, list[float]] = {name: [] for name in courses}
+    for turn in range(repeats):
+        tell(f"times, {turn + 1} of {repeats} ...")
+        for name, spans in walls.items():
+            spans.append(follow(there[name], cells=cells).wall_s)
+    tops = [rung.name for rung in ladder if rung.name in courses and not rung.instead]
+    return [
+        Climbed(rung, median(walls[rung.name]), compare(courses[rung.name], courses[tops[-1]]))
+        if rung.name in courses and tops
+        else Climbed(rung, reason=reasons[rung.name])
+        for rung in ladder
+    ]

@@ -1,0 +1,115 @@
+"""How far two runs of nearly the same scene end apart: poses, times to settle, events."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from plant import geometry
+
+if TYPE_CHECKING:
+    from deploy.runs.headless import Course
+    from plant.observations import Event
+    from plant.wheels import Floats
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Influence:
+    """How far one run is from another.
+
+    Attributes:
+        displacement_m: The farthest that a corner of a footprint is, at the end, from where it is in the other run;
+            None where no parcel is there in both.
+        turn_rad: The farthest that a parcel is turned from how it lies in the other run, in [0, pi].
+        parcels: How many are there at the end of one run only.
+        settled_s: When all parcels rest, in the one and in the other; None where some don't.
+        events: Events that both have, matched by kind, parcel and cells, in their order.
+        moved_s: The farthest that one of them is moved in time; None where there is none.
+        only: Events that only the one has, and only the other.
+    """
+
+    displacement_m: float | None
+    turn_rad: float | None
+    parcels: int
+    settled_s: tuple[float | None, float | None]
+    events: int
+    moved_s: float | None
+    only: tuple[int, int]
+
+    @property
+    def settling_s(self) -> float | None:
+        """How much later the one settles than the other; None unless both do."""
+        one, other = self.settled_s
+        return None if one is None or other is None else one - other
+
+    @property
+    def none(self) -> bool:
+        """Whether the runs are the same, to the last bit of all that is compared."""
+        return not (self.displacement_m or self.turn_rad or self.parcels or self.moved_s or any(self.only))
+
+
+def compare(one: Course, other: Course) -> Influence:
+    """How far ``one`` is from ``other``; parcels are the same where their numbers are."""
+    there, there_too = _there(one), _there(other)
+    both = sorted(there & there_too)
+    shifts = [_displacement(one, other, number) for number in both]
+    turns = [abs(math.remainder(one.states[n, 2] - other.states[n, 2], math.tau)) for n in both]
+    moved, only = _shifts(one.events, other.events)
+    return Influence(
+        displacement_m=max(shifts, default=None),
+        turn_rad=max(turns, default=None),
+        parcels=len(there ^ there_too),
+        settled_s=(_settled_s(one), _settled_s(other)),
+        events=len(moved),
+        moved_s=max(moved, default=None),
+        only=only,
+    )
+
+
+def _there(course: Course) -> set[int]:
+    """Parcels that have come and have not left by an exit; one that tipped lies where it tipped."""
+    return {n for n, fate in enumerate(course.fates) if fate.state not in ("waiting", "delivered")}
+
+
+def _displacement(one: Course, other: Course, number: int) -> float:
+    """Of the farthest corner of a parcel, m."""
+    corners = [_corners(course, number) for course in (one, other)]
+    return float(np.max(np.hypot(*(corners[0] - corners[1]).T)))
+
+
+def _corners(course: Course, number: int) -> Floats:
+    """``(v, 2)`` in world coordinates."""
+    return geometry.placed(course.footprints_m[number], course.states[number, :3])
+
+
+def _settled_s(course: Course) -> float | None:
+    """Since when every parcel that is there rests, or lies tipped; None where one moves, or none is there."""
+    fates = [course.fates[number] for number in _there(course)]
+    if not fates or any(fate.state == "moving" for fate in fates):
+        return None
+    return max(fate.time_s for fate in fates)
+
+
+def _shifts(events: Sequence[Event], others: Sequence[Event]) -> tuple[list[float], tuple[int, int]]:
+    """How far each event that both have is moved in time, and how many only one has."""
+    mine, theirs = _times_s(events), _times_s(others)
+    moved = [
+        abs(one - other)
+        for key in mine.keys() & theirs.keys()
+        for one, other in zip(mine[key], theirs[key], strict=False)
+    ]
+    return moved, (len(events) - len(moved), len(others) - len(moved))
+
+
+def _times_s(events: Sequence[Event]) -> dict[tuple[object, ...], list[float]]:
+    """When what happened, in order."""
+    found: dict[tuple[object, ...], list[float]] = defaultdict(list)
+    for event in events:
+        found[event.kind, event.parcel, event.cells].append(event.time_s)
+    return found

@@ -1,0 +1,144 @@
+"""Every effect, one at a time: what it adds to a scene, what it costs, and how much it changes the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from typing import TYPE_CHECKING, final
+
+from deploy.errors import InputError
+from deploy.runs.headless import Course, follow
+from deploy.studies.effects.ablation import (
+    NotPossible,
+    Table,
+    Toggled,
+    effect_types,
+    refined,
+    tables,
+    toggled,
+)
+from deploy.studies.effects.sensitivity import Influence, compare
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+
+Tell = Callable[[str], None]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """What one effect does in a scene.
+
+    Attributes:
+        name: Of the effect.
+        on: Whether the scene asks for it.
+        settings: With which it was on; None where it could not be toggled.
+        beside: Effects that both runs have though the scene lacks them, because it needs them.
+        along: Effects that were toggled with it because they need it.
+        solver: Of both runs; None where there were none.
+        cells: Whether both ran with their cells, and not the plant alone.
+        wall_s: Median of the runs with it, and of those without.
+        influence: How far the run with it is from the one without; None where one of them did not come to its end.
+        error: How far a run is from the same under a finer solver: the solver's own error, the larger of both; None
+            where the solver can't be finer.
+        reason: Why there is no influence; empty where there is.
+    """
+
+    name: str
+    on: bool
+    settings: Table | None = None
+    beside: Sequence[str] = ()
+    along: Sequence[str] = ()
+    solver: str | None = None
+    cells: bool = False
+    wall_s: tuple[float, float] | None = None
+    influence: Influence | None = None
+    error: Influence | None = None
+    reason: str = ""
+
+    @property
+    def cost_ratio(self) -> float | None:
+        """Wall time with it over wall time without."""
+        return None if self.wall_s is None or self.wall_s[1] <= 0.0 else self.wall_s[0] / self.wall_s[1]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Study:
+    """Runs a scene with and without each effect; runs that several comparisons need are run once.
+
+    Args:
+        scene: What is studied.
+        repeats: Timed runs of each side, at least 1, after one that is not timed.
+        tell: Told what begins, one line.
+    """
+
+    scene: Scene
+    repeats: int
+    tell: Tell
+    _known: dict[tuple[bytes, bool], Course] = field(default_factory=dict[tuple[bytes, bool], Course])
+
+    def rows(self, names: Sequence[str] | None = None) -> list[Row]:
+        """A row an effect; in the order of the ladder, then those without a place in it.
+
+        Args:
+            names: Which effects; None: all.
+        """
+        return [self.row(name) for name in (effect_types() if names is None else names)]
+
+    def row(self, name: str) -> Row:
+        """One effect's."""
+        on = name in tables(self.scene)
+        self.tell(f"{name} ...")
+        try:
+            return self._measured(name, on, toggled(self.scene, name))
+        except (NotPossible, InputError) as why:  # a scene may be valid, and its plant still refuse it
+            return Row(name=name, on=on, reason=str(why))
+
+    def _measured(self, name: str, on: bool, pair: Toggled) -> Row:
+        with_it, without = (self.course(scene, cells=pair.cells) for scene in (pair.on, pair.off))
+        ended = [course for course in (with_it, without) if course.status != "ok"]
+        whole = not ended
+        return Row(
+            name=name,
+            on=on,
+            settings=pair.settings,
+            beside=pair.beside,
+            along=pair.along,
+            solver=pair.on.solver.name,
+            cells=pair.cells,
+            wall_s=self._timed(pair) if whole else None,
+            influence=compare(with_it, without) if whole else None,
+            error=self._error(pair) if whole else None,
+            reason="" if whole else f"{'with' if with_it in ended else 'without'} it: {ended[0].reason}",
+        )
+
+    def course(self, scene: Scene, *, cells: bool) -> Course:
+        """The run of a scene; once for all that is the same."""
+        key = (scene.canonical(), cells)
+        if key not in self._known:
+            self._known[key] = follow(scene, cells=cells)
+        return self._known[key]
+
+    def _timed(self, pair: Toggled) -> tuple[float, float]:
+        """Medians; the two take turns, so that a slower machine is slower for both."""
+        spans = [
+            (follow(pair.on, cells=pair.cells).wall_s, follow(pair.off, cells=pair.cells).wall_s)
+            for _ in range(self.repeats)
+        ]
+        return median(span[0] for span in spans), median(span[1] for span in spans)
+
+    def _error(self, pair: Toggled) -> Influence | None:
+        """The solver's own error, of whichever side it is larger."""
+        found = [self._against_finer(scene, pair.cells) for scene in (pair.on, pair.off)]
+        known = [error for error in found if error is not None]
+        return max(known, key=lambda error: error.displacement_m or 0.0, default=None)
+
+    def _against_finer(self, scene: Scene, cells: bool) -> Influence | None:
+        finer = refined(scene)
+        if finer is None:
+            return None
+        course = self.course(finer, cells=cells)
+        return compare(self.course(scene, cells=cells), course) if course.status == "ok" else None

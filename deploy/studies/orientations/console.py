@@ -1,0 +1,90 @@
+"""The orientations of a parcel, or of many sizes, in words for a terminal."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from deploy.util.formatting import counted, point, short
+from plant.analysis.crossings import TURN
+
+if TYPE_CHECKING:
+    from deploy.studies.orientations.study import SizeMap, Study
+    from plant.analysis.orientations import Orientation, TorqueProfile
+    from plant.wheels import Floats
+
+
+def angles(one: Orientation) -> str:
+    """``84.4626``, or ``355.19 to 4.81``, degrees."""
+    if one.high_rad - one.low_rad >= TURN:
+        return "all"
+    low = _degrees(one.low_rad)
+    return f"{low} to {_degrees(one.high_rad)}" if one.is_interval else low
+
+
+def print_orientations(study: Study, profile: TorqueProfile) -> None:
+    """Print where a parcel comes to rest, and what turns it beside that."""
+    console = Console(highlight=False)
+    changes = counted(len(profile.angles_rad), "angle")
+    console.print(
+        f"scene {study.scene.name}, parcel {study.parcel}, centre of mass at {point(profile.centre_m)} m; "
+        f"its supports change at {changes} a turn",
+        markup=False,
+    )
+    found = profile.orientations()
+    if found:
+        console.print()
+        console.print(_table(found))
+    else:
+        console.print("The torque never vanishes and never changes its sign: nothing stops it from turning.")
+    if not np.all(np.isfinite(profile.torque_n_m)):
+        console.print("\nAt some angles it doesn't stand: it tips there.")
+    force = profile.largest_force_n()
+    if force > 0.0:
+        console.print(
+            f"\nThe point is no equilibrium at every angle: up to {short(force)} N pull the parcel aside, and it may "
+            "come to rest at angles a little beside these."
+        )
+
+
+def _table(found: tuple[Orientation, ...]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("degrees", style="cyan", no_wrap=True)
+    table.add_column("")
+    table.add_column("stable")
+    for heading in ("torque below, N m", "above"):
+        table.add_column(heading, justify="right")
+    for one in found:
+        what = f"{one.nature} {'interval' if one.is_interval else 'angle'}"
+        beside = ("–" if torque is None else short(torque) for torque in (one.before_n_m, one.after_n_m))
+        table.add_row(angles(one), what, "yes" if one.stable else "no", *beside)
+    return table
+
+
+def print_sizes(study: Study, sizes: SizeMap) -> None:
+    """Print how many sizes have how many stable orientations."""
+    console = Console(highlight=False)
+    console.print(
+        f"scene {study.scene.name}: {sizes.counts().size:,} sizes, {_span(sizes.lengths_m)} m long and "
+        f"{_span(sizes.widths_m)} m wide, centre of mass at {point(study.centre_m)} m\n",
+        markup=False,
+    )
+    table = Table(box=None, pad_edge=False)
+    table.add_column("stable orientations a turn", style="cyan")
+    table.add_column("sizes", justify="right")
+    numbers, how_often = np.unique(sizes.counts(), return_counts=True)
+    for number, often in zip(numbers.tolist(), how_often.tolist(), strict=True):
+        table.add_row("stands at no angle" if number < 0 else str(number), f"{often:,}")
+    console.print(table)
+
+
+def _span(values: Floats) -> str:
+    return f"{values[0]:g}" if len(values) == 1 else f"{values[0]:g} to {values[-1]:g}"
+
+
+def _degrees(angle_rad: float) -> str:
+    return f"{round(math.degrees(angle_rad), 4) % 360.0:.4f}".rstrip("0").rstrip(".")

@@ -1,0 +1,117 @@
+"""The two ways into a run: the endpoint that processes of cells join, and the one for listeners and operators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, final
+
+from bus.errors import TransportError
+from bus.wire.keys import message_kinds
+from deploy.errors import InputError
+from deploy.security.policy import open_gate
+from deploy.workers.plan import Option, check_opened, near, socket_in
+from deploy.workers.socket_folder import SocketFolder
+
+if TYPE_CHECKING:
+    from bus.spec import StallSpec
+    from bus.transports.zenoh import Mirror, ZenohEndpoint
+    from bus.transports.zenoh.requests import Questions
+    from deploy.security.keyring import Keyring
+    from deploy.workers.plan import Plan, RunOptions
+
+_TICKS: Final = 64
+"""Ticks whose messages may wait to be copied for listeners; of more the oldest are dropped."""
+
+
+@final
+class Access:
+    """Opens both endpoints of a run, and closes that for listeners and operators.
+
+    Nothing that comes in at the latter reaches the cells but operators' questions, which the plant answers.
+
+    Args:
+        plan: The run.
+        stall: Deadlines.
+        options: Of these the endpoints, and whether strangers may come in.
+        keyring: The run's keys; None: anybody may listen and ask.
+
+    Attributes:
+        join: What the processes of cells connect to.
+        locator: What listeners and operators connect to.
+    """
+
+    def __init__(self, plan: Plan, stall: StallSpec, options: RunOptions, keyring: Keyring | None) -> None:
+        self._plan = plan
+        self._lease_s = stall.lease_s
+        self._options = options
+        self._keyring = keyring
+        self._folder: SocketFolder | None = None
+        self._mirror: Mirror | None = None
+        self.join = ""
+        self.locator = ""
+
+    def open(self) -> ZenohEndpoint:
+        """Open both.
+
+        Returns:
+            The plant's endpoint of the run itself, for the caller to close after this.
+
+        Raises:
+            InputError: A port is in use, or an endpoint makes no sense, or more can reach it than may.
+        """
+        from bus.transports.zenoh import Mirror, open_hub, open_outside
+
+        keyring, options, plan = self._keyring, self._options, self._plan
+        join = options.join
+        if join is None and keyring is None:
+            self._folder = SocketFolder()
+            join = socket_in(str(self._folder.path))
+        gate = None if keyring is None else keyring.gate(plan.cut)
+        outer = open_gate() if keyring is None else keyring.outer_gate()
+        hub = self._opened("--join", lambda: open_hub(join, lease_s=self._lease_s, gate=gate))
+        try:
+            outside = self._opened(
+                "--listen", lambda: open_outside(options.listen, lease_s=self._lease_s, gate=outer)
+            )
+        except InputError:
+            hub.close()
+            raise
+        if hub.refusals is not None:
+            hub.refusals.names.append(outside.role)
+        units = plan.partition.count if plan.wire == "packed" else len(plan.partition.lattice)
+        kinds = message_kinds(plan.run, plan.wire, units)
+        self._mirror = Mirror(
+            hub, outside, {key: _TICKS * number for key, number in kinds.items()}, f"mdms/{plan.run}/**"
+        )
+        self.join, self.locator = near(hub.locator), near(outside.locator)
+        return hub
+
+    def questions(self, key: str) -> Questions:
+        """Where operators ask while the run goes on."""
+        from bus.transports.zenoh.requests import Questions
+
+        assert self._mirror is not None, "this is a bug: not open"
+        return Questions(self._mirror.outside, key)
+
+    def close(self) -> None:
+        """Close the endpoint for listeners and operators, and remove the folder of the other's socket."""
+        if self._mirror is not None:
+            self._mirror.close()
+        if self._folder is not None:
+            self._folder.close()
+
+    def _opened(self, option: Option, opens: Callable[[], ZenohEndpoint]) -> ZenohEndpoint:
+        """What ``opens`` opens, unless more can reach it than may."""
+        try:
+            endpoint = opens()
+        except TransportError as error:
+            raise InputError(str(error)) from None
+        kind = None if self._keyring is None else self._keyring.about.kind
+        try:
+            check_opened(
+                endpoint.locator, endpoint.listening, kind, insecure=self._options.insecure, option=option
+            )
+        except InputError:
+            endpoint.close()
+            raise
+        return endpoint

@@ -1,0 +1,419 @@
+"""What a run will start, as data that can be printed before anything is started."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import re
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, final
+
+from bus.errors import PartitionError
+from bus.lattice import Lattice
+from bus.partition import Partition
+from deploy.errors import InputError
+from deploy.scenes.memory_limit import too_many_workers
+from deploy.security.roles import Cut
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+
+
+Kind = Literal["certificate", "password"]
+Option = Literal["--listen", "--join"]
+"""``--listen``: for listeners and operators. ``--join``: for processes of cells."""
+
+_ENDPOINT: Final = re.compile(r"(?P<protocol>[a-z_-]+)/(?P<address>\S.*)")
+_HOST_AND_PORT: Final = re.compile(
+    r"(?P<host>\[[0-9A-Za-z:.%]+\]|[^\s\[\]:,\"'/\\?#]+):\d+(?P<more>[?#][^\s,\"'\\]*)?"
+)
+_INTERFACE: Final = re.compile(r"[#;&](?:iface|bind)=(?P<interface>[^;&#]*)")
+_SOCKET: Final = "unixsock-stream"
+_LOCAL: Final = (_SOCKET, "unixpipe")
+"""Protocols that don't leave the host."""
+
+
+def free_port(kind: Kind | None) -> str:
+    """The plan's words for an endpoint on loopback that is chosen as the run begins."""
+    return f"{'tls' if kind == 'certificate' else 'tcp'}/127.0.0.1 (a free port)"
+
+
+def joined_at(kind: Kind | None) -> str:
+    """The plan's words for the endpoint that cells join where none is named."""
+    return f"{_SOCKET} (a private folder)" if kind is None else free_port(kind)
+
+
+def socket_in(folder: str) -> str:
+    """Endpoint of a Unix socket in a folder."""
+    return f"{_SOCKET}/{folder}/run"
+
+
+def check_listening(endpoint: str, kind: Kind | None, *, insecure: bool, option: Option = "--listen") -> None:
+    """Whether the plant may listen there.
+
+    Args:
+        endpoint: ``PROTOCOL/ADDRESS``.
+        kind: How processes prove who they are; None: not at all.
+        insecure: Whether anybody may come in who can reach it.
+        option: What it is for.
+
+    Raises:
+        InputError: It is not one endpoint, it is not TLS though certificates are to be shown, or strangers could come
+            in, or with passwords listen.
+    """
+    match = _ENDPOINT.fullmatch(endpoint)
+    if match is None:
+        raise InputError(f"{option} {endpoint}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
+    if match["protocol"] not in _LOCAL and _HOST_AND_PORT.fullmatch(match["address"]) is None:
+        raise InputError(
+            f"{option} {endpoint}: must be one endpoint, PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447"
+        )
+    if kind == "certificate":
+        if match["protocol"] != "tls":
+            raise InputError(
+                f"{option} {endpoint}: with these keys it must be tls/, such as tls/{match['address']}"
+            )
+        return
+    if match["protocol"] == "tls":
+        raise InputError(
+            f"{option} {endpoint}: tls/ needs certificates: --keys DIR, made by mdms keys DIR SCENE"
+        )
+    if not insecure:
+        _check_reach(endpoint, kind, option)
+
+
+def check_opened(
+    endpoint: str, addresses: Sequence[str], kind: Kind | None, *, insecure: bool, option: Option = "--listen"
+) -> None:
+    """Whether the addresses that a session listens on are as private as the endpoint that was asked for.
+
+    Args:
+        endpoint: What was asked for.
+        addresses: Where the session listens.
+        kind: How processes prove who they are; None: not at all.
+        insecure: Whether anybody may come in who can reach it.
+        option: What it is for.
+
+    Raises:
+        InputError: One of them leaves this host, or Zenoh names none.
+    """
+    if insecure or kind == "certificate":
+        return
+    if not addresses:
+        raise InputError(
+            f"{option} {endpoint}: Zenoh doesn't say where it listens then: use tcp/, or --insecure"
+        )
+    for address in addresses:
+        _check_reach(address, kind, option)
+
+
+def _check_reach(endpoint: str, kind: Kind | None, option: Option) -> None:
+    """Raise InputError where more can reach an endpoint than may."""
+    if is_local(endpoint):
+        if option == "--join" and kind is None and not endpoint.startswith(f"{_SOCKET}/"):
+            raise InputError(
+                f"{option} {endpoint}: anybody on this host could drive the run's wheels: use {_SOCKET}/PATH, or "
+                "--keys DIR (mdms keys DIR SCENE makes them), or --insecure"
+            )
+        return
+    if kind == "password":
+        raise InputError(
+            f"{option} {endpoint}: leaves this host, and with passwords what is said goes unencrypted: use "
+            "certificates (mdms keys without --passwords), or --insecure"
+        )
+    done = "listen to the run and disturb it" if option == "--listen" else "join"
+    raise InputError(
+        f"{option} {endpoint}: leaves this host, and anybody who reaches it could {done}: use --keys DIR "
+        "(mdms keys DIR SCENE makes them), or --insecure"
+    )
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this host reaches an endpoint: by its protocol, or by every address of its host's name."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol in _LOCAL:
+        return True
+    interface = _INTERFACE.search(address)
+    return (interface is None or interface["interface"] == "lo") and _is_loopback(host_of(endpoint))
+
+
+def host_of(endpoint: str) -> str:
+    """The host of ``PROTOCOL/HOST:PORT``, with whatever else Zenoh has there."""
+    address = endpoint.partition("/")[2]
+    return address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
+
+
+def near(endpoint: str) -> str:
+    """How processes of the same host reach who listens there: on every address is on loopback, too."""
+    for everywhere, loopback in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
+        endpoint = endpoint.replace(everywhere, loopback, 1)
+    return endpoint
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether a host's name stands for loopback addresses alone."""
+    try:
+        found = socket.getaddrinfo(host, None) if host else []
+        return bool(found) and all(ipaddress.ip_address(one[4][0]).is_loopback for one in found)
+    except (OSError, ValueError):
+        return False
+
+
+Transport = Literal["zenoh", "memory"]
+Wire = Literal["packed", "cells"]
+Processes = int | Literal["each"]
+_Endpoints = tuple[str | None, str | None]
+"""For listeners and operators, and for processes of cells."""
+
+ONE_WORKER_CELLS = 1_000
+"""Up to here a second worker costs more in messages than it saves in work."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a scene is run; nothing here may change what happens in it.
+
+    Attributes:
+        processes: Worker processes for the cells; ``each``: one a cell; 0: everything in this process; None:
+            by the number of cells and processor cores.
+        transport: What carries the messages; ``memory`` needs ``processes`` 0.
+        wire: The wire form; None: ``packed``, but ``cells`` where each cell has a process of its own.
+        listen: Endpoint for listeners and operators; None: a free loopback port.
+        join: Endpoint for processes of cells; None: a socket in a folder of this user's alone, or with keys a free
+            loopback port.
+        realtime: Simulated seconds a wall second; None: as fast as it goes.
+        output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
+        picture: Whether to draw the overview.
+        registers: Record the cells' registers every so many ticks; None: not.
+        respawn: How often in all a worker that went is started anew.
+        replay: Folder of a recorded run of the scene: what was done to that one is done again; None: nothing is.
+        protocol_report: Look at the protocol's field every so many ticks, and report; None: not.
+        keys: Folder that ``mdms keys`` has made: whom to let in, and what each may do; None: anybody, anything.
+        insecure: Listen where anybody could come in.
+        checkpoint_s: Leave a checkpoint every so many seconds of wall time; None: none.
+    """
+
+    processes: Processes | None = None
+    transport: Transport = "zenoh"
+    wire: Wire | None = None
+    listen: str | None = None
+    join: str | None = None
+    realtime: float | None = None
+    output: Path | None = None
+    picture: bool = True
+    registers: int | None = None
+    protocol_report: int | None = None
+    respawn: int = 0
+    replay: Path | None = None
+    keys: Path | None = None
+    insecure: bool = False
+    checkpoint_s: float | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PlannedProcess:
+    """One process, or one part of this process.
+
+    Attributes:
+        name: As shown in process lists and messages.
+        role: ``plant`` or ``cells``.
+        where: ``this process``, ``a thread of this process`` or ``a process of its own``.
+        cells: ``(row, column)`` of the cells that run in it.
+        listen: Endpoint on which it listens for listeners and operators, or None.
+        join: Endpoint on which it listens for processes of cells, or None.
+        connect: Endpoint it connects to, or None.
+        ready: What has to happen before the first tick.
+    """
+
+    name: str
+    role: Literal["plant", "cells"]
+    where: str
+    cells: tuple[tuple[int, int], ...]
+    listen: str | None
+    join: str | None
+    connect: str | None
+    ready: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything that a run will start.
+
+    Attributes:
+        run: Names the run on the bus.
+        scene: Name of the scene.
+        setting: ``--processes`` as it was understood.
+        workers: Number of worker processes.
+        transport: What carries the messages.
+        wire: The wire form.
+        partition: Which cells run where, a shard a worker (one shard if there are none).
+        processes: The plant first, then the cells'.
+    """
+
+    run: str
+    scene: str
+    setting: Processes
+    workers: int
+    transport: Transport
+    wire: Wire
+    partition: Partition
+    processes: tuple[PlannedProcess, ...]
+
+    @property
+    def cut(self) -> Cut:
+        """How the cells are cut into processes."""
+        return Cut(self.partition, self.wire, tuple(process.name for process in self.processes[1:]))
+
+    def as_json(self) -> dict[str, Any]:
+        """The plan in JSON's types; cells as ``row,column``."""
+        return {
+            "run": self.run,
+            "scene": self.scene,
+            "processes": self.setting,
+            "transport": self.transport,
+            "wire": self.wire,
+            "start": [
+                {
+                    "name": process.name,
+                    "role": process.role,
+                    "where": process.where,
+                    "cells": [f"{row},{column}" for row, column in process.cells],
+                    "listen": process.listen,
+                    "join": process.join,
+                    "connect": process.connect,
+                    "ready": process.ready,
+                }
+                for process in self.processes
+            ],
+        }
+
+
+def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
+    """What running ``scene`` in this way will start.
+
+    Raises:
+        InputError: The options do not go together, or not with the array.
+    """
+    lattice = scene.lattice()
+    setting = _processes(options, lattice)
+    workers = len(lattice) if setting == "each" else setting
+    if rule := too_many_workers(workers, len(lattice)):
+        raise InputError(f"--processes {setting}: {rule}")
+    kind = _kind_of_keys(options)
+    asked: dict[Option, str | None] = {"--listen": options.listen, "--join": options.join}
+    for option, endpoint in asked.items():
+        if endpoint is not None:
+            check_listening(endpoint, kind, insecure=options.insecure, option=option)
+    _check(options, scene, workers)
+    try:
+        partition = Partition.even(lattice, max(1, workers))
+    except PartitionError:
+        raise InputError(
+            f"--processes {workers}: must be each or 0..{len(lattice)}, the number of cells"
+        ) from None
+    wire: Wire = options.wire or ("cells" if setting == "each" else "packed")
+    return Plan(
+        run=run,
+        scene=scene.name,
+        setting=setting,
+        workers=workers,
+        transport=options.transport,
+        wire=wire,
+        partition=partition,
+        processes=tuple(_listed(partition, workers, setting, _endpoints(options, kind), scene.stall.start_s)),
+    )
+
+
+def _check(options: RunOptions, scene: Scene, workers: int) -> None:
+    """Refuse options that are out of range, or that the scene or the workers don't go with."""
+    for name, ticks in (("registers", options.registers), ("protocol-report", options.protocol_report)):
+        if ticks is not None and ticks < 1:
+            raise InputError(f"--{name} {ticks}: must be a number of ticks from 1")
+    if options.respawn < 0:
+        raise InputError(f"--respawn {options.respawn}: must be at least 0")
+    if options.respawn and not workers:
+        raise InputError(
+            "--respawn: there are no worker processes to start anew: it needs --processes N or each"
+        )
+    if options.respawn and scene.effects.clock is not None:
+        raise InputError(
+            "--respawn: doesn't go with effects.clock: a cell that begins anew has lost its instants"
+        )
+    if options.realtime is not None and not 0 < options.realtime < float("inf"):
+        raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
+    if options.checkpoint_s is not None and not 0 < options.checkpoint_s < float("inf"):
+        raise InputError(f"--checkpoint {options.checkpoint_s:g}: must be greater than 0")
+    if options.checkpoint_s is not None and options.replay is not None:
+        raise InputError("--checkpoint: a run that repeats another can't be kept; leave one of the two out")
+
+
+def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | None:
+    """How processes prove who they are; None: not at all."""
+    if options.transport == "memory":
+        for name, value in (("listen", options.listen), ("join", options.join), ("keys", options.keys)):
+            if value is not None:
+                raise InputError(f"--{name}: the memory transport has no endpoint; leave one of the two out")
+    if options.keys is None:
+        return None
+    from deploy.security.keyring import Keyring
+
+    return Keyring(options.keys).about.kind
+
+
+def _endpoints(options: RunOptions, kind: Literal["certificate", "password"] | None) -> _Endpoints:
+    if options.transport == "memory":
+        return None, None
+    return options.listen or free_port(kind), options.join or joined_at(kind)
+
+
+def _processes(options: RunOptions, lattice: Lattice) -> Processes:
+    if options.transport == "memory":
+        if options.processes not in (None, 0):
+            raise InputError(
+                f"--transport memory --processes {options.processes}: "
+                "memory is not shared between processes; it needs --processes 0"
+            )
+        return 0
+    if options.processes is not None:
+        return options.processes
+    return 1 if len(lattice) <= ONE_WORKER_CELLS else min(2, os.cpu_count() or 1)
+
+
+def _listed(
+    partition: Partition, workers: int, setting: Processes, endpoints: _Endpoints, start_s: float
+) -> list[PlannedProcess]:
+    listen, join = endpoints
+    cells = partition.lattice.cells
+    plant = PlannedProcess(
+        name="plant",
+        role="plant",
+        where="this process",
+        cells=(),
+        listen=listen,
+        join=join,
+        connect=None,
+        ready=f"all {len(cells)} cells alive and ready within {start_s:g} s",
+    )
+    where = "a process of its own" if workers else "a thread of this process"
+    processes = [plant]
+    for shard in range(partition.count):
+        own = tuple(cells[int(i)] for i in partition.cells(shard))
+        processes.append(
+            PlannedProcess(
+                name=f"cell {own[0][0]},{own[0][1]}" if setting == "each" else f"cells {shard}",
+                role="cells",
+                where=where,
+                cells=own,
+                listen=None,
+                join=None,
+                connect=join,
+                ready="firmware loaded, the plant and every neighbour's process reached",
+            )
+        )
+    return processes

@@ -1,0 +1,339 @@
+"""What a worker does: the agents of one shard, from loading their firmware to leaving the bus."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
+from typing import TYPE_CHECKING, Final, final
+
+from bus.errors import WireError
+from bus.partition import Partition
+from bus.transports.base import Alive, Endpoint, Received
+from bus.wire.frames import Control, decode_control
+from bus.wire.keys import plant_key
+from deploy.scenes.fault_schedule import Deaths, deaths, lasting, of_cells
+
+if TYPE_CHECKING:
+    from bus.lockstep import FormName, Member
+    from bus.lockstep.registers import Wanted
+    from bus.sensors import Readings
+    from bus.spec import StallSpec
+    from cell_firmware.build import CellFaults
+    from cell_firmware.controller import Controller
+    from cell_firmware.effects.base import Site
+    from cell_firmware.shard import Shard
+    from deploy.scenes.scene import Scene
+    from plant.array import CellArray
+
+_BEGIN: Final = 0.6
+"""Of the time until every cell must be ready, that the programs of a shard may take to begin."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Resumed:
+    """Where the cells' side of a run goes on.
+
+    Attributes:
+        tick: The first tick to be stepped.
+        dead: Indices of the cells that had gone before it.
+        states: By shard, what its cells remember; of those that had cells left.
+    """
+
+    tick: int
+    dead: tuple[int, ...]
+    states: Mapping[int, bytes]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """What every worker of a run is told; calling it with a shard's number is that worker's whole life.
+
+    Attributes:
+        scene: What runs.
+        array: The cells that exist.
+        partition: Which cells run where.
+        wire: The wire form.
+        run: Names the run on the bus.
+        connect: Where the plant listens.
+        readings: What the cells can read.
+        wanted: Registers of the cells that the plant wants to see.
+        metered: Whether cells count their messages.
+        live: Whether faults may come while it runs, over serial lines too.
+        joins: Whether it comes into a run that goes on already.
+        keys: Folder of each shard's role, whose name is the role's; none where anybody is let in.
+        alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
+        keeps: Whether the plant may ask the cells what they remember.
+        resumed: Where they go on; None: they begin.
+    """
+
+    scene: Scene
+    array: CellArray
+    partition: Partition
+    wire: FormName
+    run: str
+    connect: str
+    readings: Readings
+    wanted: tuple[Wanted, ...]
+    metered: bool
+    live: bool
+    joins: bool
+    keys: tuple[Path, ...]
+    alone: bool
+    keeps: bool = False
+    resumed: Resumed | None = None
+
+    def __call__(self, shard: int) -> None:
+        """Open a session of one's own, serve, and close it."""
+        endpoint = connected(self.connect, self.keys, shard, self.scene.stall)
+        try:
+            serve(self, shard, endpoint)
+        finally:
+            endpoint.close()
+
+
+def connected(connect: str, keys: tuple[Path, ...], shard: int, stall: StallSpec) -> Endpoint:
+    """A session of a shard's own, which shows its role's keys if there are any."""
+    from bus.transports.zenoh import open_client
+
+    if not keys:
+        return open_client(connect, lease_s=stall.lease_s, timeout_s=stall.start_s)
+    from deploy.security.keyring import identity_of
+
+    identity = identity_of(keys[shard], keys[shard].name)
+    return open_client(connect, lease_s=stall.lease_s, timeout_s=stall.start_s, identity=identity)
+
+
+def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
+    """Run the agents of one shard until the plant says stop or all their cells are dead.
+
+    Raises:
+        FirmwareError: The firmware can't be loaded or initialised.
+        BusError: The plant is not there, or went away.
+    """
+    import asyncio
+
+    from bus.lockstep import Member
+    from bus.state import remember
+    from cell_firmware import agent
+    from cell_firmware.cell import records_of
+    from cell_firmware.loader import load
+    from deploy.workers.overrun import Overseer
+
+    cells, site = _begun(order, shard)
+    records = records_of(load(order.scene.cells))
+    if order.keeps:
+        remember(cells, records)  # a program whose memory can't be kept is told of before the run begins
+    member = Member(
+        endpoint,
+        order.partition,
+        shard,
+        order.wire,
+        run=order.run,
+        readings=order.readings,
+        message=cells.message,
+        stall=order.scene.stall,
+        wanted=order.wanted,
+        tally=cells.counted,
+        keeps=order.keeps,
+        joins=order.joins,
+    )
+    schedule = deaths(order.scene)
+    for tick, dead in schedule.items():
+        member.plan(dead, tick)
+    if order.resumed is not None:
+        _recall(order.resumed, shard, cells, records, member)
+    member.ready()
+    first = _first(order, cells, member)
+    if first is not None:
+        cells.begin(first)
+        inject = _injector(order, cells, site)
+        watched = partial(Overseer, order.scene.stall.deadline_s, "stall.deadline_s")
+        ended = asyncio.run(agent.run(cells, member, endpoint, inject, records, first, watched))
+        doomed = order.alone and _doomed(order, shard, schedule, first + ended.ticks)
+        # Whoever had no cells left from the beginning stays none the less: the start waits for all.
+        absent = order.resumed is not None and shard not in order.resumed.states
+        if (doomed or absent) and _next_tick_came(order.run, len(order.array), endpoint):
+            os.kill(os.getpid(), signal.SIGKILL)
+    member.close()
+
+
+def _begun(order: Order, shard: int) -> tuple[Shard, Site]:
+    """Make a shard under the deadline of its programs' ``init``.
+
+    Raises:
+        FirmwareError: The firmware can't be loaded or initialised, or an ``init`` does not return.
+    """
+    from cell_firmware.errors import FirmwareFailed
+    from deploy.workers.overrun import Overseer
+
+    made: SimpleQueue[tuple[Shard, Site] | BaseException] = SimpleQueue()
+
+    def hopeless(cell: tuple[int, int], problem: str, trace: str) -> None:
+        made.put(FirmwareFailed(cell, 0, f"init: {problem}", trace))
+
+    limit_s, rule = _BEGIN * order.scene.stall.start_s, f"{_BEGIN:g} of stall.start_s"
+    with closing(Overseer(limit_s, rule, hopeless=hopeless)) as watch:
+
+        def make() -> None:
+            try:
+                with watch:
+                    made.put(make_shard(order, shard))
+            except BaseException as error:  # noqa: BLE001 - raised again in the shard's own thread
+                made.put(error)
+
+        # In another thread: an init that waits in C can't be interrupted, and must not keep this thread from saying so.
+        Thread(target=make, name="init", daemon=True).start()
+        found = made.get()
+    if isinstance(found, BaseException):
+        raise found
+    return found
+
+
+def _recall(resumed: Resumed, shard: int, cells: Shard, records: tuple[type, ...], member: Member) -> None:
+    """Let the cells of a shard be what they were."""
+    from bus.state import recall
+
+    if shard in resumed.states:
+        recall(cells, resumed.states[shard], records)
+    member.resume(resumed.tick, resumed.dead)
+
+
+def _first(order: Order, cells: Shard, member: Member) -> int | None:
+    """The first tick of a shard that is ready; None where it is stopped before."""
+    from bus.wire.frames import LinkFrame
+
+    if order.resumed is None:
+        return member.join() if order.joins else 0
+    first, said = order.resumed.tick, cells.border
+    member.repeat(None if said is None else LinkFrame(first - 1, said.sent, said.message))
+    return first
+
+
+def controller_of(
+    scene: Scene, faults: CellFaults | None = None, *, live: bool = False, metered: bool = False
+) -> Controller:
+    """The controller that a scene gives every cell.
+
+    Args:
+        scene: What runs.
+        faults: ``faults_of(scene)``.
+        live: Whether more faults may come while it runs.
+        metered: Whether it counts the cell's messages.
+    """
+    from cell_firmware.build import assemble
+    from cell_firmware.loader import load
+    from deploy.scenes.motor_facts import told
+
+    motors = told(scene.effects.motors)
+    firmware = load(scene.cells)
+    return assemble(
+        firmware,
+        scene.cells,
+        scene.effects,
+        motors,
+        scene.clocks(),
+        faults=faults,
+        live=live,
+        metered=metered,
+    )
+
+
+def faults_of(scene: Scene) -> CellFaults | None:
+    """The faults that the cells of a scene carry out; None where there are none."""
+    injected = of_cells(lasting(scene))
+    if not injected:
+        return None
+    from cell_firmware.build import CellFaults
+
+    return CellFaults(scene.lattice(), injected, scene.seed)
+
+
+def make_shard(order: Order, index: int) -> tuple[Shard, Site]:
+    """The cells of a shard before tick 0, and where they are."""
+    from cell_firmware.effects.base import Site
+    from cell_firmware.firmware import Cells
+    from cell_firmware.shard import FAULTS, Shard
+
+    scene, array, readings = order.scene, order.array, order.readings
+    faults = faults_of(scene)
+    controller = controller_of(scene, faults, live=order.live, metered=order.metered)
+    cells, clocks = order.partition.cells(index), scene.clocks()
+    site = Site(
+        cells,
+        readings.sensors,
+        controller.message,
+        scene.seed,
+        levels=readings.levels,
+        said=controller.said,
+        tick_ns=scene.tick_ns,
+        clocks=None if clocks is None else clocks.all.take(cells),
+    )
+    stages = scene.effects.stages(site)
+    if faults is not None:
+        stages[FAULTS] = faults.stages(site)
+    shard = Shard(
+        controller,
+        Cells.of(
+            array.lattice,
+            array.positions_m,
+            scene.cells.period_s,
+            scene.array.sensors_m,
+            pitch_m=array.pitch_m,
+        ),
+        order.partition,
+        index,
+        stages,
+        () if faults is None else faults.injected,
+    )
+    return shard, site
+
+
+def _injector(order: Order, shard: Shard, site: Site) -> Callable[[Control], None]:
+    """What carries out live faults on a shard."""
+
+    def inject(control: Control) -> None:
+        from deploy.control.protocol import carry_out
+
+        carry_out(control, order.scene, shard, site)
+
+    return inject
+
+
+def _doomed(order: Order, shard: int, schedule: Deaths, ticks: int) -> bool:
+    """Whether every cell of the shard is dead by the schedule after so many ticks."""
+    dead = {cell for tick, cells in schedule.items() if tick <= ticks for cell in cells}
+    return dead.issuperset(order.partition.cells(shard).tolist())
+
+
+def _next_tick_came(run: str, cells: int, endpoint: Endpoint) -> bool:
+    """Wait until the plant begins the tick of the crash; False if the run ends instead.
+
+    Only then has everything that was sent before arrived: a process that killed itself earlier would take its
+    last messages with it, some of the time.
+    """
+    control = plant_key(run, "control")
+    while True:
+        event = endpoint.receive(None)
+        if isinstance(event, Received):
+            if event.key.endswith("/sense"):
+                return True
+            if event.key == control and _says_stop(event.payload, cells):
+                return False
+        elif isinstance(event, Alive) and event.key == plant_key(run, "alive") and not event.present:
+            return False
+
+
+def _says_stop(payload: bytes, cells: int) -> bool:
+    try:
+        return decode_control(payload, cells).kind == "stop"
+    except WireError:
+        return False  # somebody else's

@@ -1,0 +1,1 @@
+"""plant.effects.analogue_sensors."""

@@ -1,0 +1,73 @@
+"""Pictures of where parcels are (effect ``camera``): taken at ticks, handed over later."""
+
+from __future__ import annotations
+
+from collections import deque
+from fractions import Fraction
+from typing import ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.random_streams import generator
+from bus.sensors import Picture
+from bus.state import Remembers
+from plant.effects.camera.spec import CameraSpec
+from plant.wheels import Floats
+
+
+@final
+class Camera:
+    """Takes pictures of the parcels' poses and says which one the cells are shown in a tick.
+
+    Picture j is taken at the first tick that does not begin before ``j period_s``, one a tick at most, and shown in the
+    first that does not begin before ``latency_s`` after that. Angles are in [-pi, pi): nobody sees how often a
+    parcel has turned. Noise is Gaussian, each parcel's and each picture's its own.
+
+    Args:
+        spec: how often, how late, how well.
+        tick_ns: of a tick.
+        seed: of the scene.
+        later: ticks by which all pictures are shown later still: 1 where cells are told in a tick what they read in the
+            one before, so that none sees what had not come yet.
+    """
+
+    remembers: ClassVar[Remembers] = Remembers("_draw", "_next_ns", "_under_way", records=(Picture,))
+
+    def __init__(self, spec: CameraSpec, tick_ns: int, seed: int, later: int = 0) -> None:
+        self._tick_ns = tick_ns
+        self._period_ns = _nanoseconds(spec.period_s)
+        self._delay = -(-_nanoseconds(spec.latency_s) // tick_ns) + later
+        self._spread = np.array([spec.position_noise_m, spec.position_noise_m, spec.angle_noise_rad])
+        self._draw = generator(seed, "camera.noise")
+        self._next_ns = Fraction(0)
+        self._under_way: deque[tuple[int, Picture]] = deque()
+
+    def look(self, tick: int, state: Floats, there: NDArray[np.int64]) -> Picture | None:
+        """What cells are shown in a tick; to be called in every one, in order.
+
+        Args:
+            tick: which.
+            state: ``(m, 6)`` of all parcels, at its start.
+            there: numbers of those that can be seen, ascending.
+        """
+        now_ns = tick * self._tick_ns
+        if now_ns >= self._next_ns:
+            taken = now_ns // self._period_ns
+            self._next_ns = (taken + 1) * self._period_ns
+            self._under_way.append((tick + self._delay, self._picture(state, there)))
+        if self._under_way and self._under_way[0][0] == tick:
+            return self._under_way.popleft()[1]
+        return None
+
+    def _picture(self, state: Floats, there: NDArray[np.int64]) -> Picture:
+        # drawn for all: who comes and goes changes nothing for the others
+        off = self._draw.standard_normal((len(state), 3)) * self._spread
+        pose = (state[:, :3] + off)[there]
+        pose[:, 2] -= 2.0 * np.pi * np.floor((pose[:, 2] + np.pi) / (2.0 * np.pi))
+        return Picture(there.copy(), pose)
+
+
+def _nanoseconds(span_s: float) -> Fraction:
+    """As it was written."""
+    return Fraction(repr(span_s)) * 1_000_000_000

@@ -1,0 +1,250 @@
+"""What can touch: parcels and rails; and those of them that may do so within a span, by themselves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant import geometry
+from plant.friction.law import Traction
+from plant.kernels.contact import layout as to
+from plant.parcel_spec import ParcelSpec
+from plant.solver_api import Body
+from plant.wheels import WheelMotion
+
+Floats = NDArray[np.float64]
+
+BOTH_AXES = math.sqrt(2.0)
+"""The forces of a cell's two wheels are at right angles."""
+
+
+def corner_pulls(
+    traction: Traction, mass: Floats, inertia: Floats, radius: Floats, cells: Floats, gravity: float
+) -> Floats:
+    """Bounds on the accelerations of parcels' corners under a law of traction; see ``plant.kernels.contact.ccd``.
+
+    All forces add up at one end of the parcel, at the fastest slip: more than any motion comes to. Loads sum to the
+    weight.
+
+    Args:
+        traction: the law.
+        mass: ``(m,)`` kg.
+        inertia: ``(m,)`` kg m², about the centre of mass.
+        radius: ``(m,)`` m, of the farthest corner.
+        cells: ``(m,)`` how many fit under each.
+        gravity: m/s².
+
+    Returns:
+        ``(m, PULL_SIZE)``.
+    """
+    weight = mass * gravity
+    yielding = BOTH_AXES * (1.0 / mass + radius * radius / inertia)
+    stiffness = traction.stiffness_per_load * weight + traction.stiffness * cells
+    bounds = np.zeros((len(mass), to.PULL_SIZE))
+    bounds[:, to.PER_SLIP] = 1e300 if traction.set_valued else stiffness * yielding
+    bounds[:, to.LIMIT] = (traction.limit_per_load * weight + traction.limit * cells) * yielding
+    bounds[:, to.PUSH] = traction.push_per_load * weight * yielding
+    bounds[:, to.RADIUS] = radius
+    return bounds
+
+
+def fastest(motion: WheelMotion) -> float:
+    """Speed that no wheel's surface exceeds, along either axis, and that no cell's two wheels exceed together, m/s."""
+    both = 0.0
+    for part in (motion.steady, motion.decay):
+        if part.size:
+            both += max(float(part.max()), -float(part.min()))
+    return BOTH_AXES * both
+
+
+class Shapes(NamedTuple):
+    """Outlines one after another, each about a point of its own.
+
+    Attributes:
+        corner: ``(b + 1,)`` where each one's corners begin, and where the last's end.
+        vertices: ``(v, 2)`` m, counter-clockwise.
+        normal: ``(v, 2)`` outward unit normals of the edges that begin there.
+        offset: ``(v,)`` distance of those edges along them, m.
+    """
+
+    corner: NDArray[np.int64]
+    vertices: Floats
+    normal: Floats
+    offset: Floats
+
+
+def pack(outlines: Sequence[Floats]) -> Shapes:
+    """Outlines ``(v, 2)`` each, side by side; two corners are a segment."""
+    sides = [geometry.edges(outline) for outline in outlines]
+    return Shapes(
+        np.cumsum([0, *(len(outline) for outline in outlines)], dtype=np.int64),
+        np.concatenate([np.zeros((0, 2)), *outlines]),
+        np.concatenate([np.zeros((0, 2)), *(normal for normal, _ in sides)]),
+        np.concatenate([np.zeros(0), *(offset for _, offset in sides)]),
+    )
+
+
+Integers = NDArray[np.int64]
+
+
+class Group(NamedTuple):
+    """Bodies that may touch, numbered from 0 among themselves.
+
+    Attributes:
+        names: ``(b,)`` their numbers in the scene: parcels, then rails.
+        moving: ``(g,)`` those that move, ascending; the others stand.
+        pairs: ``(k, 2)`` those that may touch, the lesser first.
+        shapes: outlines.
+        inverse: ``(b, 2)`` one over mass, 1/kg, and over moment of inertia, 1/(kg m²); 0 for what stands.
+        pull: ``(b, PULL_SIZE)``: see ``plant.kernels.contact.ccd``.
+        still: ``(b, 6)`` states of those that stand.
+        slow: m/s: what closes no faster doesn't bounce.
+    """
+
+    names: Integers
+    moving: Integers
+    pairs: Integers
+    shapes: Shapes
+    inverse: Floats
+    pull: Floats
+    still: Floats
+    slow: float
+
+    @property
+    def parcels(self) -> Integers:
+        """``(g,)`` numbers of those that move."""
+        return self.names[self.moving]
+
+    def stopped(self, body: int, state: Floats) -> Group:
+        """The same with a body that stands from now on."""
+        inverse, still = self.inverse.copy(), self.still.copy()
+        inverse[body] = 0.0
+        still[body, :3] = state[:3]
+        return self._replace(moving=self.moving[self.moving != body], inverse=inverse, still=still)
+
+
+class Work(NamedTuple):
+    """Scratch of the kernels for one group; see ``plant.kernels.contact.layout``.
+
+    Attributes:
+        rows: ``(2 k, ROW_SIZE)`` points at which pairs touch.
+        ends: ``(2 k, 3)`` whose they are.
+        marks: ``(k,)`` of the pairs: which stay together.
+        held: ``(k,)`` likewise: which friction holds.
+        opens: ``(k,)`` how fast they open.
+        first: ``(b, 3)``.
+        second: likewise.
+        third: likewise.
+    """
+
+    rows: Floats
+    ends: Integers
+    marks: Integers
+    held: Integers
+    opens: Floats
+    first: Floats
+    second: Floats
+    third: Floats
+
+
+def make_work(group: Group) -> Work:
+    """Scratch for a group."""
+    pairs, bodies = len(group.pairs), len(group.names)
+    return Work(
+        np.zeros((2 * pairs, to.ROW_SIZE)),
+        np.zeros((2 * pairs, 3), dtype=np.int64),
+        np.zeros(pairs, dtype=np.int64),
+        np.zeros(pairs, dtype=np.int64),
+        np.zeros(pairs),
+        *np.zeros((3, bodies, 3)),
+    )
+
+
+@final
+class Bodies:
+    """All parcels and rails of a scene.
+
+    Args:
+        parcels: mass and inertia of each.
+        bodies: the same as the solver holds them.
+        rails: points of each, m.
+        traction: the law, which bounds what parcels can do.
+        gravity: m/s².
+        pitch: of the array, m.
+        slow: m/s: what closes no faster doesn't bounce.
+
+    Attributes:
+        parcels: how many; the rails are numbered after them.
+        radius: ``(b,)`` m, farthest corner of each.
+        pull: ``(b, PULL_SIZE)``.
+        rail_state: ``(r, 6)``: middle of each rail.
+    """
+
+    def __init__(
+        self,
+        parcels: Sequence[ParcelSpec],
+        bodies: Sequence[Body],
+        rails: Sequence[Sequence[tuple[float, float]]],
+        traction: Traction,
+        gravity: float,
+        pitch: float,
+        slow: float,
+    ) -> None:
+        self._slow = slow
+        self.parcels = len(parcels)
+        points = [geometry.counter_clockwise(rail) for rail in rails]
+        middle = [rail.mean(axis=0) for rail in points]
+        self._outlines: list[Floats] = [
+            *(body.footprint_m for body in bodies),
+            *(rail - centre for rail, centre in zip(points, middle, strict=True)),
+        ]
+        self.rail_state: Floats = np.zeros((len(rails), 6))
+        self.rail_state[:, :2] = np.array(middle).reshape(-1, 2)
+        self.radius: Floats = np.array([np.hypot(*outline.T).max() for outline in self._outlines])
+        mass = np.array([parcel.mass_kg for parcel in parcels])
+        inertia = np.array([parcel.moment_of_inertia_kg_m2() for parcel in parcels])
+        self._inverse = np.zeros((len(self._outlines), 2))
+        self._inverse[: len(mass)] = np.stack([1.0 / mass, 1.0 / inertia], axis=1)
+        self.pull: Floats = np.zeros((len(self._outlines), to.PULL_SIZE))
+        reach = self.radius[: len(mass)]
+        cells = (2.0 * reach / pitch + 2.0) ** 2
+        self.pull[: len(mass)] = corner_pulls(traction, mass, inertia, reach, cells, gravity)
+
+    def states(self, parcels: Floats) -> Floats:
+        """``(b, 6)`` states of all, from the parcels' ``(m, 6)``."""
+        return np.concatenate([parcels, self.rail_state])
+
+    def rail_distance(self, rail: int, places: Floats) -> Floats:
+        """``(n,)`` how far points ``(n, 2)`` are from a rail's edges, m; ``rail`` is its number in the scene."""
+        corners = self._outlines[rail] + self.rail_state[rail - self.parcels, :2]
+        edges = np.roll(corners, -1, axis=0) - corners
+        arms = places[:, None, :] - corners
+        along = np.clip(np.sum(arms * edges, axis=2) / np.sum(edges * edges, axis=1), 0.0, 1.0)
+        return np.min(np.hypot(*np.moveaxis(arms - along[:, :, None] * edges, 2, 0)), axis=1)
+
+    def group(self, pairs: Integers, live: NDArray[np.bool_], states: Floats) -> Group:
+        """The bodies of some pairs, by themselves.
+
+        Args:
+            pairs: ``(k, 2)`` numbers in the scene.
+            live: ``(b,)`` which move.
+            states: ``(b, 6)``.
+        """
+        names, places = np.unique(pairs, return_inverse=True)
+        moving = live[names]
+        still = states[names]
+        still[:, 3:] = 0.0
+        return Group(
+            names,
+            np.flatnonzero(moving),
+            np.sort(places.reshape(-1, 2), axis=1).astype(np.int64),
+            pack([self._outlines[int(i)] for i in names]),
+            self._inverse[names] * moving[:, None],
+            self.pull[names],
+            still,
+            self._slow,
+        )

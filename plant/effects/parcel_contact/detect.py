@@ -1,0 +1,150 @@
+"""When two bodies first touch: no contact is stepped over, however short.
+
+Between two instants a pair is certain to stay apart where a line between them does
+(``plant.kernels.contact.polygons``); any
+other interval is divided, until it is certain or its end is a contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.effects.parcel_contact.bodies import Group, make_work
+from plant.effects.parcel_contact.events import Told, telling
+from plant.effects.parcel_contact.free_motion import Course
+from plant.kernels.contact import layout as to
+from plant.kernels.contact.layout import TOUCH_M
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+LOCATED_S: Final = 1e-9
+"""An instant is located to this, where the gap isn't below `TOUCH_M` before."""
+SHORTEST_S: Final = 1e-13
+"""No interval is divided that is as short as this."""
+PARTS: Final = 8
+"""Into how many an interval is divided."""
+
+
+class Turn(NamedTuple):
+    """A pair that comes to touch, or parts.
+
+    Attributes:
+        known: which of the instants known.
+        pair: which of the group's.
+    """
+
+    known: int
+    pair: int
+
+
+@final
+class Search:
+    """Contacts of a group along its course.
+
+    Args:
+        course: of the group.
+        group: its bodies.
+        wheels: m/s, the fastest wheel.
+        times: ``(T,)`` instants known, s, the first being 0.
+        states: ``(T, b, 6)``.
+
+    Attributes:
+        times: instants known by now.
+        states: at these.
+    """
+
+    def __init__(self, course: Course, group: Group, wheels: float, times: Floats, states: Floats) -> None:
+        from plant.kernels.contact import entry as contact_entry
+
+        self._entry: Any = contact_entry
+        self._course, self._group, self._wheels = course, group, wheels
+        self.times, self.states = times, states
+
+    def gap(self, index: int, pair: int) -> float:
+        """Free space of a pair at a known instant, m; negative where they overlap."""
+        i, j = self._group.pairs[pair].tolist()
+        states = self.states[index]
+        return float(self._entry.gap(self._group.shapes, i, j, states[i], states[j])[0])
+
+    def contact(self, pairs: Integers, start: int = 0) -> Turn | None:
+        """The first contact of some pairs, apart at the instant ``start``; None where there is none."""
+        group = self._group
+        while len(pairs):
+            start, which = self._entry.first_unsure(
+                group.shapes, group.pairs[pairs], group.pull, self._wheels, self.times, self.states, start
+            )
+            if which < 0:
+                return None
+            pair, span = int(pairs[which]), self.times[start + 1] - self.times[start]
+            space = self.gap(start + 1, pair)
+            if space <= TOUCH_M and ((space > 0.0 and span <= LOCATED_S) or span <= SHORTEST_S):
+                return Turn(start + 1, pair)
+            if span <= SHORTEST_S:
+                start += 1  # nothing that lasts
+            else:
+                self._divide(start)
+        return None
+
+    def parting(self, pair: int, start: int) -> Turn | None:
+        """When a pair that touches at the instant ``start`` no longer does; looked at the known instants only."""
+        index = start + 1
+        while index < len(self.times):
+            if self.gap(index, pair) <= 2.0 * TOUCH_M:
+                index += 1
+            elif self.times[index] - self.times[index - 1] > LOCATED_S:
+                index -= 1
+                self._divide(index)
+                index += 1
+            else:
+                return Turn(index, pair)
+        return None
+
+    def _divide(self, index: int) -> None:
+        """Divide the interval that begins at a known instant."""
+        a, b = self.times[index], self.times[index + 1]
+        inner = a + (b - a) * np.arange(1, PARTS) / PARTS
+        self.times = np.insert(self.times, index + 1, inner)
+        self.states = np.insert(self.states, index + 1, self._course.at(inner), axis=0)
+
+
+def follow(
+    course: Course, group: Group, wheels: float, known: tuple[Floats, Floats], met: bool
+) -> tuple[Sequence[Told], bool]:
+    """Contacts of one pair along its free course.
+
+    Args:
+        course: of the group.
+        group: the pair, alone.
+        wheels: m/s, the fastest wheel.
+        known: instants ``(T,)`` and states ``(T, b, 6)``.
+        met: whether it touches at the start, as told before.
+
+    Returns:
+        What is told, in the order of time, and whether the pair touches at the end.
+    """
+    from plant.kernels.contact import entry as contact_entry
+
+    kernels: Any = contact_entry
+
+    search = Search(course, group, wheels, *known)
+    told: list[Told] = []
+    work, only = make_work(group), np.zeros(1, dtype=np.int64)
+    index = 0
+    while True:
+        if not met and search.gap(index, 0) <= to.TOUCH_M:
+            found = index
+        else:
+            contact = search.parting(0, index) if met else search.contact(only, index)
+            if contact is None:
+                return told, met
+            found = contact.known
+        index, met = found, not met
+        states, kind = search.states[index], "contact" if met else "apart"
+        count = kernels.gather(group, work.marks, to.EVERY, states, to.BEYOND, work.rows, work.ends)
+        rows, ends = work.rows[:count], work.ends[:count]
+        told.append(telling(group, float(search.times[index]), kind, rows, ends, states[:, 3:]))

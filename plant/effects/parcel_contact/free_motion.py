@@ -1,0 +1,90 @@
+"""Where the parcels of a group go in a span when nothing touches them, at any instant asked for."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.effects.parcel_contact.bodies import Group
+from plant.solver_api import Advance, Leg, Rewindable
+from plant.wheels import WheelMotion
+
+Floats = NDArray[np.float64]
+
+
+def later(motion: WheelMotion, after_s: float) -> WheelMotion:
+    """The wheels' motion, begun ``after_s`` seconds later."""
+    if motion.rate == 0.0 or after_s == 0.0:
+        return motion
+    return WheelMotion(motion.steady, motion.decay * math.exp(-motion.rate * after_s), motion.rate)
+
+
+STILL_THERE = ("moving", "tipped")
+"""Endings of a parcel's motion that others can go on beside."""
+
+
+@final
+class CourseEnded(Exception):
+    """A parcel's motion can't be followed, or was to end: there is no course to look at.
+
+    Attributes:
+        done: how far it came, times from the start of the course.
+    """
+
+    def __init__(self, done: Advance) -> None:
+        super().__init__(done.ending)
+        self.done = done
+
+
+@final
+class Course:
+    """The free motion of a group's parcels from where they are now.
+
+    Args:
+        solver: that moves them; left anywhere on the course by `at`, and where it ends by `go`.
+        group: which.
+        motion: of the wheels, from now on.
+        grip: as for ``Solver.advance``.
+    """
+
+    def __init__(self, solver: Rewindable, group: Group, motion: WheelMotion, grip: Floats) -> None:
+        self._solver, self._group = solver, group
+        self._motion, self._grip = motion, grip
+        self._kept = solver.keep(group.parcels)
+        self.start: Floats = group.still.copy()
+        self.start[group.moving] = solver.state[group.parcels]
+
+    def at(self, times: Floats) -> Floats:
+        """``(k, b, 6)`` states at ``times`` ``(k,)`` in seconds from the start, ascending and after it.
+
+        Raises:
+            CourseEnded: a parcel did not come so far.
+        """
+        group = self._group
+        out = np.empty((len(times), len(self._solver.state), 6))
+        self._solver.restore(self._kept)
+        leg = Leg(self._motion, self._grip, float(times[-1]), times, out)
+        news = self._solver.advance(group.parcels, leg)
+        states = np.empty((len(times), len(group.names), 6))
+        states[:] = group.still
+        states[:, group.moving] = out[:, group.parcels]
+        for one in news:
+            if one.ending not in STILL_THERE:
+                raise CourseEnded(one)
+            if one.ending != "moving":
+                states[times > one.moved_s, np.searchsorted(group.names, one.parcel), 3:] = 0.0
+        return states
+
+    def back(self) -> None:
+        """Put the parcels back to the start."""
+        self._solver.restore(self._kept)
+
+    def go(self, span_s: float) -> list[Advance]:
+        """Move the parcels on by ``span_s`` for good. Returns those to which something happened."""
+        self._solver.restore(self._kept)
+        return self._solver.advance(
+            self._group.parcels, Leg.through(self._motion, self._grip, span_s, len(self._solver.state))
+        )

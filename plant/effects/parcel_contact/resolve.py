@@ -1,0 +1,253 @@
+"""A group of bodies through a span, contacts resolved.
+
+Parcels that are apart move freely up to the instant at which a pair touches. There all points that touch are struck at
+once (``plant.kernels.contact.impact``). Pairs that stay together go on in steps of at most ``step_s``: all move
+freely, then
+velocities lose what would take bodies into each other, with friction; what pushed them acts on their places as a force
+even over the step would have; and what overlap is left is taken out of the places
+(``plant.kernels.contact.resting``). Both
+corrections are the least ones in the metric of the masses: the first takes energy and never adds any, and neither moves
+the common centre of mass.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant import stop
+from plant.effects.parcel_contact.bodies import Group, make_work
+from plant.effects.parcel_contact.detect import Search
+from plant.effects.parcel_contact.events import Told, telling
+from plant.effects.parcel_contact.free_motion import STILL_THERE, Course, CourseEnded, later
+from plant.effects.parcel_contact.spec import ParcelContactSpec
+from plant.errors import PlantStopped, PlantUnstable
+from plant.kernels.contact import layout as to
+from plant.solver_api import Advance, Rewindable
+from plant.wheels import WheelMotion
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SHORT_S: Final = 1e-6
+"""No step is shortened below this for a second corner's sake."""
+FEW: Final = 200
+"""Impacts in a call and for each pair after which nothing bounces any more."""
+MANY: Final = 10_000
+"""Steps in a call and for each pair, beside those of ``step_s``, after which it is given up."""
+
+
+class Drive(NamedTuple):
+    """What acts on the parcels of a call.
+
+    Attributes:
+        motion: of the wheels, from the start of the call.
+        grip: as for ``Solver.advance``.
+        wheels: m/s, the fastest wheel.
+        start_s: when the call begins.
+    """
+
+    motion: WheelMotion
+    grip: Floats
+    wheels: float
+    start_s: float
+
+
+@final
+class Resolution:
+    """One group in one call.
+
+    Args:
+        solver: that moves parcels.
+        group: which bodies.
+        drive: what acts on them.
+        rules: of the scene.
+        met: pairs of the group that touch, by their numbers in the group.
+
+    Attributes:
+        group: the bodies, with those stopped that tipped.
+        met: those that touch by now.
+        news: what happened to parcels, times from the start of the call.
+        told: contacts that began or ended.
+        strayed: ``(b,)`` m, how far each body has come.
+    """
+
+    def __init__(
+        self, solver: Rewindable, group: Group, drive: Drive, rules: ParcelContactSpec, met: set[int]
+    ) -> None:
+        from plant.kernels.contact import entry as contact_entry
+
+        self._kernels: Any = contact_entry
+        self._solver, self._drive, self._rules = solver, drive, rules
+        self._work = make_work(group)
+        self._impacts = 0
+        self.group = group
+        self.met = met
+        self.news: list[Advance] = []
+        self.told: list[Told] = []
+        self.strayed: Floats = np.zeros(len(group.names))
+
+    def run(self, span_s: float) -> None:
+        """Take the group through the span.
+
+        Raises:
+            PlantUnstable: contacts follow each other without end, or can't be solved.
+            PlantStopped: somebody asked for the end of the call.
+        """
+        now, steps = 0.0, MANY * len(self.group.pairs) + math.ceil(span_s / self._rules.step_s)
+        while now < span_s:
+            steps -= 1
+            if steps < 0:
+                raise PlantUnstable(f"contacts without end {self._where(now)}", self._drive.start_s + now)
+            if stop.requested():
+                raise PlantStopped(f"stopped {self._where(now)}", self._drive.start_s + now)
+            self._strike(now)
+            before = self._states()
+            soonest = float(self._kernels.together(self.group, before, self._work))
+            together = self._work.marks == to.TOGETHER
+            longest = self._longest(soonest, span_s - now) if together.any() else span_s - now
+            try:
+                step = self._free(now, longest, np.flatnonzero(~together))
+            except CourseEnded as ended:
+                self._take(ended.done, now)
+                return
+            if together.any():
+                self._hold(before, now, step)
+            now = span_s if step >= span_s - now else now + step
+            self.strayed += np.hypot(*(self._states() - before)[:, :2].T)
+            self._note_apart(now)
+        states = self._states()
+        count, _ = self._kernels.meet(self.group, states, self._work)
+        self._note_begun(now, count, states)
+
+    # --- states -----------------------------------------------------------------------------------
+
+    def _states(self) -> Floats:
+        """``(b, 6)`` now; a copy."""
+        states = self.group.still.copy()
+        states[self.group.moving] = self._solver.state[self.group.parcels]
+        return states
+
+    def _put(self, states: Floats) -> None:
+        """Give those parcels their states that have others now."""
+        for body, parcel in zip(self.group.moving.tolist(), self.group.parcels.tolist(), strict=True):
+            if not np.array_equal(states[body], self._solver.state[parcel]):
+                self._solver.put(parcel, states[body])
+
+    def _settled(self, outcome: int, now: float) -> None:
+        """Raise where a problem of impulses has no solution within reach."""
+        if outcome != to.DONE:
+            what = "don't settle" if outcome == to.NOT_SETTLED else "can't part what overlaps"
+            raise PlantUnstable(
+                f"the impulses between touching bodies {what} {self._where(now)}", self._drive.start_s + now
+            )
+
+    def _where(self, now: float) -> str:
+        x, y = self._states()[self.group.moving, :2].mean(axis=0)
+        named, at_s = self.group.parcels.tolist(), self._drive.start_s + now
+        return f"among parcels {named} at t = {at_s:.6g} s near x = {x:.6g} m, y = {y:.6g} m"
+
+    # --- impacts ----------------------------------------------------------------------------------
+
+    def _strike(self, now: float) -> None:
+        """Change velocities where bodies that touch close on each other."""
+        states, work = self._states(), self._work
+        count, outcome = self._kernels.meet(self.group, states, work)
+        self._settled(outcome, now)
+        if count:
+            self._note_begun(now, count, states)
+            # past a limit bouncing ends: two walls that close on a parcel would never let it
+            bounce = self._rules.restitution if self._impacts < FEW * len(self.group.pairs) else 0.0
+            outcome, fastest = self._kernels.collide(
+                self.group, count, states, bounce, self._rules.friction, work
+            )
+            self._settled(outcome, now)
+            self._impacts += fastest > self.group.slow
+            self._note_bounced(now, count, states)
+        self._put(states)
+
+    # --- free motion ------------------------------------------------------------------------------
+
+    def _longest(self, soonest: float, left: float) -> float:
+        """How long a step may be while pairs stay together, up to when a second corner of one strikes."""
+        # equal steps up to the end, none longer than said
+        parts = math.ceil(left / self._rules.step_s - 1e-9)
+        return min(left / max(parts, 1), max(soonest, SHORT_S))
+
+    def _free(self, now: float, span: float, apart: Integers) -> float:
+        """Move all freely until one of the pairs ``apart`` touches, or by ``span``. Returns how far."""
+        if not len(self.group.moving):
+            return span
+        drive = self._drive
+        course = Course(self._solver, self.group, later(drive.motion, now), drive.grip)
+        step = span
+        if len(apart):
+            times = np.array([0.0, span])
+            states = np.stack([course.start, course.at(times[1:])[0]])
+            search = Search(course, self.group, drive.wheels, times, states)
+            found = search.contact(apart)
+            step = span if found is None else float(search.times[found.known])
+        for one in course.go(step):
+            self._take(one, now)
+            if one.ending not in STILL_THERE:
+                return span
+        return step
+
+    def _take(self, one: Advance, now: float) -> None:
+        """Note what happened to a parcel in a step that began at ``now``."""
+        events = [event._replace(after_s=now + event.after_s) for event in one.events]
+        self.news.append(one._replace(moved_s=now + one.moved_s, events=events))
+        if one.ending == "tipped":
+            state = self._solver.state[one.parcel]
+            state[3:] = 0.0
+            self.group = self.group.stopped(int(np.searchsorted(self.group.names, one.parcel)), state)
+
+    def _hold(self, before: Floats, now: float, step: float) -> None:
+        """Correct velocities and places after a free step of pairs that stay together."""
+        states = self._states()
+        outcome = self._kernels.hold(self.group, before, states, step, self._rules.friction, self._work)
+        self._settled(outcome, now + step)
+        self._put(states)
+
+    # --- what is told --------------------------------------------------------------------------------
+
+    def _tell(self, now: float, kind: str, pair: int, count: int, states: Floats) -> None:
+        mine = np.flatnonzero(self._work.ends[:count, to.PAIR] == pair)
+        rows, ends = self._work.rows[mine], self._work.ends[mine]
+        self.told.append(telling(self.group, now, kind, rows, ends, states[:, 3:]))
+
+    def _note_begun(self, now: float, count: int, states: Floats) -> None:
+        """Pairs that touch, the rows being in ``work``, and didn't."""
+        for pair in np.unique(self._work.ends[:count, to.PAIR]).tolist():
+            if pair not in self.met:
+                self.met.add(pair)
+                self._tell(now, "contact", pair, count, states)
+
+    def _note_bounced(self, now: float, count: int, states: Floats) -> None:
+        """Pairs that touch, and open faster than what stays together."""
+        self._kernels.opening(count, states, self._work)
+        for pair in sorted(self.met):
+            if self._work.opens[pair] > self.group.slow:
+                self.met.remove(pair)
+                self._tell(now, "apart", pair, count, states)
+
+    def _note_apart(self, now: float) -> None:
+        """Pairs that touched and are apart."""
+        if not self.met:
+            return
+        states, work = self._states(), self._work
+        work.marks[:] = 0
+        work.marks[sorted(self.met)] = to.TOGETHER
+        count = self._kernels.gather(
+            self.group, work.marks, to.TOGETHER, states, to.BEYOND, work.rows, work.ends
+        )
+        nearest = np.full(len(work.marks), np.inf)
+        np.minimum.at(nearest, work.ends[:count, to.PAIR], work.rows[:count, to.SPACE])
+        for pair in sorted(self.met):
+            if nearest[pair] > to.NEAR_M:
+                self.met.remove(pair)
+                if np.isfinite(nearest[pair]):
+                    self._tell(now, "apart", pair, count, states)

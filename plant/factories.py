@@ -1,0 +1,109 @@
+"""What a plant has only where effects of its scene ask for it: motors, levels, parcels that come, go, or touch.
+
+Their modules are imported here, where they are used: a scene without them loads none of their code.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+from plant.array import CellArray
+from plant.effects.registry import PlantEffects
+from plant.observations import ParcelStatus
+from plant.overlap import OverlapWatch
+from plant.solver_api import LegSolver, Rewindable, Solver
+from plant.specs import PlantSpec
+from plant.wheels import IdealWheels, Wheels
+
+if TYPE_CHECKING:
+    from plant.effects.analogue_sensors.spots import Spots
+    from plant.effects.camera.camera import Camera
+    from plant.effects.feeders.traffic import Traffic
+    from plant.effects.parcel_contact.mover import ContactMover
+    from plant.effects.scanners.scanners import Scanners
+
+
+def make_wheels(spec: PlantSpec, cells: int) -> Wheels:
+    """The wheels of all cells: ideal ones, or with motors."""
+    motors = spec.effects.motors
+    if motors is None:
+        return IdealWheels(cells)
+    from plant.effects.motors import Motors
+
+    return Motors(motors, cells, loaded=spec.effects.wheel_load is not None)
+
+
+def make_traffic(
+    spec: PlantSpec, solver: Solver, status: list[ParcelStatus], overlaps: OverlapWatch
+) -> Traffic | None:
+    """Parcels that come and go, None where all stay.
+
+    Args:
+        spec: the scene's physics.
+        solver: its parcels are at their start.
+        status: of each; changed as they come and go.
+        overlaps: knows their footprints.
+    """
+    feeders = spec.effects.feeders
+    if feeders is None:
+        return None
+    from plant.effects.feeders.traffic import Traffic
+
+    destinations = [parcel.destination for parcel in spec.with_fed().parcels]
+    return Traffic(feeders, spec.seed, solver.state, status, overlaps, destinations)
+
+
+def make_spots(spec: PlantSpec, array: CellArray) -> Spots | None:
+    """What tells how much of its spot each sensor has covered, None where sensors have no levels."""
+    analogue = spec.effects.analogue_sensors
+    if analogue is None:
+        return None
+    from plant.effects.analogue_sensors.spots import Spots
+
+    return Spots(analogue, array, spec.with_fed().parcels)
+
+
+def make_scanners(spec: PlantSpec, array: CellArray) -> Scanners | None:
+    """What tells where the parcels over some cells are to go, None where no cell can read that."""
+    scanners, feeders = spec.effects.scanners, spec.effects.feeders
+    if scanners is None or feeders is None:
+        return None
+    from plant.effects.scanners.scanners import Scanners
+
+    return Scanners(scanners, feeders, array, spec.with_fed().parcels)
+
+
+def make_camera(effects: PlantEffects, tick_ns: int, seed: int, later: int = 0) -> Camera | None:
+    """What takes pictures of parcels, None where nothing does; see ``plant.effects.camera.camera.Camera``."""
+    if effects.camera is None:
+        return None
+    from plant.effects.camera.camera import Camera
+
+    return Camera(effects.camera, tick_ns, seed, later)
+
+
+def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
+    """What moves parcels that touch, None where they don't."""
+    contact = spec.effects.parcel_contact
+    if contact is None:
+        return None
+    from plant.effects.parcel_contact.mover import ContactMover
+
+    # the spec lets only solvers be chosen that can go back
+    return ContactMover(
+        spec.with_fed().parcels,
+        spec.friction.traction(),
+        spec.gravity_m_s2,
+        spec.array.pitch_m,
+        contact,
+        cast("Rewindable", solver),
+    )
+
+
+def with_legs(spec: PlantSpec, solver: Solver) -> LegSolver | None:
+    """The solver, if it divides calls for each parcel by itself; None where it can't, or effects act on all at once."""
+    effects = spec.effects
+    together = (effects.parcel_contact, effects.wheel_load, effects.analogue_sensors, effects.scanners)
+    if spec.solver.name != "exact" or any(effect is not None for effect in together):
+        return None
+    return cast("LegSolver", solver)

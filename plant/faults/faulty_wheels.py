@@ -1,0 +1,91 @@
+"""Wheels around which there are faults: jammed, weak, reversed, run away, or gone with their cell."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.state import Remembers
+from plant.faults.base import Harm
+from plant.wheels import Changes, Floats, WheelMotion, WheelRun, Wheels
+
+if TYPE_CHECKING:
+    from plant.effects.motors import MotorsSpec
+
+
+@final
+class HarmedWheels:
+    """Wheels as they are, but for what faults do to their drives, and to those that stand whatever they are told.
+
+    A fault acts at once, on the drive that stands as on those that follow. With motors it acts on what reaches them:
+    they go on from the speed that they have.
+
+    Args:
+        wheels: What they are without faults.
+        motors: None where wheels are ideal: drives are m/s then, else volts.
+        cells: Of the array.
+    """
+
+    remembers: ClassVar[Remembers] = Remembers("_wheels")
+
+    def __init__(self, wheels: Wheels, motors: MotorsSpec | None, cells: int) -> None:
+        self._wheels = wheels
+        self._motors = motors
+        self._harm = Harm.none(cells)
+        self._still: NDArray[np.bool_] = np.zeros((cells, 2), dtype=np.bool_)
+
+    def suffer(self, harm: Harm, drives: Floats) -> None:
+        """Something else is the matter from now on, while ``drives`` ``(n, 2)`` go on until others take effect."""
+        self._harm = harm
+        self._still = harm.stuck | harm.gone[:, None]
+        self._wheels.command(self._acting(drives), 0.0)
+
+    def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
+        """What they do from now on; see ``plant.wheels.Wheels``."""
+        run = self._wheels.command(self._acting(drives), span_s, acts_s)
+        return _halted(run, self._still) if self._still.any() else run
+
+    def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> Floats | None:
+        """Let the wheels turn; see ``plant.wheels.Wheels``."""
+        return self._wheels.elapse(run, span_s, reads_s)
+
+    @property
+    def speed(self) -> Floats:
+        """``(n, 2)`` m/s, now."""
+        return np.where(self._still, 0.0, self._wheels.speed)
+
+    @property
+    def travel(self) -> Floats | None:
+        """``(n, 2)`` m of surface passed since the start; None without encoders."""
+        return self._wheels.travel
+
+    def _acting(self, drives: Floats) -> Floats:
+        """What reaches the wheels of ``drives``: m/s, or volts within the supply's."""
+        harm, supply, most = self._harm, np.inf, harm_limit(self._harm, self._motors)
+        if self._motors is not None:
+            supply = self._motors.supply_v
+        asked = np.where(np.isnan(harm.runs_m_s), drives, harm.runs_m_s)
+        return np.clip(np.clip(asked, -supply, supply) * harm.factor, -most, most)
+
+
+def harm_limit(harm: Harm, motors: MotorsSpec | None) -> Floats:
+    """The greatest drive ``(n, 2)`` that faults let through: a speed, or the voltage that leads to it without load."""
+    if motors is None:
+        return harm.most_m_s
+    motor = motors.first_order
+    return harm.most_m_s / motor.speed_per_volt_m_s + motor.coulomb_v
+
+
+def _halted(run: WheelRun, still: NDArray[np.bool_]) -> WheelRun:
+    """The same motion, but that some wheels stand from its start to its end."""
+    motion, changes = run.motion, run.changes
+    halted = WheelMotion(
+        np.where(still, 0.0, motion.steady), np.where(still, 0.0, motion.decay), motion.rate, motion.slowing
+    )
+    if changes is None:
+        return WheelRun(halted)
+    after_s = np.where(still, np.inf, changes.after_s)
+    steady, decay = (np.where(still, 0.0, part) for part in changes[1:])
+    return WheelRun(halted, Changes(after_s, steady, decay))

@@ -1,0 +1,22 @@
+"""A wheel's leads are swapped: it turns the other way than it is driven."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.faults.base import Harm, WheelFault
+
+
+@final
+class WheelReversedFault(WheelFault):
+    """Wheels on which drives act times -1. Encoders tell the truth: a speed loop drives them ever faster."""
+
+    called: ClassVar[str] = "wheel_reversed"
+    kind: Literal["wheel_reversed"]
+
+    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+        """Drives act the other way."""
+        harm.factor[self.wheels(cells)] *= -1.0

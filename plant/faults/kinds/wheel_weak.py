@@ -1,0 +1,39 @@
+"""A wheel is weak: only a share of its drive is left, or it gets no faster than so much."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from bus.spec import NotNegative
+from plant.faults.base import Harm, WheelFault
+
+
+@final
+class WheelWeakFault(WheelFault):
+    """Wheels of which a part is left."""
+
+    called: ClassVar[str] = "wheel_weak"
+    kind: Literal["wheel_weak"]
+    strength: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] | None = None
+    """Share of the drive that is left: with motors of the voltage, and so of the torque at a stand and of the speed
+    without load; of the speed without."""
+    most_m_s: NotNegative | None = None
+    """The fastest that it is driven, either way: with motors the speed without load at the voltage that is left."""
+
+    @model_validator(mode="after")
+    def _weak_somehow(self) -> Self:
+        if self.strength is None and self.most_m_s is None:
+            raise ValueError("give strength, most_m_s, or both")
+        return self
+
+    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+        """Less of the drive acts; where several faults say so, each takes its share."""
+        wheels = self.wheels(cells)
+        if self.strength is not None:
+            harm.factor[wheels] *= self.strength
+        if self.most_m_s is not None:
+            harm.most_m_s[wheels] = np.minimum(harm.most_m_s[wheels], self.most_m_s)

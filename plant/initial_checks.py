@@ -1,0 +1,72 @@
+"""What must hold at the start: every parcel stands where it starts or is fed, and none is in another's way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from plant.errors import PlantError
+from plant.overlap import OverlapWatch
+from plant.solver_api import Solver
+from plant.specs import PlantSpec
+from plant.wheels import Floats
+
+if TYPE_CHECKING:
+    from plant.effects.feeders.traffic import Traffic
+
+
+def check_standing(spec: PlantSpec, solver: Solver, cells: int) -> None:
+    """Find every parcel's first loads.
+
+    Args:
+        spec: names the key of what is refused.
+        solver: its parcels are at their start.
+        cells: how many the array has.
+
+    Raises:
+        PlantError: the cells under a parcel can't carry it.
+    """
+    driven = np.ones(cells)
+    for i, body in enumerate(solver.bodies):
+        under = len(solver.under(i))
+        if under == 0:
+            raise PlantError(
+                f"{_place(spec, i, body.state)}: the parcel stands on nothing: no cell's centre lies under it"
+            )
+        if not solver.stand(i, driven):
+            raise PlantError(
+                f"{_place(spec, i, body.state)}: the parcel would tip: its centre of mass lies outside "
+                f"the {under} cells under it"
+            )
+
+
+def check_places(spec: PlantSpec, state: Floats, overlaps: OverlapWatch, traffic: Traffic | None) -> None:
+    """Refuse parcels that overlap at the start, and those that would leave as soon as they are there.
+
+    Args:
+        spec: names the key of what is refused.
+        state: ``(parcels, 6)`` at the start.
+        overlaps: knows their footprints.
+        traffic: who is there, and the exits; None: all are, and there are none.
+
+    Raises:
+        PlantError: there is such a parcel.
+    """
+    there = np.arange(len(state)) if traffic is None else traffic.there
+    for first, second, depth, place in overlaps.pairs(state, there):
+        raise PlantError(
+            f"parcels[{first}] and parcels[{second}] overlap at the start by {depth:.3g} m near "
+            f"[{place[0]:.3g}, {place[1]:.3g}]"
+        )
+    if traffic is None:
+        return
+    for i, pose in enumerate(state):
+        name = traffic.exit_at(pose[:2])
+        if name is not None:
+            raise PlantError(f"{_place(spec, i, pose)}: lies in exit {name}: the parcel would leave at once")
+
+
+def _place(spec: PlantSpec, number: int, pose: Floats) -> str:
+    """Key and value of where a parcel starts; of one that is fed, as it was drawn."""
+    return f"{spec.parcel_key(number)}.position_m = [{pose[0]:g}, {pose[1]:g}]"

@@ -1,0 +1,139 @@
+"""What the springs under a parcel are like: where effects on the loads come in.
+
+All that a kernel contains that is compiled for equal springs at one height, under wheels without width, is what is
+answered here: constants, which the compiler folds away. ``uneven_springs`` answers for surfaces with ``springs`` of
+their own, ``wheel_edges`` for those with ``edges``.
+"""
+
+from __future__ import annotations
+
+from plant.kernels.common import layout as at
+from plant.kernels.common.hooks import answer
+from plant.kernels.common.jit import kernel
+from plant.kernels.common.step_end import rollers_under
+from plant.kernels.common.surface import Surface
+
+LOAD_ZERO = 1e-12
+"""A share of the mean load that rounding can't tell from none."""
+
+
+def springs_under(surface, i):
+    """The springs as parcel ``i`` feels them."""
+
+
+def edges_under(surface, i):
+    """The wheels' edges as they are under parcel ``i``."""
+
+
+def rate(surface, cell):
+    """Rate of a cell's spring over the mean one's."""
+
+
+def gap(surface, cell):
+    """How far below the mean level a cell's spring ends, over the sag of one mean spring under the whole parcel."""
+
+
+def note_gaps(surface, parcel, seg, mark):
+    """Keep what the active supports' gaps add to the springs' plane; ``seg`` has their centroid."""
+
+
+def plane_at(surface, seg, mx, my):
+    """The springs' plane with the load's centre at (mx, my) from the centroid of the supports (eqs. 3-13).
+
+    Returns (a, bx, by): the load share of a cell at r from the centroid is its stiffness times
+    ``a + b . r`` less its gap.
+    """
+
+
+def negligible(surface, a0):
+    """How far from a plane ``a0`` at the centroid a spring may end that rounding can't tell from touching it."""
+
+
+def reach(surface):
+    """How far outside the footprint a cell's centre may lie and the cell still be under it, m."""
+
+
+def touches(surface, parcel, slot, c, s):
+    """Whether the cell in ``parcel.mem[slot]`` is under the parcel by more than nothing; keeps by how much.
+
+    ``c`` and ``s`` are cosine and sine of the parcel's angle.
+    """
+
+
+def overlap(surface, slot):
+    """Which share of the cell in ``parcel.mem[slot]`` is under the parcel."""
+
+
+def smooth(surface):
+    """Whether a parcel's loads change without a jump where a cell comes to be under it."""
+
+
+@kernel
+def surface_under(surface, i):
+    """The surface as parcel ``i`` feels it."""
+    springs, edges, rollers = springs_under(surface, i), edges_under(surface, i), rollers_under(surface, i)
+    return Surface(
+        surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs, edges, rollers
+    )
+
+
+@kernel
+def stiffness(surface, cell, slot):
+    """Stiffness of a cell, which is in ``parcel.mem[slot]``, over that of a mean one wholly under the parcel."""
+    return rate(surface, cell) * overlap(surface, slot)
+
+
+@answer(springs_under, "springs", own=False)
+def _no_springs(_surface, _i):
+    return None
+
+
+@answer(edges_under, "edges", own=False)
+def _no_edges(_surface, _i):
+    return None
+
+
+@answer(rate, "springs", own=False)
+def _mean_rate(_surface, _cell):
+    return 1.0
+
+
+@answer(gap, "springs", own=False)
+def _level(_surface, _cell):
+    return 0.0
+
+
+@answer(note_gaps, "springs", own=False)
+def _no_gaps(_surface, _parcel, _seg, _mark):
+    return
+
+
+@answer(plane_at, "springs", own=False)
+def _plane(_surface, seg, mx, my):
+    bx, by = seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
+    return 1.0 / seg[at.N_ACTIVE], bx, by
+
+
+@answer(negligible, "springs", own=False)
+def _of_the_mean(_surface, a0):
+    return LOAD_ZERO * a0
+
+
+@answer(reach, "edges", own=False)
+def _centre_only(_surface):
+    return 0.0
+
+
+@answer(touches, "edges", own=False)
+def _always(_surface, _parcel, _slot, _c, _s):
+    return True
+
+
+@answer(overlap, "edges", own=False)
+def _whole(_surface, _slot):
+    return 1.0
+
+
+@answer(smooth, "edges", own=False)
+def _jumps(_surface):
+    return False

@@ -1,0 +1,35 @@
+"""What becomes of a parcel where a step ends: where effects that push it at instants come in.
+
+A kernel compiled without them contains nothing of this. ``roller_impacts`` answers for surfaces with ``rollers``.
+"""
+
+from __future__ import annotations
+
+from plant.kernels.common.hooks import answer
+
+
+def rollers_under(surface, i):
+    """The wheels' rollers as parcel ``i`` meets them."""
+
+
+def allowed(surface, parcel, work, now, h):
+    """How long a step may be that wants to be ``h``, s."""
+
+
+def strike(surface, parcel, work, now, h):
+    """Push the parcel at the end of a step from ``now``, h s long, with the loads found there; see ``work.begin``."""
+
+
+@answer(rollers_under, "rollers", own=False)
+def _no_rollers(_surface, _i):
+    return None
+
+
+@answer(allowed, "rollers", own=False)
+def _any_length(_surface, _parcel, _work, _now, h):
+    return h
+
+
+@answer(strike, "rollers", own=False)
+def _nothing_strikes(_surface, _parcel, _work, _now, _h):
+    return

@@ -1,0 +1,118 @@
+"""The cells as kernels read them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+class Springs(NamedTuple):
+    """The cells' springs under one parcel, where they are not all equal (see ``plant.kernels.effects.uneven_springs``).
+
+    Attributes:
+        rate: ``(n,)`` over the mean.
+        gap_m: ``(n,)`` how far below the mean level they end.
+        per_m: mean rate over the parcel's weight, 1/m.
+        span: widest gap or its opposite, over the sag of one mean spring under the whole parcel.
+        moments: ``(3,)`` scratch: ``sum k g`` and ``sum k g r`` of the active supports.
+    """
+
+    rate: Floats
+    gap_m: Floats
+    per_m: float
+    span: float
+    moments: Floats
+
+
+class AllSprings(NamedTuple):
+    """The cells' springs as each of m parcels feels them.
+
+    Attributes:
+        rate: as ``Springs.rate``.
+        gap_m: likewise.
+        per_m: ``(m,)``.
+        span: ``(m,)``.
+        moments: ``(m, 3)``.
+    """
+
+    rate: Floats
+    gap_m: Floats
+    per_m: Floats
+    span: Floats
+    moments: Floats
+
+
+class Edges(NamedTuple):
+    """How much of each cell is under one parcel, where wheels have a width (see ``plant.kernels.effects.wheel_edges``).
+
+    Attributes:
+        width_m: over which a cell comes to be under a parcel.
+        share: ``(capacity,)`` scratch: of the cell in each row of ``Parcel.mem``.
+    """
+
+    width_m: float
+    share: Floats
+
+
+class AllEdges(NamedTuple):
+    """The same for each of m parcels.
+
+    Attributes:
+        width_m: as ``Edges.width_m``.
+        share: ``(m, capacity)``.
+    """
+
+    width_m: float
+    share: Floats
+
+
+class Rollers(NamedTuple):
+    """The rollers of all wheels as one parcel meets them (see ``plant.kernels.effects.roller_impacts``).
+
+    Attributes:
+        spacing_m: slip from one to the next.
+        impulse_m_s: what one gives, over the load on the wheel in shares of the parcel's weight, per kilogram.
+        start: ``(n, 2)`` how far each wheel had turned at the start since a roller passed, in spacings: [0, 1).
+        passed: ``(n, 2)`` slip along each wheel's axis since then, in spacings, less the rollers that passed.
+    """
+
+    spacing_m: float
+    impulse_m_s: float
+    start: Floats
+    passed: Floats
+
+
+class AllRollers(NamedTuple):
+    """The same for each of m parcels.
+
+    Attributes:
+        spacing_m: as ``Rollers.spacing_m``.
+        impulse_m_s: likewise.
+        start: likewise.
+        passed: ``(m, n, 2)``.
+    """
+
+    spacing_m: float
+    impulse_m_s: float
+    start: Floats
+    passed: Floats
+
+
+class Surface(NamedTuple):
+    """The cells and their wheels, as the kernels read them.
+
+    What is None by default belongs to effects: a kernel is compiled for what is there, and for nothing else.
+    """
+
+    pos: Floats
+    grid: NDArray[np.int64]
+    steady: Floats
+    decay: Floats
+    grip: Floats
+    springs: Springs | AllSprings | None = None
+    edges: Edges | AllEdges | None = None
+    rollers: Rollers | AllRollers | None = None

@@ -1,0 +1,128 @@
+"""Impacts: Newton's restitution and Coulomb's friction at all points that touch at an instant, together."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Final
+
+from plant.kernels.common import layout as at
+from plant.kernels.common.jit import kernel
+from plant.kernels.contact import layout as to
+from plant.kernels.contact.impulses import leaving, settle
+from plant.kernels.contact.manifold import drop, gather
+from plant.kernels.contact.resting import part
+
+CLOSING: Final = 1e-10
+"""What closes more slowly, m/s, doesn't close."""
+ROUNDING: Final = 1e-13
+"""A gain of energy as small, over the energy, is none."""
+
+
+@kernel
+def energy(inverse, motion):
+    """Kinetic energy of the bodies that move, J."""
+    total = at.NOTHING
+    for i in range(inverse.shape[0]):
+        if inverse[i, 0] > 0.0:
+            u = motion[i]
+            total += 0.5 * ((u[0] * u[0] + u[1] * u[1]) / inverse[i, 0] + u[2] * u[2] / inverse[i, 1])
+    return total
+
+
+@kernel
+def struck(group, rows, ends, count, before, restitution, friction, after):
+    """Velocities after an impact, by the rule for every point alone. Returns whether they were found."""
+    for i in range(before.shape[0]):
+        for k in range(3):
+            after[i, k] = before[i, k]
+    for n in range(count):
+        row = rows[n]
+        closing = -leaving(row, before[ends[n, 0]], before[ends[n, 1]])
+        row[to.WANTED] = restitution * closing if closing > group.slow else 0.0
+        row[to.FRICTION] = friction
+        row[to.PUSH_N] = row[to.PUSH_T] = 0.0
+    return settle(rows, ends, count, group.inverse, after)
+
+
+@kernel
+def meet(group, states, work):
+    """What touches now: rows in ``work``, overlap taken out of ``states`` before. Returns (how many; outcome)."""
+    rows, ends = work.rows, work.ends
+    count, least = gather(group, work.marks, to.EVERY, states, to.TOUCH_M, rows, ends), at.NOTHING
+    for n in range(count):
+        least = min(least, rows[n, to.SPACE])
+    if least < 0.0:
+        for p in range(work.held.shape[0]):
+            work.held[p] = 0
+        if not part(group, states, states, work):
+            return 0, to.NOT_PARTED
+        count = gather(group, work.marks, to.EVERY, states, to.TOUCH_M, rows, ends)
+    kept = at.ZERO
+    for n in range(count):
+        if rows[n, to.SPACE] <= to.TOUCH_M:
+            drop(rows, ends, n, kept)
+            kept += 1
+    return kept, to.DONE
+
+
+@kernel
+def collide(group, count, states, restitution, friction, work):
+    """Give bodies that touch their velocities after an impact.
+
+    Every point that closed faster than ``group.slow`` opens at ``restitution`` times that speed at least, every other
+    doesn't close. With friction, or with several points, that rule can add energy; then the impact is the mixture of it
+    and of one without restitution that adds none. Both keep to the rules of contact and friction, so the mixture does.
+
+    Args:
+        group: ``plant.effects.parcel_contact.bodies.Group``.
+        count: rows in ``work``, as ``meet`` leaves them.
+        states: ``(b, 6)``; velocities are changed.
+        restitution: in [0, 1].
+        friction: Coulomb's coefficient.
+        work: ``plant.effects.parcel_contact.bodies.Work``.
+
+    Returns:
+        (outcome; how fast the fastest point closed, m/s).
+    """
+    rows, ends, before, after, dead = work.rows, work.ends, work.first, work.second, work.third
+    for i in range(states.shape[0]):
+        for k in range(3):
+            before[i, k] = states[i, 3 + k]
+    fastest = at.NOTHING
+    for n in range(count):
+        fastest = max(fastest, -leaving(rows[n], before[ends[n, 0]], before[ends[n, 1]]))
+    if fastest <= CLOSING:
+        return to.DONE, fastest
+    if not struck(group, rows, ends, count, before, restitution, friction, after):
+        return to.NOT_SETTLED, fastest
+    had, share = energy(group.inverse, before), 1.0
+    gained = energy(group.inverse, after) - had
+    if gained > ROUNDING * had:
+        if not struck(group, rows, ends, count, before, at.NOTHING, friction, dead):
+            return to.NOT_SETTLED, fastest
+        # energy is convex along the mixture, not above what it was at its beginning, and above that at its end
+        lost = min(energy(group.inverse, dead) - had, 0.0)
+        for i in range(states.shape[0]):
+            for k in range(3):
+                after[i, k] -= dead[i, k]
+        bend = energy(group.inverse, after)
+        slope = gained - lost - bend
+        share = (-slope + sqrt(max(slope * slope - 4.0 * bend * lost, 0.0))) / (2.0 * bend)
+        for i in range(states.shape[0]):
+            for k in range(3):
+                after[i, k] = dead[i, k] + min(max(share, 0.0), 1.0) * after[i, k]
+    for i in range(states.shape[0]):
+        for k in range(3):
+            states[i, 3 + k] = after[i, k]
+    return to.DONE, fastest
+
+
+@kernel
+def opening(count, states, work):
+    """Write to ``work.opens`` how fast each pair's slowest point opens, m/s; less than nothing without a point."""
+    rows, ends, opens = work.rows, work.ends, work.opens
+    for p in range(opens.shape[0]):
+        opens[p] = -to.BEYOND
+    for n in range(count):
+        p, speed = ends[n, to.PAIR], leaving(rows[n], states[ends[n, 0], 3:], states[ends[n, 1], 3:])
+        opens[p] = speed if opens[p] == -to.BEYOND else min(opens[p], speed)

@@ -1,0 +1,189 @@
+"""Wheels that feel what they pull (effect ``wheel_load``): ``m (dV/dt + (V - V_ss) / tau) = -f``.
+
+Only a solver whose scene asks for it imports this; kernels for wheels without inertia are compiled without it.
+
+A wheel's surface speed is the motor's without load, known in closed form, plus a deviation D that begins at 0 with
+the call: ``dD/dt = -D / tau - f / m``. With the force f of a step's end all through the step, per kilogram of the
+parcel,
+
+    D' = E D - rho f     E = exp(-h / tau)     rho = tau (1 - E) / (m / M)
+
+so wheel and law together are a law again, of the slip against a wheel that the step leaves alone: its stiffness is
+``1 / (1/b + rho)``, its limit the same, and nothing is set-valued. A push that goes by the sign of the wheel's own
+speed is the force that brings the wheel to a stand, ``V / rho``, within its limit.
+"""
+
+from __future__ import annotations
+
+from math import exp, expm1
+
+from plant.kernels.common import implicit_layout as im
+from plant.kernels.common import layout as at
+from plant.kernels.common.hooks import answer
+from plant.kernels.common.jit import kernel
+from plant.kernels.implicit.hooks import (
+    begun,
+    extrapolate,
+    full,
+    hand_over,
+    keep,
+    lighten,
+    lightness,
+    recoil,
+    slow,
+    speed,
+    tabulate,
+    take_back,
+    unloaded,
+)
+from plant.kernels.implicit.step import pull
+
+SERIES = 1e-2
+"""Below this many time constants a step's lag is summed as a series: its closed form cancels."""
+
+
+@kernel
+def within(value, limit):
+    """The nearest to a value within a limit either way."""
+    return max(-limit, min(limit, value))
+
+
+@kernel
+def lag(rate, h):
+    """How far a wheel falls behind in ``h`` per unit of deceleration, s^2: ``tau (h - tau (1 - exp(-h / tau)))``."""
+    x = rate * h
+    if x < SERIES:
+        return h * h * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0 - x / 720.0))))
+    return (h + expm1(-x) / rate) / rate
+
+
+@kernel
+def enlist(slowing, cell):
+    """Row of a cell's wheels, which until now run as the motors have it."""
+    k = slowing.ctl[im.LISTED]
+    slowing.ctl[im.LISTED] = k + 1
+    slowing.place[cell], slowing.cell[k] = k, cell
+    for c in range(im.SLOWED):
+        slowing.now[k, c] = slowing.begin[k, c] = 0.0
+        for parts in range(slowing.table.shape[0]):
+            slowing.table[parts, k, c] = 0.0
+    return k
+
+
+@answer(speed, "slowing", own=True)
+def _speed(work, surface, cell, e):
+    vx, vy = unloaded(surface, cell, e)
+    k = work.slowing.place[cell]
+    return (vx, vy) if k < 0 else (vx + work.slowing.now[k, 0], vy + work.slowing.now[k, 1])
+
+
+@answer(begun, "slowing", own=True)
+def _begun(work, surface, cell, e):
+    vx, vy = unloaded(surface, cell, e)
+    k = work.slowing.place[cell]
+    return (vx, vy) if k < 0 else (vx + work.slowing.begin[k, 0], vy + work.slowing.begin[k, 1])
+
+
+@answer(lightness, "slowing", own=True)
+def _lightness(work):
+    return 1.0 / work.law[im.WHEEL]
+
+
+@answer(recoil, "slowing", own=True)
+def _recoil(work, cell, axis, impulse):
+    slowing = work.slowing
+    k = slowing.place[cell]
+    if k < 0:
+        k = enlist(slowing, cell)
+    slowing.now[k, axis] -= impulse / work.law[im.WHEEL]
+
+
+@answer(lighten, "slowing", own=True)
+def _lighten(work, parcel, row, cell, share, h):
+    slowing, wheel, rate = work.slowing, work.wheels[row], parcel.par[at.RATE]
+    k = slowing.place[cell]
+    if k < 0:
+        k = enlist(slowing, cell)
+    slowing.row[row] = k
+    left, rho = exp(-rate * h), -expm1(-rate * h) / rate / work.law[im.WHEEL]
+    wheel[im.SX] += left * slowing.now[k, 0]
+    wheel[im.SY] += left * slowing.now[k, 1]
+    wheel[im.B] = 1.0 / (1.0 / wheel[im.B] + rho)
+    push = work.law[im.PUSH_PER_SHARE] * share
+    wheel[im.GX], wheel[im.GY] = within(wheel[im.SX] / rho, push), within(wheel[im.SY] / rho, push)
+
+
+@answer(slow, "slowing", own=True)
+def _slow(work, parcel, rows, h):
+    slowing, rate = work.slowing, parcel.par[at.RATE]
+    now, left, lasts = slowing.now, exp(-rate * h), -expm1(-rate * h) / rate
+    for k in range(slowing.ctl[im.LISTED]):
+        for c in range(2):
+            now[k, 2 + c] += lasts * now[k, c]
+            now[k, c] *= left
+    behind = lag(rate, h)
+    for i in range(rows):
+        wheel, k = work.wheels[i], slowing.row[i]
+        fx, fy, _, _, _ = pull(wheel, work.velocity, work.law[im.ISOTROPIC])
+        ax, ay = (fx + wheel[im.GX]) / work.law[im.WHEEL], (fy + wheel[im.GY]) / work.law[im.WHEEL]
+        now[k, 0] -= lasts * ax
+        now[k, 1] -= lasts * ay
+        now[k, 2] -= behind * ax
+        now[k, 3] -= behind * ay
+
+
+@kernel
+def copy(slowing, source, target):
+    """Copy the listed wheels' rows."""
+    for k in range(slowing.ctl[im.LISTED]):
+        for c in range(im.SLOWED):
+            target[k, c] = source[k, c]
+
+
+@answer(keep, "slowing", own=True)
+def _keep(work):
+    copy(work.slowing, work.slowing.now, work.slowing.begin)
+
+
+@answer(take_back, "slowing", own=True)
+def _take_back(work):
+    copy(work.slowing, work.slowing.begin, work.slowing.now)
+
+
+@answer(tabulate, "slowing", own=True)
+def _tabulate(work, row):
+    copy(work.slowing, work.slowing.now, work.slowing.table[row])
+
+
+@answer(extrapolate, "slowing", own=True)
+def _extrapolate(work, lasts):
+    slowing, table, worst = work.slowing, work.slowing.table, 0.0
+    for k in range(slowing.ctl[im.LISTED]):
+        for c in range(im.SLOWED):
+            last = table[3, k, c]
+            one, two, three = table[0, k, c] - last, table[1, k, c] - last, table[2, k, c] - last
+            slowing.now[k, c] = last - one / 6.0 + 4.0 * two - 13.5 * three
+            error = abs(-one / 6.0 + 2.0 * two - 4.5 * three)
+            worst = max(worst, error * lasts if c < 2 else error)
+    return worst
+
+
+@answer(full, "slowing", own=True)
+def _full(work):
+    slowing = work.slowing
+    return slowing.ctl[im.WRITTEN] + slowing.cell.shape[0] > slowing.written.shape[0]
+
+
+@answer(hand_over, "slowing", own=True)
+def _hand_over(work, parcel, left):
+    slowing = work.slowing
+    slow(work, parcel, at.ZERO, left)
+    first = slowing.ctl[im.WRITTEN]
+    for k in range(slowing.ctl[im.LISTED]):
+        cell = slowing.cell[k]
+        slowing.place[cell] = -1
+        slowing.which[first + k] = cell
+        for c in range(im.SLOWED):
+            slowing.written[first + k, c] = slowing.now[k, c]
+    slowing.ctl[im.WRITTEN] = first + slowing.ctl[im.LISTED]
+    slowing.ctl[im.LISTED] = 0

@@ -1,0 +1,200 @@
+"""One parcel's way through a call on which wheels change and cells read: its own legs, from each change to the next.
+
+Only what is within its reach matters to it. The wheels as it finds them are kept in scratch: others, in other threads,
+find them at other instants.
+"""
+
+from __future__ import annotations
+
+from math import cos, exp, inf, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.kernels.common import layout as at
+from plant.kernels.common.footprint import EDGE_SLACK, box, inside
+from plant.kernels.common.jit import kernel
+from plant.kernels.common.surface import Surface
+
+Floats = NDArray[np.float64]
+
+
+class Way(NamedTuple):
+    """What happens on the way of a call.
+
+    Attributes:
+        after: ``(c, n, 2)`` when wheels change; see ``plant.wheels.Changes``.
+        steady: ``(c, n, 2)``.
+        decay: ``(c, n, 2)``.
+        reads: ``(n,)`` s after the start when cells read; infinite: not on the way.
+        margin: ``(m,)`` m, how far from its footprint at the start each parcel can matter to a cell.
+        sensors: ``(s, 2)`` m, from a cell's centre.
+        bits: ``(n, s)``: set where a sensor is under a parcel when its cell reads.
+    """
+
+    after: Floats
+    steady: Floats
+    decay: Floats
+    reads: Floats
+    margin: Floats
+    sensors: Floats
+    bits: NDArray[np.bool_]
+
+
+class Hand(NamedTuple):
+    """Scratch of one thread.
+
+    Attributes:
+        steady: ``(n, 2)`` of the wheels as the parcel whose turn it is finds them; between turns as at the start.
+        decay: likewise.
+        when: ``(2 c n,)`` s, changes that can matter to it, in order.
+        which: which: their index into ``Way.after``, flat.
+        times: ``(n,)`` s, when cells read that it can matter to, in order.
+        cells: ``(n,)`` which.
+        poses: ``(n, 1, 6)`` where it is then.
+    """
+
+    steady: Floats
+    decay: Floats
+    when: Floats
+    which: NDArray[np.int64]
+    times: Floats
+    cells: NDArray[np.int64]
+    poses: Floats
+
+
+@kernel
+def sort(when, which, count):
+    """Put pairs in the order of the first of them, and of the second where these are the same (Shell's sort)."""
+    gap = count // 2
+    while gap > 0:
+        for i in range(gap, count):
+            t, w, j = when[i], which[i], i
+            while j >= gap and (when[j - gap] > t or (when[j - gap] == t and which[j - gap] > w)):
+                when[j], which[j] = when[j - gap], which[j - gap]
+                j -= gap
+            when[j], which[j] = t, w
+        gap //= 2
+
+
+@kernel
+def set_out(surface, way, hand, near):
+    """Collect what happens in the rows and columns ``near``. Returns (how many changes, how many reads)."""
+    changes, reads = at.ZERO, at.ZERO
+    first_row, last_row, first_column, last_column = near
+    cells = surface.steady.shape[0]
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            cell = surface.grid[row, column]
+            if cell < 0:
+                continue
+            for k in range(way.after.shape[0]):
+                for axis in range(2):
+                    if way.after[k, cell, axis] < inf:
+                        hand.when[changes] = way.after[k, cell, axis]
+                        hand.which[changes] = 2 * (k * cells + cell) + axis
+                        changes += 1
+            if way.reads[cell] < inf:
+                hand.times[reads], hand.cells[reads] = way.reads[cell], cell
+                reads += 1
+    sort(hand.when, hand.which, changes)
+    sort(hand.times, hand.cells, reads)
+    return changes, reads
+
+
+@kernel
+def change(way, hand, now, done, changes):
+    """Have those wheels change whose instant it is. Returns how many have by now."""
+    cells = hand.steady.shape[0]
+    while done < changes and hand.when[done] <= now:
+        wheel = hand.which[done]
+        k, cell, axis = wheel // (2 * cells), wheel // 2 % cells, wheel % 2
+        hand.steady[cell, axis] = way.steady[k, cell, axis]
+        hand.decay[cell, axis] = way.decay[k, cell, axis]
+        done += 1
+    return done
+
+
+@kernel
+def until(hand, now, end, seen, reads):
+    """Count the reads up to ``end``, and have their times count from ``now``. Returns how many there are by then."""
+    while seen < reads and hand.times[seen] <= end:
+        hand.times[seen] -= now
+        seen += 1
+    return seen
+
+
+@kernel
+def turn_on(surface, hand, near, rate, span):
+    """Let the wheels near turn for ``span`` seconds, as their motors have it."""
+    if rate == 0.0:
+        return
+    left = exp(-rate * span)
+    first_row, last_row, first_column, last_column = near
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            cell = surface.grid[row, column]
+            if cell >= 0:
+                hand.decay[cell, 0] *= left
+                hand.decay[cell, 1] *= left
+
+
+@kernel
+def put_back(surface, hand, near):
+    """Have the wheels near as they were at the start."""
+    first_row, last_row, first_column, last_column = near
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            cell = surface.grid[row, column]
+            if cell >= 0:
+                for axis in range(2):
+                    hand.steady[cell, axis] = surface.steady[cell, axis]
+                    hand.decay[cell, axis] = surface.decay[cell, axis]
+
+
+@kernel
+def in_turn(surface, hand):
+    """The surface with the wheels as the parcel whose turn it is finds them."""
+    return Surface(
+        surface.pos,
+        surface.grid,
+        hand.steady,
+        hand.decay,
+        surface.grip,
+        surface.springs,
+        surface.edges,
+        surface.rollers,
+    )
+
+
+@kernel
+def book(log, ctl, logged, now):
+    """Have the events of a leg begun at ``now`` count from the call's start.
+
+    Returns how many there have been by now, those that the log had no room for among them.
+    """
+    found = logged + ctl[at.N_LOGGED]
+    for row in range(logged, min(found, log.shape[0])):
+        log[row, at.EV_TIME] += now
+    return found
+
+
+@kernel
+def see(surface, way, hand, parcel, reads, seen):
+    """Set the bits of the sensors that the parcel covers when their cells read; it stood from the ``seen`` first on."""
+    slack = EDGE_SLACK * parcel.par[at.ON_SURFACE]
+    for n in range(reads):
+        y = hand.poses[n, 0] if n < seen else parcel.y
+        c, s = cos(y[at.THETA]), sin(y[at.THETA])
+        cell = hand.cells[n]
+        for k in range(way.sensors.shape[0]):
+            px, py = surface.pos[cell, 0] + way.sensors[k, 0], surface.pos[cell, 1] + way.sensors[k, 1]
+            if inside(px, py, parcel.normal, parcel.offset, y, c, s, slack):
+                way.bits[cell, k] = True
+
+
+@kernel
+def within(surface, way, parcel, i):
+    """Rows and columns of the cells that the parcel can matter to on the way."""
+    return box(parcel.vertices, parcel.y, parcel.par, surface.grid, way.margin[i])

@@ -1,0 +1,126 @@
+"""Whether wheels feel what they pull: where the effect ``wheel_load`` comes into the implicit solver's kernels.
+
+What is answered here is for wheels that run as their motors have it, whatever is on them: nothing is done.
+``loaded_wheels`` answers for a ``work`` with ``slowing``, which keeps how much slower than that each wheel runs.
+"""
+
+from __future__ import annotations
+
+from plant.kernels.common.hooks import answer
+from plant.kernels.common.jit import kernel
+
+
+def speed(work, surface, cell, e):
+    """Surface speed of a cell's wheels now (vx, vy), ``e`` being the motors' decay factor."""
+
+
+def begun(work, surface, cell, e):
+    """The same where the step began that was ``keep``'s, ``e`` being the factor then."""
+
+
+def lightness(work):
+    """The parcel's mass over that of a wheel as the surface feels it."""
+
+
+def recoil(work, cell, axis, impulse):
+    """Take from a wheel, per kilogram of the parcel, the impulse that it gives along an axis, m/s."""
+
+
+def lighten(work, parcel, row, cell, share, h):
+    """Let the wheels in ``work.wheels[row]``, under a ``share`` of the weight, give way in a step of ``h``."""
+
+
+def slow(work, parcel, rows, h):
+    """Take the wheels through the step of ``h`` just solved, the first ``rows`` of ``work.wheels`` pulling."""
+
+
+def keep(work):
+    """Keep how the wheels run where a step begins."""
+
+
+def take_back(work):
+    """Have the wheels run as they did where the step began."""
+
+
+def tabulate(work, row):
+    """Keep how the wheels run after a step in ``row + 1`` parts."""
+
+
+def extrapolate(work, lasts):
+    """Have the wheels run as the tabulated results lead to. Returns the error, m; speeds count ``lasts`` times."""
+
+
+def full(work):
+    """Whether there may be no room to hand over the wheels of one more parcel."""
+
+
+def hand_over(work, parcel, left):
+    """List what the parcel has changed of the wheels, by ``left`` seconds after it ended, and forget it."""
+
+
+@kernel
+def unloaded(surface, cell, e):
+    """Surface speed of a cell's wheels as the motors have it (vx, vy)."""
+    vx = surface.steady[cell, 0] + e * surface.decay[cell, 0]
+    vy = surface.steady[cell, 1] + e * surface.decay[cell, 1]
+    return vx, vy
+
+
+@answer(lighten, "slowing", own=False)
+def _stiff(_work, _parcel, _row, _cell, _share, _h):
+    return
+
+
+@answer(slow, "slowing", own=False)
+def _unmoved(_work, _parcel, _rows, _h):
+    return
+
+
+@answer(keep, "slowing", own=False)
+def _nothing_to_keep(_work):
+    return
+
+
+@answer(take_back, "slowing", own=False)
+def _nothing_to_take_back(_work):
+    return
+
+
+@answer(tabulate, "slowing", own=False)
+def _nothing_to_tabulate(_work, _row):
+    return
+
+
+@answer(extrapolate, "slowing", own=False)
+def _right(_work, _lasts):
+    return 0.0
+
+
+@answer(full, "slowing", own=False)
+def _roomy(_work):
+    return False
+
+
+@answer(hand_over, "slowing", own=False)
+def _nothing_to_tell(_work, _parcel, _left):
+    return
+
+
+@answer(speed, "slowing", own=False)
+def _of_the_motor(_work, surface, cell, e):
+    return unloaded(surface, cell, e)
+
+
+@answer(begun, "slowing", own=False)
+def _of_the_motor_then(_work, surface, cell, e):
+    return unloaded(surface, cell, e)
+
+
+@answer(lightness, "slowing", own=False)
+def _heavy(_work):
+    return 0.0
+
+
+@answer(recoil, "slowing", own=False)
+def _unshaken(_work, _cell, _axis, _impulse):
+    return

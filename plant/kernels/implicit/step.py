@@ -1,0 +1,292 @@
+"""One implicit step at given loads: a strictly convex problem in three unknowns, solved to rounding.
+
+The velocity after a step of length h minimises ``|w - start|^2 / 2 + h sum phi_i(r_i(w))``, phi being the law's
+dissipation potential and r_i the slip at wheel i. Newton's method on its gradient, which is continuous and piecewise
+smooth; where a force is set-valued (Coulomb's at no slip) an augmented Lagrangian around it: the force is
+``clamp(lambda + rho r)``, and lambda becomes that force until it changes no more, whatever rho.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, nan
+
+from plant.kernels.common import implicit_layout as im
+from plant.kernels.common import layout as at
+from plant.kernels.common.jit import kernel
+from plant.kernels.common.motion import solve
+from plant.kernels.common.springs import gap, plane_at, stiffness
+from plant.kernels.implicit.hooks import lighten, unloaded
+
+
+@kernel
+def clamped(q, b, c):
+    """A force within its limit, and how it answers to slip."""
+    if q > c:
+        return c, 0.0
+    if q < -c:
+        return -c, 0.0
+    return q, b
+
+
+@kernel
+def pull(row, w, isotropic):
+    """Force of one cell's wheels without the push, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
+    b, c = row[im.B], row[im.C]
+    qx = row[im.LX] + b * (row[im.SX] - w[0] - row[im.AX] * w[2])
+    qy = row[im.LY] + b * (row[im.SY] - w[1] - row[im.AY] * w[2])
+    if isotropic == 0.0:
+        fx, kx = clamped(qx, b, c)
+        fy, ky = clamped(qy, b, c)
+        return fx, fy, kx, 0.0, ky
+    size = (qx * qx + qy * qy) ** 0.5
+    if size <= c:
+        return qx, qy, b, 0.0, b
+    ex, ey, k = qx / size, qy / size, b * c / size
+    return c * ex, c * ey, k * ey * ey, -k * ex * ey, k * ex * ex
+
+
+EPSILON = 2.3e-16
+SMALLEST = 1e-290
+"""Velocities below this, m/s, are none: a share of theirs is no number any more."""
+NEWTON_STEPS = 100
+MULTIPLIER_STEPS = 100
+FIRST_WEIGHT = 1e4
+"""The augmented Lagrangian's weight at first: resistance of all sticking wheels together over the parcel's inertia."""
+LAST_WEIGHT = 1e6
+FLAT = 1e-3
+"""How flat the potential must be along a Newton step where the step ends, over its slope where it begins."""
+AGREED = 1e-12
+"""A slip that rounding can't tell from none, over the speeds around."""
+
+
+@kernel
+def sign(value):
+    """-1, 0 or 1."""
+    if value > 0.0:
+        return 1.0
+    return -1.0 if value < 0.0 else 0.0
+
+
+@kernel
+def grasp(surface, parcel, work, law, e, h):
+    """List the wheels that pull, with the law's coefficients at the loads that ``settle`` found. Returns how many.
+
+    ``e`` is the motors' decay factor at the end of the step, h s away. Levers and loads of the supports found are
+    those where the parcel's present velocity leads until then: a wheel that sticks all along sticks with the levers of
+    the end, and so does the next step's.
+    """
+    mem, y, seg, wheels = parcel.mem, parcel.y, work.seg, work.wheels
+    ahead_x, ahead_y = h * y[at.UX], h * y[at.UY]
+    mx, my = ahead_x - seg[at.CX], ahead_y - seg[at.CY]
+    a0, bx, by = plane_at(surface, seg, mx, my)
+    arm = work.pace[im.GYRATION]
+    count = at.ZERO
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        cell = mem[i, at.CELL]
+        if mem[i, at.MARK] != at.ACTIVE or surface.grip[cell] == 0.0:
+            continue
+        rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
+        pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - gap(surface, cell)
+        share = max(stiffness(surface, cell, i) * pressed, 0.0)
+        vx, vy = unloaded(surface, cell, e)
+        row = wheels[count]
+        row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
+        row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
+        row[im.B] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * share
+        row[im.C] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * share
+        push = law[im.PUSH_PER_SHARE] * share
+        row[im.GX], row[im.GY] = push * sign(vx), push * sign(vy)
+        row[im.LX] = row[im.LY] = 0.0
+        lighten(work, parcel, count, cell, share, h)
+        count += 1
+    return count
+
+
+@kernel
+def slope(work, count, isotropic, h, w):
+    """Gradient and Hessian of the step's problem at ``w``. Returns the sum of all impulses' sizes."""
+    wheels, start, grad, hessian = work.wheels, work.start, work.grad, work.hessian
+    impulses = 0.0
+    for k in range(3):
+        grad[k] = w[k] - start[k]
+        for j in range(3):
+            hessian[k, j] = 1.0 if j == k else 0.0
+    for i in range(count):
+        row = wheels[i]
+        ax, ay = row[im.AX], row[im.AY]
+        fx, fy, kxx, kxy, kyy = pull(row, w, isotropic)
+        fx, fy = h * (fx + row[im.GX]), h * (fy + row[im.GY])
+        impulses += abs(fx) + abs(fy)
+        kxx, kxy, kyy = h * kxx, h * kxy, h * kyy
+        grad[0] -= fx
+        grad[1] -= fy
+        grad[2] -= ax * fx + ay * fy
+        hessian[0, 0] += kxx
+        hessian[0, 1] += kxy
+        hessian[1, 1] += kyy
+        hessian[0, 2] += kxx * ax + kxy * ay
+        hessian[1, 2] += kxy * ax + kyy * ay
+        hessian[2, 2] += ax * (kxx * ax + 2.0 * kxy * ay) + kyy * ay * ay
+    hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
+    return impulses
+
+
+@kernel
+def slope_along(work, count, isotropic, h, w, t):
+    """Go to ``w + t step``: gradient there. Returns (its component along the step, the impulses' sizes)."""
+    trial, step, grad = work.trial, work.step, work.grad
+    for k in range(3):
+        trial[k] = w[k] + t * step[k]
+    impulses = slope(work, count, isotropic, h, trial)
+    return grad[0] * step[0] + grad[1] * step[1] + grad[2] * step[2], impulses
+
+
+@kernel
+def flattest(work, count, isotropic, h, w, before, after):
+    """Go where the potential along a Newton step that overshoots is least (Illinois). Returns the impulses' sizes."""
+    impulses = 0.0
+    low, high, at_low, at_high = 0.0, 1.0, before, after
+    for _ in range(60):
+        t = (low * at_high - high * at_low) / (at_high - at_low)
+        here, impulses = slope_along(work, count, isotropic, h, w, t)
+        if abs(here) <= FLAT * abs(before) or not low < t < high:
+            break
+        if here > 0.0:
+            high, at_high, at_low = t, here, 0.5 * at_low
+        else:
+            low, at_low, at_high = t, here, 0.5 * at_high
+    return impulses
+
+
+@kernel
+def minimise(work, count, isotropic, h, w):
+    """Newton's method from ``w`` to the least potential at the present multipliers.
+
+    Returns the size of the velocities to whose rounding it is right, or -1 where it did not get there; where forces are
+    no numbers, neither is then ``w``. There is where a step changes nothing but rounding: the gradient's own rounding
+    is large along stiff wheels and says little.
+    """
+    grad, step, rhs, start = work.grad, work.step, work.rhs, work.start
+    best, stalled = 1e300, 0
+    impulses = slope(work, count, isotropic, h, w)
+    for _ in range(NEWTON_STEPS):
+        for k in range(3):
+            rhs[k] = -grad[k]
+        solve(work.hessian, work.hessian.shape[0], rhs, step, work.scratch)
+        if not isfinite(step[0] + step[1] + step[2]):
+            w[0] = w[1] = w[2] = nan
+            return -1.0
+        off, scale, before = 0.0, max(impulses, SMALLEST), 0.0
+        for k in range(3):
+            off, scale = max(off, abs(step[k])), max(scale, abs(w[k]), abs(start[k]))
+            before -= rhs[k] * step[k]
+        # the last digit may come and go
+        stalled = stalled + 1 if off > 0.5 * best else 0
+        if off <= EPSILON * scale or (stalled >= 4 and off <= 64.0 * EPSILON * scale):
+            return scale
+        best = min(best, off)
+        after, impulses = slope_along(work, count, isotropic, h, w, im.UNITY)
+        if after > FLAT * abs(before):
+            impulses = flattest(work, count, isotropic, h, w, before, after)
+        moved = 0.0
+        for k in range(3):
+            moved = max(moved, abs(work.trial[k] - w[k]))
+            w[k] = work.trial[k]
+        # beside a kink the step may be long, and the way to where the potential is least shorter than rounding
+        if moved <= EPSILON * scale:
+            return scale
+    return -1.0
+
+
+@kernel
+def follow(work, count, isotropic, w, scale):
+    """Take the forces at ``w`` for multipliers. Returns (how much they changed, how much of that is rounding).
+
+    ``scale`` is the size of the velocities to whose rounding w is right.
+    """
+    wheels = work.wheels
+    change = rounding = 0.0
+    for i in range(count):
+        row = wheels[i]
+        fx, fy, kxx, _, kyy = pull(row, w, isotropic)
+        change += abs(fx - row[im.LX]) + abs(fy - row[im.LY])
+        speeds = abs(row[im.SX]) + abs(row[im.SY]) + scale
+        rounding += EPSILON * (abs(fx) + abs(fy) + (kxx + kyy) * speeds)
+        row[im.LX], row[im.LY] = fx, fy
+    return change, rounding
+
+
+@kernel
+def stick(work, count, isotropic, w):
+    """Velocities that rounding can't tell from sticking become it: a parcel that sticks doesn't creep.
+
+    Only where the wheels that stick agree on a motion without rotation; those that slip have no say.
+    """
+    wheels, start = work.wheels, work.start
+    agree_x = agree_y = True
+    stuck_x = stuck_y = False
+    sx = sy = scale = 0.0
+    for k in range(3):
+        scale = max(scale, abs(start[k]))
+    for i in range(count):
+        row = wheels[i]
+        scale = max(scale, abs(row[im.SX]), abs(row[im.SY]))
+        if isotropic == 0.0:
+            holds_x, holds_y = abs(row[im.LX]) < row[im.C], abs(row[im.LY]) < row[im.C]
+        else:
+            holds_x = holds_y = (row[im.LX] * row[im.LX] + row[im.LY] * row[im.LY]) ** 0.5 < row[im.C]
+        if holds_x:
+            agree_x, sx, stuck_x = agree_x and (not stuck_x or row[im.SX] == sx), row[im.SX], True
+        if holds_y:
+            agree_y, sy, stuck_y = agree_y and (not stuck_y or row[im.SY] == sy), row[im.SY], True
+    tiny = AGREED * scale
+    along_x, along_y = agree_x and stuck_x, agree_y and stuck_y
+    if along_x and abs(w[0] - sx) <= tiny:
+        w[0] = sx
+    if along_y and abs(w[1] - sy) <= tiny:
+        w[1] = sy
+    if (along_x or along_y) and abs(w[2]) <= tiny:
+        w[2] = 0.0
+
+
+@kernel
+def new_velocity(work, count, law, h, w):
+    """Velocity after a step of ``h`` seconds from ``work.start``, into ``w``. Returns whether it was found."""
+    isotropic = law[im.ISOTROPIC]
+    for k in range(3):
+        w[k] = work.start[k]
+    if law[im.SET_VALUED] == 0.0 or count == 0:
+        return minimise(work, count, isotropic, h, w) >= 0.0
+    weight = FIRST_WEIGHT
+    for _ in range(MULTIPLIER_STEPS):
+        for i in range(count):
+            work.wheels[i, im.B] = weight / (h * count)
+        scale = minimise(work, count, isotropic, h, w)
+        if not scale >= 0.0:
+            return False
+        change, rounding = follow(work, count, isotropic, w, scale)
+        if change <= 4.0 * rounding:
+            stick(work, count, isotropic, w)
+            return True
+        weight = min(4.0 * weight, LAST_WEIGHT)
+    return False
+
+
+@kernel
+def regime(work, count, isotropic, w):
+    """A number that tells which wheels are at their limits, on which side: it changes where a law changes branch."""
+    total = 0.0
+    for i in range(count):
+        row = work.wheels[i]
+        fx, fy, _, _, _ = pull(row, w, isotropic)
+        if isotropic == 0.0:
+            x = sign(fx) if abs(fx) >= row[im.C] else 0.0
+            y = sign(fy) if abs(fy) >= row[im.C] else 0.0
+        elif (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.C]:
+            # in quarters: slip that turns round must not look like slip that went on
+            x, y = sign(fx), sign(fy)
+        else:
+            x = y = 0.0
+        # weights of which no small sums cancel
+        total += (i + 1.37) ** 0.5 * x + (i + 1.91) ** 0.5 * y
+    return total

@@ -1,0 +1,33 @@
+"""Many parcels in one call of the quasi-static solver's kernel, one after another."""
+
+from __future__ import annotations
+
+from plant.kernels.common import layout as at
+from plant.kernels.common.jit import kernel
+from plant.kernels.common.parcels import LOG_CAPACITY
+from plant.kernels.common.select import begin_turn, end_turn, note_news, parcel_of
+from plant.kernels.common.springs import surface_under
+from plant.kernels.quasi.advance import advance
+
+
+@kernel
+def advance_block(surface, parcels, work, stop, laws, paces, block, span, times, out, events, report):
+    """Move the parcels of ``block`` by ``span`` seconds, as many as the log is sure to have room for.
+
+    All as for ``plant.kernels.implicit.block.advance_block``, but that ``work`` is a
+    ``plant.solvers.implicit.Work``.
+    """
+    used, noted = at.ZERO, at.ZERO
+    for n in range(block.shape[0]):
+        if used + LOG_CAPACITY > events.shape[0]:
+            return n, noted
+        i = block[n]
+        parcel = parcel_of(parcels, i)
+        changes = parcel.ctl[at.N_EVENTS]
+        begin_turn(work, laws, paces, i)
+        log = events[used : used + LOG_CAPACITY]
+        moved = advance(surface_under(surface, i), parcel, work, stop, span, times, out[:, i], log)
+        end_turn(work, paces, i)
+        noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
+        used += logged
+    return block.shape[0], noted

@@ -1,0 +1,242 @@
+"""How parcels are moved through a call: in one go, all leg by leg, or each through legs of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.state import Remembers
+from plant.array import CellArray
+from plant.factories import make_mover, with_legs
+from plant.monitors import Chronicle
+from plant.observations import Event, Sense
+from plant.sampling import Reading
+from plant.solver_api import Advance, Leg, LegSolver, Outing, Solver
+from plant.specs import PlantSpec
+from plant.wheels import Floats, WheelMotion, WheelRun, WheelsUnderWay
+
+BESIDE_M = 1e-6
+"""A cell this far outside the footprint may be under it to rounding."""
+
+
+def margins_m(states: Floats, radius_m: Floats, fastest_m_s: float, span_s: float) -> Floats:
+    """How far beyond where its footprint is now a parcel's corners can be within a span, ``(m,)``.
+
+    Traction only draws a parcel towards the wheels' speed. Its centre gains no more speed than its corners and the
+    fastest wheels have together; twice that leaves room for what turns it on the way.
+
+    Args:
+        states: ``(m, 6)``.
+        radius_m: ``(m,)`` farthest corner of each from its centre of mass.
+        fastest_m_s: of the wheels.
+        span_s: how long.
+    """
+    speed = np.hypot(states[:, 3], states[:, 4]) + radius_m * np.abs(states[:, 5])
+    return 2.0 * (speed + fastest_m_s) * span_s + BESIDE_M
+
+
+def cells_near(array: CellArray, states: Floats, reach_m: Floats) -> NDArray[np.bool_]:
+    """``(n,)`` which cells, or their sensors, may come under one of the parcels.
+
+    Args:
+        array: the cells.
+        states: ``(m, 6)`` of the parcels.
+        reach_m: ``(m,)`` from their centres.
+    """
+    # wheels may have a width, and sensors a spot: a pitch across and a pitch round at most
+    beside = array.pitch_m + array.sensor_reach_m
+    near: NDArray[np.bool_] = np.zeros(len(array), dtype=np.bool_)
+    for state, reach in zip(states, reach_m.tolist(), strict=True):
+        cells = array.within(state[:2], reach + beside)
+        away = array.positions_m[cells] - state[:2]
+        near[cells[np.hypot(away[:, 0], away[:, 1]) <= reach + beside]] = True
+    return near
+
+
+def ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span_s: float) -> list[float]:
+    """When the legs of a call end, s after its start, ascending; the last at ``span_s``.
+
+    Args:
+        run: of all wheels.
+        reads_s: ``(n,)`` when cells read; infinite: not on the way.
+        near: ``(n,)`` the cells that matter.
+        span_s: of the call.
+    """
+    changed = np.zeros(0) if run.changes is None else run.changes.after_s[:, near].ravel()
+    found = np.unique(np.concatenate([changed, reads_s[near]]))
+    return [*found[found < span_s].tolist(), span_s]
+
+
+@final
+class Moves:
+    """Moves parcels on wheels.
+
+    Args:
+        spec: the scene's physics.
+        array: the cells.
+        solver: that moves parcels.
+        chronicle: puts into words what becomes of them.
+        there: parcels on the surface, ascending.
+
+    Attributes:
+        there: those that neither wait to be fed nor have left through an exit.
+        live: those of them that move: neither tipped nor off the array.
+        grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
+        contact: what moves those that touch; None where they don't.
+    """
+
+    remembers: ClassVar[Remembers] = Remembers("there", "live", "grip", "_freed", "_jammed", "contact")
+
+    def __init__(
+        self,
+        spec: PlantSpec,
+        array: CellArray,
+        solver: Solver,
+        chronicle: Chronicle,
+        there: NDArray[np.int64],
+    ) -> None:
+        self.there = there
+        self.live = there
+        self.grip: Floats = np.ones(len(array))
+        self._freed: NDArray[np.bool_] = np.zeros(len(array), dtype=np.bool_)
+        self._jammed = self._freed
+        self.contact = make_mover(spec, solver)
+        self._array, self._solver, self._chronicle = array, solver, chronicle
+        self._legs = with_legs(spec, solver)
+        self._radius_m: Floats = np.array([body.radius_m for body in solver.bodies])
+        self._never_s: Floats = np.full(len(array), np.inf)
+        self._none: Floats = np.zeros(0)
+        self._nothing: Floats = np.zeros((0, len(solver.bodies), 6))
+
+    def let_go(self, cells: Sequence[int]) -> None:
+        """The wheels of these cells turn freely from now on, but for those that are jammed."""
+        self._grip_again(cells, self._jammed, freed=True)
+
+    def take_hold(self, cells: Sequence[int]) -> None:
+        """The wheels of these cells are driven from now on."""
+        self._grip_again(cells, self._jammed, freed=False)
+
+    def jam(self, cells: NDArray[np.bool_]) -> None:
+        """Both wheels of these cells ``(n,)`` are jammed from now on, and of no others."""
+        self._grip_again((), cells, freed=False)
+
+    def _grip_again(self, cells: Sequence[int], jammed: NDArray[np.bool_], *, freed: bool) -> None:
+        self._freed, self._jammed = self._freed.copy(), jammed
+        self._freed[list(cells)] = freed
+        self.grip = np.where(self._freed & ~jammed, 0.0, 1.0)
+
+    def through(
+        self,
+        run: WheelRun,
+        span_s: float,
+        start_s: float,
+        reading: Reading | None,
+        sense: Callable[[], Sense],
+    ) -> list[Event]:
+        """Move all parcels by a span.
+
+        Args:
+            run: of all wheels.
+            span_s: how long.
+            start_s: when it begins.
+            reading: what cells read on the way; None: none does.
+            sense: what all cells would read now.
+        """
+        whole = Leg(run.motion, self.grip, span_s, self._none, self._nothing)
+        if reading is not None and not reading.any_inside:
+            reading = None
+        if run.changes is None and reading is None:
+            return self._go(whole, start_s)
+        if self._legs is not None:
+            return self._each_by_legs(self._legs, run, span_s, start_s, reading)
+        return self._by_legs(run, whole, start_s, reading, sense)
+
+    def make_ready(self) -> None:
+        """Compile, or load, what divided calls need beyond others."""
+        if self._legs is None or not len(self.live):
+            return
+        still: Floats = np.zeros((len(self._array), 2))
+        seen = np.zeros((len(self._array), len(self._array.sensors_m)), dtype=np.bool_)
+        none = np.zeros(len(self._radius_m))
+        run = WheelRun(WheelMotion(still, still, 0.0))
+        self._legs.advance_legs(self.live[:1], Outing(run, self.grip, 0.0, self._never_s, none, seen))
+
+    def sampled(
+        self, run: WheelRun, span_s: float, start_s: float, times_s: Floats, out: Floats
+    ) -> list[Event]:
+        """Move all parcels by a span; fill ``out`` ``(k, m, 6)`` with their states at ``times_s`` after its start."""
+        whole = Leg(run.motion, self.grip, span_s, times_s, out)
+        return self._go(whole, start_s) if run.changes is None else self._by_legs(run, whole, start_s)
+
+    def _each_by_legs(
+        self, solver: LegSolver, run: WheelRun, span_s: float, start_s: float, reading: Reading | None
+    ) -> list[Event]:
+        """Move every parcel through legs of its own."""
+        array = self._array
+        seen = np.zeros((len(array), len(array.sensors_m)), dtype=np.bool_)
+        margin_m = margins_m(solver.state, self._radius_m, run.fastest_m_s, span_s) + array.sensor_reach_m
+        reads_s = self._never_s if reading is None else reading.instants_s
+        if len(self.live) < len(self.there):
+            # tipped ones stay where they are
+            solver.presence(np.setdiff1d(self.there, self.live), seen)
+        news = solver.advance_legs(self.live, Outing(run, self.grip, span_s, reads_s, margin_m, seen))
+        if reading is not None:
+            reading.saw(seen)
+        return self._tell(news, start_s)
+
+    def _by_legs(
+        self,
+        run: WheelRun,
+        whole: Leg,
+        start_s: float,
+        reading: Reading | None = None,
+        sense: Callable[[], Sense] | None = None,
+    ) -> list[Event]:
+        """Move all parcels leg by leg: to the next instant at which a wheel near any changes, or a cell reads."""
+        states, radius_m, span_s = self._solver.state[self.there], self._radius_m[self.there], whole.span_s
+        reach_m = radius_m + margins_m(states, radius_m, run.fastest_m_s, span_s)
+        near = cells_near(self._array, states, reach_m)
+        reads_s = self._never_s if reading is None else reading.instants_s
+        wheels, begin = WheelsUnderWay(run), 0.0
+        events: list[Event] = []
+        for end in ends_s(run, reads_s, near, span_s):
+            first, last = np.searchsorted(whole.times_s, [begin, end], side="right").tolist()
+            times_s, out = whole.times_s[first:last] - begin, whole.out[first:last]
+            leg = Leg(wheels.begin(), self.grip, end - begin, times_s, out)
+            events += self._go(leg, start_s + begin)
+            if self._chronicle.halted is not None:
+                break
+            wheels.end(leg.motion, end)
+            if reading is not None and sense is not None:
+                reading.at(end, sense(), wheels.slowed_m)
+            begin = end
+        return events
+
+    def _go(self, leg: Leg, start_s: float) -> list[Event]:
+        """Move all parcels by a leg that begins at ``start_s``."""
+        live = self.live
+        if self.contact is None:
+            news, events = self._solver.advance(live, leg), []
+        else:
+            news = self.contact.advance(live, self._chronicle.tipped(self.there), leg, start_s)
+            events = self.contact.events()
+        events += self._tell(news, start_s)
+        if len(leg.times_s):
+            for done in news:
+                if done.ending == "tipped":
+                    leg.out[leg.times_s > done.moved_s, done.parcel, 3:] = 0.0
+            over = np.setdiff1d(self.there, live)
+            leg.out[:, over] = self._solver.state[over]
+        return events
+
+    def _tell(self, news: Sequence[Advance], start_s: float) -> list[Event]:
+        """What happened in a move that began at ``start_s``; those that tipped move no more."""
+        events: list[Event] = []
+        for done in news:
+            events.extend(self._chronicle.events(done, start_s))
+            if done.ending == "tipped":
+                self.live = self.live[self.live != done.parcel]
+        return events

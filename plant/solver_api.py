@@ -1,0 +1,230 @@
+"""What the plant asks of a solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.wheels import Floats, WheelMotion, WheelRun
+
+Ending = Literal[
+    "moving",
+    "tipped",
+    "endless_changes",
+    "endless_steps",
+    "no_step",
+    "no_loads",
+    "not_solved",
+    "not_finite",
+    "stopped",
+]
+
+
+class Body(NamedTuple):
+    """A parcel as a solver holds it.
+
+    Attributes:
+        footprint_m: ``(v, 2)`` corners about the centre of mass, in the parcel's axes, counter-clockwise.
+        radius_m: farthest corner from the centre of mass.
+        state: ``(6,)`` x, y, theta, vx, vy, omega; the solver's own, changed as the parcel moves.
+    """
+
+    footprint_m: Floats
+    radius_m: float
+    state: Floats
+
+
+class SolverEvent(NamedTuple):
+    """Something that happened to one parcel on the way.
+
+    Attributes:
+        after_s: seconds after the start of the call.
+        kind: one of ``plant.observations.Event.kind``.
+        cell: index, or -1.
+    """
+
+    after_s: float
+    kind: str
+    cell: int
+
+
+class Advance(NamedTuple):
+    """How one parcel came along.
+
+    Attributes:
+        parcel: which.
+        moved_s: what was asked, or less where it ended before.
+        ending: ``moving``, or why it ended before.
+        edge: the two cells about which it tipped, the same twice for a corner, -1 where nothing is under it.
+        culprit: the cell about which supports change without end, or -1.
+        changes: changes of its supports.
+        events: those listed, in the order of time; without the tipping.
+        left_out: how many more there were, for which a kernel's log had no room.
+    """
+
+    parcel: int
+    moved_s: float
+    ending: Ending
+    edge: tuple[int, int]
+    culprit: int
+    changes: int
+    events: Sequence[SolverEvent]
+    left_out: int = 0
+
+
+class Leg(NamedTuple):
+    """A stretch of time over which parcels are moved.
+
+    Attributes:
+        motion: of all wheels, from its start on.
+        grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
+        span_s: how long it is.
+        times_s: ``(k,)`` in ``(0, span_s]``, ascending: when states are asked for on the way.
+        out: ``(k, m, 6)``: those states, of the parcels moved; of times after one ended, its last.
+    """
+
+    motion: WheelMotion
+    grip: Floats
+    span_s: float
+    times_s: Floats
+    out: Floats
+
+    @classmethod
+    def through(cls, motion: WheelMotion, grip: Floats, span_s: float, parcels: int) -> Leg:
+        """One on the way of which no states are asked for; ``parcels`` is m."""
+        return cls(motion, grip, span_s, np.zeros(0), np.zeros((0, parcels, 6)))
+
+
+class Outing(NamedTuple):
+    """A call on which wheels change, and cells read.
+
+    Attributes:
+        run: of all wheels.
+        grip: ``(n,)`` as for a leg.
+        span_s: how long it is.
+        reads_s: ``(n,)`` s after its start when each cell reads its sensors; infinite: not before its end.
+        margin_m: ``(m,)`` how far from a parcel's footprint at the start what matters to it, or it to, may be.
+        presence: ``(n, sensors)`` bits: those covered by a parcel moved when their cell reads are set.
+    """
+
+    run: WheelRun
+    grip: Floats
+    span_s: float
+    reads_s: Floats
+    margin_m: Floats
+    presence: NDArray[np.bool_]
+
+
+class Kept(NamedTuple):
+    """What a solver knows of some parcels at an instant.
+
+    Attributes:
+        indices: which.
+        rows: of every array with a row a parcel, those of these parcels.
+        members: cells under each, with what the kernels note of them.
+    """
+
+    indices: NDArray[np.int64]
+    rows: Sequence[NDArray[Any]]
+    members: Sequence[NDArray[np.int64]]
+
+
+class Solver(Protocol):
+    """Moves parcels that don't touch, each by itself.
+
+    A solver knows the law of traction by its ``plant.friction.law.Traction`` only, and the wheels by their
+    ``WheelMotion`` over an interval. Parcels are named by their number in the scene.
+    """
+
+    @property
+    def bodies(self) -> Sequence[Body]:
+        """The parcels, in the order of the scene."""
+        ...
+
+    @property
+    def state(self) -> Floats:
+        """``(m, 6)`` states of all parcels, the solver's own; its rows are those of ``bodies``."""
+        ...
+
+    @property
+    def effort(self) -> int:
+        """What it has done so far, for all parcels together: steps, or evaluations of the right-hand side."""
+        ...
+
+    @property
+    def captured(self) -> NDArray[np.bool_]:
+        """``(m,)`` parcels whose chatter was captured so far: their places are right to ``capture_m``."""
+        ...
+
+    def under(self, index: int) -> NDArray[np.int64]:
+        """The cells under a parcel now, in no order, its boundary included."""
+        ...
+
+    def stand(self, index: int, grip: Floats) -> bool:
+        """Whether the cells under a parcel can carry it where it is.
+
+        Args:
+            index: which parcel.
+            grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
+        """
+        ...
+
+    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+        """Move parcels, changing their states; what becomes of one doesn't depend on which others are moved with it.
+
+        Args:
+            indices: ``(b,)`` which parcels, none twice.
+            leg: how far, and on which wheels.
+
+        Returns:
+            Those to which something happened, in the order of ``indices``: all others moved the whole leg, on the
+            supports they had.
+        """
+        ...
+
+    def rebuilt(self, cells: NDArray[np.int64]) -> list[Advance]:
+        """Look anew at what lies under parcels: cells have come to the array, or gone from it.
+
+        Args:
+            cells: which.
+
+        Returns:
+            What that changed, for each parcel over one of them; which of its supports carry it is found as it moves.
+        """
+        ...
+
+    def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
+        """Set the presence bits ``(n, sensors)`` under some of the parcels."""
+        ...
+
+
+class Rewindable(Solver, Protocol):
+    """A solver that can take parcels back to where they were, and elsewhere: for effects that act between parcels."""
+
+    def keep(self, indices: NDArray[np.int64]) -> Kept:
+        """All that moving these parcels changes, to be able to go back."""
+        ...
+
+    def restore(self, kept: Kept) -> None:
+        """Go back to what was kept, bit for bit."""
+        ...
+
+    def put(self, index: int, state: Floats) -> None:
+        """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
+        ...
+
+
+class LegSolver(Solver, Protocol):
+    """A solver that divides a call for each parcel by itself, where wheels near it change."""
+
+    def advance_legs(self, indices: NDArray[np.int64], outing: Outing) -> list[Advance]:
+        """Move parcels as ``advance`` does, none hanging on which others are moved with it.
+
+        Args:
+            indices: ``(b,)`` which parcels, none twice.
+            outing: how far, on which wheels, and who reads.
+        """
+        ...

@@ -1,0 +1,336 @@
+"""Cells that come back: a new process in the place of one that went."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from bus.errors import BarrierError, HostLostError, WireError
+from bus.lattice import NEVER
+from bus.lockstep import Loss, Member
+from bus.lockstep.counters import Counts
+from bus.lockstep.intervals import Lives
+from bus.lockstep.liveness import Returns, Roll
+from bus.lockstep.receive import EARLY_TICKS, Collector
+from bus.partition import Partition
+from bus.wire.formats import FormName
+from tests.bus.support import (
+    MESSAGE,
+    PRESENCE,
+    Network,
+    System,
+    both_forms,
+    expected_drive,
+    gathered,
+    grid,
+    step,
+)
+
+
+def _anew(system: System, shard: int) -> Member:
+    """A new process for a shard, not yet ready."""
+    endpoint = system.network.endpoint()
+    system.member_endpoints[shard] = endpoint
+    system.members[shard] = Member(
+        endpoint,
+        system.partition,
+        shard,
+        system.form,
+        run="test",
+        readings=PRESENCE,
+        message=system.message,
+        joins=True,
+    )
+    return system.members[shard]
+
+
+def _admitted(system: System, tick: int, shards: list[int]) -> tuple[int, list[int]]:
+    """Ticks go by without the one that comes back until it is admitted: the tick, and the cells."""
+    for now in range(tick, tick + 2000):
+        cells = system.host.admit(now)
+        if cells:
+            return now, cells
+        assert step(system, now, shards)[1] == []
+    raise AssertionError("nobody was admitted")
+
+
+@both_forms
+def test_a_new_process_takes_part_from_a_boundary_on_and_hears_nothing_that_was_said_before(
+    network: Network, form: FormName
+) -> None:
+    system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
+    step(system, 0)
+    system.member_endpoints[1].close()
+    assert {loss.cell for loss in step(system, 1, [0, 2])[1]} == {2, 3}
+    assert system.host.admit(2) == []
+    member = _anew(system, 1)
+    member.ready(10.0)
+    first, cells = _admitted(system, 2, [0, 2])
+    assert cells == [2, 3]
+    assert member.join(10.0) == first
+
+    heard = {}
+    for tick in (first, first + 1):
+        system.host.publish(system.sense(tick))
+        for shard in range(3):
+            heard[shard, tick] = gathered(system.members[shard].gather(tick)).links
+            system.members[shard].publish(system.drive(shard, tick), system.links(shard, tick))
+        drive, losses = system.host.gather(tick)
+        assert losses == []
+        assert drive.drive.tolist() == expected_drive(system, tick).tolist()
+    assert not heard[1, first].sent.any()
+    incoming = system.partition.incoming(0)
+    others = np.isin(incoming.source, [2, 3])
+    assert others.any()
+    assert not heard[0, first].sent[others].any()
+    for shard in range(3):
+        links = system.partition.incoming(shard)
+        said = (links.source + links.source_side + first) % 3 != 0
+        assert heard[shard, first + 1].sent.tolist() == said.tolist()
+
+
+@both_forms
+def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
+    memory: Network, form: FormName
+) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), form, message=MESSAGE).start()
+    step(system, 0)
+    system.host.publish(system.sense(1))
+    for member in system.members:
+        gathered(member.gather(1))
+    links = system.links(1, 1)
+    assert links is not None
+    links.sent[:] = True
+    # messages go out before drives: it is killed in between
+    puts = system.members[1]._outgoing.puts(system.drive(1, 1), links)  # pyright: ignore[reportPrivateUsage]
+    system.member_endpoints[1].put_all(puts[:-1])
+    system.member_endpoints[1].close()
+    system.members[0].publish(system.drive(0, 1), system.links(0, 1))
+    assert system.host.gather(1)[1] == [Loss(1, 1, "token lost")]
+    system.host.publish(system.sense(2))
+    heard = gathered(system.members[0].gather(2)).links
+    assert heard is not None
+    assert not heard.sent.any()
+
+
+@both_forms
+def test_one_that_goes_again_before_it_was_admitted_is_asked_about_again(
+    memory: Network, form: FormName
+) -> None:
+    system = System(memory, Partition.even(grid(1, 3), 3), form, message=MESSAGE).start()
+    step(system, 0)
+    system.member_endpoints[1].close()
+    step(system, 1, [0, 2])
+    _anew(system, 1).ready(10.0)
+    assert system.host.admit(2) == []  # asked
+    system.member_endpoints[1].close()
+    step(system, 2, [0, 2])
+    step(system, 3, [0, 2])
+    assert system.host.admit(4) == []
+    member = _anew(system, 1)
+    member.ready(10.0)
+    first, cells = _admitted(system, 4, [0, 2])
+    assert cells == [1]
+    assert member.join(10.0) == first
+    assert step(system, first)[1] == []
+
+
+def test_who_is_not_let_in_or_whose_plant_goes_says_so(memory: Network) -> None:
+    system = System(memory, Partition.even(grid(1, 2), 2), "packed").start()
+    step(system, 0)
+    system.member_endpoints[1].close()
+    step(system, 1, [0])
+    member = _anew(system, 1)
+    member.ready(10.0)
+    with pytest.raises(BarrierError, match="shard 1 was not let in"):
+        member.join(0.01)
+    system.host.close()
+    with pytest.raises(HostLostError):
+        member.join(10.0)
+
+
+def test_cells_that_come_back_still_die_when_they_were_to_die() -> None:
+    lives = Lives(3)
+    lives.plan([0], 50)
+    lives.retire([0, 1], 10)
+    lives.admit([0, 1], 20)
+    assert [lives.live(tick).tolist() for tick in (19, 20, 50)] == [
+        [False, False, True],
+        [True, True, True],
+        [False, True, True],
+    ]
+    assert lives.first([np.array([0, 1]), np.array([2])]) == [20, 0]
+    assert lives.last([np.array([0]), np.array([1, 2])]) == [50, NEVER]
+
+
+def test_a_group_is_there_from_when_the_first_of_those_came_who_stay_longest() -> None:
+    lives = Lives(4)
+    assert lives.all
+    lives.plan([0], 50)
+    assert not lives.all
+    assert lives.live(50).tolist() == [False, True, True, True]
+    lives.retire([1, 2], 10)
+    lives.admit([2], 20)
+    lives.retire([1], 40)
+    lives.admit([1], 45)
+    lives.retire([3], 30)
+    group = np.arange(4)
+    assert lives.first([group, np.array([0, 3])]) == [20, 0]
+    assert lives.last([group, np.array([0, 3])]) == [NEVER, 50]
+
+
+def test_parts_are_waited_for_from_their_tick_on_and_earlier_ones_are_late() -> None:
+    counts = Counts()
+    collector = Collector("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
+    collector.begin(7)
+    collector.admit([0, 9], [NEVER, NEVER])
+    assert [collector.missing(tick) for tick in (7, 8, 9)] == [[0], [0], [0, 1]]
+    collector.take(1, bytes([8, 1]))
+    assert counts.late == 1
+    collector.take(1, bytes([9, 5]))
+    assert collector.slot(9).values == [0, 5]
+    collector.void([1], 9)
+    assert collector.slot(9).values == [0, 0]
+
+
+def _collector(counts: Counts) -> Collector:
+    """Of two parts, whose payloads are a tick and a value."""
+    return Collector("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
+
+
+def test_what_comes_from_who_is_gone_is_kept_only_where_it_is_expected_back() -> None:
+    counts = Counts()
+    collector = _collector(counts)
+    collector.begin(7)
+    collector.bury([NEVER, 5])
+    collector.take(1, bytes([8, 3]))
+    assert (counts.late, collector.early(7)) == (1, 0)
+    collector.expect([1])
+    collector.take(1, bytes([8, 3]))
+    collector.take(1, bytes([6, 3]))
+    collector.take(1, bytes([7 + EARLY_TICKS, 4]))
+    collector.take(1, bytes([8 + EARLY_TICKS, 5]))
+    with pytest.raises(WireError, match="tick 8 came already"):
+        collector.take(1, bytes([8, 9]))
+    assert (counts.delivered, counts.late) == (2, 3)
+    assert (collector.slot(8).values, collector.slot(8).missing) == ([0, 3], 1)
+    collector.take(0, bytes([8, 1]))
+    assert collector.slot(8).missing == 0
+    collector.admit([0, 7], [NEVER, NEVER])
+    assert (collector.slot(7).missing, collector.slot(8).missing, collector.missing(9)) == (2, 0, [0, 1])
+
+
+def test_who_comes_back_keeps_whatever_comes_until_its_first_tick_is_known() -> None:
+    counts = Counts()
+    collector = _collector(counts)
+    with pytest.raises(WireError, match="at most 64 ahead of 0"):
+        collector.take(0, bytes([EARLY_TICKS + 1, 1]))
+    collector.await_first()
+    for tick in range(100, 100 + EARLY_TICKS):
+        collector.take(0, bytes([tick, tick]))
+    with pytest.raises(WireError, match="ahead"):
+        collector.take(0, bytes([99, 1]))
+    assert (collector.early(100), collector.early(101)) == (EARLY_TICKS, EARLY_TICKS - 1)
+    collector.begin(103)
+    assert collector.early(0) == EARLY_TICKS - 3
+    assert (collector.now, collector.slot(103).values, collector.missing(103)) == (103, [103, 0], [1])
+    with pytest.raises(WireError, match="ahead of 103"):
+        collector.take(1, bytes([104 + EARLY_TICKS, 1]))
+
+
+def test_a_frame_that_is_over_takes_nothing_with_it_that_is_still_to_come() -> None:
+    counts = Counts()
+    collector = _collector(counts)
+    collector.take(0, bytes([0, 1]))
+    assert collector.close(0).values == [1, 0]
+    assert (collector.now, collector.slot(1).values, collector.slot(1).missing) == (1, [0, 0], 2)
+    collector.take(1, bytes([0, 5]))
+    assert counts.late == 1
+    for tick in (2, 3, 5):
+        collector.take(0, bytes([tick, tick]))
+    collector.close(1)
+    assert collector.slot(2).values == [2, 0]
+    collector.close(3)
+    assert (collector.now, collector.early(0), collector.slot(5).values) == (4, 1, [5, 0])
+    collector.bury([NEVER, 6])
+    assert (collector.missing(5), collector.missing(6)) == ([1], [0])
+    collector.close(6)
+    assert collector.slot(7).missing == 1
+
+
+def test_only_what_was_said_from_a_tick_on_is_void_and_may_be_said_again() -> None:
+    collector = _collector(Counts())
+    for tick in range(3):
+        collector.take(1, bytes([tick, 5]))
+    collector.void([1], 1)
+    assert [collector.slot(tick).values for tick in range(3)] == [[0, 5], [0, 0], [0, 0]]
+    collector.take(1, bytes([2, 6]))
+    assert collector.slot(2).values == [0, 6]
+
+
+class Absent:
+    """Two shards of three that went, of two cells and of one, and what the plant sees of their new processes."""
+
+    def __init__(self) -> None:
+        nothing = cast("Any", None)
+        self.roll = Roll(nothing, nothing)
+        self.matched = {2, 3, 4}
+        self.returns = Returns(self.roll, [[0, 1], [2, 3], [4]], self.matched.__contains__)
+        self.returns.left(2, [4])
+        self.returns.left(1, [3])
+        self.returns.left(1, [2])
+
+    def seen(self, *units: int) -> None:
+        for signs in (self.roll.left, self.roll.alive, self.roll.ready):
+            signs.update(units)
+
+    def asked(self) -> list[list[int]]:
+        return [absence.cells for absence in self.returns.to_ask()]
+
+
+@pytest.mark.parametrize("sign", ["left", "alive", "ready", "matched"])
+def test_a_process_is_back_when_all_its_units_went_came_are_ready_and_can_be_sent_to(sign: str) -> None:
+    absent = Absent()
+    absent.seen(2, 3)
+    signs = absent.matched if sign == "matched" else getattr(absent.roll, sign)
+    signs.discard(2)
+    assert absent.asked() == []
+    assert absent.returns.back([]) == []
+    signs.add(2)
+    assert absent.asked() == [[3, 2]]
+    assert absent.asked() == []
+
+
+def test_cells_are_admitted_when_all_who_live_can_send_to_them_and_not_to_others() -> None:
+    absent = Absent()
+    absent.seen(2, 3, 4)
+    assert absent.asked() == [[4], [3, 2]]
+    absent.returns.linked(0, [2])
+    absent.returns.linked(0, [4])
+    absent.returns.linked(5, [2, 3])
+    assert absent.returns.back([0, 5]) == []
+    absent.returns.linked(0, [2, 3])
+    assert absent.returns.back([0, 5]) == [2, 3]
+    assert absent.returns.back([0]) == [4]
+    assert not absent.returns
+
+
+def test_whoever_could_send_to_a_process_that_went_again_is_asked_about_the_next() -> None:
+    absent = Absent()
+    absent.seen(4)
+    assert absent.asked() == [[4]]
+    absent.returns.linked(0, [4])
+    absent.roll.alive.discard(4)
+    assert absent.asked() == []
+    absent.roll.alive.add(4)
+    assert absent.asked() == [[4]]
+    assert absent.returns.back([0]) == []
+
+
+def test_shards_that_come_back_together_are_told_by_their_cells_in_order() -> None:
+    absent = Absent()
+    absent.seen(2, 3, 4)
+    absent.asked()
+    assert absent.returns.back([]) == [2, 3, 4]

@@ -1,0 +1,192 @@
+"""The plant alone, its wheels at the field's speed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.cli import main
+from deploy.errors import InputError
+from deploy.runs.field_simulation import field_speeds, ideal, simulate
+from deploy.runs.run import run
+from deploy.scenes.fault_schedule import active
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.scenes.scene import Scene
+from deploy.workers.plan import RunOptions
+from plant.array import CellArray
+
+
+def _scene(name: str, **values: object) -> Scene:
+    return load_scene(name, [Override((key,), value, "") for key, value in values.items()])
+
+
+def test_wheel_speeds_are_the_field_at_every_cell() -> None:
+    scene = _scene("elliptic")
+    positions = CellArray(scene.array).positions_m
+    assert np.array_equal(field_speeds(scene, positions), positions * (-1.0, -2.0))
+
+
+def test_firmware_without_a_field_is_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'cells\.firmware = "heat_diffusion": must be velocity_field'):
+        simulate(_scene("heat"), output=tmp_path / "out", quiet=True)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_simulation_is_sampled_every_period_and_at_its_end(tmp_path: Path) -> None:
+    summary = simulate(
+        _scene("elliptic", duration_s=0.01), output=tmp_path, picture=False, quiet=True
+    ).summary
+    assert (summary.status, summary.ticks, summary.simulated_s) == ("ok", 3, 0.01)
+    assert json.loads((tmp_path / "summary.json").read_text())["digest"] == summary.digest
+
+
+def test_the_centre_follows_the_closed_form_of_the_linear_field(tmp_path: Path) -> None:
+    scene = _scene("elliptic", duration_s=3.0)
+    (parcel,) = simulate(scene, output=tmp_path, picture=False, quiet=True).summary.parcels
+    rate = 0.2 * 9.81
+    for start, stiffness, reached in ((0.55, 1.0, parcel.position_m[0]), (0.5, 2.0, parcel.position_m[1])):
+        # x'' + rate x' + rate stiffness x = 0, from rest
+        slow, fast = np.roots([1.0, rate, rate * stiffness])
+        expected = start * (fast * np.exp(slow * 3.0) - slow * np.exp(fast * 3.0)) / (fast - slow)
+        assert reached == pytest.approx(expected.real, abs=1e-10)
+
+
+def test_motors_are_left_out_and_that_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = simulate(_scene("motors", duration_s=0.1), output=tmp_path, picture=False).summary
+    assert "mdms: effects.motors is left out: simulate has ideal wheels" in capsys.readouterr().err
+    assert summary.status == "ok"
+
+
+def test_effects_of_the_cells_are_left_out_and_that_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenes = (
+        _scene("elliptic", duration_s=0.02, effects=effects)
+        for effects in ({}, {"sensor": {"false_positive": 1.0}, "link_loss": {"probability": 1.0}})
+    )
+    summaries = [simulate(scene, output=tmp_path, picture=False).summary for scene in scenes]
+    said = capsys.readouterr().err
+    for name in ("sensor", "link_loss"):
+        assert said.count(f"mdms: effects.{name} is left out: simulate has no cells") == 1
+    assert summaries[0].digest == summaries[1].digest
+
+
+def test_a_crash_stops_the_wheels_of_its_cell(tmp_path: Path) -> None:
+    faults = [
+        {"kind": "crash", "at_s": 0.0, "cell": [r, c]} for r, c in load_scene("elliptic").lattice().cells
+    ]
+    scene = _scene("elliptic", duration_s=0.5, faults=faults, stall={"policy": "brake"})
+    summary = simulate(scene, output=tmp_path, picture=False, quiet=True).summary
+    (parcel,) = summary.parcels
+    assert parcel.position_m == (0.55, 0.5)
+    assert len(summary.cells_lost) == 400
+
+
+def test_a_crash_under_abort_fails_the_simulation_there(tmp_path: Path) -> None:
+    faults = [{"kind": "crash", "at_s": 0.1, "cell": [3, 4]}]
+    scene = _scene("elliptic", duration_s=0.5, faults=faults, stall={"policy": "abort"})
+    summary = simulate(scene, output=tmp_path, picture=False, quiet=True).summary
+    assert summary.status == "failed"
+    assert summary.reason == "cell 3,4 crashed at 0.1024 s as scheduled; stall.policy is abort"
+    assert summary.simulated_s == pytest.approx(0.1024)
+
+
+HARM = [
+    {"kind": "crash", "at_s": 0.1, "until_s": 0.3, "rectangle": [[13, 13], [15, 15]], "wheels": "hold"},
+    {"kind": "crash", "at_s": 0.15, "until_s": 0.25, "cell": [12, 14], "wheels": "brake"},
+    {"kind": "crash", "at_s": 0.2, "cell": [14, 12]},
+    {"kind": "remove", "at_s": 0.15, "until_s": 0.35, "cells": [[14, 14], [15, 14]]},
+    {"kind": "add", "at_s": 0.2, "cell": [12, 12]},
+    {"kind": "wheel_stuck", "at_s": 0.1, "until_s": 0.2, "cell": [13, 16], "wheel": "x"},
+    {"kind": "wheel_reversed", "at_s": 0.25, "share": 0.3},
+    {"kind": "wheel_weak", "at_s": 0.05, "until_s": 0.4, "share": 0.2, "strength": 0.5},
+    {"kind": "wheel_runaway", "at_s": 0.3, "cell": [13, 13], "way": "negative", "speed_m_s": 0.8},
+]
+"""Of wheels and modules under the parcel of the scene ``elliptic``."""
+
+
+@pytest.mark.parametrize("policy", ["coast", "hold"])
+def test_faults_do_to_wheels_and_modules_what_they_do_in_a_run(policy: str, tmp_path: Path) -> None:
+    scene = _scene("elliptic", duration_s=0.45, faults=HARM, stall={"policy": policy})
+    options = RunOptions(0, "memory", output=tmp_path / "run", picture=False)
+    whole = run(scene, options, quiet=True).summary
+    alone = simulate(scene, output=tmp_path / "alone", picture=False, quiet=True).summary
+    plain = simulate(_scene("elliptic", duration_s=0.45), output=tmp_path, picture=False, quiet=True).summary
+    assert alone.parcels[0].position_m == pytest.approx(whole.parcels[0].position_m, abs=1e-8)
+    assert alone.parcels[0].angle_rad == pytest.approx(whole.parcels[0].angle_rad, abs=1e-8)
+    assert alone.support_changes == whole.support_changes
+    assert alone.parcels[0].angle_rad != pytest.approx(plain.parcels[0].angle_rad, abs=1e-3)
+    assert list(alone.cells_lost) == list(whole.cells_lost) == [(14, 12)]
+    told = [[(f["kind"], f["time_s"]) for f in summary.faults] for summary in (alone, whole)]
+    assert told[0] == told[1]
+
+
+def test_a_crash_that_would_be_repaired_ends_a_simulation_whose_policy_is_abort(tmp_path: Path) -> None:
+    faults = [{"at_s": 0.1, "until_s": 0.2, "cell": [3, 4]}, {"kind": "remove", "at_s": 0.05, "cell": [0, 0]}]
+    scene = _scene("elliptic", duration_s=0.5, faults=faults, stall={"policy": "abort"})
+    summary = simulate(scene, output=tmp_path, picture=False, quiet=True).summary
+    assert summary.reason == "cell 3,4 crashed at 0.1024 s as scheduled; stall.policy is abort"
+    assert summary.status == "failed"
+    assert [(fault["kind"], fault["cell"]) for fault in summary.faults] == [
+        ("remove", [0, 0]),
+        ("crash", [3, 4]),
+    ]
+
+
+def test_a_wheel_that_runs_away_does_so_at_the_speed_of_the_motors_that_are_left_out(tmp_path: Path) -> None:
+    motors = {"supply_v": 10.0, "speed_per_volt_m_s": 0.05, "coulomb_v": 1.0}
+    fault = {"kind": "wheel_runaway", "rectangle": [[0, 0], [19, 19]], "wheel": "x"}
+    scene = _scene("elliptic", duration_s=0.05, faults=[fault], effects={"motors": motors})
+    simulate(scene, output=tmp_path, picture=False, quiet=True)
+    (ideal_fault,) = ideal(scene).faults
+    assert ideal_fault.model_dump()["speed_m_s"] == pytest.approx(0.45)
+    ideal_one = _scene("elliptic", duration_s=0.05, faults=[{**fault, "speed_m_s": 0.45}])
+    courses = [
+        simulate(one, output=tmp_path, picture=False, quiet=True).summary for one in (scene, ideal_one)
+    ]
+    assert courses[0].parcels[0].position_m == courses[1].parcels[0].position_m
+    assert courses[0].parcels[0].position_m[0] > 0.55
+
+
+def test_faults_of_the_cells_are_left_out_and_that_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stuck, hangs = {"kind": "wheel_stuck", "cell": [0, 0]}, {"kind": "hang", "cell": [1, 1]}
+    summary = simulate(
+        _scene("elliptic", duration_s=0.02, faults=[stuck, hangs]), output=tmp_path, picture=False
+    ).summary
+    said = capsys.readouterr().err
+    assert said.count("mdms: faults[1] (hang) is left out: simulate has no cells") == 1
+    assert "faults[0]" not in said
+    assert [fault["kind"] for fault in summary.faults] == ["wheel_stuck"]
+    assert active(_scene("elliptic", faults=[hangs])) is None
+
+
+def test_the_same_simulation_has_the_same_digest(tmp_path: Path) -> None:
+    first, second, other = (
+        simulate(_scene("elliptic", duration_s=d), output=tmp_path, picture=False, quiet=True).summary.digest
+        for d in (0.2, 0.2, 0.204)
+    )
+    assert first == second != other
+
+
+def test_events_that_have_no_room_in_one_call_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gliding = "{ size_m = [0.5, 0.5], position_m = [-1.0, 0.003], mass_kg = 1.0, velocity_m_s = [0.5, 0.0] }"
+    settings = [
+        "array={ rows = 30, columns = 130, pitch_m = 0.02 }",
+        "cells.parameters={ field = { kind = 'uniform', velocity_m_s = [0.5, 0.0] } }",
+        f"parcels=[{gliding}]",
+        "duration_s=4.0",
+    ]
+    sets = [word for setting in settings for word in ("--set", setting)]
+    arguments = ["simulate", "elliptic", *sets, "--no-picture", "--json", "--output", str(tmp_path)]
+    assert main(arguments) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["events_left_out"] > 500
+    assert summary["events_left_out"] < summary["support_changes"] - 4000

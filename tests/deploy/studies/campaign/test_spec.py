@@ -1,0 +1,60 @@
+"""What a campaign's folder keeps of what was asked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deploy.errors import InputError
+from deploy.studies.campaign.spec import Asked, asked_for, check_same, check_versions, read, write
+
+ASKED = asked_for(
+    {
+        "scene": "a b/ä.toml",
+        "folder": "/home",
+        "set": ('title="say \\"so\\""', "x=\x7f\t𝄞"),
+        "fault": "crash",
+        "share": "0:0.5:0.1",
+        "at_s": 0.1,
+        "limit_s": 1e-5,
+    }
+)
+
+
+def test_what_was_asked_is_read_again_as_it_was(tmp_path: Path) -> None:
+    write(ASKED, "the = 'scene'\n", {"numpy": "2.1"}, tmp_path)
+    assert read(tmp_path) == (ASKED, "the = 'scene'\n", {"numpy": "2.1"})
+
+
+def test_going_on_with_the_same_or_nothing_said_is_fine() -> None:
+    check_same(ASKED, {"scene": None, "fault": "crash", "set": ASKED.set, "at_s": 0.1}, Path("d"))
+
+
+def test_going_on_with_anything_else_is_refused_and_names_all_of_it() -> None:
+    given = {"scene": "heat", "fault": "crash", "seeds": "20", "vary": ("a=1",), "at_s": 2.0}
+    with pytest.raises(InputError) as refused:
+        check_same(ASKED, given, Path("d"))
+    assert str(refused.value).splitlines() == [
+        "--resume d: SCENE heat: the campaign there was begun with a b/ä.toml",
+        "--resume d: --seeds 20: the campaign there was begun with 10",
+        "--resume d: --vary a=1: the campaign there was begun with none",
+        "--resume d: --at 2.0: the campaign there was begun with 0.1",
+    ]
+
+
+def test_other_versions_are_refused_by_name() -> None:
+    before = {"numpy": "2.1", "numba": "0.62"}
+    check_versions(before, dict(before), Path("d"))
+    with pytest.raises(InputError, match=r"numpy 2\.1, now 2\.2: .*--other-versions"):
+        check_versions(before, {**before, "numpy": "2.2"}, Path("d"))
+
+
+def test_a_folder_without_a_campaign_or_with_a_spoilt_one_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no campaign there: campaign\.toml is missing"):
+        read(tmp_path)
+    write(Asked(scene="heat"), "", {}, tmp_path)
+    path = tmp_path / "campaign.toml"
+    path.write_text(path.read_text().replace("seeds", "seed_s"))
+    with pytest.raises(InputError, match=r"seed_s .*unknown key; nearest: seeds"):
+        read(tmp_path)

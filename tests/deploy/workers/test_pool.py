@@ -1,0 +1,151 @@
+"""Worker processes are started, heard of, and ended, every one of them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from cell_firmware.errors import FirmwareFailed
+from deploy.workers.pool import Crew, WorkerError, describe_exit
+
+
+def _until_started(crew: Crew, workers: int) -> None:
+    deadline = time.monotonic() + 20.0
+    while len(crew.pids) + len(crew.ended) < workers:
+        assert time.monotonic() < deadline
+        crew.poll(1.0)
+
+
+def _state(pid: int) -> str:
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.read_text().rpartition(")")[2].split()[0] if stat.exists() else "gone"
+
+
+def _gone(pid: int) -> bool:
+    return _state(pid) in ("gone", "Z")
+
+
+def test_a_worker_ends_when_its_order_returns() -> None:
+    with Crew() as crew:
+        crew.start(time.sleep, ["only"])  # worker 0 sleeps 0 s
+        assert crew.wait(20.0)
+        assert crew.ended == {0: 0}
+        assert crew.failures == []
+
+
+def test_every_worker_is_called_with_its_own_number() -> None:
+    with Crew() as crew:
+        crew.start(os._exit, ["zero", "one", "two"])
+        assert crew.wait(20.0)
+        assert crew.ended == {0: 0, 1: 1, 2: 2}
+
+
+def test_a_worker_that_raises_is_reported_with_one_line_and_its_traceback() -> None:
+    with Crew() as crew:
+        crew.start(partial(divmod, 1), ["cells 0"])
+        assert crew.wait(20.0)
+        (failure,) = crew.failures
+        assert (failure.worker, failure.kind) == (0, "ZeroDivisionError")
+        assert failure.detail.startswith("Traceback")
+        with pytest.raises(WorkerError, match=r"^cells 0: .*zero$"):
+            crew.check()
+
+
+def _fail_as_firmware(worker: int) -> None:
+    raise FirmwareFailed((3, 4), 0, "init: KeyError: 'x'", f"Traceback of worker {worker}\nKeyError: 'x'\n")
+
+
+def test_of_a_firmware_that_fails_the_line_is_said_once_and_its_own_traceback_shown() -> None:
+    with Crew() as crew:
+        crew.start(_fail_as_firmware, ["cells 0"])
+        assert crew.wait(20.0)
+        (failure,) = crew.failures
+        assert failure.error == "firmware of cell 3,4 failed in tick 0: init: KeyError: 'x'"
+        assert failure.detail == f"{failure.error}\nTraceback of worker 0\nKeyError: 'x'\n"
+
+
+def test_a_worker_that_is_killed_is_reported_with_the_signal() -> None:
+    with Crew() as crew:
+        crew.start(_sleep_long, ["sleeper"])
+        _until_started(crew, 1)
+        os.kill(crew.pids[0], signal.SIGKILL)
+        assert crew.wait(20.0)
+        assert crew.ended[0] == -signal.SIGKILL
+        with pytest.raises(WorkerError, match=r"killed by SIGKILL"):
+            crew.check()
+
+
+def test_closing_ends_workers_that_go_on_and_their_parent() -> None:
+    crew = Crew()
+    crew.start(_sleep_long, ["one", "two"])
+    _until_started(crew, 2)
+    pids = list(crew.pids.values())
+    crew.close()
+    assert set(crew.ended.values()) == {-signal.SIGTERM}
+    assert all(_gone(pid) for pid in pids)
+    crew.close()  # a second time is harmless
+
+
+def test_a_stopped_worker_is_killed_in_the_end() -> None:
+    crew = Crew()
+    crew.start(_sleep_long, ["stopped"])
+    _until_started(crew, 1)
+    pid = crew.pids[0]
+    os.kill(pid, signal.SIGSTOP)
+    deadline = time.monotonic() + 10.0
+    while _state(pid) != "T" and time.monotonic() < deadline:
+        crew.poll(0.01)  # a signal sent before it has stopped would be served first
+    crew.close()
+    assert crew.ended == {0: -signal.SIGKILL}
+    assert _gone(pid)
+
+
+def test_workers_show_their_names_and_share_a_parent() -> None:
+    with Crew() as crew:
+        crew.start(_tell_name_and_parent, ["cell 0,0", "cell 0,1"])
+        assert crew.wait(20.0)
+        told = sorted(failure.error.split("/") for failure in crew.failures)
+        assert [name for name, _ in told] == ["cell 0,0", "cell 0,1"]
+        assert len({parent for _, parent in told}) == 1
+        assert told[0][1] != str(os.getpid())
+
+
+def test_the_workers_parent_has_neither_numba_nor_a_session(tmp_path: Path) -> None:
+    from deploy.workers.groups import PRELOAD
+
+    with Crew(PRELOAD) as crew:
+        crew.start(partial(_write_modules, str(tmp_path / "modules")), ["only"])
+        assert crew.wait(20.0), crew.failures
+    modules = set((tmp_path / "modules").read_text().split())
+    assert {"zenoh", "numpy", "cell_firmware.agent"} <= modules
+    assert not {
+        name for name in modules if name.partition(".")[0] in ("numba", "scipy", "matplotlib", "rich")
+    }
+
+
+def test_exit_statuses_are_put_in_words() -> None:
+    assert [describe_exit(status) for status in (0, 3, -9, -15)] == [
+        "exit status 0",
+        "exit status 3",
+        "killed by SIGKILL",
+        "killed by SIGTERM",
+    ]
+
+
+def _sleep_long(worker: int) -> None:
+    time.sleep(60.0)
+
+
+def _write_modules(path: str, worker: int) -> None:
+    import sys
+
+    Path(path).write_text(" ".join(sys.modules))
+
+
+def _tell_name_and_parent(worker: int) -> None:
+    raise RuntimeError(f"{Path('/proc/self/comm').read_text().strip()}/{os.getppid()}")

@@ -1,0 +1,109 @@
+"""Distances of convex polygons, and the certainty that two stay apart: against independent ways of finding them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+
+from plant.effects.parcel_contact.bodies import pack
+from plant.kernels.contact import entry as contact_entry
+from plant.kernels.contact import layout as to
+from tests.plant.effects.parcel_contact.benches import Floats, placed, polygons
+
+PLACE = st.floats(-2.0, 2.0)
+TURN = st.floats(-4.0, 4.0)
+
+
+def _state(x: float, y: float, angle: float, *rates: float) -> Floats:
+    return np.array([x, y, angle, *(rates or (0.0, 0.0, 0.0))])
+
+
+def _least_distance(a: Floats, b: Floats) -> float:
+    """Distance of two hulls: the point nearest to the origin in the hull of all differences, by NNLS."""
+    differences = (a[:, None, :] - b[None, :, :]).reshape(-1, 2)
+    heavy = 1e4  # the weights must sum to one
+    system = np.vstack([differences.T, heavy * np.ones(len(differences))])
+    weights, _ = nnls(system, np.array([0.0, 0.0, heavy]))
+    return float(np.hypot(*(differences.T @ weights / weights.sum())))
+
+
+@settings(max_examples=80)
+@given(polygons(), polygons(), PLACE, PLACE, TURN, TURN)
+def test_the_gap_is_the_distance_of_the_hulls(
+    a: Floats, b: Floats, x: float, y: float, turn_a: float, turn_b: float
+) -> None:
+    pa, pb = _state(0.0, 0.0, turn_a), _state(x, y, turn_b)
+    gap, nx, ny = contact_entry.gap(pack([a, b]), 0, 1, pa, pb)
+    assert nx * nx + ny * ny == pytest.approx(1.0, abs=1e-12)
+    if gap > 1e-6:
+        assert gap == pytest.approx(_least_distance(placed(a, pa), placed(b, pb)), abs=1e-7)
+        # and the direction is the one in which it closes soonest
+        touching = _state(x - gap * nx, y - gap * ny, turn_b)
+        assert contact_entry.gap(pack([a, b]), 0, 1, pa, touching)[0] == pytest.approx(0.0, abs=1e-12)
+
+
+@settings(max_examples=60)
+@given(polygons(), polygons(), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), TURN)
+def test_the_depth_is_the_least_push_that_parts_them(
+    a: Floats, b: Floats, x: float, y: float, turn: float
+) -> None:
+    assume(len(a) > 2 and len(b) > 2)
+    pa, pb = _state(0.0, 0.0, 0.0), _state(x, y, turn)
+    gap, nx, ny = contact_entry.gap(pack([a, b]), 0, 1, pa, pb)
+    if gap < 0.0:
+        apart = _state(x - gap * nx, y - gap * ny, turn)
+        assert contact_entry.gap(pack([a, b]), 0, 1, pa, apart)[0] == pytest.approx(0.0, abs=1e-12)
+        angles = np.linspace(0.0, 2.0 * np.pi, 721)
+        every = np.stack([np.cos(angles), np.sin(angles)])
+        pushes = (placed(a, pa) @ every).max(axis=0) - (placed(b, pb) @ every).min(axis=0)
+        assert -gap <= pushes.min() + 1e-12
+
+
+def test_a_million_metres_away_it_keeps_the_digits_that_the_shift_leaves() -> None:
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    near = contact_entry.gap(pack([square, square]), 0, 1, _state(0, 0, 0.3), _state(2.0, 0.25, 0.8))[0]
+    far = contact_entry.gap(
+        pack([square, square]), 0, 1, _state(1e6, 1e6, 0.3), _state(1e6 + 2.0, 1e6 + 0.25, 0.8)
+    )[0]
+    assert far == pytest.approx(near, abs=1e-14)
+
+
+@settings(max_examples=150)
+@given(
+    polygons(),
+    polygons(),
+    st.tuples(PLACE, PLACE, TURN, TURN),
+    st.lists(st.floats(-3.0, 3.0), min_size=12, max_size=12),
+    st.floats(0.01, 0.3),
+)
+def test_what_is_certain_to_stay_apart_does_at_every_instant_between(
+    a: Floats, b: Floats, start: tuple[float, ...], rates: list[float], span: float
+) -> None:
+    x, y, turn_a, turn_b = start
+
+    def motion(first: Floats, rate: Floats, bend: Floats, t: Floats) -> Floats:
+        pose = first + rate * t[:, None] + 0.5 * bend * t[:, None] ** 2
+        return np.concatenate([pose, rate + bend * t[:, None]], axis=1)
+
+    v = np.array(rates).reshape(4, 3)
+    t = np.linspace(0.0, span, 60)
+    ways = [
+        motion(np.array([0.0, 0.0, turn_a]), v[0], v[1], t),
+        motion(np.array([x, y, turn_b]), v[2], v[3], t),
+    ]
+    shapes = pack([a, b])
+    pull = np.zeros((2, to.PULL_SIZE))
+    pull[:, to.RADIUS] = [np.hypot(*a.T).max(), np.hypot(*b.T).max()]
+    pull[:, to.PUSH] = [
+        np.hypot(*bend[:2]) + radius * abs(bend[2])
+        for bend, radius in zip(v[[1, 3]], pull[:, to.RADIUS], strict=True)
+    ]
+    ends = np.stack([[ways[0][0], ways[1][0]], [ways[0][-1], ways[1][-1]]])
+    pair = np.array([[0, 1]])
+    _, unsure = contact_entry.first_unsure(shapes, pair, pull, 0.0, t[[0, -1]], ends, 0)
+    if unsure < 0:
+        gaps = [contact_entry.gap(shapes, 0, 1, *states)[0] for states in zip(*ways, strict=True)]
+        assert min(gaps) > 0.0
