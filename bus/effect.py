@@ -24,11 +24,11 @@ class EffectSpec(Spec):
     """Kinds of events that only happen with it."""
     messages: ClassVar[tuple[str, ...]] = ()
     """What it changes in the messages of plant and cells, in words."""
-    rung: ClassVar[int | None] = None
+    fidelity_rank: ClassVar[int | None] = None
     """Its place in the ladder of fidelity, coarse effects first; None: it says what a scene has, not how finely."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self | str:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self | str:  # noqa: ARG003
         """Settings with which a scene that lacks the effect tries it; or, in words, why only a scene can say.
 
         Args:
@@ -36,11 +36,11 @@ class EffectSpec(Spec):
         """
         return "it has no typical settings"
 
-    def needed(self) -> tuple[str, ...]:
+    def required(self) -> tuple[str, ...]:
         """Names of the effects that these settings build on: ``needs``, and more where they ask for more."""
         return self.needs
 
-    def misplaced(
+    def problems(
         self,
         lattice: Lattice,  # noqa: ARG002
         pitch_m: float,  # noqa: ARG002
@@ -52,17 +52,17 @@ class EffectSpec(Spec):
 class Effects(Spec):
     """A registry of effects: every field is one, None where the scene doesn't ask for it."""
 
-    def asked(self) -> Iterator[tuple[str, EffectSpec]]:
+    def enabled(self) -> Iterator[tuple[str, EffectSpec]]:
         """Name and settings of the effects that are there."""
         for name in type(self).model_fields:
             effect = getattr(self, name)
             if effect is not None:
                 yield name, effect
 
-    def at_odds(self) -> Iterator[tuple[tuple[str, str], object, str]]:
+    def problems(self) -> Iterator[tuple[tuple[str, str], object, str]]:
         """Effects that lack another, or don't go with one: path in the scene, value, and the rule that is broken."""
-        for name, effect in self.asked():
-            for needed in effect.needed():
+        for name, effect in self.enabled():
+            for needed in effect.required():
                 if getattr(self, needed, None) is None:
                     yield ("effects", needed), None, f"must be asked for too: effects.{name} needs it"
             for other in effect.excludes:

@@ -68,15 +68,15 @@ class BarrierError(BusError):
 
 
 @final
-class HostLostError(BusError):
+class CoordinatorLostError(BusError):
     """The plant's process went away, or stayed silent for too long; raised on the cells' side."""
 
 
 @final
-class WokenError(BusError):
+class WaitInterrupted(BusError):
     """``Endpoint.wake`` was called while the lockstep waited: whoever called it knows why."""
 
 
 @final
-class MemoryRefusedError(BusError):
+class StateError(BusError):
     """What something remembers can't be kept, or what was kept is not what it remembers; says what and where."""

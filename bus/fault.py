@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from bus.lattice import NEVER, OPPOSITE, SIDES, Lattice
-from bus.random_streams import generator
+from bus.lattice import NO_TICK_LIMIT, OPPOSITE, SIDES, Lattice
+from bus.random_streams import rng
 from bus.spec import CellName, Spec
 
 Index = NDArray[np.int64]
@@ -27,9 +27,9 @@ class FaultSpec(Spec):
     It acts from the first tick boundary not before ``at_s`` to the first not before ``until_s``, simulated time.
     """
 
-    called: ClassVar[str]
+    kind_name: ClassVar[str]
     """Its ``kind``."""
-    lasts: ClassVar[bool] = True
+    repairable: ClassVar[bool] = True
     """Whether it lasts, so that it may be repaired; else it happens once."""
 
     at_s: Time = 0.0
@@ -39,26 +39,28 @@ class FaultSpec(Spec):
 
     @model_validator(mode="after")
     def _repaired_later(self) -> Self:
-        if self.until_s is not None and not self.lasts:
-            raise ValueError(f"{self.called} happens once: leave until_s out")
+        if self.until_s is not None and not self.repairable:
+            raise ValueError(f"{self.kind_name} happens once: leave until_s out")
         if self.until_s is not None and self.until_s <= self.at_s:
             raise ValueError(f"until_s must be after at_s, {self.at_s:g}, not {self.until_s:g}")
         return self
 
-    def span(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
-        """The tick from which it acts, and that from which it doesn't any more; ``bus.lattice.NEVER``: it always will.
+    def tick_range(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
+        """First tick in which the fault acts, and first in which it no longer does.
+
+        The second is ``bus.lattice.NO_TICK_LIMIT`` where the fault is never repaired.
 
         Args:
             tick_at: The tick in which something scheduled acts, by its time in seconds.
         """
-        return tick_at(self.at_s), NEVER if self.until_s is None else tick_at(self.until_s)
+        return tick_at(self.at_s), NO_TICK_LIMIT if self.until_s is None else tick_at(self.until_s)
 
     @abstractmethod
-    def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
+    def problems(self, lattice: Lattice) -> Iterator[Problem]:
         """What of it does not fit the array."""
 
     @abstractmethod
-    def struck(self, lattice: Lattice, seed: int, number: int) -> Index:
+    def affected_cells(self, lattice: Lattice, seed: int, number: int) -> Index:
         """Indices of the cells that it strikes, ascending.
 
         Args:
@@ -104,7 +106,7 @@ class CellTarget(FaultSpec):
         for number, cell in enumerate(self.cells or ()):
             yield ("cells", number), cell
 
-    def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
+    def problems(self, lattice: Lattice) -> Iterator[Problem]:
         """Cells that don't exist."""
         for path, cell in self._named():
             if cell not in lattice:
@@ -116,10 +118,10 @@ class CellTarget(FaultSpec):
                 "the array has no cell in there",
             )
 
-    def struck(self, lattice: Lattice, seed: int, number: int) -> Index:
+    def affected_cells(self, lattice: Lattice, seed: int, number: int) -> Index:
         """Indices of the cells that it strikes, ascending; see `FaultSpec.struck`."""
         if self.share is not None:
-            order = generator(seed, f"faults.{number}.{self.called}").permutation(len(lattice))
+            order = rng(seed, f"faults.{number}.{self.kind_name}").permutation(len(lattice))
             return np.sort(order[: round(self.share * len(lattice))]).astype(np.int64)
         if self.rectangle is not None:
             return self._inside(self.rectangle, lattice)
@@ -142,9 +144,9 @@ class LinkTarget(CellTarget):
     direction: Literal["both", "out", "in"] = "both"
     """What the cells say (``out``), what they hear (``in``), or both."""
 
-    def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
+    def problems(self, lattice: Lattice) -> Iterator[Problem]:
         """Cells that don't exist, and one that has no neighbour on that side."""
-        found = list(super().misplaced(lattice))
+        found = list(super().problems(lattice))
         yield from found
         if found or self.side is None or self.cell is None:
             return
@@ -152,9 +154,9 @@ class LinkTarget(CellTarget):
             row, column = self.cell
             yield ("side",), self.side, f"cell {row},{column} has no neighbour there"
 
-    def heard(self, lattice: Lattice, seed: int, number: int) -> Index:
+    def affected_links(self, lattice: Lattice, seed: int, number: int) -> Index:
         """Its links, as ``(m, 2)``: the cell that hears it, by index, and the side on which; ascending, each once."""
-        cells = self.struck(lattice, seed, number)
+        cells = self.affected_cells(lattice, seed, number)
         sides = range(len(SIDES)) if self.side is None else (SIDES.index(self.side),)
         return links_of(lattice, cells, sides, heard=self.direction != "out", told=self.direction != "in")
 
@@ -189,7 +191,7 @@ _Fault_co = TypeVar("_Fault_co", bound=FaultSpec, covariant=True)
 
 @final
 @dataclass(slots=True, eq=False)
-class Injected(Generic[_Fault_co]):
+class FaultInstance(Generic[_Fault_co]):
     """A fault of a run, its times in ticks.
 
     Attributes:
@@ -197,7 +199,7 @@ class Injected(Generic[_Fault_co]):
         fault: What happens.
         cells: Indices of the cells that it strikes, ascending.
         first: The tick from which it acts.
-        end: The tick from which it doesn't any more; ``bus.lattice.NEVER``: it is not repaired.
+        end: The tick from which it doesn't any more; ``bus.lattice.NO_TICK_LIMIT``: it is not repaired.
             A live repair changes it.
         live: Whether somebody injected it while the run went on.
     """
@@ -205,18 +207,20 @@ class Injected(Generic[_Fault_co]):
     number: int
     fault: _Fault_co
     cells: Index
-    first: int
-    end: int = NEVER
-    live: bool = False
+    start_tick: int
+    end_tick: int = NO_TICK_LIMIT
+    injected_at_runtime: bool = False
 
-    def acts(self, tick: int) -> bool:
+    def active_at(self, tick: int) -> bool:
         """Whether it acts in a tick."""
-        return self.first <= tick < self.end
+        return self.start_tick <= tick < self.end_tick
 
 
-def turns(faults: Sequence[Injected[FaultSpec]]) -> list[int]:
+def transition_ticks(faults: Sequence[FaultInstance[FaultSpec]]) -> list[int]:
     """Ticks in which one of them begins or ends, ascending."""
-    return sorted({tick for one in faults for tick in (one.first, one.end) if tick != NEVER})
+    return sorted(
+        {tick for one in faults for tick in (one.start_tick, one.end_tick) if tick != NO_TICK_LIMIT}
+    )
 
 
 def _absent(cell: CellName, lattice: Lattice) -> str:

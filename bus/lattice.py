@@ -8,7 +8,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-NEVER: Final = int(np.iinfo(np.int64).max)
+NO_TICK_LIMIT: Final = int(np.iinfo(np.int64).max)
 """The tick from which a live cell is gone."""
 
 SIDES = ("north", "east", "south", "west")

@@ -12,7 +12,7 @@ _WORDS: Final = 4
 """Words that the generator makes from one value of its counter."""
 
 
-def generator(seed: int, purpose: str) -> np.random.Generator:
+def rng(seed: int, purpose: str) -> np.random.Generator:
     """The generator named after what it is for: its numbers don't depend on what else a scene draws.
 
     Args:
@@ -23,7 +23,7 @@ def generator(seed: int, purpose: str) -> np.random.Generator:
 
 
 @final
-class Draws:
+class CounterStream:
     """A number for each of many places, anew in every tick: a function of seed, purpose, tick and place alone.
 
     So it makes no difference who draws, in which order, how often, and how many places at once. The numbers are

@@ -17,7 +17,7 @@ Labels = NDArray[np.int64]
 
 @final
 @dataclass(frozen=True, slots=True)
-class Readings:
+class SensorSchema:
     """What there is to read in a run; what there isn't, has no place on the bus.
 
     Attributes:
@@ -35,7 +35,7 @@ class Readings:
     camera: int = 0
 
 
-class Picture(NamedTuple):
+class CameraFrame(NamedTuple):
     """What a camera saw.
 
     Attributes:

@@ -18,15 +18,15 @@ from typing import Any, Final, cast, final
 
 import numpy as np
 
-from bus.errors import MemoryRefusedError
-from bus.state_codec import NOT_SO, Part, Records, Stream, decode, encode
+from bus.errors import StateError
+from bus.state_codec import DECODE_ERRORS, ObjectState, Records, RngState, decode, encode
 
 DECLARED: Final = "remembers"
 """The class attribute that says what is remembered."""
 
 
 @final
-class Remembers:
+class StateFields:
     """What an object of a class carries from tick to tick.
 
     Values are numbers, texts, arrays, and lists, maps and the like of them; random generators; and objects that
@@ -47,7 +47,7 @@ class Remembers:
         self.records = tuple(records)
 
 
-def remember(owner: Any, records: Sequence[type] = ()) -> bytes:
+def save_state(owner: Any, records: Sequence[type] = ()) -> bytes:
     """What an object remembers, as bytes.
 
     Args:
@@ -60,7 +60,7 @@ def remember(owner: Any, records: Sequence[type] = ()) -> bytes:
     return encode(_part(owner), _records(owner, records))
 
 
-def recall(owner: Any, data: bytes, records: Sequence[type] = ()) -> None:
+def load_state(owner: Any, data: bytes, records: Sequence[type] = ()) -> None:
     """Let an object remember what another like it did.
 
     Args:
@@ -72,17 +72,17 @@ def recall(owner: Any, data: bytes, records: Sequence[type] = ()) -> None:
         MemoryRefusedError: That is no memory of such an object: says where.
     """
     part = decode(data, _records(owner, records))
-    if not _is(part, Part):
-        raise MemoryRefusedError(f"not the memory of a {type(owner).__name__}")
+    if not _is(part, ObjectState):
+        raise StateError(f"not the memory of a {type(owner).__name__}")
     try:
         _put_back(owner, part, type(owner).__name__)
-    except NOT_SO as error:
-        raise MemoryRefusedError(
+    except DECODE_ERRORS as error:
+        raise StateError(
             f"not the memory of a {type(owner).__name__}: {type(error).__name__}: {error}"
         ) from None
 
 
-def declared(kind: Any) -> list[Remembers]:
+def declared(kind: Any) -> list[StateFields]:
     """What a class and its bases declare, the bases first."""
     return [vars(base)[DECLARED] for base in reversed(kind.__mro__) if DECLARED in vars(base)]
 
@@ -90,8 +90,8 @@ def declared(kind: Any) -> list[Remembers]:
 # --- taking out -------------------------------------------------------------------------------------
 
 
-def _part(owner: Any) -> Part:
-    return Part({name: _taken(value) for name, value in _values(owner)})
+def _part(owner: Any) -> ObjectState:
+    return ObjectState({name: _taken(value) for name, value in _values(owner)})
 
 
 def _values(owner: Any) -> Iterator[tuple[str, Any]]:
@@ -114,7 +114,7 @@ def _taken(value: Any) -> Any:
     """A value with what objects in it remember instead of them."""
     kind = cast("Any", type(value))
     if _is(value, np.random.Generator):
-        return Stream(value.bit_generator.state)
+        return RngState(value.bit_generator.state)
     if declared(kind):
         return _part(value)
     if _is(value, list, tuple, deque):
@@ -157,12 +157,10 @@ def _objects(value: Any) -> Iterator[Any]:
 # --- putting back -----------------------------------------------------------------------------------
 
 
-def _put_back(owner: Any, part: Part, place: str) -> None:
+def _put_back(owner: Any, part: ObjectState, place: str) -> None:
     names = [name for name, _ in _values(owner)]
     if part.values.keys() != set(names):
-        raise MemoryRefusedError(
-            f"{place}: must be {', '.join(sorted(names))}, is {', '.join(sorted(part.values))}"
-        )
+        raise StateError(f"{place}: must be {', '.join(sorted(names))}, is {', '.join(sorted(part.values))}")
     for remembers in declared(type(owner)):
         for name in (*remembers.names, *remembers.shared):
             where, value = f"{place}.{name}", part.values[name]
@@ -180,18 +178,18 @@ def _set(owner: Any, path: str, value: Any, place: str) -> None:
     *way, name = path.split(".")
     holder = _found(owner, ".".join(way)) if way else owner
     if holder is None:
-        raise MemoryRefusedError(f"{place}: must be nothing, is a {type(value).__name__}")
+        raise StateError(f"{place}: must be nothing, is a {type(value).__name__}")
     setattr(holder, name, value)
 
 
 def _merged(now: Any, value: Any, place: str) -> Any:
     """What an attribute is to be, that is ``now`` as it is in an object made anew."""
-    if _is(value, Part):
+    if _is(value, ObjectState):
         if not declared(type(now)):
-            raise MemoryRefusedError(f"{place}: must be a {type(now).__name__}, which remembers nothing")
+            raise StateError(f"{place}: must be a {type(now).__name__}, which remembers nothing")
         _put_back(now, value, place)
         return now
-    if _is(value, Stream):
+    if _is(value, RngState):
         _set_stream(now, value, place)
         return now
     if _holds_parts(value):
@@ -203,20 +201,20 @@ def _merged(now: Any, value: Any, place: str) -> Any:
 def _holds_parts(value: Any) -> bool:
     if _is(value, list, tuple):
         return any(map(_holds_parts, value))
-    return any(map(_holds_parts, value.values())) if _is(value, dict) else _is(value, Part)
+    return any(map(_holds_parts, value.values())) if _is(value, dict) else _is(value, ObjectState)
 
 
 def _each(now: Any, value: Any, place: str) -> Any:
     """Objects in a list or a map: those that are there remember."""
     same = _is(value, cast("Any", type(now))) and len(now) == len(value)
     if not same or (_is(value, dict) and now.keys() != value.keys()):
-        raise MemoryRefusedError(f"{place}: must be {len(now) if same else 'other'} objects")
+        raise StateError(f"{place}: must be {len(now) if same else 'other'} objects")
     pairs = [(key, now[key], value[key]) for key in (value if _is(value, dict) else range(len(value)))]
     for key, mine, theirs in pairs:
         if _is(theirs, list, tuple) and not len(theirs) and not len(mine):
             continue
         if _merged(mine, theirs, f"{place}[{key}]") is not mine:
-            raise MemoryRefusedError(f"{place}[{key}]: must be an object that remembers")
+            raise StateError(f"{place}[{key}]: must be an object that remembers")
     return now
 
 
@@ -226,9 +224,9 @@ def _check(now: Any, value: Any, place: str) -> None:
         return
     kind = cast("Any", type(now))
     if not _is(value, kind) and not (_is_map(now) and _is(value, dict)):
-        raise MemoryRefusedError(f"{place}: must be a {kind.__name__}, is a {type(value).__name__}")
+        raise StateError(f"{place}: must be a {kind.__name__}, is a {type(value).__name__}")
     if _is(now, np.ndarray) and (now.dtype != value.dtype or now.ndim != value.ndim):
-        raise MemoryRefusedError(
+        raise StateError(
             f"{place}: must be {now.ndim} dimensions of {now.dtype}, is {value.ndim} of {value.dtype}"
         )
 
@@ -237,23 +235,21 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, bool | int | float | np.generic)
 
 
-def _set_stream(now: Any, value: Stream, place: str) -> None:
+def _set_stream(now: Any, value: RngState, place: str) -> None:
     if not isinstance(now, np.random.Generator):
-        raise MemoryRefusedError(f"{place}: must be a {type(now).__name__}, is a random generator's state")
+        raise StateError(f"{place}: must be a {type(now).__name__}, is a random generator's state")
     now.bit_generator.state = value.state
 
 
 def _fill(now: Any, value: Any, place: str) -> None:
     """Change what others hold too."""
     if not _is(value, cast("Any", type(now))):
-        raise MemoryRefusedError(f"{place}: must be a {type(now).__name__}, is a {type(value).__name__}")
+        raise StateError(f"{place}: must be a {type(now).__name__}, is a {type(value).__name__}")
     if now is None:
         return
     if _is(now, np.ndarray):
         if now.shape != value.shape or now.dtype != value.dtype:
-            raise MemoryRefusedError(
-                f"{place}: must be {now.dtype} {now.shape}, is {value.dtype} {value.shape}"
-            )
+            raise StateError(f"{place}: must be {now.dtype} {now.shape}, is {value.dtype} {value.shape}")
         now[...] = value
     elif _is(now, list):
         now[:] = value
@@ -261,4 +257,4 @@ def _fill(now: Any, value: Any, place: str) -> None:
         now.clear()
         now.update(value)
     else:
-        raise MemoryRefusedError(f"{place}: this is a bug: a {type(now).__name__} can't be shared")
+        raise StateError(f"{place}: this is a bug: a {type(now).__name__} can't be shared")

@@ -17,7 +17,7 @@ import msgpack  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.errors import MemoryRefusedError
+from bus.errors import StateError
 
 _ARRAY: Final = 1
 _SCALAR: Final = 2
@@ -47,19 +47,19 @@ _Codec = Callable[..., Any]
 _packb = cast("_Codec", cast("Any", msgpack).packb)
 _unpackb = cast("_Codec", cast("Any", msgpack).unpackb)
 _ExtType = cast("_Codec", cast("Any", msgpack).ExtType)
-NOT_SO: Final = (
+DECODE_ERRORS: Final = (
     ValueError, TypeError, LookupError, OverflowError, RecursionError, ArithmeticError, msgpack.UnpackException,
 )  # fmt: skip
 """What values that are not what they should be make whoever uses them raise."""
 
 
-class Part(NamedTuple):
+class ObjectState(NamedTuple):
     """What one object remembers, by the names it declares."""
 
     values: dict[str, Any]
 
 
-class Stream(NamedTuple):
+class RngState(NamedTuple):
     """Where a random generator stands."""
 
     state: dict[str, Any]
@@ -78,7 +78,7 @@ def encode(value: Any, records: Records) -> bytes:
     try:
         return _Encoder(records).pack(value)
     except (ValueError, OverflowError, RecursionError) as error:
-        raise MemoryRefusedError(f"memory can't be kept: {error}") from None
+        raise StateError(f"memory can't be kept: {error}") from None
 
 
 def decode(data: bytes, records: Records) -> Any:
@@ -89,8 +89,8 @@ def decode(data: bytes, records: Records) -> Any:
     """
     try:
         return _Decoder(records).unpack(data)
-    except NOT_SO as error:
-        raise MemoryRefusedError(f"not a memory: {type(error).__name__}: {error}") from None
+    except DECODE_ERRORS as error:
+        raise StateError(f"not a memory: {type(error).__name__}: {error}") from None
 
 
 @final
@@ -102,7 +102,7 @@ class _Encoder:
     def pack(self, value: Any) -> bytes:
         self._depth += 1
         if self._depth > _DEPTH:
-            raise MemoryRefusedError("memory goes too deep, or round in a circle")
+            raise StateError("memory goes too deep, or round in a circle")
         packed = _packb(value, default=self._other, strict_types=True)
         self._depth -= 1
         return packed
@@ -110,13 +110,13 @@ class _Encoder:
     def _other(self, value: Any) -> Any:
         """What MessagePack has no type for."""
         kind = cast("Any", type(value))
-        if kind is Part:
+        if kind is ObjectState:
             return self._ext(_PART, value.values)
         if kind is np.ndarray:
             return self._array(value)
         if issubclass(kind, np.generic):
             return self._ext(_SCALAR, [value.dtype.str, value.tobytes()])
-        if kind is Stream:
+        if kind is RngState:
             return self._ext(_STREAM, value.state)
         if kind is int:
             return _ExtType(_INTEGER, str(value).encode())
@@ -140,9 +140,7 @@ class _Encoder:
     def _record(self, value: Any) -> Any:
         kind = cast("Any", type(value))
         if self._records.get(kind.__qualname__) is not kind:
-            raise MemoryRefusedError(
-                f"memory holds a {kind.__module__}.{kind.__qualname__}, which is no value"
-            )
+            raise StateError(f"memory holds a {kind.__module__}.{kind.__qualname__}, which is no value")
         items = list(value) if issubclass(kind, tuple) else [getattr(value, f.name) for f in fields(value)]
         return self._ext(_RECORD, [kind.__qualname__, items])
 
@@ -153,8 +151,8 @@ class _Decoder:
         self._records = records
         self._depth = 0
         self._readers: dict[int, Callable[[Any], Any]] = {
-            _PART: Part,
-            _STREAM: Stream,
+            _PART: ObjectState,
+            _STREAM: RngState,
             _ARRAY: lambda content: _array(*content),
             _SCALAR: lambda content: _array(content[0], [1], content[1])[0],
             _OBJECTS: lambda content: _objects(*content),
@@ -201,7 +199,7 @@ def _told(dtype: np.dtype[Any]) -> Any:
     """An array's type in MessagePack's: its code, or name, code and shape of every field."""
     if dtype.names is None:
         if dtype.kind not in _KINDS and dtype.kind != "V":
-            raise MemoryRefusedError(f"memory holds an array of {dtype}, which is no number")
+            raise StateError(f"memory holds an array of {dtype}, which is no number")
         return dtype.str
     return [[name, _told(dtype[name].base), list(dtype[name].shape)] for name in dtype.names]
 

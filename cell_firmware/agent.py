@@ -13,18 +13,18 @@ from typing import Final, Protocol, final
 
 import numpy as np
 
-from bus.errors import WireError, WokenError
-from bus.lockstep import Gathered, Member
-from bus.state import remember
+from bus.errors import WaitInterrupted, WireError
+from bus.lockstep import Participant, TickInputs
+from bus.state import save_state
 from bus.transports.base import Endpoint
 from bus.wire.frames import TEXT_LIMIT, Control, DriveFrame, LinkFrame, Mask
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.shard import Links, Shard, ShardOutputs
+from cell_firmware.shard import BoundaryMessages, Shard, ShardOutputs
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Ended:
+class ShardResult:
     """How a shard's run came to its end.
 
     Attributes:
@@ -76,13 +76,13 @@ can't bring a program to an end. Both calls come from another thread."""
 
 async def run(
     shard: Shard,
-    member: Member,
+    member: Participant,
     endpoint: Endpoint,
     inject: Inject | None = None,
     records: tuple[type, ...] = (),
     first: int = 0,
     watched: Watched | None = None,
-) -> Ended:
+) -> ShardResult:
     """Runs a shard tick by tick until it is told to stop.
 
     ``member.ready()`` comes before, closing the member and its endpoint after. Cells that the member was
@@ -132,7 +132,7 @@ class _Agent:
     def __init__(
         self,
         shard: Shard,
-        member: Member,
+        member: Participant,
         endpoint: Endpoint,
         loop: asyncio.AbstractEventLoop,
         inject: Inject | None,
@@ -153,9 +153,9 @@ class _Agent:
         self._watch: Watch | None = None
         self._ticks = 0
         self._failures: list[FirmwareFailed] = []
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
-    async def run(self, watched: Watched | None) -> Ended:
+    async def run(self, watched: Watched | None) -> ShardResult:
         if watched is not None:
             self._watch = watched(self._busy, self._hopeless)
         self._thread.start()
@@ -168,7 +168,7 @@ class _Agent:
             if self._thread.is_alive():
                 self._endpoint.wake()
             self._thread.join()
-        return Ended(self._ticks, detail, tuple(self._failures))
+        return ShardResult(self._ticks, detail, tuple(self._failures))
 
     # --- in the gather thread ---------------------------------------------------------------------
 
@@ -178,29 +178,29 @@ class _Agent:
             while not self._stopping:
                 try:
                     gathered = self._member.gather(tick)
-                except WokenError:
+                except WaitInterrupted:
                     if not (self._report() or self._stopping):
                         raise  # somebody else woke us, and knows why
                     continue
                 if isinstance(gathered, Control):
-                    self._hop(self._finish, gathered.detail)
+                    self._call_in_loop(self._finish, gathered.detail)
                     return
-                faults = self._member.take_faults()
+                faults = self._member.drain_faults()
                 if faults:
-                    self._hop(self._strike, faults)
+                    self._call_in_loop(self._apply_faults, faults)
                 live = self._member.live(tick)
                 changed = (live != before).any()
-                self._hop(self._step, tick, gathered, live if changed else None)
+                self._call_in_loop(self._step, tick, gathered, live if changed else None)
                 tick, before = tick + 1, live
         except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
-            self._hop(self._break, error)
+            self._call_in_loop(self._fail, error)
 
     def _report(self) -> bool:
         """Tells the plant which cells failed, if any, then publishes what the others do."""
         failed, self._failed = self._failed, None
         if failed is None:
             return False
-        index = dict(zip(self._shard.names, self._shard.indices.tolist(), strict=True))
+        index = dict(zip(self._shard.cells, self._shard.indices.tolist(), strict=True))
         alike: dict[str, list[int]] = {}
         for failure in failed.failures:
             alike.setdefault(_text(failure), []).append(index[failure.cell])
@@ -210,12 +210,12 @@ class _Agent:
             self._publish(failed.tick, failed.outputs)
         return True
 
-    def _hop(self, callback: object, *arguments: object) -> None:
+    def _call_in_loop(self, callback: object, *arguments: object) -> None:
         self._loop.call_soon_threadsafe(callback, *arguments)  # pyright: ignore[reportArgumentType]
 
     # --- in the event loop ------------------------------------------------------------------------
 
-    def _strike(self, faults: list[Control]) -> None:
+    def _apply_faults(self, faults: list[Control]) -> None:
         if self._end.done() or self._inject is None:
             return
         try:
@@ -223,20 +223,20 @@ class _Agent:
                 try:
                     self._inject(fault)
                 except WireError as error:
-                    self._member.counts.refuse(error, "the plant")
+                    self._member.counters.refuse(error, "the plant")
         except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
-            self._break(error)
+            self._fail(error)
 
-    def _step(self, tick: int, gathered: Gathered, live: Mask | None) -> None:
+    def _step(self, tick: int, gathered: TickInputs, live: Mask | None) -> None:
         if self._end.done():
             return
         try:
             if live is not None:  # changed since the last tick
                 self._shard.retire(
-                    cell for cell, lives in zip(self._shard.names, live, strict=True) if not lives
+                    cell for cell, lives in zip(self._shard.cells, live, strict=True) if not lives
                 )
             sense, links = gathered
-            heard = None if links is None else Links(links.sent, links.message)
+            heard = None if links is None else BoundaryMessages(links.sent, links.message)
             with nullcontext() if self._watch is None else self._watch:
                 outputs = self._shard.step(
                     tick,
@@ -248,7 +248,7 @@ class _Agent:
                     camera=sense.picture,
                 )
         except BaseException as error:  # noqa: BLE001 - whatever comes out of a step is its cells' failure
-            self._fall(tick, error)
+            self._fail_all(tick, error)
             return
         if self._watch is not None and self._watch.given_up:
             self._end.set_result("a program did not return in time")
@@ -260,9 +260,9 @@ class _Agent:
         try:
             self._publish(tick, outputs)
         except Exception as error:  # noqa: BLE001 - what a program made can't be sent, shown or kept
-            self._fall(tick, error)
+            self._fail_all(tick, error)
 
-    def _fall(self, tick: int, error: BaseException) -> None:
+    def _fail_all(self, tick: int, error: BaseException) -> None:
         """No cell of the shard can go on: the step itself failed."""
         if isinstance(error, FirmwareFailed):
             failures = (error,)
@@ -285,11 +285,11 @@ class _Agent:
         try:
             self._report()
         except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
-            self._break(error)
+            self._fail(error)
         else:
             self._end.set_result(detail)
 
-    def _break(self, error: Exception) -> None:
+    def _fail(self, error: Exception) -> None:
         if not self._end.done():
             self._end.set_exception(error)
 
@@ -306,18 +306,18 @@ class _Agent:
 
     def _publish(self, tick: int, outputs: ShardOutputs) -> None:
         for hung in outputs.hung:
-            if hung.problem not in self._told:  # once for all that hang for the same reason
-                self._told.add(hung.problem)
-                index = int(self._shard.indices[self._shard.names.index(hung.cell)])
+            if hung.problem not in self._reported:  # once for all that hang for the same reason
+                self._reported.add(hung.problem)
+                index = int(self._shard.indices[self._shard.cells.index(hung.cell)])
                 self._member.hang(index, hung.tick, _text(hung))
         links = outputs.links
         frame = None if links is None else LinkFrame(tick, links.sent, links.message)
-        self._member.show(tick, self._shard.registers)
+        self._member.publish_registers(tick, self._shard.registers)
         self._member.publish(DriveFrame(tick, outputs.drive), frame)
-        self._member.keep(tick + 1, self._remembered)
+        self._member.publish_snapshot(tick + 1, self._saved_state)
 
-    def _remembered(self) -> bytes:
-        return remember(self._shard, self._records)
+    def _saved_state(self) -> bytes:
+        return save_state(self._shard, self._records)
 
 
 def _text(failure: FirmwareFailed) -> str:

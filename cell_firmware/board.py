@@ -10,8 +10,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.components import LinkPart, MessageMeter, Part, WheelPart
-from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, Instant, frozen
+from cell_firmware.components import BoardComponent, LinkDriver, MessageCounter, WheelDriver
+from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime, read_only
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
 from cell_firmware.message_values import can_settle, draft_of, drafting, settled
@@ -66,33 +66,33 @@ class Board(Controller):
     def __init__(
         self,
         firmware: Firmware,
-        wheels: WheelPart | None = None,
-        links: LinkPart | None = None,
-        meter: MessageMeter | None = None,
+        wheels: WheelDriver | None = None,
+        links: LinkDriver | None = None,
+        meter: MessageCounter | None = None,
     ) -> None:
         self.firmware = firmware
         self.wheels = wheels
         self.links = links
         self.meter = meter
-        parts: dict[str, Part | None] = {_WHEELS: wheels, _LINKS: links, _METER: meter}
+        parts: dict[str, BoardComponent | None] = {_WHEELS: wheels, _LINKS: links, _METER: meter}
         self._parts = {name: part for name, part in parts.items() if part is not None}
         draft = None if firmware.message is None else draft_of(firmware.message)
         self._draft = None if draft == firmware.message else draft
 
     @property
-    def message(self) -> np.dtype[Any] | None:
+    def link_type(self) -> np.dtype[Any] | None:
         """What a link carries in a tick: a message of the firmware's, or what the serial lines make of it."""
         return self.firmware.message if self.links is None else self.links.line
 
     @property
-    def said(self) -> np.dtype[Any] | None:
+    def message_type(self) -> np.dtype[Any] | None:
         """A message of the firmware's."""
         return self.firmware.message
 
     @property
-    def tentative(self) -> bool:
+    def speculative(self) -> bool:
         """As the firmware has it: the parts of a board are pure."""
-        return self.firmware.tentative
+        return self.firmware.speculative
 
     def init(self, cells: Cells) -> ControllerState:
         """The state before tick 0.
@@ -100,8 +100,8 @@ class Board(Controller):
         Raises:
             FirmwareFailed: The firmware's ``init`` raised, or made no arrays with a row per cell.
         """
-        program = self._begun(cells, "init", lambda rows: self.firmware.init(cells.take(rows)))
-        parts = {name: frozen(part.init(cells)) for name, part in self._parts.items()}
+        program = self._begun(cells, "init", lambda rows: self.firmware.init(cells.select(rows)))
+        parts = {name: read_only(part.init(cells)) for name, part in self._parts.items()}
         return ControllerState(cells, {_PROGRAM: program, **parts})
 
     def _begun(self, cells: Cells, what: str, make: Callable[[NDArray[np.int64]], Any]) -> State:
@@ -112,7 +112,7 @@ class Board(Controller):
         """
         n = len(cells)
         try:
-            program = frozen(_checked_state(make(np.arange(n)), None, n))
+            program = read_only(_checked_state(make(np.arange(n)), None, n))
             _check_observed(self.firmware, program)
         except BaseException as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
             problem, trace = _described(error)
@@ -121,46 +121,47 @@ class Board(Controller):
         if n > 1:
             for i in range(n):
                 row = np.array([i])
-                self._begun(cells.take(row), what, lambda _, row=row: make(row))
+                self._begun(cells.select(row), what, lambda _, row=row: make(row))
         raise FirmwareFailed(cells.name(0), 0, f"{what}: {problem}", trace)
 
-    def idle(self, now: Instant, state: ControllerState) -> ControllerState:
+    def idle(self, now: StepTime, state: ControllerState) -> ControllerState:
         """What every part says that goes on."""
-        after = {name: frozen(part.idle(now, state.parts[name])) for name, part in self._parts.items()}
+        after = {name: read_only(part.idle(now, state.parts[name])) for name, part in self._parts.items()}
         return ControllerState(state.cells, {**state.parts, **after})
 
-    def after_reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
+    def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
         """The program as after power-on, or as its ``warm_start`` has it; and what each part says that it keeps."""
         cells, memory = state.cells, state.parts[_PROGRAM]
 
         def make(rows: NDArray[np.int64]) -> State:
             if not warm:
-                return self.firmware.init(cells.take(rows))
+                return self.firmware.init(cells.select(rows))
             return self.firmware.warm_start(
-                cells.take(rows), {name: array[rows] for name, array in memory.items()}
+                cells.select(rows), {name: array[rows] for name, array in memory.items()}
             )
 
         program = self._begun(cells, "warm_start" if warm else "init", make)
         kept = {
-            name: frozen(part.after_reset(state.cells, state.parts[name]))
-            for name, part in self._parts.items()
+            name: read_only(part.reset(state.cells, state.parts[name])) for name, part in self._parts.items()
         }
         return ControllerState(cells, {_PROGRAM: program, **kept})
 
-    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+    def receive(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, Inputs]:
         """Whole messages, of what came over the lines."""
         if self.links is None or inputs.inbox is None:
             return state, inputs
         heard, inbox = self.links.receive(now, state.parts[_LINKS], inputs.inbox)
         return ControllerState(state.cells, {**state.parts, _LINKS: heard}), replace(inputs, inbox=inbox)
 
-    def act(
-        self, now: Instant, state: ControllerState, inputs: Inputs
+    def compute(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period."""
         parts = dict(state.parts)
         done = self._program(now.tick, state.cells, parts[_PROGRAM], inputs)
-        parts[_PROGRAM] = frozen(done.state)
+        parts[_PROGRAM] = read_only(done.state)
         drive, outbox = done.speed_m_s, done.outbox
         if self.wheels is not None:
             if inputs.encoder_m is None:
@@ -175,7 +176,7 @@ class Board(Controller):
                 sent[rows] = False
                 outbox = Outbox(sent, outbox.message)
         if self.meter is not None:
-            parts[_METER] = frozen(self.meter.count(parts[_METER], state.cells, inputs.inbox, outbox))
+            parts[_METER] = read_only(self.meter.count(parts[_METER], state.cells, inputs.inbox, outbox))
         if self.links is not None:
             parts[_LINKS], outbox = self.links.send(now, parts[_LINKS], outbox)
         return ControllerState(state.cells, parts), ControllerOutputs(
@@ -187,7 +188,7 @@ class Board(Controller):
         return {
             **{
                 f"{_PROGRAM}.{name}": array
-                for name, array in self.firmware.shown(state.parts[_PROGRAM]).items()
+                for name, array in self.firmware.observables(state.parts[_PROGRAM]).items()
             },
             **{
                 f"{part.effect or name}.{register}": value
@@ -196,12 +197,12 @@ class Board(Controller):
             },
         }
 
-    def counted(self, state: ControllerState) -> dict[str, int]:
+    def counters(self, state: ControllerState) -> dict[str, int]:
         """What every part has counted."""
         return {
             f"{part.effect or name}.{what}": number
             for name, part in self._parts.items()
-            for what, number in part.counted(state.parts[name]).items()
+            for what, number in part.counters(state.parts[name]).items()
         }
 
     def _program(self, tick: int, cells: Cells, before: State, inputs: Inputs) -> _Done:
@@ -240,7 +241,7 @@ class Board(Controller):
         for i in range(n):
             row = np.array([i])
             alone = {name: array[row] for name, array in before.items()}
-            done = self._program(tick, cells.take(row), alone, inputs.take(row))
+            done = self._program(tick, cells.select(row), alone, inputs.select(row))
             states.append(done.state)
             speed[i] = done.speed_m_s[0]
             if outbox is not None and done.outbox is not None:
@@ -319,8 +320,8 @@ def _checked_state(state: Any, before: State | None, n: int) -> State:
 
 
 def _check_observed(firmware: Firmware, state: State) -> None:
-    name = firmware.observed
-    if name is not None and name not in firmware.shown(state):
+    name = firmware.observable
+    if name is not None and name not in firmware.observables(state):
         raise _BadOutput(f"observed is {name!r}, and there is no such variable in its state")
 
 

@@ -60,7 +60,7 @@ Board = Annotated[
 """A board by its name, or short of some of its effects."""
 
 
-def with_board(scene: Any) -> Any:
+def expand_preset(scene: Any) -> Any:
     """A scene's data with the effects of the board that it names written out, and the name gone.
 
     An effect's table in the scene stands instead of the board's. Data that is not as it should be is left as it is:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from cell_firmware.board import Board
-from cell_firmware.components import LinkPart, MessageMeter, WheelPart
+from cell_firmware.components import LinkDriver, MessageCounter, WheelDriver
 from cell_firmware.controller import Controller
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import SettingError
@@ -16,10 +16,10 @@ from cell_firmware.firmware import Firmware
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec
 
 if TYPE_CHECKING:
-    from bus.fault import Injected
+    from bus.fault import FaultInstance
     from bus.lattice import Lattice
     from cell_firmware.clocks import ArrayClocks
-    from cell_firmware.effects.base import Site, Stage
+    from cell_firmware.effects.base import InputFilter, ShardContext
     from cell_firmware.effects.clock.spec import ClockSpec
     from cell_firmware.effects.encoder import EncoderSpec
     from cell_firmware.effects.fixed_point import FixedPointSpec
@@ -43,17 +43,19 @@ class CellFaults:
     """
 
     lattice: Lattice
-    injected: tuple[Injected[CellFault], ...]
+    injected: tuple[FaultInstance[CellFault], ...]
     seed: int = 0
 
-    def stages(self, site: Site) -> tuple[Stage, ...]:
+    def stages(self, site: ShardContext) -> tuple[InputFilter, ...]:
         """What the inputs of a shard's cells have to pass after the effects, fault by fault."""
-        return tuple(stage for one in self.injected for stage in one.fault.stages(site, self.lattice, one))
+        return tuple(
+            stage for one in self.injected for stage in one.fault.input_filters(site, self.lattice, one)
+        )
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Motors:
+class MotorFacts:
     """What a board must know of the motors that it drives.
 
     Attributes:
@@ -67,11 +69,11 @@ class Motors:
     wheel_radius_m: float | None = None
 
 
-def assemble(
+def build_controller(
     firmware: Firmware,
     spec: CellsSpec,
     effects: CellEffects,
-    motors: Motors | None,
+    motors: MotorFacts | None,
     clocks: ArrayClocks | None = None,
     *,
     faults: CellFaults | None = None,
@@ -97,25 +99,25 @@ def assemble(
         firmware,
         wheels_of(spec, effects, motors),
         _links(firmware, spec, effects, clocks, disturbed=live or faults is not None),
-        MessageMeter() if metered and firmware.message is not None else None,
+        MessageCounter() if metered and firmware.message is not None else None,
     )
     if effects.cop is not None:
-        from cell_firmware.effects.cop.wrapper import Watchdog
+        from cell_firmware.effects.cop.wrapper import WatchdogWrapper
 
-        controller = Watchdog(controller, effects.cop, spec.period_ns)
+        controller = WatchdogWrapper(controller, effects.cop, spec.period_ns)
     if clocks is not None:
-        from cell_firmware.effects.clock.wrapper import Clocked
+        from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 
-        controller = Clocked(controller, clocks)
+        controller = LocalClockWrapper(controller, clocks)
     if faults is not None:
-        from cell_firmware.faults.attach import joined
+        from cell_firmware.faults.attach import attach_fault
 
         for injected in faults.injected:
-            controller = joined(controller, faults.lattice, faults.seed, injected)
+            controller = attach_fault(controller, faults.lattice, faults.seed, injected)
     return controller
 
 
-def wheels_of(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> WheelPart | None:
+def wheels_of(spec: CellsSpec, effects: CellEffects, motors: MotorFacts | None) -> WheelDriver | None:
     """What closes on the motors; None where the wheels run at the speed that they are told.
 
     Raises:
@@ -135,7 +137,7 @@ def wheels_of(spec: CellsSpec, effects: CellEffects, motors: Motors | None) -> W
     return SpeedLoop(gains, spec.period_s, motors.supply_v, encoder, pwm)
 
 
-def _encoder(effect: EncoderSpec, clock: ClockSpec | None, period_s: float, motors: Motors) -> Encoder:
+def _encoder(effect: EncoderSpec, clock: ClockSpec | None, period_s: float, motors: MotorFacts) -> Encoder:
     from cell_firmware.speed_loop.sensing import LARGEST_DIFFERENCE, Encoder
 
     radius, theirs = effect.wheel_radius_m, motors.wheel_radius_m
@@ -154,7 +156,7 @@ def _encoder(effect: EncoderSpec, clock: ClockSpec | None, period_s: float, moto
     return encoder
 
 
-def _pwm(effect: PwmSpec, motors: Motors) -> Pwm:
+def _pwm(effect: PwmSpec, motors: MotorFacts) -> Pwm:
     from cell_firmware.speed_loop.output import Pwm
 
     return Pwm(effect.counts, motors.supply_v)
@@ -164,18 +166,18 @@ def _fixed_point(
     effect: FixedPointSpec,
     gains: SpeedLoopSpec,
     period_s: float,
-    motors: Motors,
+    motors: MotorFacts,
     encoder: Encoder | None,
     pwm: Pwm | None,
 ) -> FixedPointLoop:
     from cell_firmware.speed_loop.fixed_point import FixedPointLoop
     from cell_firmware.speed_loop.scaling import IDEAL_LEVELS, Scaling
-    from cell_firmware.speed_loop.sensing import Words
+    from cell_firmware.speed_loop.sensing import FixedPointTachometer
 
     if encoder is not None and effect.speed_unit_m_s is not None:
         rule = "the unit of speeds is a count a period where there is effects.encoder: leave it out"
         raise SettingError(("effects", "fixed_point", "speed_unit_m_s"), effect.speed_unit_m_s, rule)
-    tachometer = Words(period_s, effect.unit_m_s) if encoder is None else encoder
+    tachometer = FixedPointTachometer(period_s, effect.unit_m_s) if encoder is None else encoder
     told = tachometer.largest * tachometer.unit_m_s
     if motors.free_speed_m_s > told:
         rule = (
@@ -189,7 +191,7 @@ def _fixed_point(
 
 def _links(
     firmware: Firmware, spec: CellsSpec, effects: CellEffects, clocks: ArrayClocks | None, *, disturbed: bool
-) -> LinkPart | None:
+) -> LinkDriver | None:
     """What messages have to pass."""
     if firmware.message is None:
         return None
@@ -200,7 +202,7 @@ def _links(
         return None
     from cell_firmware.effects.clock.mailbox import Mailbox
 
-    return Mailbox(firmware.message, clocks.all.window_ns)
+    return Mailbox(firmware.message, clocks.clocks.window_ns)
 
 
 def _serial(
@@ -210,15 +212,15 @@ def _serial(
     clocks: ArrayClocks | None,
     *,
     disturbed: bool,
-) -> LinkPart:
+) -> LinkDriver:
     """Serial lines: byte by byte where something may happen to a byte."""
     from cell_firmware.effects.serial.lines import SerialLines
-    from cell_firmware.effects.serial.message_level import WholeMessages, undisturbed
+    from cell_firmware.effects.serial.message_level import MessageLevelLines, is_exact_for
 
-    window_ns = settings.period_ns if clocks is None else clocks.all.window_ns
-    worst_ppb = 0 if clocks is None else int(np.abs(clocks.all.ppb).max(initial=0))
+    window_ns = settings.period_ns if clocks is None else clocks.clocks.window_ns
+    worst_ppb = 0 if clocks is None else int(np.abs(clocks.clocks.ppb).max(initial=0))
     # a cell that begins to talk as soon as it was reset runs into what it had not finished to say
     reboots = effects.cop is None or effects.cop.reboot_s * 1e9 >= 2 * settings.period_ns
     safe = effects.link_loss is None and effects.link_delay is None and reboots and not disturbed
-    kind = WholeMessages if safe and undisturbed(settings, window_ns, worst_ppb) else SerialLines
+    kind = MessageLevelLines if safe and is_exact_for(settings, window_ns, worst_ppb) else SerialLines
     return kind(settings, message) if clocks is None else kind(settings, message, window_ns, clocks.ppb)

@@ -8,7 +8,7 @@ from types import FrameType
 from typing import Any, final
 
 from cell_firmware.board import Board
-from cell_firmware.cell import PerCell
+from cell_firmware.cell import PerCellAdapter
 from cell_firmware.firmware import Cells
 
 
@@ -45,7 +45,7 @@ def under_way(frame: FrameType | None) -> UnderWay | None:
         # a copy: the thread goes on while its variables are looked at
         variables: dict[str, Any] = dict(frame.f_locals)
         owner = variables.get("self")
-        if isinstance(owner, PerCell) and isinstance(variables.get("i"), int):
+        if isinstance(owner, PerCellAdapter) and isinstance(variables.get("i"), int):
             row = variables["i"]
         cells = variables.get("cells")
         if isinstance(owner, Board) and isinstance(cells, Cells):

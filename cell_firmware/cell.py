@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from bus.lattice import SIDES, Lattice
-from bus.sensors import Picture
+from bus.sensors import CameraFrame
 from bus.state_codec import is_record
 from cell_firmware.errors import MessageValueError
 from cell_firmware.firmware import (
@@ -124,7 +124,7 @@ class CellFirmware(Program, ABC):
 
 
 @final
-class PerCell(Firmware):
+class PerCellAdapter(Firmware):
     """Runs a ``CellFirmware`` for every cell of an array, in cell order.
 
     A cell that raises is named in ``Outputs.failed`` with its traceback, and the others are stepped. Nobody is stepped
@@ -134,13 +134,13 @@ class PerCell(Firmware):
         firmware: The program of one cell.
     """
 
-    tentative = False
+    speculative = False
     form = "cell by cell"
 
     def __init__(self, firmware: CellFirmware) -> None:
         super().__init__(firmware.parameters)
         self.firmware = firmware
-        self.observed = firmware.observed  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
+        self.observable = firmware.observable  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self.message = firmware.message  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self._fields = {} if self.message is None else fields_of(self.message)
 
@@ -148,29 +148,29 @@ class PerCell(Firmware):
         """Asks the firmware."""
         self.firmware.check(lattice)
 
-    def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
+    def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """Asks the firmware."""
-        self.firmware.check_places(lattice, position_m, pitch_m)
+        self.firmware.check_geometry(lattice, position_m, pitch_m)
 
-    def needed(self) -> tuple[str, ...]:
+    def required_effects(self) -> tuple[str, ...]:
         """Asks the firmware."""
-        return self.firmware.needed()
+        return self.firmware.required_effects()
 
-    def subscribes(self) -> bool:
+    def uses_camera(self) -> bool:
         """Asks the firmware."""
-        return self.firmware.subscribes()
+        return self.firmware.uses_camera()
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """Asks the firmware."""
-        return self.firmware.plausible()
+        return self.firmware.value_ranges()
 
-    def credible(self, messages: Messages) -> Bools:
+    def accepts(self, messages: Messages) -> Bools:
         """Asks the firmware."""
-        return self.firmware.credible(messages)
+        return self.firmware.accepts(messages)
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """Asks the firmware."""
-        return self.firmware.cautions(lattice)
+        return self.firmware.warnings(lattice)
 
     def theory(self, lattice: Lattice) -> Theory | None:
         """Asks the firmware."""
@@ -190,9 +190,9 @@ class PerCell(Firmware):
             states[i] = self.firmware.warm_start(_cell(cells, i), state["cell"][i])
         return {"cell": states}
 
-    def shown(self, state: State) -> State:
+    def observables(self, state: State) -> State:
         """The numbers in the cells' own states, by name, ``observed`` among them."""
-        return registers_of(state["cell"], self.observed)
+        return registers_of(state["cell"], self.observable)
 
     def unrecorded(self, cells: Cells) -> str | None:
         """Why the cells' variables can't be recorded, or not all of them; None if they can."""
@@ -225,7 +225,7 @@ def records_of(firmware: Firmware) -> tuple[type, ...]:
 
     Those of modules beside its file are among them.
     """
-    if not isinstance(firmware, PerCell):
+    if not isinstance(firmware, PerCellAdapter):
         return ()
     step = type(firmware.firmware).step
     known = [*map(vars, modules_beside(step.__module__)), step.__globals__]
@@ -256,7 +256,7 @@ def _inputs(inputs: Inputs, i: int) -> CellInputs:
     )
 
 
-def _picture(picture: Picture) -> dict[int, tuple[float, float, float]]:
+def _picture(picture: CameraFrame) -> dict[int, tuple[float, float, float]]:
     return {
         parcel: (x, y, angle)
         for parcel, (x, y, angle) in zip(picture.parcel.tolist(), picture.pose.tolist(), strict=True)

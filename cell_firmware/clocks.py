@@ -14,13 +14,13 @@ Ints = NDArray[np.int64]
 
 BILLION: Final = 1_000_000_000
 """Parts in ppb; nanoseconds in a second."""
-NEVER: Final = -1
+NOT_IN_WINDOW: Final = -1
 """Instead of an instant: there is none."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Clocks:
+class CellClocks:
     """The clocks of n cells: when each steps, by its own crystal, in nanoseconds of simulated time.
 
     With P the nominal period and e the clock's error in ppb, the m-th instant of a cell, m = 0, 1, ..., is ::
@@ -46,18 +46,18 @@ class Clocks:
     def __len__(self) -> int:
         return len(self.ppb)
 
-    def take(self, cells: Ints) -> Clocks:
+    def take(self, cells: Ints) -> CellClocks:
         """The clocks of these cells alone, in this order."""
-        return Clocks(self.period_ns, self.window_ns, self.ppb[cells], self.phase_ns[cells])
+        return CellClocks(self.period_ns, self.window_ns, self.ppb[cells], self.phase_ns[cells])
 
     def instants(self, window: int) -> Ints:
-        """``(n,)``: when each cell steps in a window; ``NEVER`` where it doesn't."""
+        """``(n,)``: when each cell steps in a window; ``NOT_IN_WINDOW`` where it doesn't."""
         return self.due(window, self.count_before(window * self.window_ns))
 
     def due(self, window: int, count: Ints) -> Ints:
         """The same, for whoever has followed the clocks: ``count`` ``(n,)`` is how many instants each cell has had."""
         at = self.instant(count)
-        return np.where(at < (window + 1) * self.window_ns, at, NEVER)
+        return np.where(at < (window + 1) * self.window_ns, at, NOT_IN_WINDOW)
 
     def instant(self, number: Ints) -> Ints:
         """``(n,)``: each cell's instant of this number, counted from 0."""
@@ -87,13 +87,13 @@ class ArrayClocks:
     """
 
     lattice: Lattice
-    all: Clocks
+    clocks: CellClocks
 
-    def of(self, row: Ints, column: Ints) -> Clocks:
+    def of(self, row: Ints, column: Ints) -> CellClocks:
         """Those of the cells in these rows and columns, ``(n,)`` each; all must exist."""
-        return self.all.take(self.lattice.find(row, column))
+        return self.clocks.take(self.lattice.find(row, column))
 
     def ppb(self, row: Ints, column: Ints) -> Ints:
         """Errors of the clocks at these rows and columns, of any shape; 0 where there is no cell."""
         cell = self.lattice.find(row, column)
-        return np.where(cell >= 0, self.all.ppb[cell], 0)
+        return np.where(cell >= 0, self.clocks.ppb[cell], 0)

@@ -8,11 +8,11 @@ from typing import Any, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.controller import Instant
+from cell_firmware.controller import StepTime
 from cell_firmware.firmware import Cells, Floats, Inbox, Outbox, State
 
 
-class Part(ABC):
+class BoardComponent(ABC):
     """A part of the board, of n cells at once."""
 
     effect: ClassVar[str] = ""
@@ -22,7 +22,7 @@ class Part(ABC):
     def init(self, cells: Cells) -> State:
         """What it remembers after power-on: arrays by name, each with a row a cell."""
 
-    def after_reset(self, cells: Cells, state: State) -> State:  # noqa: ARG002
+    def reset(self, cells: Cells, state: State) -> State:  # noqa: ARG002
         """What it remembers after a reset without loss of power: by default nothing, as after power-on.
 
         Args:
@@ -31,7 +31,7 @@ class Part(ABC):
         """
         return self.init(cells)
 
-    def idle(self, now: Instant, state: State) -> State:  # noqa: ARG002
+    def idle(self, now: StepTime, state: State) -> State:  # noqa: ARG002
         """What it remembers after a control period in which the program did not run: by default the same.
 
         Args:
@@ -44,12 +44,12 @@ class Part(ABC):
         """What can be read of it: arrays by name, each with a row a cell."""
         return {}
 
-    def counted(self, state: State) -> dict[str, int]:  # noqa: ARG002
+    def counters(self, state: State) -> dict[str, int]:  # noqa: ARG002
         """What happened so far that is worth counting, by name."""
         return {}
 
 
-class WheelPart(Part):
+class WheelDriver(BoardComponent):
     """What makes two wheels with motors follow a speed."""
 
     @abstractmethod
@@ -66,7 +66,7 @@ class WheelPart(Part):
         """
 
 
-class LinkPart(Part):
+class LinkDriver(BoardComponent):
     """What carries messages over lines that do less than to hand over whole messages.
 
     Attributes:
@@ -76,7 +76,7 @@ class LinkPart(Part):
     line: np.dtype[Any]
 
     @abstractmethod
-    def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
+    def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
         """What the program hears of what has come in: once an exchange, whether or not a cell is stepped in it.
 
         Args:
@@ -89,7 +89,7 @@ class LinkPart(Part):
         """
 
     @abstractmethod
-    def send(self, now: Instant, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
+    def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
         """What goes out of what the program says.
 
         Args:
@@ -103,7 +103,7 @@ class LinkPart(Part):
 
 
 @final
-class MessageMeter(Part):
+class MessageCounter(BoardComponent):
     """Of each cell the messages that its program gave to a line with a neighbour at its end, and those it was given.
 
     Whole messages, whatever carries them: what lines replace, lose or delay was sent and is not heard, or later. The
@@ -114,7 +114,7 @@ class MessageMeter(Part):
         """None yet."""
         return {name: np.zeros(len(cells), dtype=np.int64) for name in ("sent", "heard")}
 
-    def after_reset(self, cells: Cells, state: State) -> State:
+    def reset(self, cells: Cells, state: State) -> State:
         """As before."""
         del cells
         return state
@@ -139,6 +139,6 @@ class MessageMeter(Part):
         """The counts of each cell."""
         return {name: state[name] for name in ("sent", "heard")}
 
-    def counted(self, state: State) -> dict[str, int]:
+    def counters(self, state: State) -> dict[str, int]:
         """The counts of all of them."""
         return {name: int(state[name].sum()) for name in ("sent", "heard")}

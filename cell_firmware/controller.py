@@ -11,27 +11,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.firmware import Bools, Cells, Floats, Inputs, Outbox, State, picked, put
+from cell_firmware.firmware import Bools, Cells, Floats, Inputs, Outbox, State, put_rows, take_rows
 
 _MOST: Final = 0.75
 """Of the cells: if more of them are stepped, it costs less to step all."""
 
 
-class Instant(NamedTuple):
+class StepTime(NamedTuple):
     """When n cells are stepped.
 
     Attributes:
         tick: Which exchange with the plant it belongs to; where cells have clocks of their own, which window.
-        at_ns: ``(n,)`` int64, simulated time at which each cell reads its pins, ``clocks.NEVER`` for one that is not
-            stepped in this exchange; ``()`` where it is one for all.
+        at_ns: ``(n,)`` int64, simulated time at which each cell reads its pins, ``clocks.NOT_IN_WINDOW`` for one that
+            is not stepped in this exchange; ``()`` where it is one for all.
     """
 
     tick: int
     at_ns: NDArray[np.int64]
 
-    def take(self, rows: NDArray[np.int64]) -> Instant:
+    def select(self, rows: NDArray[np.int64]) -> StepTime:
         """The instants of these cells alone, in this order."""
-        return self if self.at_ns.ndim == 0 else Instant(self.tick, self.at_ns[rows])
+        return self if self.at_ns.ndim == 0 else StepTime(self.tick, self.at_ns[rows])
 
 
 @final
@@ -47,17 +47,17 @@ class ControllerState:
     cells: Cells
     parts: Mapping[str, State]
 
-    def take(self, rows: NDArray[np.int64]) -> ControllerState:
+    def select(self, rows: NDArray[np.int64]) -> ControllerState:
         """The state of these cells alone, in this order."""
         return ControllerState(
-            self.cells.take(rows),
+            self.cells.select(rows),
             {
-                part: {name: picked(array, rows) for name, array in state.items()}
+                part: {name: take_rows(array, rows) for name, array in state.items()}
                 for part, state in self.parts.items()
             },
         )
 
-    def put(self, rows: NDArray[np.int64], other: ControllerState) -> ControllerState:
+    def replace_rows(self, rows: NDArray[np.int64], other: ControllerState) -> ControllerState:
         """This state, but these cells' rows are those of ``other``, in this order."""
         parts: dict[str, State] = {}
         for part, state in self.parts.items():
@@ -66,11 +66,11 @@ class ControllerState:
                 theirs = other.parts[part][name]
                 # a program may have gone over from one type to another
                 changed[name] = array.astype(np.result_type(array, theirs), order="C")
-                put(changed[name], rows, theirs)
-            parts[part] = frozen(changed)
+                put_rows(changed[name], rows, theirs)
+            parts[part] = read_only(changed)
         return ControllerState(self.cells, parts)
 
-    def keep(self, rows: NDArray[np.int64], before: ControllerState) -> ControllerState:
+    def rollback_rows(self, rows: NDArray[np.int64], before: ControllerState) -> ControllerState:
         """This state, but these cells' rows are as they were ``before``.
 
         Arrays that only this state has are written to: for what a step has just made, and few rows.
@@ -88,19 +88,21 @@ class ControllerState:
                     array = array.astype(np.result_type(array, old), order="C")  # noqa: PLW2901 - a copy
                 taken.add(id(array))
                 array.setflags(write=True)
-                put(array, rows, picked(old, rows))
+                put_rows(array, rows, take_rows(old, rows))
                 kept[name] = array
-            parts[part] = frozen(kept)
+            parts[part] = read_only(kept)
         return ControllerState(self.cells, parts)
 
     @staticmethod
-    def joined(cells: Cells, states: Sequence[ControllerState]) -> ControllerState:
+    def concatenate(cells: Cells, states: Sequence[ControllerState]) -> ControllerState:
         """The state of ``cells`` from those of each of them alone."""
         first = states[0].parts
         return ControllerState(
             cells,
             {
-                part: frozen({name: np.concatenate([s.parts[part][name] for s in states]) for name in state})
+                part: read_only(
+                    {name: np.concatenate([s.parts[part][name] for s in states]) for name in state}
+                )
                 for part, state in first.items()
             },
         )
@@ -135,16 +137,16 @@ class Controller(ABC):
 
     @property
     @abstractmethod
-    def message(self) -> np.dtype[Any] | None:
+    def link_type(self) -> np.dtype[Any] | None:
         """Little-endian structured type of what a link carries in a tick; None if cells don't talk."""
 
     @property
-    def said(self) -> np.dtype[Any] | None:
+    def message_type(self) -> np.dtype[Any] | None:
         """What programs say: a message's type, which may be another than that of what a link carries."""
-        return self.message
+        return self.link_type
 
     @property
-    def tentative(self) -> bool:
+    def speculative(self) -> bool:
         """Whether cells may be stepped that are not due, and that be undone."""
         return False
 
@@ -156,7 +158,7 @@ class Controller(ABC):
             FirmwareFailed: A cell's program does not begin; names the cell.
         """
 
-    def after_reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:  # noqa: ARG002
+    def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:  # noqa: ARG002
         """The state after a reset: by default as after power-on.
 
         Args:
@@ -169,15 +171,15 @@ class Controller(ABC):
         return self.init(state.cells)
 
     def step(
-        self, now: Instant, state: ControllerState, inputs: Inputs
+        self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One exchange in which every cell takes part: what came over the lines, and then a control period."""
-        state, inputs = self.listen(now, state, inputs)
-        return self.act(now, state, inputs)
+        state, inputs = self.receive(now, state, inputs)
+        return self.compute(now, state, inputs)
 
-    def listen(
+    def receive(
         self,
-        now: Instant,  # noqa: ARG002
+        now: StepTime,  # noqa: ARG002
         state: ControllerState,
         inputs: Inputs,
     ) -> tuple[ControllerState, Inputs]:
@@ -194,8 +196,8 @@ class Controller(ABC):
         return state, inputs
 
     @abstractmethod
-    def act(
-        self, now: Instant, state: ControllerState, inputs: Inputs
+    def compute(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period.
 
@@ -208,7 +210,7 @@ class Controller(ABC):
             The next state and what the cells do. The state of a cell that failed means nothing.
         """
 
-    def idle(self, now: Instant, state: ControllerState) -> ControllerState:  # noqa: ARG002
+    def idle(self, now: StepTime, state: ControllerState) -> ControllerState:  # noqa: ARG002
         """A control period in which no program runs: what of the hardware goes on; by default nothing.
 
         Args:
@@ -217,8 +219,8 @@ class Controller(ABC):
         """
         return state
 
-    def act_on(
-        self, rows: NDArray[np.int64], now: Instant, state: ControllerState, inputs: Inputs
+    def compute_rows(
+        self, rows: NDArray[np.int64], now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """A control period of these cells; the others do nothing, and remember what they did.
 
@@ -233,19 +235,19 @@ class Controller(ABC):
         """
         n = len(state.cells)
         if len(rows) == n:
-            return self.act(now, state, inputs)
+            return self.compute(now, state, inputs)
         drive = np.zeros((n, 2))
         if not len(rows):
             return state, ControllerOutputs(drive, None)
-        if self.tentative and len(rows) > _MOST * n:
-            return self._act_on_most(rows, now, state, inputs)
-        some, outputs = self.act(now.take(rows), state.take(rows), inputs.take(rows))
-        put(drive, rows, outputs.drive)
+        if self.speculative and len(rows) > _MOST * n:
+            return self._compute_most_rows(rows, now, state, inputs)
+        some, outputs = self.compute(now.select(rows), state.select(rows), inputs.select(rows))
+        put_rows(drive, rows, outputs.drive)
         outbox, served = None, None
         if outputs.outbox is not None:
             outbox = Outbox.empty(n, outputs.outbox.message.dtype)
-            put(outbox.sent, rows, outputs.outbox.sent)
-            put(outbox.message, rows, outputs.outbox.message)
+            put_rows(outbox.sent, rows, outputs.outbox.sent)
+            put_rows(outbox.message, rows, outputs.outbox.message)
         if outputs.served is not None:
             served = np.zeros(n, dtype=np.bool_)
             served[rows] = outputs.served
@@ -253,16 +255,16 @@ class Controller(ABC):
             {int(rows[i]): failure for i, failure in found.items()}
             for found in (outputs.failures, outputs.hung)
         )
-        return state.put(rows, some), ControllerOutputs(drive, outbox, failures, served, hung)
+        return state.replace_rows(rows, some), ControllerOutputs(drive, outbox, failures, served, hung)
 
-    def _act_on_most(
-        self, rows: NDArray[np.int64], now: Instant, state: ControllerState, inputs: Inputs
+    def _compute_most_rows(
+        self, rows: NDArray[np.int64], now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """The same: all cells are stepped, which is pure, and for those few that should not be it is undone."""
         idle = np.ones(len(state.cells), dtype=np.bool_)
         idle[rows] = False
         others = np.flatnonzero(idle)
-        after, outputs = self.act(now, state, inputs)
+        after, outputs = self.compute(now, state, inputs)
         drive, outbox = outputs.drive.copy(), outputs.outbox
         drive[others] = 0.0
         if outbox is not None:
@@ -272,25 +274,25 @@ class Controller(ABC):
             for found in (outputs.failures, outputs.hung)
         )
         served = None if outputs.served is None else outputs.served & ~idle
-        return after.keep(others, state), ControllerOutputs(drive, outbox, failures, served, hung)
+        return after.rollback_rows(others, state), ControllerOutputs(drive, outbox, failures, served, hung)
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:  # noqa: ARG002
         """What can be read of cells while they run, ``part.register`` to an array with a row a cell."""
         return {}
 
-    def counted(self, state: ControllerState) -> dict[str, int]:  # noqa: ARG002
+    def counters(self, state: ControllerState) -> dict[str, int]:  # noqa: ARG002
         """What happened to the cells so far that is worth counting, ``part.what`` to a number."""
         return {}
 
 
-def frozen(state: State) -> State:
+def read_only(state: State) -> State:
     """The state with its arrays read-only: a step that writes to its arguments is not pure, and fails."""
     for array in state.values():
         array.setflags(write=False)
     return state
 
 
-class Around(Controller):
+class ControllerWrapper(Controller):
     """Base of what decides when the cells' controller is stepped, and what becomes of what it does.
 
     Args:
@@ -306,35 +308,35 @@ class Around(Controller):
         self.controller = controller
 
     @property
-    def message(self) -> np.dtype[Any] | None:
+    def link_type(self) -> np.dtype[Any] | None:
         """What a link carries in a tick."""
-        return self.controller.message
+        return self.controller.link_type
 
     @property
-    def said(self) -> np.dtype[Any] | None:
+    def message_type(self) -> np.dtype[Any] | None:
         """What programs say."""
-        return self.controller.said
+        return self.controller.message_type
 
     @property
-    def tentative(self) -> bool:
+    def speculative(self) -> bool:
         """As the cells' controller has it."""
-        return self.controller.tentative
+        return self.controller.speculative
 
-    def inner(self, state: ControllerState) -> ControllerState:
+    def unwrap_state(self, state: ControllerState) -> ControllerState:
         """What the cells' controller knows of."""
         parts = {name: part for name, part in state.parts.items() if name != self.part}
         return ControllerState(state.cells, parts)
 
-    def outer(self, inner: ControllerState, own: State) -> ControllerState:
+    def wrap_state(self, inner: ControllerState, own: State) -> ControllerState:
         """The state of both, of the same cells."""
-        return ControllerState(inner.cells, {**inner.parts, self.part: frozen(own)})
+        return ControllerState(inner.cells, {**inner.parts, self.part: read_only(own)})
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
         """Its own, and those of the cells' controller."""
         own = state.parts[self.part]
         shown = {f"{self.part}.{name}": own[name] for name in self.shown}
-        return {**shown, **self.controller.registers(self.inner(state))}
+        return {**shown, **self.controller.registers(self.unwrap_state(state))}
 
-    def counted(self, state: ControllerState) -> dict[str, int]:
+    def counters(self, state: ControllerState) -> dict[str, int]:
         """What the cells' controller has counted."""
-        return self.controller.counted(self.inner(state))
+        return self.controller.counters(self.unwrap_state(state))

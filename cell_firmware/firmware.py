@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from bus.sensors import Labels, Picture
+from bus.sensors import CameraFrame, Labels
 from cell_firmware.program import Program
 
 Bools = NDArray[np.bool_]
@@ -21,20 +21,20 @@ State = Mapping[str, NDArray[Any]]
 """Arrays by name, each with one row per cell."""
 
 
-def solid(array: NDArray[Any]) -> NDArray[Any]:
+def opaque_view(array: NDArray[Any]) -> NDArray[Any]:
     """The same memory as items without fields: NumPy moves those at once, and structures field by field."""
     return array if array.dtype.names is None else array.view(np.dtype((np.void, array.dtype.itemsize)))
 
 
-def picked(array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
+def take_rows(array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
     """``array[rows]``, a tenth of its time for rows of several items."""
-    return solid(array).take(rows, axis=0).view(array.dtype)
+    return opaque_view(array).take(rows, axis=0).view(array.dtype)
 
 
-def put(array: NDArray[Any], rows: NDArray[np.int64], values: NDArray[Any]) -> None:
+def put_rows(array: NDArray[Any], rows: NDArray[np.int64], values: NDArray[Any]) -> None:
     """``array[rows] = values``, likewise; ``array`` must lie in one piece."""
     if array.ndim == 1 or array.dtype != values.dtype or array.dtype.hasobject:
-        solid(array)[rows] = solid(values)
+        opaque_view(array)[rows] = opaque_view(values)
         return
     whole_row = np.dtype((np.void, array.strides[0]))
     array.reshape(len(array), -1).view(whole_row)[rows] = (
@@ -77,13 +77,13 @@ class Cells:
         """``(row, column)`` of a cell."""
         return int(self.row[index]), int(self.column[index])
 
-    def take(self, indices: NDArray[np.int64]) -> Cells:
+    def select(self, indices: NDArray[np.int64]) -> Cells:
         """These cells alone, in this order."""
         return Cells(
-            picked(self.row, indices),
-            picked(self.column, indices),
-            picked(self.position_m, indices),
-            picked(self.has_neighbour, indices),
+            take_rows(self.row, indices),
+            take_rows(self.column, indices),
+            take_rows(self.position_m, indices),
+            take_rows(self.has_neighbour, indices),
             self.period_s,
             self.sensors_m,
             self.pitch_m,
@@ -146,17 +146,17 @@ class Inputs:
     inbox: Inbox | None = None
     level: Floats | None = None
     label: Labels | None = None
-    camera: Picture | None = None
+    camera: CameraFrame | None = None
 
-    def take(self, indices: NDArray[np.int64]) -> Inputs:
+    def select(self, indices: NDArray[np.int64]) -> Inputs:
         """The inputs of these cells alone, in this order."""
-        encoder_m = None if self.encoder_m is None else picked(self.encoder_m, indices)
+        encoder_m = None if self.encoder_m is None else take_rows(self.encoder_m, indices)
         inbox = self.inbox and Inbox(
-            picked(self.inbox.received, indices), picked(self.inbox.message, indices)
+            take_rows(self.inbox.received, indices), take_rows(self.inbox.message, indices)
         )
-        level = None if self.level is None else picked(self.level, indices)
-        label = None if self.label is None else picked(self.label, indices)
-        return Inputs(picked(self.presence, indices), encoder_m, inbox, level, label, self.camera)
+        level = None if self.level is None else take_rows(self.level, indices)
+        label = None if self.label is None else take_rows(self.label, indices)
+        return Inputs(take_rows(self.presence, indices), encoder_m, inbox, level, label, self.camera)
 
 
 @final
@@ -216,13 +216,13 @@ class Firmware(Program, ABC):
     neighbour but through messages. State arrays are handed in read-only.
     """
 
-    tentative: ClassVar[bool] = True
+    speculative: ClassVar[bool] = True
     """Whether cells may be stepped that are not due, and that be undone: to step all may cost less."""
 
     form: ClassVar[str] = "on arrays"
     """How it runs, in words."""
 
-    def shown(self, state: State) -> State:
+    def observables(self, state: State) -> State:
         """What can be seen of its state from outside: arrays by name, each with one row per cell; by default all."""
         return state
 

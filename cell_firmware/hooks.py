@@ -11,7 +11,15 @@ from typing import Any, Final
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Firmware
 
-HOOKS: Final = ("check", "check_places", "needed", "subscribes", "plausible", "cautions", "theory")
+HOOKS: Final = (
+    "check",
+    "check_geometry",
+    "required_effects",
+    "uses_camera",
+    "value_ranges",
+    "warnings",
+    "theory",
+)
 """Methods of `cell_firmware.program.Program` that a run calls before its first tick."""
 
 

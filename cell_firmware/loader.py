@@ -18,7 +18,7 @@ from pydantic import BaseModel, ValidationError
 from bus.errors import WireError
 from bus.wire.frames import check_message
 from cell_firmware import firmware_files, protocols
-from cell_firmware.cell import CellFirmware, PerCell
+from cell_firmware.cell import CellFirmware, PerCellAdapter
 from cell_firmware.errors import FirmwareError, ParametersError, Problem
 from cell_firmware.firmware import Firmware
 from cell_firmware.firmware_files import import_file
@@ -121,7 +121,7 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
             raise ParametersError(spec.firmware, problems(error, found.Parameters, spec.parameters)) from None
     with refusals(spec.firmware, "__init__()"):
         firmware = found(parameters)
-    program = PerCell(firmware) if isinstance(firmware, CellFirmware) else firmware
+    program = PerCellAdapter(firmware) if isinstance(firmware, CellFirmware) else firmware
     guard(program, spec.firmware)
     return program
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from cell_firmware.effects.serial.timing import E_CLOCK_NS
 
 if TYPE_CHECKING:
-    from cell_firmware.build import Motors
+    from cell_firmware.build import MotorFacts
     from cell_firmware.effects.registry import CellEffects
 
 LOOP_E: Final = (1312, 2274)
@@ -42,7 +42,7 @@ def period_e(period_ns: int) -> float:
     return period_ns / E_CLOCK_NS
 
 
-def shares(effects: CellEffects, motors: Motors | None, period_ns: int, sides: int) -> tuple[Share, ...]:
+def shares(effects: CellEffects, motors: MotorFacts | None, period_ns: int, sides: int) -> tuple[Share, ...]:
     """Everything that takes time on the board of the cell with the most neighbours.
 
     Args:

@@ -48,7 +48,7 @@ class Program:
     """What a scene may set in ``[cells.parameters]``."""
     message: ClassVar[np.dtype[Any] | None] = None
     """Little-endian structured type of a message between neighbours; None if they don't talk."""
-    observed: ClassVar[str | None] = None
+    observable: ClassVar[str | None] = None
     """Which of its variables is the protocol's field: a name in its state, a number or a vector a cell."""
 
     def __init__(self, parameters: Any) -> None:
@@ -62,7 +62,7 @@ class Program:
         """
         del lattice
 
-    def check_places(self, lattice: Lattice, position_m: NDArray[np.float64], pitch_m: float) -> None:
+    def check_geometry(self, lattice: Lattice, position_m: NDArray[np.float64], pitch_m: float) -> None:
         """The same for parameters that do not fit where the cells are.
 
         Args:
@@ -75,27 +75,27 @@ class Program:
         """
         del lattice, position_m, pitch_m
 
-    def needed(self) -> tuple[str, ...]:
+    def required_effects(self) -> tuple[str, ...]:
         """Effects without which its parameters ask for what no cell of the scene has."""
         return ()
 
-    def subscribes(self) -> bool:
+    def uses_camera(self) -> bool:
         """Whether cells with these parameters want to be shown a camera's pictures, where the scene has one."""
         return False
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """By field of its messages, the least and the greatest that a cell of this program ever tells with sound links.
 
         A field that is not named may have any.
         """
         return {}
 
-    def credible(self, messages: NDArray[Any]) -> NDArray[np.bool_]:
+    def accepts(self, messages: NDArray[Any]) -> NDArray[np.bool_]:
         """Which messages, of any shape, a cell of this program could have told: floats are numbers, all is plausible.
 
         It is asked where faults may damage messages; what is not credible is not handed over.
         """
-        plausible, good = self.plausible(), np.ones(messages.shape, dtype=np.bool_)
+        plausible, good = self.value_ranges(), np.ones(messages.shape, dtype=np.bool_)
         for name in messages.dtype.names or ():
             value = messages[name]
             if name in plausible:
@@ -105,7 +105,7 @@ class Program:
                 good &= np.isfinite(value)
         return good
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """What will go wrong on this array, though nothing forbids it: a line each, that says what will be seen."""
         del lattice
         return ()

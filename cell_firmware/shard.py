@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.errors import MemoryRefusedError
+from bus.errors import StateError
 from bus.partition import Partition
-from bus.sensors import Labels, Picture
-from bus.state import Remembers
-from cell_firmware.controller import Controller, ControllerState, Instant, frozen
-from cell_firmware.effects.base import Stage
+from bus.sensors import CameraFrame, Labels
+from bus.state import StateFields
+from cell_firmware.controller import Controller, ControllerState, StepTime, read_only
+from cell_firmware.effects.base import InputFilter
 from cell_firmware.errors import FirmwareError, FirmwareFailed
-from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State, solid
+from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State, opaque_view
 from cell_firmware.specs import nanoseconds
 
 if TYPE_CHECKING:
-    from bus.fault import Injected
+    from bus.fault import FaultInstance
     from bus.lattice import Lattice
-    from cell_firmware.effects.base import Site
+    from cell_firmware.effects.base import ShardContext
     from cell_firmware.faults.base import CellFault
 
 Indices = NDArray[np.int64]
@@ -35,7 +35,7 @@ FAULTS: Final = "faults"
 
 @final
 @dataclass(frozen=True, slots=True)
-class Links:
+class BoundaryMessages:
     """Messages on a shard's border, one row a link.
 
     Attributes:
@@ -60,7 +60,7 @@ class ShardOutputs:
     """
 
     drive: Floats
-    links: Links | None
+    links: BoundaryMessages | None
     failures: tuple[FirmwareFailed, ...]
     hung: tuple[FirmwareFailed, ...] = ()
 
@@ -88,7 +88,7 @@ class Shard:
         FirmwareFailed: The firmware's ``init`` failed.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(
+    remembers: ClassVar[StateFields] = StateFields(
         "_tick", "_active", "_retired", "_drive", "_sent", "_outgoing", "_effects", "_memory"
     )
 
@@ -98,11 +98,11 @@ class Shard:
         cells: Cells,
         partition: Partition,
         shard: int,
-        effects: Mapping[str, Sequence[Stage]] | None = None,
-        faults: Sequence[Injected[CellFault]] = (),
+        effects: Mapping[str, Sequence[InputFilter]] | None = None,
+        faults: Sequence[FaultInstance[CellFault]] = (),
     ) -> None:
         self.indices: Indices = partition.cells(shard)
-        self.names: tuple[tuple[int, int], ...] = tuple(
+        self.cells: tuple[tuple[int, int], ...] = tuple(
             partition.lattice.cells[int(i)] for i in self.indices.tolist()
         )
         self._n = len(self.indices)
@@ -110,8 +110,8 @@ class Shard:
         self._effects = effects or {}
         self._faults = {one.number: one for one in faults}
         self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
-        self._message = controller.message
-        self._state = controller.init(cells.take(self.indices))
+        self._message = controller.link_type
+        self._state = controller.init(cells.select(self.indices))
         self._active: Indices | None = None  # rows still alive, once some are not
         self._retired = Counter[str]()  # what the others' boards had counted
         self._period_ns = nanoseconds(cells.period_s)
@@ -145,11 +145,11 @@ class Shard:
         tick: int,
         presence: Bools,
         encoder_m: Floats | None = None,
-        links: Links | None = None,
+        links: BoundaryMessages | None = None,
         level: Floats | None = None,
         *,
         label: Labels | None = None,
-        camera: Picture | None = None,
+        camera: CameraFrame | None = None,
     ) -> ShardOutputs:
         """One control period of all cells.
 
@@ -179,29 +179,29 @@ class Shard:
         if len(self._state.cells):
             active = self._active
             if active is not None:
-                inputs = inputs.take(active)
-            now = Instant(tick, np.array(tick * self._period_ns))
+                inputs = inputs.select(active)
+            now = StepTime(tick, np.array(tick * self._period_ns))
             self._state, outputs = self._controller.step(now, self._state, inputs)
             if active is None:
                 drive = outputs.drive
             else:
                 drive[active] = outputs.drive
-            self._post(outputs.outbox)
+            self._store_outbox(outputs.outbox)
             if outputs.failures:
                 failures = tuple(outputs.failures[i] for i in sorted(outputs.failures))
                 self.retire(failure.cell for failure in failures)
             hung = tuple(outputs.hung[i] for i in sorted(outputs.hung))
         self._drive = drive
-        return ShardOutputs(drive, self.border, failures, hung)
+        return ShardOutputs(drive, self.boundary_links, failures, hung)
 
-    def _inbox(self, links: Links | None) -> Inbox | None:
+    def _inbox(self, links: BoundaryMessages | None) -> Inbox | None:
         """Messages of the last tick, from inside and over the border."""
         if self._message is None:
             return None
         received = np.zeros(self._n * 4, dtype=np.bool_)
         message = np.zeros(self._n * 4, dtype=self._message)
         received[self._inner_to] = self._sent[self._inner_from]
-        solid(message)[self._inner_to] = solid(self._outgoing)[self._inner_from]
+        opaque_view(message)[self._inner_to] = opaque_view(self._outgoing)[self._inner_from]
         if links is not None:
             if links.sent.shape != self._in_to.shape or links.message.shape != self._in_to.shape:
                 raise FirmwareError(
@@ -210,11 +210,11 @@ class Shard:
             received[self._in_to] = links.sent
             message[self._in_to] = links.message
         # a slot in which nothing was received reads zero, whatever its sender left there
-        slots = solid(message)
+        slots = opaque_view(message)
         slots[~received] = np.zeros((), dtype=slots.dtype)
         return Inbox(received.reshape(self._n, 4), message.reshape(self._n, 4))
 
-    def _post(self, outbox: Outbox | None) -> None:
+    def _store_outbox(self, outbox: Outbox | None) -> None:
         """Keeps what the cells sent, until the next tick."""
         if outbox is None or self._message is None:
             return
@@ -239,16 +239,16 @@ class Shard:
             return
         rows = np.flatnonzero(keep)
         self._active = rows if self._active is None else self._active[rows]
-        before = Counter(self._controller.counted(self._state))
-        self._state = self._state.take(rows)
-        before.subtract(self._controller.counted(self._state))
+        before = Counter(self._controller.counters(self._state))
+        self._state = self._state.select(rows)
+        before.subtract(self._controller.counters(self._state))
         self._retired.update(before)
 
-    def begin(self, tick: int) -> None:
+    def start_at(self, tick: int) -> None:
         """The first tick is ``tick``: for cells that come into a run that goes on already."""
         self._tick = tick - 1
 
-    def inject(self, fault: Injected[CellFault], site: Site, lattice: Lattice) -> None:
+    def inject(self, fault: FaultInstance[CellFault], site: ShardContext, lattice: Lattice) -> None:
         """One more fault, from the next tick on at the earliest.
 
         Args:
@@ -257,19 +257,19 @@ class Shard:
             lattice: Of the array.
         """
         self._faults[fault.number] = fault
-        stages = tuple(fault.fault.stages(site, lattice, fault))
+        stages = tuple(fault.fault.input_filters(site, lattice, fault))
         self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
         self._stages += stages
-        from cell_firmware.faults.attach import begun, joined
+        from cell_firmware.faults.attach import attach_fault, init_new_wrappers
 
-        self._controller = joined(self._controller, lattice, site.seed, fault)
+        self._controller = attach_fault(self._controller, lattice, site.seed, fault)
         drive = self._drive if self._active is None else self._drive[self._active]
-        self._state = begun(self._controller, self._state, drive)
+        self._state = init_new_wrappers(self._controller, self._state, drive)
 
     def repair(self, number: int, tick: int) -> None:
         """A fault doesn't act any more from ``tick`` on; one that the shard doesn't know changes nothing."""
         if number in self._faults:
-            self._faults[number].end = tick
+            self._faults[number].end_tick = tick
 
     def registers(self) -> tuple[Indices, dict[str, NDArray[Any]]]:
         """What can be read of the cells that still run.
@@ -280,13 +280,13 @@ class Shard:
         cells = self._state.cells
         return np.stack((cells.row, cells.column), axis=1), self._controller.registers(self._state)
 
-    def counted(self) -> Counter[str]:
+    def counters(self) -> Counter[str]:
         """What effects did to the shard's cells so far, and what their boards counted, by ``effect.what``."""
         total = Counter(self._retired)
         for name, stages in self._effects.items():
             for stage in stages:
-                total.update({f"{name}.{what}": number for what, number in stage.counted.items()})
-        total.update(self._controller.counted(self._state))
+                total.update({f"{name}.{what}": number for what, number in stage.counters.items()})
+        total.update(self._controller.counters(self._state))
         return total
 
     @property
@@ -295,7 +295,7 @@ class Shard:
         return self._tick
 
     @property
-    def border(self) -> Links | None:
+    def boundary_links(self) -> BoundaryMessages | None:
         """What went out over the border in that tick; None for firmware without messages."""
         if self._message is None:
             return None
@@ -308,13 +308,13 @@ class Shard:
 
     @_memory.setter
     def _memory(self, parts: Mapping[str, State]) -> None:
-        state = self._state if self._active is None else self._state.take(self._active)
+        state = self._state if self._active is None else self._state.select(self._active)
         if _arrays(parts) != _arrays(state.parts):
-            raise MemoryRefusedError(
+            raise StateError(
                 f"the cells' memory: must have a row for each of {len(state.cells)} cells in "
                 f"{', '.join(sorted(_arrays(state.parts)))}"
             )
-        self._state = ControllerState(state.cells, {name: frozen(part) for name, part in parts.items()})
+        self._state = ControllerState(state.cells, {name: read_only(part) for name, part in parts.items()})
 
     @property
     def alive(self) -> tuple[tuple[int, int], ...]:
@@ -327,6 +327,6 @@ def _arrays(parts: Mapping[str, State]) -> dict[str, int]:
     return {f"{part}.{name}": len(array) for part, state in parts.items() for name, array in state.items()}
 
 
-def _links(sent: Bools, message: Messages) -> Links:
+def _links(sent: Bools, message: Messages) -> BoundaryMessages:
     message[~sent] = np.zeros((), dtype=message.dtype)
-    return Links(sent, message)
+    return BoundaryMessages(sent, message)

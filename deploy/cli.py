@@ -31,14 +31,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    from deploy.commands.application import application, completed
+    from deploy.commands.application import application, fill_flag_values
     from deploy.util.signals import Interrupted, Interruption
 
-    given = completed(arguments)
+    given = fill_flag_values(arguments)
     interruption = Interruption()
     try:
         command = application(given)
-        with interruption.watching(), interruption.allowed():
+        with interruption.handling(), interruption.interruptible():
             command(given, prog_name="mdms")
     except SystemExit as end:  # typer's way to end, well or with a usage error
         return end.code if isinstance(end.code, int) else int(end.code is not None)

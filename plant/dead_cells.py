@@ -8,31 +8,31 @@ from typing import TYPE_CHECKING, ClassVar, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.wheels import Floats, LossPolicy
 
 if TYPE_CHECKING:
-    from plant.faults.base import Harm
+    from plant.faults.base import WheelFaults
 
 
-class Wheeled(Protocol):
+class WheelControl(Protocol):
     """What is needed of ``plant.plant.Plant``."""
 
-    def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
+    def release_wheels(self, cells: Sequence[int], policy: LossPolicy) -> None:
         """Note that cells are dead from now on."""
         ...
 
-    def regain(self, cells: Sequence[int]) -> None:
+    def engage_wheels(self, cells: Sequence[int]) -> None:
         """Note that cells that were dead are so no longer."""
         ...
 
-    def suffer(self, harm: Harm, drives: Floats) -> None:
+    def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
         """Let faults do to wheels and cells what they say."""
         ...
 
 
 @final
-class Undriven:
+class DeadCells:
     """The cells that go, and come back.
 
     Args:
@@ -46,10 +46,14 @@ class Undriven:
         lost: ``(n,)``: those dead for good.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_down", "_gone", "_given", "mask", "lost")
+    remembers: ClassVar[StateFields] = StateFields("_down", "_gone", "_given", "mask", "lost")
 
     def __init__(
-        self, plant: Wheeled, cells: int, policy: LossPolicy, rests: Mapping[int, LossPolicy] | None = None
+        self,
+        plant: WheelControl,
+        cells: int,
+        policy: LossPolicy,
+        rests: Mapping[int, LossPolicy] | None = None,
     ) -> None:
         self._plant = plant
         self._policy: LossPolicy = policy
@@ -61,11 +65,11 @@ class Undriven:
         self.mask: NDArray[np.bool_] | None = None
         self.lost: NDArray[np.bool_] = np.zeros(cells, dtype=np.bool_)
 
-    def instead(self, drives: Floats) -> Floats:
+    def override_drives(self, drives: Floats) -> Floats:
         """The drives ``(n, 2)``, but what wheels are given that no program drives."""
         return drives if self.mask is None else np.where(self.mask[:, None], self._given, drives)
 
-    def bury(self, cells: Sequence[int], drives: Floats) -> tuple[int, ...]:
+    def mark_dead(self, cells: Sequence[int], drives: Floats) -> tuple[int, ...]:
         """Note that these are dead for good, ``drives`` being the last; returns those that were not before."""
         fresh = tuple(cell for cell in cells if not self.lost[cell])
         if fresh:
@@ -78,30 +82,30 @@ class Undriven:
         """These are dead no longer; what faults say of them still holds."""
         self.lost[list(cells)] = False
         back = [cell for cell in cells if cell not in self._down]
-        self._plant.regain(back)
+        self._plant.engage_wheels(back)
         self._given[back] = 0.0
         self._mark()
 
-    def dying(self, harm: Harm) -> list[int]:
+    def about_to_die(self, harm: WheelFaults) -> list[int]:
         """Those that ``harm`` kills, ascending, which live now."""
         return [cell for cell in np.flatnonzero(harm.dead & ~self.lost).tolist() if cell not in self._down]
 
-    def turn(self, harm: Harm, drives: Floats) -> bool:
+    def on_transition(self, harm: WheelFaults, drives: Floats) -> bool:
         """Something else is the matter from now on, ``drives`` being the last; returns whether cells came or went."""
         dead: list[int] = np.flatnonzero(harm.dead).tolist()
         before = self._down
-        self._down = {cell: harm.rests.get(cell, self._policy) for cell in dead}
+        self._down = {cell: harm.wheel_policies.get(cell, self._policy) for cell in dead}
         changed = [cell for cell in before if self._down.get(cell) != before[cell] and not self.lost[cell]]
         fresh = [cell for cell in dead if self._down[cell] != before.get(cell) and not self.lost[cell]]
         if changed:
-            self._plant.regain(changed)
+            self._plant.engage_wheels(changed)
             self._given[changed] = 0.0
         self._leave({cell: self._down[cell] for cell in fresh}, drives)
         moved = bool((harm.gone != self._gone).any())
         self._gone = harm.gone
         self._given[harm.gone] = 0.0
         self._mark()
-        self._plant.suffer(harm, self.instead(drives))
+        self._plant.apply_faults(harm, self.override_drives(drives))
         return moved
 
     def _leave(self, leaving: Mapping[int, LossPolicy], drives: Floats) -> None:
@@ -110,7 +114,7 @@ class Undriven:
             cells = tuple(cell for cell, does in leaving.items() if does == policy)
             if policy == "hold":
                 self._given[list(cells)] = drives[list(cells)]
-            self._plant.lose(cells, policy)
+            self._plant.release_wheels(cells, policy)
 
     def _mark(self) -> None:
         self.mask = self.lost | self._gone

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, cast
 from plant.array import CellArray
 from plant.effects.registry import PlantEffects
 from plant.observations import ParcelStatus
-from plant.overlap import OverlapWatch
-from plant.solver_api import LegSolver, Rewindable, Solver
+from plant.overlap import OverlapDetector
+from plant.solver_api import Rewindable, SegmentingSolver, Solver
 from plant.specs import PlantSpec
 from plant.wheels import IdealWheels, Wheels
 
@@ -34,7 +34,7 @@ def make_wheels(spec: PlantSpec, cells: int) -> Wheels:
 
 
 def make_traffic(
-    spec: PlantSpec, solver: Solver, status: list[ParcelStatus], overlaps: OverlapWatch
+    spec: PlantSpec, solver: Solver, status: list[ParcelStatus], overlaps: OverlapDetector
 ) -> Traffic | None:
     """Parcels that come and go, None where all stay.
 
@@ -100,10 +100,10 @@ def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
     )
 
 
-def with_legs(spec: PlantSpec, solver: Solver) -> LegSolver | None:
+def segmenting_solver(spec: PlantSpec, solver: Solver) -> SegmentingSolver | None:
     """The solver, if it divides calls for each parcel by itself; None where it can't, or effects act on all at once."""
     effects = spec.effects
     together = (effects.parcel_contact, effects.wheel_load, effects.analogue_sensors, effects.scanners)
     if spec.solver.name != "exact" or any(effect is not None for effect in together):
         return None
-    return cast("LegSolver", solver)
+    return cast("SegmentingSolver", solver)

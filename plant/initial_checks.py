@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from plant.errors import PlantError
-from plant.overlap import OverlapWatch
+from plant.overlap import OverlapDetector
 from plant.solver_api import Solver
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -29,19 +29,19 @@ def check_standing(spec: PlantSpec, solver: Solver, cells: int) -> None:
     """
     driven = np.ones(cells)
     for i, body in enumerate(solver.bodies):
-        under = len(solver.under(i))
+        under = len(solver.covered_cells(i))
         if under == 0:
             raise PlantError(
                 f"{_place(spec, i, body.state)}: the parcel stands on nothing: no cell's centre lies under it"
             )
-        if not solver.stand(i, driven):
+        if not solver.find_supports(i, driven):
             raise PlantError(
                 f"{_place(spec, i, body.state)}: the parcel would tip: its centre of mass lies outside "
                 f"the {under} cells under it"
             )
 
 
-def check_places(spec: PlantSpec, state: Floats, overlaps: OverlapWatch, traffic: Traffic | None) -> None:
+def check_places(spec: PlantSpec, state: Floats, overlaps: OverlapDetector, traffic: Traffic | None) -> None:
     """Refuse parcels that overlap at the start, and those that would leave as soon as they are there.
 
     Args:
@@ -53,7 +53,7 @@ def check_places(spec: PlantSpec, state: Floats, overlaps: OverlapWatch, traffic
     Raises:
         PlantError: there is such a parcel.
     """
-    there = np.arange(len(state)) if traffic is None else traffic.there
+    there = np.arange(len(state)) if traffic is None else traffic.on_surface
     for first, second, depth, place in overlaps.pairs(state, there):
         raise PlantError(
             f"parcels[{first}] and parcels[{second}] overlap at the start by {depth:.3g} m near "

@@ -126,7 +126,7 @@ def members(parcel: Parcel) -> NDArray[np.int64]:
 
 
 def pack(parcels: Sequence[Parcel]) -> Parcels:
-    """The parcels side by side in arrays of their own; ``plant.kernels.common.parcels.parcel_of`` finds each again."""
+    """The parcels side by side in arrays of their own; ``plant.kernels.common.select.parcel_view`` finds each again."""
 
     def joined(name: str, empty: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([empty, *(getattr(parcel, name) for parcel in parcels)])

@@ -7,11 +7,11 @@ from typing import Any, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.array import CellArray
 from plant.errors import PlantHalted, PlantStopped, PlantUnstable
 from plant.observations import Event, Floats, ParcelState, ParcelStatus
-from plant.solver_api import Advance, Solver
+from plant.solver_api import AdvanceResult, Solver
 from plant.specs import PlantSpec
 from plant.stiffness import beyond_steps
 
@@ -24,7 +24,7 @@ WHY = {
 
 
 @final
-class Chronicle:
+class EventLog:
     """Puts what becomes of parcels into words.
 
     Args:
@@ -40,7 +40,7 @@ class Chronicle:
         halted: the first that ended a parcel's motion which is no outcome; None: nothing did.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("support_changes", "left_out", "outrun_s")
+    remembers: ClassVar[StateFields] = StateFields("support_changes", "left_out", "outrun_s")
 
     def __init__(self, array: CellArray, solver: Solver, status: list[ParcelStatus], spec: PlantSpec) -> None:
         self._array, self._solver, self._status, self._spec = array, solver, status, spec
@@ -53,7 +53,7 @@ class Chronicle:
         """Those of some parcels that tipped on the array, and stand there."""
         return there[[self._status[int(i)].state == "tipped" for i in there]]
 
-    def events(self, done: Advance, start_s: float) -> list[Event]:
+    def events(self, done: AdvanceResult, start_s: float) -> list[Event]:
         """What happened to a parcel in a move that began at ``start_s``.
 
         Where its motion can't be followed, or was to end, ``halted`` says so.
@@ -72,10 +72,10 @@ class Chronicle:
         ]
         if np.isnan(self.outrun_s[i]):
             self.outrun_s[i] = next((event.time_s for event in events if event.kind == "outrun"), np.nan)
-        if done.ending == "tipped":
+        if done.termination == "tipped":
             self._solver.state[i, 3:] = 0.0
             events.append(self._tip(i, start_s + done.moved_s, done.edge))
-        elif done.ending != "moving":
+        elif done.termination != "moving":
             self._halt(i, start_s + done.moved_s, done)
         return events
 
@@ -98,23 +98,25 @@ class Chronicle:
         self._status[i] = ParcelStatus(outcome, time_s, detail)
         return Event(time_s, outcome, i, cells, place, detail)
 
-    def _halt(self, i: int, time_s: float, done: Advance) -> None:
+    def _halt(self, i: int, time_s: float, done: AdvanceResult) -> None:
         """Keep why a parcel's motion ended, if none ended before."""
         if self.halted is not None and self.halted.time_s <= time_s:
             return
         x, y = self._place(i)
         where = f"parcel {i} at t = {time_s:.6g} s, x = {x:.6g} m, y = {y:.6g} m"
         named = "the supports"
-        if done.culprit >= 0:
-            named = "cell {},{}".format(*self._array.lattice.cells[done.culprit])
-        match done.ending:
+        if done.last_cell >= 0:
+            named = "cell {},{}".format(*self._array.lattice.cells[done.last_cell])
+        match done.termination:
             case "stopped":
                 self.halted = PlantStopped(f"stopped on the way: {where}", time_s)
                 return
             case "endless_changes":
                 why = f"support changes without end, the last about {named}"
             case "endless_steps":
-                why = beyond_steps(self._spec, i, self._array.positions_m[self._solver.under(i)] - (x, y))
+                why = beyond_steps(
+                    self._spec, i, self._array.positions_m[self._solver.covered_cells(i)] - (x, y)
+                )
             case ending:
                 why = WHY.get(ending, "the motion is no longer finite")
         self.halted = PlantUnstable(f"{where}: {why}", time_s)
@@ -124,7 +126,7 @@ Numbers = NDArray[np.int64]
 
 
 @final
-class RestWatch:
+class RestDetector:
     """Tells which parcels rest, from their states at instants.
 
     Args:
@@ -132,7 +134,7 @@ class RestWatch:
         slow_m_s: a parcel none of whose corners moves faster, or gains speed faster than this a second, is at rest.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_resting")
+    remembers: ClassVar[StateFields] = StateFields("_resting")
 
     def __init__(self, radius: Floats, slow_m_s: float) -> None:
         from plant.kernels.exact import entry  # compiles or loads: only where a plant is really built

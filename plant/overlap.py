@@ -8,7 +8,7 @@ from typing import ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant import geometry
 from plant.geometry import close_boxes, close_pairs
 from plant.observations import Event
@@ -19,13 +19,13 @@ Place = tuple[float, float]
 
 
 def meeting(time_s: float, kind: str, first: int, second: int, depth_m: float, place: Place) -> Event:
-    """A change of an `OverlapWatch` as the plant tells it."""
+    """A change of an `OverlapDetector` as the plant tells it."""
     deep = f", {depth_m:.3g} m deep" if depth_m else ""
     return Event(time_s, kind, first, (), place, f"with parcel {second}{deep}")
 
 
 @final
-class OverlapWatch:
+class OverlapDetector:
     """Watches all pairs of parcels, at the instants it is shown.
 
     Args:
@@ -33,7 +33,7 @@ class OverlapWatch:
         radius: ``(m,)`` farthest corner of each.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_met")
+    remembers: ClassVar[StateFields] = StateFields("_met")
 
     def __init__(self, footprints: Sequence[Floats], radius: Floats) -> None:
         self._footprints = footprints
@@ -56,7 +56,7 @@ class OverlapWatch:
             if found is not None:
                 yield i, j, found[0], (float(found[1][0]), float(found[1][1]))
 
-    def in_the_way(self, i: int, state: Floats, there: Indices, clear_m: float = 0.0) -> int | None:
+    def first_blocker(self, i: int, state: Floats, there: Indices, clear_m: float = 0.0) -> int | None:
         """The first parcel, of those that are there, that parcel ``i`` would overlap at its pose.
 
         Or whose centre of mass is nearer to that of ``i`` than ``clear_m``.
@@ -87,7 +87,7 @@ class OverlapWatch:
         self._met = set(now)
         return changes
 
-    def close_calls(self, states: Floats) -> Iterator[int]:
+    def candidate_instants(self, states: Floats) -> Iterator[int]:
         """Instants among the states ``(T, parcels, 6)`` at which some pair's circles touch, or one has met before."""
         if len(self._radius) < 2:
             return

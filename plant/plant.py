@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.array import CellArray
 from plant.errors import PlantError, PlantHalted
 from plant.factories import make_scanners, make_spots, make_traffic, make_wheels
 from plant.initial_checks import check_places, check_standing
-from plant.monitors import Chronicle, RestWatch
+from plant.monitors import EventLog, RestDetector
 from plant.observations import Event, ParcelStatus, Sense, TrafficCount, Trajectory
-from plant.overlap import OverlapWatch, meeting
-from plant.propagate import Moves
-from plant.sampling import Reading, Timing
+from plant.overlap import OverlapDetector, meeting
+from plant.propagate import Propagator
+from plant.sampling import SensorSampler, Timing
 from plant.solver_api import Solver
 from plant.solvers.registry import make_solver
 from plant.specs import PlantSpec
@@ -27,7 +27,7 @@ from plant.wheels import Floats, LossPolicy, Wheels
 
 if TYPE_CHECKING:
     from plant.effects.feeders.traffic import Traffic
-    from plant.faults.base import Harm
+    from plant.faults.base import WheelFaults
 
 
 @final
@@ -45,8 +45,8 @@ class Plant:
         PlantError: a parcel doesn't stand on the array where it starts or is fed, or starts in an exit; or two overlap.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(
-        "_suffered",
+    remembers: ClassVar[StateFields] = StateFields(
+        "_fault_state",
         "_wheels",
         "_solver",
         "_now_ns",
@@ -55,8 +55,8 @@ class Plant:
         "_rest",
         "_traffic",
         "_moves",
-        "_told",
-        "_untold",
+        "_last_readings",
+        "_pending_events",
         shared=("status",),
         records=(Event, ParcelStatus, Sense),
     )
@@ -75,21 +75,21 @@ class Plant:
         bodies = self._solver.bodies
         radius: Floats = np.array([body.radius_m for body in bodies])
         self.status: list[ParcelStatus] = [ParcelStatus("moving", 0.0) for _ in bodies]
-        self._chronicle = Chronicle(self.array, self._solver, self.status, spec.with_fed())
-        self._overlaps = OverlapWatch([body.footprint_m for body in bodies], radius)
-        self._rest = RestWatch(radius, spec.slow_m_s)
+        self._chronicle = EventLog(self.array, self._solver, self.status, spec.with_fed())
+        self._overlaps = OverlapDetector([body.footprint_m for body in bodies], radius)
+        self._rest = RestDetector(radius, spec.slow_m_s)
         check_standing(spec, self._solver, n)
         self._traffic = make_traffic(spec, self._solver, self.status, self._overlaps)
-        there = np.arange(len(bodies)) if self._traffic is None else self._traffic.there
+        there = np.arange(len(bodies)) if self._traffic is None else self._traffic.on_surface
         check_places(spec, self.state, self._overlaps, self._traffic)
-        self._moves = Moves(spec, self.array, self._solver, self._chronicle, there)
+        self._moves = Propagator(spec, self.array, self._solver, self._chronicle, there)
         self._contact = self._moves.contact
         if self._contact is not None:
             self._contact.check_start(there)
-        self._harm: Harm | None = None
-        self._told: Sense | None = None
+        self._harm: WheelFaults | None = None
+        self._last_readings: Sense | None = None
         """What each cell has read last."""
-        self._untold = [] if self._traffic is None else self._look(self._traffic, 0)
+        self._pending_events = [] if self._traffic is None else self._look(self._traffic, 0)
         """What has happened since the last call."""
 
     @property
@@ -108,9 +108,9 @@ class Plant:
         return self._solver.state.copy()
 
     @property
-    def there(self) -> NDArray[np.int64]:
+    def on_surface(self) -> NDArray[np.int64]:
         """Numbers of the parcels that neither wait to be fed nor have left through an exit, ascending."""
-        return self._moves.there
+        return self._moves.on_surface
 
     @property
     def effort(self) -> int:
@@ -149,31 +149,31 @@ class Plant:
     def sense(self) -> Sense:
         """What the cells sense now."""
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
-        self._solver.presence(self._moves.there, presence)
+        self._solver.presence(self._moves.on_surface, presence)
         travel = self._wheels.travel
-        state, there = self._solver.state, self._moves.there
+        state, there = self._solver.state, self._moves.on_surface
         level = None if self._spots is None else self._spots.level(state, there)
         label = None if self._scanners is None else self._scanners.label(state, there)
         return Sense(presence, None if travel is None else _read_only(travel), level, label)
 
-    def make_ready(self) -> None:
+    def warm_up(self) -> None:
         """Compile, or load, what calls with timing, and wheels that stop on the way, need beyond others."""
-        self._moves.make_ready()
+        self._moves.warm_up()
 
-    def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
+    def release_wheels(self, cells: Sequence[int], policy: LossPolicy) -> None:
         """Note that cells are dead from now on.
 
         A coasting wheel turns freely: it carries its load and pulls nothing. A braked or held one goes on acting
         on the drive it is given: zero, or the last.
         """
         if policy == "coast":
-            self._moves.let_go(cells)
+            self._moves.release(cells)
 
-    def regain(self, cells: Sequence[int]) -> None:
+    def engage_wheels(self, cells: Sequence[int]) -> None:
         """Note that cells that were dead are so no longer: their wheels act on their drives."""
-        self._moves.take_hold(cells)
+        self._moves.engage(cells)
 
-    def suffer(self, harm: Harm, drives: Floats) -> None:
+    def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
         """Let faults do to wheels and cells, from now on, what they say; for dead cells see `lose`.
 
         Parcels over a cell that has gone or come stand on others at once: the next call's events tell.
@@ -182,45 +182,47 @@ class Plant:
             harm: all that is the matter.
             drives: ``(n, 2)`` that stand until others take effect.
         """
-        from plant.faults.faulty_wheels import HarmedWheels  # only where there are faults
+        from plant.faults.faulty_wheels import FaultyWheels  # only where there are faults
 
-        if not isinstance(self._wheels, HarmedWheels):
-            self._wheels = HarmedWheels(self._wheels, self._motors, len(self.array))
+        if not isinstance(self._wheels, FaultyWheels):
+            self._wheels = FaultyWheels(self._wheels, self._motors, len(self.array))
         self._harm = harm
-        self._wheels.suffer(harm, drives)
-        self._moves.jam(harm.stuck[:, 0] & harm.stuck[:, 1])
+        self._wheels.apply_faults(harm, drives)
+        self._moves.lock(harm.stuck[:, 0] & harm.stuck[:, 1])
         moved = self.array.keep(~harm.gone)
         if len(moved):
             self._rebuild(moved, harm.gone)
 
     @property
-    def _suffered(self) -> tuple[Any, ...] | None:
-        """What faults have done last, by ``Harm``'s fields; None: nothing ever."""
+    def _fault_state(self) -> tuple[Any, ...] | None:
+        """What faults have done last, by ``WheelFaults``'s fields; None: nothing ever."""
         harm = self._harm
         return None if harm is None else tuple(getattr(harm, field.name) for field in fields(harm))
 
-    @_suffered.setter
-    def _suffered(self, told: tuple[Any, ...] | None) -> None:
+    @_fault_state.setter
+    def _fault_state(self, told: tuple[Any, ...] | None) -> None:
         """Wheels and cells that are as faults have left them; where they were on their way is for others to tell."""
         if told is not None:
-            from plant.faults.base import Harm
+            from plant.faults.base import WheelFaults
 
-            self.suffer(Harm(*told), np.zeros((len(self.array), 2)))
+            self.apply_faults(WheelFaults(*told), np.zeros((len(self.array), 2)))
 
     def _rebuild(self, cells: NDArray[np.int64], gone: NDArray[np.bool_]) -> None:
         """Cells have come to the array, or gone from it."""
         if self._scanners is not None:
             self._scanners.keep(~gone)
-        for done in self._solver.rebuilt(cells):
-            if done.parcel in self._moves.live:
-                self._untold += self._chronicle.events(done, self._now_ns * 1e-9)
+        for done in self._solver.on_array_changed(cells):
+            if done.parcel in self._moves.moving:
+                self._pending_events += self._chronicle.events(done, self._now_ns * 1e-9)
         now = self.sense()
-        self._told = now if self._told is None else self._told.with_cells(cells, now)
+        self._last_readings = (
+            now if self._last_readings is None else self._last_readings.with_cells(cells, now)
+        )
 
     @property
-    def told(self) -> Sense:
+    def last_readings(self) -> Sense:
         """What each cell has read last; all read at the start, and one that comes when it does."""
-        return self._told or self.sense()
+        return self._last_readings or self.sense()
 
     def advance(
         self, drives: Floats, until_ns: int, timing: Timing | None = None
@@ -243,16 +245,20 @@ class Plant:
         reading = None
         if timing is not None:
             timing.check(len(self.array), self._now_ns, until_ns)
-            reading = Reading(self.told, timing, self._now_ns, until_ns)
+            reading = SensorSampler(self.last_readings, timing, self._now_ns, until_ns)
             if reading.any_at_start:
                 reading.start(self.sense())
         acts_s = None if timing is None else timing.acts_s(self._now_ns)
         events = self._step(drives, until_ns, acts_s, reading)
-        self._told = self.sense() if reading is None else reading.sense(self.sense())
-        return self._told, events
+        self._last_readings = self.sense() if reading is None else reading.sense(self.sense())
+        return self._last_readings, events
 
     def _step(
-        self, drives: Floats, until_ns: int, acts_s: Floats | None = None, reading: Reading | None = None
+        self,
+        drives: Floats,
+        until_ns: int,
+        acts_s: Floats | None = None,
+        reading: SensorSampler | None = None,
     ) -> list[Event]:
         """Move on, and take notice of what is the case then: see `advance`."""
         start_ns, before, status = self._now_ns, self.state, list(self.status)
@@ -263,10 +269,10 @@ class Plant:
             self._put_back(before, start_ns, status)
             raise
         after = self.state
-        if self._rest.may_change(after, self._moves.live):
+        if self._rest.may_change(after, self._moves.moving):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
-        if self._untold:
-            events, self._untold = [*self._untold, *events], []
+        if self._pending_events:
+            events, self._pending_events = [*self._pending_events, *events], []
         if self._traffic is not None:
             events += self._look(self._traffic, until_ns)
         if self._contact is None:
@@ -275,11 +281,11 @@ class Plant:
 
     def _look(self, traffic: Traffic, time_ns: int) -> list[Event]:
         """Let parcels leave and feed others, as they should by now."""
-        events = traffic.look(time_ns)
+        events = traffic.update(time_ns)
         if events:
-            there = traffic.there
-            self._moves.there = there
-            self._moves.live = there[[self.status[int(i)].rides for i in there]]
+            there = traffic.on_surface
+            self._moves.on_surface = there
+            self._moves.moving = there[[self.status[int(i)].rides for i in there]]
         return events
 
     def trajectory(self, drives: Floats, until_ns: int, sample_ns: int) -> Trajectory:
@@ -303,22 +309,24 @@ class Plant:
         after_s: Floats = (times[1:] - start_ns).astype(np.float64) * 1e-9
         status = list(self.status)
         try:
-            events = [*self._untold, *self._move(drives, until_ns, after_s, state)]
+            events = [*self._pending_events, *self._move(drives, until_ns, after_s, state)]
         except PlantHalted as halted:
             # the sample at the very end may be of parcels that did not come so far
             known = max(1, int(np.searchsorted(times, math.floor(halted.time_s * 1e9))))
             self._put_back(state[known - 1], int(times[known - 1]), status)
-            told = [event for event in (*self._untold, *halted.events) if event.time_s <= halted.time_s]
+            told = [
+                event for event in (*self._pending_events, *halted.events) if event.time_s <= halted.time_s
+            ]
             halted.reached = self._noted(times[:known], state[:known], told)
             raise
-        self._untold = []
+        self._pending_events = []
         return self._noted(times, state, events)
 
     def _noted(self, times: NDArray[np.int64], state: Floats, events: list[Event]) -> Trajectory:
         """A course of parcels through some instants, with who rests and who overlaps on it."""
         self._note_rest(state, times)
         if self._contact is None:
-            for k in self._overlaps.close_calls(state):
+            for k in self._overlaps.candidate_instants(state):
                 events.extend(self._meetings(state[k], float(times[k]) * 1e-9))
         events.sort(key=lambda event: event.time_s)
         return Trajectory(times, state, events)
@@ -351,7 +359,7 @@ class Plant:
         times_s: Floats,
         samples: Floats | None,
         acts_s: Floats | None = None,
-        reading: Reading | None = None,
+        reading: SensorSampler | None = None,
     ) -> list[Event]:
         """Advance wheels and every parcel; fill ``samples[1:]`` with the states at ``times_s`` after now."""
         if np.shape(drives) != (len(self.array), 2):
@@ -368,26 +376,26 @@ class Plant:
         # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
         run = self._wheels.command(np.array(drives, dtype=np.float64, order="C"), span, acts_s)
         if samples is None:
-            events = self._moves.through(run, span, start, reading, self.sense)
+            events = self._moves.advance(run, span, start, reading, self.sense)
         else:
             events = self._moves.sampled(run, span, start, times_s, samples[1:])
         if self._chronicle.halted is not None:
             self._chronicle.halted.events = events
             raise self._chronicle.halted
-        passed = self._wheels.elapse(run, span, None if reading is None else reading.asked_s)
+        passed = self._wheels.elapse(run, span, None if reading is None else reading.requested_s)
         if reading is not None:
-            reading.turned(passed)
+            reading.set_encoders(passed)
         self._now_ns = until_ns
         return events
 
     def _note_rest(self, states: Floats, times_ns: NDArray[np.int64]) -> None:
         """Update ``status`` from the states ``(T, parcels, 6)`` at the instants ``(T,)``."""
-        for i, status in self._rest.changes(states, times_ns, self._moves.live):
+        for i, status in self._rest.changes(states, times_ns, self._moves.moving):
             self.status[i] = status
 
     def _meetings(self, state: Floats, time_s: float) -> list[Event]:
         """Parcels that have come to overlap, and those that no longer do."""
-        changes = self._overlaps.changes(state, self._moves.there)
+        changes = self._overlaps.changes(state, self._moves.on_surface)
         return [meeting(time_s, *change) for change in changes]
 
 

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lockstep.counters import Loss
-from bus.state import Remembers
+from bus.state import StateFields
 from bus.wire.frames import DriveFrame, SenseFrame
-from plant.dead_cells import Undriven
+from plant.dead_cells import DeadCells
 from plant.observations import Sense
 from plant.sampling import Timing
 
 if TYPE_CHECKING:
-    from bus.fault import Injected
+    from bus.fault import FaultInstance
     from bus.spec import StallSpec
     from plant.effects.camera.camera import Camera
     from plant.faults.base import PlantFault
-    from plant.faults.schedule import ActiveFaults
+    from plant.faults.schedule import FaultSchedule
     from plant.observations import Event
     from plant.plant import Plant
     from plant.wheels import LossPolicy
@@ -63,7 +63,7 @@ class TickRecord(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True)
-class Ended:
+class LoopResult:
     """How the loop ended.
 
     Attributes:
@@ -82,8 +82,8 @@ class Ended:
     nobody: bool = False
 
 
-class LockstepHost(Protocol):
-    """What the process needs of ``bus.lockstep.Host``."""
+class LockstepPort(Protocol):
+    """What the process needs of ``bus.lockstep.Coordinator``."""
 
     def publish(self, frame: SenseFrame) -> None:
         """Tell every cell what it senses."""
@@ -93,7 +93,7 @@ class LockstepHost(Protocol):
         """Wait for every cell's drive, or its loss."""
         ...
 
-    def retire(self, cells: Sequence[int], tick: int) -> None:
+    def mark_dead(self, cells: Sequence[int], tick: int) -> None:
         """Stop waiting for these cells from ``tick`` on."""
         ...
 
@@ -133,7 +133,7 @@ class PlantProcess:
             at such a time leaves the plant at ``time_ns``, with every tick before it reported.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(
+    remembers: ClassVar[StateFields] = StateFields(
         "_plant",
         "_sense",
         "_state",
@@ -150,7 +150,7 @@ class PlantProcess:
     def __init__(
         self,
         plant: Plant,
-        host: LockstepHost,
+        host: LockstepPort,
         *,
         tick_ns: int,
         duration_ns: int,
@@ -161,7 +161,7 @@ class PlantProcess:
         pace: Callable[[int], None] | None = None,
         timing: Callable[[int], Timing] | None = None,
         camera: Camera | None = None,
-        faults: ActiveFaults | None = None,
+        faults: FaultSchedule | None = None,
         attend: Callable[[int], None] | None = None,
         rests: Mapping[int, LossPolicy] | None = None,
     ) -> None:
@@ -182,13 +182,13 @@ class PlantProcess:
         self._drives: Floats = np.zeros((n, 2))
         self._faults = faults
         self._attend = attend
-        self._undriven = Undriven(plant, n, "coast" if stall.policy == "abort" else stall.policy, rests)
+        self._undriven = DeadCells(plant, n, "coast" if stall.policy == "abort" else stall.policy, rests)
         self._over: TickRecord | None = None
         self.tick = 0
         self.time_ns = 0
         self.waiting = False
 
-    def run(self) -> Ended:
+    def run(self) -> LoopResult:
         """Run to the end of the duration, or to the first loss that ends the run.
 
         Raises:
@@ -201,21 +201,21 @@ class PlantProcess:
                 self._attend(self.tick)
             if abort and (dying := self._dying()):
                 self.report()
-                return Ended("failed", died=dying)
+                return LoopResult("failed", died=dying)
             losses = self.step()
             if losses and (ended := self._ended(losses)):
                 return ended
         self.report()
-        return Ended("failed", nobody=True) if self._nobody() else Ended("ok")
+        return LoopResult("failed", nobody=True) if self._nobody() else LoopResult("ok")
 
-    def _ended(self, losses: Sequence[Loss]) -> Ended | None:
+    def _ended(self, losses: Sequence[Loss]) -> LoopResult | None:
         """How the run ends with these losses; None: it goes on."""
         failed = tuple(loss for loss in losses if loss.reason == "failed")
         if failed and self._stops:
-            return Ended("failed", tuple(losses), failed=failed)
+            return LoopResult("failed", tuple(losses), failed=failed)
         if self._abort:
             stalled = all(loss.reason == "stalled" for loss in losses)
-            return Ended("stalled" if stalled else "failed", tuple(losses))
+            return LoopResult("stalled" if stalled else "failed", tuple(losses))
         return None
 
     def _nobody(self) -> bool:
@@ -228,7 +228,7 @@ class PlantProcess:
             if tick < self.tick:
                 ordered[list(cells)] = True
         if self._faults is not None:
-            harm = self._faults.harm(self.tick - 1, live=False)
+            harm = self._faults.state_at(self.tick - 1, live=False)
             ordered |= harm.dead | harm.gone
         return not ordered.all()
 
@@ -236,12 +236,12 @@ class PlantProcess:
         """Cells that were lost take part again from the next tick on."""
         self._undriven.revive(cells)
 
-    def inject(self, fault: Injected[PlantFault]) -> None:
+    def inject(self, fault: FaultInstance[PlantFault]) -> None:
         """One more fault, from the next tick on at the earliest."""
         if self._faults is None:
-            from plant.faults.schedule import ActiveFaults
+            from plant.faults.schedule import FaultSchedule
 
-            self._faults = ActiveFaults(len(self.lost))
+            self._faults = FaultSchedule(len(self.lost))
         self._faults.add(fault)
         self.replan()
 
@@ -253,18 +253,18 @@ class PlantProcess:
     def step(self) -> Sequence[Loss]:
         """One tick. Returns the cells that were found lost in it; where that ends the run the plant then stays."""
         tick, start_ns, sense, plant = self.tick, self.time_ns, self._sense, self._plant
-        if self._faults is not None and tick >= self._faults.next_turn:
+        if self._faults is not None and tick >= self._faults.next_transition:
             self._turn(self._faults, tick)
             sense = self._sense
         died = self._schedule.get(tick, ()) if self._schedule else ()
         if died:
-            died = self._undriven.bury(died, self._drives)
+            died = self._undriven.mark_dead(died, self._drives)
         drives, losses = self._exchange(tick, start_ns, sense, died)
         if losses:
             if self._ended(losses):
                 return losses
-            self._undriven.bury([loss.cell for loss in losses], self._drives)
-        drives = self._undriven.instead(drives)
+            self._undriven.mark_dead([loss.cell for loss in losses], self._drives)
+        drives = self._undriven.override_drives(drives)
         until_ns = min(start_ns + self._tick_ns, self._duration_ns)
         before, wheel_speed = self._state, plant.wheel_speed
         self._sense, events = self._advance(tick, drives, until_ns)
@@ -315,12 +315,12 @@ class PlantProcess:
                 self.waiting = False
         picture = None
         if self._camera is not None:
-            picture = self._camera.look(tick, self._state, self._plant.there)
+            picture = self._camera.look(tick, self._state, self._plant.on_surface)
         self._host.publish(
             SenseFrame(tick, sense.presence, sense.encoder_m, sense.level, sense.label, picture)
         )
         if died:
-            self._host.retire(died, tick)
+            self._host.mark_dead(died, tick)
         self.report()
         self.waiting = True
         try:
@@ -338,14 +338,14 @@ class PlantProcess:
     def _dying(self) -> tuple[int, ...]:
         """Cells that die as the next tick begins."""
         dying = set(self._schedule.get(self.tick, ()))
-        if self._faults is not None and self.tick >= self._faults.next_turn:
-            dying.update(self._undriven.dying(self._faults.harm(self.tick)))
+        if self._faults is not None and self.tick >= self._faults.next_transition:
+            dying.update(self._undriven.about_to_die(self._faults.state_at(self.tick)))
         return tuple(sorted(dying))
 
-    def _turn(self, faults: ActiveFaults, tick: int) -> None:
+    def _turn(self, faults: FaultSchedule, tick: int) -> None:
         """Faults begin or end: put the plant in the state that they leave it in."""
-        if self._undriven.turn(faults.turn(tick), self._drives):
-            self._sense = self._plant.told
+        if self._undriven.on_transition(faults.at_transition(tick), self._drives):
+            self._sense = self._plant.last_readings
 
     @property
     def lost(self) -> NDArray[np.bool_]:

@@ -8,21 +8,21 @@ from typing import ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.array import CellArray
-from plant.factories import make_mover, with_legs
-from plant.monitors import Chronicle
+from plant.factories import make_mover, segmenting_solver
+from plant.monitors import EventLog
 from plant.observations import Event, Sense
-from plant.sampling import Reading
-from plant.solver_api import Advance, Leg, LegSolver, Outing, Solver
+from plant.sampling import SensorSampler
+from plant.solver_api import AdvanceResult, Segment, SegmentedCall, SegmentingSolver, Solver
 from plant.specs import PlantSpec
-from plant.wheels import Floats, WheelMotion, WheelRun, WheelsUnderWay
+from plant.wheels import Floats, WheelIntegrator, WheelMotion, WheelRun
 
 BESIDE_M = 1e-6
 """A cell this far outside the footprint may be under it to rounding."""
 
 
-def margins_m(states: Floats, radius_m: Floats, fastest_m_s: float, span_s: float) -> Floats:
+def reach_margins_m(states: Floats, radius_m: Floats, fastest_m_s: float, span_s: float) -> Floats:
     """How far beyond where its footprint is now a parcel's corners can be within a span, ``(m,)``.
 
     Traction only draws a parcel towards the wheels' speed. Its centre gains no more speed than its corners and the
@@ -56,7 +56,7 @@ def cells_near(array: CellArray, states: Floats, reach_m: Floats) -> NDArray[np.
     return near
 
 
-def ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span_s: float) -> list[float]:
+def segment_ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span_s: float) -> list[float]:
     """When the legs of a call end, s after its start, ascending; the last at ``span_s``.
 
     Args:
@@ -71,7 +71,7 @@ def ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span_s: floa
 
 
 @final
-class Moves:
+class Propagator:
     """Moves parcels on wheels.
 
     Args:
@@ -88,52 +88,54 @@ class Moves:
         contact: what moves those that touch; None where they don't.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("there", "live", "grip", "_freed", "_jammed", "contact")
+    remembers: ClassVar[StateFields] = StateFields(
+        "on_surface", "moving", "driven", "_freed", "_jammed", "contact"
+    )
 
     def __init__(
         self,
         spec: PlantSpec,
         array: CellArray,
         solver: Solver,
-        chronicle: Chronicle,
+        chronicle: EventLog,
         there: NDArray[np.int64],
     ) -> None:
-        self.there = there
-        self.live = there
-        self.grip: Floats = np.ones(len(array))
+        self.on_surface = there
+        self.moving = there
+        self.driven: Floats = np.ones(len(array))
         self._freed: NDArray[np.bool_] = np.zeros(len(array), dtype=np.bool_)
         self._jammed = self._freed
         self.contact = make_mover(spec, solver)
         self._array, self._solver, self._chronicle = array, solver, chronicle
-        self._legs = with_legs(spec, solver)
+        self._legs = segmenting_solver(spec, solver)
         self._radius_m: Floats = np.array([body.radius_m for body in solver.bodies])
         self._never_s: Floats = np.full(len(array), np.inf)
         self._none: Floats = np.zeros(0)
         self._nothing: Floats = np.zeros((0, len(solver.bodies), 6))
 
-    def let_go(self, cells: Sequence[int]) -> None:
+    def release(self, cells: Sequence[int]) -> None:
         """The wheels of these cells turn freely from now on, but for those that are jammed."""
         self._grip_again(cells, self._jammed, freed=True)
 
-    def take_hold(self, cells: Sequence[int]) -> None:
+    def engage(self, cells: Sequence[int]) -> None:
         """The wheels of these cells are driven from now on."""
         self._grip_again(cells, self._jammed, freed=False)
 
-    def jam(self, cells: NDArray[np.bool_]) -> None:
+    def lock(self, cells: NDArray[np.bool_]) -> None:
         """Both wheels of these cells ``(n,)`` are jammed from now on, and of no others."""
         self._grip_again((), cells, freed=False)
 
     def _grip_again(self, cells: Sequence[int], jammed: NDArray[np.bool_], *, freed: bool) -> None:
         self._freed, self._jammed = self._freed.copy(), jammed
         self._freed[list(cells)] = freed
-        self.grip = np.where(self._freed & ~jammed, 0.0, 1.0)
+        self.driven = np.where(self._freed & ~jammed, 0.0, 1.0)
 
-    def through(
+    def advance(
         self,
         run: WheelRun,
         span_s: float,
         start_s: float,
-        reading: Reading | None,
+        reading: SensorSampler | None,
         sense: Callable[[], Sense],
     ) -> list[Event]:
         """Move all parcels by a span.
@@ -145,98 +147,117 @@ class Moves:
             reading: what cells read on the way; None: none does.
             sense: what all cells would read now.
         """
-        whole = Leg(run.motion, self.grip, span_s, self._none, self._nothing)
+        whole = Segment(run.motion, self.driven, span_s, self._none, self._nothing)
         if reading is not None and not reading.any_inside:
             reading = None
         if run.changes is None and reading is None:
-            return self._go(whole, start_s)
+            return self._advance_segment(whole, start_s)
         if self._legs is not None:
-            return self._each_by_legs(self._legs, run, span_s, start_s, reading)
-        return self._by_legs(run, whole, start_s, reading, sense)
+            return self._each_segmented(self._legs, run, span_s, start_s, reading)
+        return self._segmented(run, whole, start_s, reading, sense)
 
-    def make_ready(self) -> None:
+    def warm_up(self) -> None:
         """Compile, or load, what divided calls need beyond others."""
-        if self._legs is None or not len(self.live):
+        if self._legs is None or not len(self.moving):
             return
         still: Floats = np.zeros((len(self._array), 2))
         seen = np.zeros((len(self._array), len(self._array.sensors_m)), dtype=np.bool_)
         none = np.zeros(len(self._radius_m))
         run = WheelRun(WheelMotion(still, still, 0.0))
-        self._legs.advance_legs(self.live[:1], Outing(run, self.grip, 0.0, self._never_s, none, seen))
+        self._legs.advance_segmented(
+            self.moving[:1], SegmentedCall(run, self.driven, 0.0, self._never_s, none, seen)
+        )
 
     def sampled(
         self, run: WheelRun, span_s: float, start_s: float, times_s: Floats, out: Floats
     ) -> list[Event]:
         """Move all parcels by a span; fill ``out`` ``(k, m, 6)`` with their states at ``times_s`` after its start."""
-        whole = Leg(run.motion, self.grip, span_s, times_s, out)
-        return self._go(whole, start_s) if run.changes is None else self._by_legs(run, whole, start_s)
+        whole = Segment(run.motion, self.driven, span_s, times_s, out)
+        return (
+            self._advance_segment(whole, start_s)
+            if run.changes is None
+            else self._segmented(run, whole, start_s)
+        )
 
-    def _each_by_legs(
-        self, solver: LegSolver, run: WheelRun, span_s: float, start_s: float, reading: Reading | None
+    def _each_segmented(
+        self,
+        solver: SegmentingSolver,
+        run: WheelRun,
+        span_s: float,
+        start_s: float,
+        reading: SensorSampler | None,
     ) -> list[Event]:
         """Move every parcel through legs of its own."""
         array = self._array
         seen = np.zeros((len(array), len(array.sensors_m)), dtype=np.bool_)
-        margin_m = margins_m(solver.state, self._radius_m, run.fastest_m_s, span_s) + array.sensor_reach_m
+        margin_m = (
+            reach_margins_m(solver.state, self._radius_m, run.fastest_m_s, span_s) + array.sensor_reach_m
+        )
         reads_s = self._never_s if reading is None else reading.instants_s
-        if len(self.live) < len(self.there):
+        if len(self.moving) < len(self.on_surface):
             # tipped ones stay where they are
-            solver.presence(np.setdiff1d(self.there, self.live), seen)
-        news = solver.advance_legs(self.live, Outing(run, self.grip, span_s, reads_s, margin_m, seen))
+            solver.presence(np.setdiff1d(self.on_surface, self.moving), seen)
+        news = solver.advance_segmented(
+            self.moving, SegmentedCall(run, self.driven, span_s, reads_s, margin_m, seen)
+        )
         if reading is not None:
-            reading.saw(seen)
-        return self._tell(news, start_s)
+            reading.set_presence(seen)
+        return self._to_events(news, start_s)
 
-    def _by_legs(
+    def _segmented(
         self,
         run: WheelRun,
-        whole: Leg,
+        whole: Segment,
         start_s: float,
-        reading: Reading | None = None,
+        reading: SensorSampler | None = None,
         sense: Callable[[], Sense] | None = None,
     ) -> list[Event]:
         """Move all parcels leg by leg: to the next instant at which a wheel near any changes, or a cell reads."""
-        states, radius_m, span_s = self._solver.state[self.there], self._radius_m[self.there], whole.span_s
-        reach_m = radius_m + margins_m(states, radius_m, run.fastest_m_s, span_s)
+        states, radius_m, span_s = (
+            self._solver.state[self.on_surface],
+            self._radius_m[self.on_surface],
+            whole.span_s,
+        )
+        reach_m = radius_m + reach_margins_m(states, radius_m, run.fastest_m_s, span_s)
         near = cells_near(self._array, states, reach_m)
         reads_s = self._never_s if reading is None else reading.instants_s
-        wheels, begin = WheelsUnderWay(run), 0.0
+        wheels, begin = WheelIntegrator(run), 0.0
         events: list[Event] = []
-        for end in ends_s(run, reads_s, near, span_s):
+        for end in segment_ends_s(run, reads_s, near, span_s):
             first, last = np.searchsorted(whole.times_s, [begin, end], side="right").tolist()
             times_s, out = whole.times_s[first:last] - begin, whole.out[first:last]
-            leg = Leg(wheels.begin(), self.grip, end - begin, times_s, out)
-            events += self._go(leg, start_s + begin)
+            leg = Segment(wheels.begin(), self.driven, end - begin, times_s, out)
+            events += self._advance_segment(leg, start_s + begin)
             if self._chronicle.halted is not None:
                 break
             wheels.end(leg.motion, end)
             if reading is not None and sense is not None:
-                reading.at(end, sense(), wheels.slowed_m)
+                reading.sample_at(end, sense(), wheels.slowed_m)
             begin = end
         return events
 
-    def _go(self, leg: Leg, start_s: float) -> list[Event]:
+    def _advance_segment(self, leg: Segment, start_s: float) -> list[Event]:
         """Move all parcels by a leg that begins at ``start_s``."""
-        live = self.live
+        live = self.moving
         if self.contact is None:
             news, events = self._solver.advance(live, leg), []
         else:
-            news = self.contact.advance(live, self._chronicle.tipped(self.there), leg, start_s)
+            news = self.contact.advance(live, self._chronicle.tipped(self.on_surface), leg, start_s)
             events = self.contact.events()
-        events += self._tell(news, start_s)
+        events += self._to_events(news, start_s)
         if len(leg.times_s):
             for done in news:
-                if done.ending == "tipped":
+                if done.termination == "tipped":
                     leg.out[leg.times_s > done.moved_s, done.parcel, 3:] = 0.0
-            over = np.setdiff1d(self.there, live)
+            over = np.setdiff1d(self.on_surface, live)
             leg.out[:, over] = self._solver.state[over]
         return events
 
-    def _tell(self, news: Sequence[Advance], start_s: float) -> list[Event]:
+    def _to_events(self, news: Sequence[AdvanceResult], start_s: float) -> list[Event]:
         """What happened in a move that began at ``start_s``; those that tipped move no more."""
         events: list[Event] = []
         for done in news:
             events.extend(self._chronicle.events(done, start_s))
-            if done.ending == "tipped":
-                self.live = self.live[self.live != done.parcel]
+            if done.termination == "tipped":
+                self.moving = self.moving[self.moving != done.parcel]
         return events

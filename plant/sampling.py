@@ -56,7 +56,7 @@ class Timing(NamedTuple):
 
 
 @final
-class Reading:
+class SensorSampler:
     """Collects what cells read; one that doesn't read keeps what it read last.
 
     Args:
@@ -87,11 +87,11 @@ class Reading:
         self._slowed_m: Floats | None = None
 
     @property
-    def asked_s(self) -> Floats | None:
+    def requested_s(self) -> Floats | None:
         """``(n,)`` ``instants_s``, the start for those that don't read on the way; None where none does."""
         return np.where(self._inside, self.instants_s, 0.0) if self.any_inside else None
 
-    def at(self, now_s: float, sense: Sense, slowed_m: Floats | None) -> None:
+    def sample_at(self, now_s: float, sense: Sense, slowed_m: Floats | None) -> None:
         """Let those read whose instant it is.
 
         Args:
@@ -106,11 +106,11 @@ class Reading:
                 self._slowed_m = np.zeros_like(slowed_m)
             self._slowed_m[now] = slowed_m[now]
 
-    def saw(self, presence: NDArray[np.bool_]) -> None:
+    def set_presence(self, presence: NDArray[np.bool_]) -> None:
         """Take what sensors ``(n, sensors)`` see, each cell's at its instant."""
         self._presence[self._inside] = presence[self._inside]
 
-    def turned(self, encoder_m: Floats | None) -> None:
+    def set_encoders(self, encoder_m: Floats | None) -> None:
         """Take what encoders ``(n, 2)`` show without loads, each cell's at its instant, and what loads take from it."""
         if self._encoder_m is not None and encoder_m is not None:
             if self._slowed_m is not None:

@@ -51,7 +51,7 @@ class SolverEvent(NamedTuple):
     cell: int
 
 
-class Advance(NamedTuple):
+class AdvanceResult(NamedTuple):
     """How one parcel came along.
 
     Attributes:
@@ -67,15 +67,15 @@ class Advance(NamedTuple):
 
     parcel: int
     moved_s: float
-    ending: Ending
+    termination: Ending
     edge: tuple[int, int]
-    culprit: int
+    last_cell: int
     changes: int
     events: Sequence[SolverEvent]
     left_out: int = 0
 
 
-class Leg(NamedTuple):
+class Segment(NamedTuple):
     """A stretch of time over which parcels are moved.
 
     Attributes:
@@ -93,12 +93,12 @@ class Leg(NamedTuple):
     out: Floats
 
     @classmethod
-    def through(cls, motion: WheelMotion, grip: Floats, span_s: float, parcels: int) -> Leg:
+    def through(cls, motion: WheelMotion, grip: Floats, span_s: float, parcels: int) -> Segment:
         """One on the way of which no states are asked for; ``parcels`` is m."""
         return cls(motion, grip, span_s, np.zeros(0), np.zeros((0, parcels, 6)))
 
 
-class Outing(NamedTuple):
+class SegmentedCall(NamedTuple):
     """A call on which wheels change, and cells read.
 
     Attributes:
@@ -118,7 +118,7 @@ class Outing(NamedTuple):
     presence: NDArray[np.bool_]
 
 
-class Kept(NamedTuple):
+class SolverSnapshot(NamedTuple):
     """What a solver knows of some parcels at an instant.
 
     Attributes:
@@ -159,11 +159,11 @@ class Solver(Protocol):
         """``(m,)`` parcels whose chatter was captured so far: their places are right to ``capture_m``."""
         ...
 
-    def under(self, index: int) -> NDArray[np.int64]:
+    def covered_cells(self, index: int) -> NDArray[np.int64]:
         """The cells under a parcel now, in no order, its boundary included."""
         ...
 
-    def stand(self, index: int, grip: Floats) -> bool:
+    def find_supports(self, index: int, grip: Floats) -> bool:
         """Whether the cells under a parcel can carry it where it is.
 
         Args:
@@ -172,7 +172,7 @@ class Solver(Protocol):
         """
         ...
 
-    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+    def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
         """Move parcels, changing their states; what becomes of one doesn't depend on which others are moved with it.
 
         Args:
@@ -185,7 +185,7 @@ class Solver(Protocol):
         """
         ...
 
-    def rebuilt(self, cells: NDArray[np.int64]) -> list[Advance]:
+    def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
         """Look anew at what lies under parcels: cells have come to the array, or gone from it.
 
         Args:
@@ -204,23 +204,23 @@ class Solver(Protocol):
 class Rewindable(Solver, Protocol):
     """A solver that can take parcels back to where they were, and elsewhere: for effects that act between parcels."""
 
-    def keep(self, indices: NDArray[np.int64]) -> Kept:
+    def snapshot(self, indices: NDArray[np.int64]) -> SolverSnapshot:
         """All that moving these parcels changes, to be able to go back."""
         ...
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: SolverSnapshot) -> None:
         """Go back to what was kept, bit for bit."""
         ...
 
-    def put(self, index: int, state: Floats) -> None:
+    def set_state(self, index: int, state: Floats) -> None:
         """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
         ...
 
 
-class LegSolver(Solver, Protocol):
+class SegmentingSolver(Solver, Protocol):
     """A solver that divides a call for each parcel by itself, where wheels near it change."""
 
-    def advance_legs(self, indices: NDArray[np.int64], outing: Outing) -> list[Advance]:
+    def advance_segmented(self, indices: NDArray[np.int64], outing: SegmentedCall) -> list[AdvanceResult]:
         """Move parcels as ``advance`` does, none hanging on which others are moved with it.
 
         Args:

@@ -23,7 +23,7 @@ def disagreements(
 ) -> Iterator[tuple[tuple[str, str], object, str]]:
     """What does not agree between the parts given: the path of a value, the value, and the rule that it breaks."""
     if solver is not None and effects is not None:
-        for name, effect in effects.asked():
+        for name, effect in effects.enabled():
             if effect.solvers is not None and solver.name not in effect.solvers:
                 yield (
                     ("solver", "name"),
@@ -31,7 +31,7 @@ def disagreements(
                     f"leaves out effects.{name}; use {' or '.join(effect.solvers)}",
                 )
     if effects is not None:
-        yield from effects.at_odds()
+        yield from effects.problems()
     if friction is None:
         return
     if solver is not None and solver.laws is not None and friction.law not in solver.laws:
@@ -44,12 +44,12 @@ def disagreements(
 
 def misplaced(array: ArraySpec, effects: PlantEffects) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
     """What effects say that does not fit the array: the path of a value, the value, and the broken rule."""
-    asked = list(effects.asked())
+    asked = list(effects.enabled())
     if not asked:
         return
     lattice = array.lattice()
     for name, effect in asked:
-        for path, value, rule in effect.misplaced(lattice, array.pitch_m):
+        for path, value, rule in effect.problems(lattice, array.pitch_m):
             yield ("effects", name, *path), value, rule
 
 

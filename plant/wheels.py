@@ -11,7 +11,7 @@ from typing import ClassVar, Literal, NamedTuple, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 
 Floats = NDArray[np.float64]
 LossPolicy = Literal["coast", "brake", "hold"]
@@ -37,7 +37,7 @@ class WheelMotion:
     slowing: Floats | None = None
 
 
-class Changes(NamedTuple):
+class WheelChanges(NamedTuple):
     """Wheels that go over to other motions on the way; c times at most, each at instants of its own.
 
     Attributes:
@@ -62,7 +62,7 @@ class WheelRun:
     """
 
     motion: WheelMotion
-    changes: Changes | None = None
+    changes: WheelChanges | None = None
 
     @cached_property
     def fastest_m_s(self) -> float:
@@ -84,7 +84,7 @@ class WheelRun:
             speed = np.where(on, steady + decay * left, speed)
         return speed
 
-    def way(self, after_s: Floats | float) -> Floats:
+    def travel(self, after_s: Floats | float) -> Floats:
         """``(..., n, 2)`` m of surface passed after so many seconds, ``(..., n)`` or one for all; where wheels lag."""
         motion, change = self.motion, self.changes
         asked: Floats = np.asarray(after_s)[..., None]
@@ -106,7 +106,7 @@ def _way(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
 
 
 @final
-class WheelsUnderWay:
+class WheelIntegrator:
     """The wheels of a run from one instant to the next: every leg of the way has a motion of its own.
 
     Args:
@@ -194,7 +194,7 @@ class Wheels(Protocol):
 class IdealWheels:
     """Wheels that run at the commanded surface speed at once; drives are m/s."""
 
-    remembers: ClassVar[Remembers] = Remembers("_speed")
+    remembers: ClassVar[StateFields] = StateFields("_speed")
 
     def __init__(self, cells: int) -> None:
         self._still: Floats = np.zeros((cells, 2))
@@ -209,7 +209,7 @@ class IdealWheels:
         if not late.any():
             return WheelRun(WheelMotion(drives, self._still, 0.0))
         after = np.where(late, acts_s[:, None], np.inf)
-        changes = Changes(after[None], drives[None], self._still[None])
+        changes = WheelChanges(after[None], drives[None], self._still[None])
         return WheelRun(WheelMotion(np.where(late, before, drives), self._still, 0.0), changes)
 
     def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> None:

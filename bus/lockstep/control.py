@@ -6,14 +6,14 @@ from typing import final
 
 from bus.errors import WireError
 from bus.lattice import Lattice
-from bus.lockstep.counters import Counts
-from bus.lockstep.shard_io import Company
-from bus.transports.base import Alive
+from bus.lockstep.counters import MessageCounters
+from bus.lockstep.shard_io import ParticipantMembership
+from bus.transports.base import LivelinessChange
 from bus.wire.frames import Control, decode_control
 
 
 @final
-class Told:
+class ControlState:
     """Takes in the plant's token and its control records: tells who takes part, and keeps what others ask for.
 
     Args:
@@ -33,7 +33,9 @@ class Told:
         unanswered: Cells (indices) that the shard reported as failed, until the plant has told that they are lost.
     """
 
-    def __init__(self, lattice: Lattice, company: Company, token: str, counts: Counts) -> None:
+    def __init__(
+        self, lattice: Lattice, company: ParticipantMembership, token: str, counts: MessageCounters
+    ) -> None:
         self._lattice = lattice
         self._company = company
         self._token = token
@@ -43,18 +45,18 @@ class Told:
         self.plant_seen = False
         self.plant_lost = False
         self.stop: Control | None = None
-        self.joining: list[Control] = []
-        self.joined: int | None = None
-        self.asked = -1
+        self.rejoins_offered: list[Control] = []
+        self.rejoin_tick: int | None = None
+        self.snapshot_tick = -1
         self.unanswered: set[int] = set()
 
-    def take_token(self, event: Alive) -> None:
+    def handle_token(self, event: LivelinessChange) -> None:
         """Takes note of a token that came or went; somebody else's is none of ours."""
         if event.key == self._token:
             self.plant_lost = self.plant_seen and not event.present
             self.plant_seen = self.plant_seen or event.present
 
-    def take(self, _: int, payload: bytes) -> None:
+    def handle(self, _: int, payload: bytes) -> None:
         """Takes in a control record.
 
         Raises:
@@ -66,7 +68,7 @@ class Told:
         cells = [self._lattice.index(cell) for cell in control.cells]
         match control.kind:
             case "keep":
-                self.asked = control.tick
+                self.snapshot_tick = control.tick
                 return  # no part of the lockstep, and not counted
             case "start":
                 if self.resumed:
@@ -77,17 +79,17 @@ class Told:
                 if not cells or self._company.owns(cells):
                     self._faults.append(control)
             case "joining":
-                self.joining.append(control)
-                self._company.expect(cells)
+                self.rejoins_offered.append(control)
+                self._company.allow_early(cells)
             case "joined":
                 if self._company.admit(cells, control.tick):
-                    self.joined = control.tick
+                    self.rejoin_tick = control.tick
             case "lost":
-                self._company.lose(cells, control.tick)
+                self._company.mark_lost(cells, control.tick)
                 self.unanswered.difference_update(cells)
         self._counts.delivered += 1
 
-    def take_faults(self) -> list[Control]:
+    def drain_faults(self) -> list[Control]:
         """Faults that have come since the last call."""
         if not self._faults:
             return []

@@ -9,20 +9,20 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from bus.errors import WokenError
-from bus.lockstep.counters import Counts, Loss
-from bus.lockstep.liveness import Roll
-from bus.lockstep.membership import Muster
-from bus.lockstep.receive import Collector, Dispatcher
-from bus.lockstep.registers import Seen, Shown, Wanted
-from bus.lockstep.reports import Reported
-from bus.lockstep.snapshots import Keeping, Together, decode_kept
+from bus.errors import WaitInterrupted
+from bus.lockstep.counters import Loss, MessageCounters
+from bus.lockstep.liveness import LivenessTracker
+from bus.lockstep.membership import CoordinatorMembership
+from bus.lockstep.receive import Dispatcher, FrameAssembler
+from bus.lockstep.registers import RegisterReceiver, RegisterRequest, RegisterSnapshot
+from bus.lockstep.reports import ReportReceiver
+from bus.lockstep.snapshots import GlobalSnapshot, SnapshotCollector, decode_snapshot
 from bus.partition import Partition
-from bus.sensors import Readings
+from bus.sensors import SensorSchema
 from bus.spec import StallSpec
-from bus.transports.base import Endpoint, Haste
-from bus.wire.format import HostForm, Wiring
-from bus.wire.formats import FORMS, FormName
+from bus.transports.base import Endpoint, Urgency
+from bus.wire.format import CoordinatorCodec, RunSchema
+from bus.wire.formats import FORMATS, WireFormat
 from bus.wire.frames import Control, DriveFrame, Mask, Report, SenseFrame, check_sense, encode_control
 from bus.wire.keys import plant_key, shard_key
 
@@ -36,7 +36,7 @@ _BEFORE: Final = -1
 
 
 @final
-class Host:
+class Coordinator:
     """Publishes what the cells sense, gathers what they drive, and waits for nobody who is gone.
 
     Blocking, one thread. It subscribes at once. The endpoint stays the caller's, to close later.
@@ -62,22 +62,22 @@ class Host:
         self,
         endpoint: Endpoint,
         partition: Partition,
-        form: FormName,
+        form: WireFormat,
         *,
         run: str,
-        readings: Readings,
+        readings: SensorSchema,
         message: np.dtype[Any] | None,
-        wanted: Sequence[Wanted] = (),
+        wanted: Sequence[RegisterRequest] = (),
         keeps: bool = False,
         stall: StallSpec | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._wiring = Wiring(run, partition, readings, message)
+        self._wiring = RunSchema(run, partition, readings, message)
         self._endpoint = endpoint
         self._stall = StallSpec() if stall is None else stall
         self._clock = clock
-        self._form: HostForm = FORMS[form].host(self._wiring)
-        self.counts = Counts()
+        self._form: CoordinatorCodec = FORMATS[form].coordinator(self._wiring)
+        self.counters = MessageCounters()
         self.unreported: list[int] = []
         self._tick = 0
         self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
@@ -85,40 +85,42 @@ class Host:
         self._state = endpoint.publisher(plant_key(run, "state"))
         self._state_asked: float | None = None
         self._state_wanted = False
-        self._roll = Roll(self._form, partition.lattice)
-        self._drives = Collector("drive", self._form.blank_drives, self._form.decode_drive, self.counts)
+        self._roll = LivenessTracker(self._form, partition.lattice)
+        self._drives = FrameAssembler(
+            "drive", self._form.blank_drives, self._form.decode_drive, self.counters
+        )
         self._drives.latest = _BEFORE  # nobody can know what to drive before it has sensed
-        self._inbox = Dispatcher(endpoint, self.counts, self._roll.take)
+        self._inbox = Dispatcher(endpoint, self.counters, self._roll.handle)
         for key, unit in self._form.drive_units.items():
-            self._inbox.routes[key] = (self._drives.take, unit)
+            self._inbox.routes[key] = (self._drives.handle, unit)
         endpoint.subscribe(self._form.drive_expr)
-        self._muster = Muster(
+        self._muster = CoordinatorMembership(
             partition,
             self._form,
             self._roll,
             self._drives,
-            self.counts,
+            self.counters,
             matched=lambda unit: self._sense[unit].matched(),
             tell=self.control,
         )
-        self._reported = Reported(partition, lambda: self._tick, self._muster.returns.linked)
-        self._hear("report", self._reported.take, "urgent")
-        self._seen = Seen(partition, wanted, self.counts, lambda: self._tick)
+        self._reported = ReportReceiver(partition, lambda: self._tick, self._muster.rejoins.on_ready)
+        self._subscribe_shards("report", self._reported.handle, "urgent")
+        self._seen = RegisterReceiver(partition, wanted, self.counters, lambda: self._tick)
         if wanted:
-            self._hear("registers", self._seen.take)
-        self._keeping: Keeping | None = None
+            self._subscribe_shards("registers", self._seen.handle)
+        self._keeping: SnapshotCollector | None = None
         if keeps:
-            self._hear("memory", self._take_kept)
+            self._subscribe_shards("memory", self._handle_snapshot)
         endpoint.watch_alive(self._form.alive_expr)
         endpoint.watch_alive(self._form.ready_expr)
         self._alive_key = plant_key(run, "alive")
         endpoint.declare_alive(self._alive_key)
 
-    def _hear(
+    def _subscribe_shards(
         self,
         leaf: Literal["report", "registers", "memory"],
         take: Callable[[int, bytes], None],
-        haste: Haste = "quiet",
+        haste: Urgency = "quiet",
     ) -> None:
         """Subscribes to what every shard sends on a key of its own."""
         run = self._wiring.run
@@ -142,7 +144,7 @@ class Host:
         deadline = self._clock() + limit
         waiting = list(range(len(self._sense)))
         while True:
-            everybody = self._roll.complete()
+            everybody = self._roll.all_ready()
             if everybody:
                 waiting = [unit for unit in waiting if not self._sense[unit].matched()]
                 if not waiting:
@@ -151,9 +153,9 @@ class Host:
             if left <= 0:
                 raise self._roll.missing(limit, waiting)
             # Tokens come as events, matches must be asked for: they come with the tokens.
-            self._inbox.read(min(left, _POLL_S) if everybody else left)
+            self._inbox.poll(min(left, _POLL_S) if everybody else left)
         start = Control("start", self._tick)
-        if _BEFORE in self._reported.counts:  # counted when the run began
+        if _BEFORE in self._reported.counters:  # counted when the run began
             self._control.put(encode_control(start))
         else:
             self.control(start)
@@ -165,11 +167,11 @@ class Host:
             timeout_s: Wall seconds to wait for news first.
         """
         # Whoever wakes us wants what is happening already.
-        with contextlib.suppress(WokenError):
-            self._inbox.read(timeout_s)
+        with contextlib.suppress(WaitInterrupted):
+            self._inbox.poll(timeout_s)
         return self._roll.absent(self._wiring.partition.shard_of)
 
-    def resume(self, tick: int, dead: Sequence[int], counts: Counts) -> None:
+    def resume(self, tick: int, dead: Sequence[int], counts: MessageCounters) -> None:
         """Goes on at ``tick`` where another side of the same run was; before the barrier.
 
         Args:
@@ -178,10 +180,10 @@ class Host:
             counts: Of all sides by then.
         """
         self._tick = tick
-        self._drives.begin(tick)
+        self._drives.start_at(tick)
         if dead:
-            self.retire(dead, 0)
-        self._reported.counts[_BEFORE] = counts
+            self.mark_dead(dead, 0)
+        self._reported.counters[_BEFORE] = counts
 
     # --- a tick ---------------------------------------------------------------------------------
 
@@ -193,11 +195,11 @@ class Host:
         """
         check_sense(frame, self._wiring.readings, len(self._wiring.partition.lattice))
         puts = list(zip(self._sense, self._form.sense_payloads(frame), strict=True))
-        if not self._muster.all:
-            puts = [put for put, until in zip(puts, self._drives.until, strict=True) if until > frame.tick]
+        if not self._muster.unchanged:
+            puts = [put for put, until in zip(puts, self._drives.end_tick, strict=True) if until > frame.tick]
         self._drives.latest = frame.tick
         self._endpoint.put_all(puts)
-        self.counts.sent += len(puts)
+        self.counters.sent += len(puts)
 
     def gather(self, tick: int) -> tuple[DriveFrame, list[Loss]]:
         """Waits until every live cell's drive for ``tick`` is there, or its cell is given up.
@@ -217,28 +219,28 @@ class Host:
         """
         self._tick = tick
         slot = self._drives.slot(tick)
-        read, clock = self._inbox.read, self._clock
+        read, clock = self._inbox.poll, self._clock
         deadline = clock() + self._stall.deadline_s
         latest = deadline + _PATIENCE * self._stall.deadline_s
         while True:
-            if self._roll.gone or self._reported.failed:
-                self._muster.lose_failed(tick, self._reported.take_failed())
-                self._muster.lose_gone(tick, slot.have)
+            if self._roll.unhandled_departures or self._reported.failed:
+                self._muster.drop_failed(tick, self._reported.drain_failed())
+                self._muster.drop_disconnected(tick, slot.have)
             if slot.missing <= 0:
                 break
             if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
-                self._muster.lose_silent(tick, self._reported.take_busy(tick) if clock() < latest else ())
+                self._muster.drop_timed_out(tick, self._reported.drain_busy(tick) if clock() < latest else ())
                 deadline = min(clock() + self._stall.deadline_s, latest)
         drive = self._form.join_drives(self._drives.close(tick).values)
-        if not self._muster.all:
+        if not self._muster.unchanged:
             drive[~self._muster.live(tick)] = 0.0
-        return DriveFrame(tick, drive), self._muster.take_losses()
+        return DriveFrame(tick, drive), self._muster.drain_losses()
 
     # --- who takes part -------------------------------------------------------------------------
 
-    def retire(self, cells: Iterable[int], tick: int) -> None:
+    def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Stops waiting for ``cells`` (indices) from ``tick`` on: a scheduled death, which is no loss."""
-        self._muster.retire(cells, tick)
+        self._muster.mark_dead(cells, tick)
 
     def live(self, tick: int) -> Mask:
         """``(n,)``: the cells that take part in ``tick``."""
@@ -257,47 +259,47 @@ class Host:
 
     # --- what shards remember and show ----------------------------------------------------------
 
-    def ask(self, tick: int) -> None:
+    def request_snapshot(self, tick: int) -> None:
         """Asks the shards what they remember before ``tick``; before ``publish`` of the one before."""
         self._control.put(encode_control(Control("keep", tick)))
-        self._keeping = Keeping(tick, self._muster.shards(tick - 1))
+        self._keeping = SnapshotCollector(tick, self._muster.shards(tick - 1))
 
-    def note(self) -> None:
+    def record_counters(self) -> None:
         """Notes, with ``tick`` about to begin for which was asked, what this side has counted."""
         assert self._keeping is not None
-        self._keeping.note(self.counts)
+        self._keeping.record_counters(self.counters)
 
-    def take_kept(self) -> Together | None:
+    def poll_snapshot(self) -> GlobalSnapshot | None:
         """What all sides remember, once everybody asked has answered."""
-        together = None if self._keeping is None else self._keeping.together(self._reported.counts)
+        together = None if self._keeping is None else self._keeping.combined(self._reported.counters)
         if together is not None:
             self._keeping = None
         return together
 
-    def give_up(self) -> list[int]:
+    def cancel_snapshot(self) -> list[int]:
         """Waits no longer for what shards remember; returns those that have not answered."""
         keeping, self._keeping = self._keeping, None
         return [] if keeping is None else keeping.missing
 
-    def _take_kept(self, shard: int, payload: bytes) -> None:
-        kept = decode_kept(payload, len(self._wiring.partition.cells(shard)))
+    def _handle_snapshot(self, shard: int, payload: bytes) -> None:
+        kept = decode_snapshot(payload, len(self._wiring.partition.cells(shard)))
         if self._keeping is not None:  # else it comes too late
-            self._keeping.take(shard, kept)
+            self._keeping.handle(shard, kept)
 
-    def take_hung(self) -> list[Report]:
+    def drain_hung(self) -> list[Report]:
         """Programs that have hung since the last call, and why; their cells still take part."""
-        return self._reported.take_hung()
+        return self._reported.drain_hung()
 
-    def take_registers(self) -> list[Shown]:
+    def drain_registers(self) -> list[RegisterSnapshot]:
         """What cells have shown of themselves since the last call; a tick's is there when its drives are."""
-        return self._seen.take_all()
+        return self._seen.drain()
 
     # --- to all ---------------------------------------------------------------------------------
 
     def control(self, record: Control) -> None:
         """Sends a control record to everybody."""
         self._control.put(encode_control(record))
-        self.counts.sent += len(self._muster.shards(self._tick))
+        self.counters.sent += len(self._muster.shards(self._tick))
 
     def publish_state(self, payload: bytes) -> None:
         """Puts ``payload`` on the plant's state key while somebody listens; asked about twice a second."""
@@ -308,7 +310,7 @@ class Host:
         if self._state_wanted:
             self._state.put(payload)
 
-    def stop(self, detail: str = "", deadline_s: float = 2.0) -> Counts:
+    def stop(self, detail: str = "", deadline_s: float = 2.0) -> MessageCounters:
         """Tells the cells to stop, waits for their counts, takes the plant's token back, and waits for theirs to go.
 
         A cell keeps its session open until the plant's token has gone: what is queued in a session that closes is lost.
@@ -321,7 +323,7 @@ class Host:
             The counts of all sides: this one's, and those that the shards reported as they left.
         """
         self.control(Control("stop", self._tick, (), detail))
-        counts = self._reported.counts
+        counts = self._reported.counters
         shards = self._muster.shards(self._tick)
         deadline = self._clock() + deadline_s
         self._read_until(lambda: counts.keys() >= set(shards), deadline)
@@ -329,13 +331,13 @@ class Host:
         self._read_until(lambda: not self._roll.alive, deadline)
         cells = self._wiring.partition.cells
         self.unreported = sorted(i for s in shards if s not in counts for i in cells(s).tolist())
-        return sum(counts.values(), self.counts)
+        return sum(counts.values(), self.counters)
 
     def _read_until(self, done: Callable[[], bool], deadline: float) -> None:
         while not done() and (left := deadline - self._clock()) > 0:
             # Whoever wakes us wants what is happening already.
-            with contextlib.suppress(WokenError):
-                self._inbox.read(left)
+            with contextlib.suppress(WaitInterrupted):
+                self._inbox.poll(left)
 
     def close(self) -> None:
         """Takes the plant's token back; members take that for its end."""

@@ -18,7 +18,7 @@ Reason = Literal["token lost", "stalled", "failed"]
 
 @final
 @dataclass(slots=True)
-class Counts:
+class MessageCounters:
     """Payloads of one side of a run, or of all sides together.
 
     Attributes:
@@ -35,7 +35,7 @@ class Counts:
     lost: int = 0
     late: int = 0
     refused: Counter[tuple[str, str]] = field(default_factory=Counter[tuple[str, str]])
-    tally: Counter[str] = field(default_factory=Counter[str])
+    cell_counters: Counter[str] = field(default_factory=Counter[str])
 
     @property
     def malformed(self) -> Counter[str]:
@@ -49,14 +49,16 @@ class Counts:
         """Counts a payload that couldn't be read."""
         self.refused[whose, error.name] += 1
 
-    def tallied(self, tally: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
+    def to_report(self, tally: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
         """What a report's tally says: what the cells counted, and what was refused as far as there is room."""
         refused = [(f"{_REFUSED}{whose}: {name}", number) for (whose, name), number in self.refused.items()]
         fitting = [pair for pair in refused if len(pair[0]) <= TALLY_LIMIT]
         return (*tally.items(), *fitting)[:TALLY_LIMIT]
 
     @classmethod
-    def reported(cls, counts: tuple[int, int, int, int], tally: Iterable[tuple[str, int]]) -> Counts:
+    def from_report(
+        cls, counts: tuple[int, int, int, int], tally: Iterable[tuple[str, int]]
+    ) -> MessageCounters:
         """From a report: the other way round."""
         own, refused = Counter[str](), Counter[tuple[str, str]]()
         for name, number in tally:
@@ -65,20 +67,20 @@ class Counts:
                 refused[whose, error] += number
             else:
                 own[name] += number
-        return cls(*counts, refused=refused, tally=own)
+        return cls(*counts, refused=refused, cell_counters=own)
 
-    def __add__(self, other: Counts) -> Counts:
-        return Counts(
+    def __add__(self, other: MessageCounters) -> MessageCounters:
+        return MessageCounters(
             self.sent + other.sent,
             self.delivered + other.delivered,
             self.lost + other.lost,
             self.late + other.late,
             self.refused + other.refused,
-            _together(self.tally, other.tally),
+            _summed(self.cell_counters, other.cell_counters),
         )
 
 
-def _together(one: Counter[str], other: Counter[str]) -> Counter[str]:
+def _summed(one: Counter[str], other: Counter[str]) -> Counter[str]:
     """The sums, zeros included, which ``+`` leaves out."""
     total = one.copy()
     total.update(other)

@@ -7,13 +7,13 @@ from typing import final
 
 import numpy as np
 
-from bus.lattice import NEVER
+from bus.lattice import NO_TICK_LIMIT
 from bus.partition import Index
 from bus.wire.msgpack_codec import Mask
 
 
 @final
-class Lives:
+class Membership:
     """For each cell, the ticks in which it takes part: from one on, until another.
 
     Args:
@@ -26,39 +26,40 @@ class Lives:
     """
 
     def __init__(self, cells: int) -> None:
-        self.since: Index = np.zeros(cells, dtype=np.int64)
-        self.until: Index = np.full(cells, NEVER, dtype=np.int64)
-        self._planned: Index = self.until.copy()
-        self.all = True
+        self.first_tick: Index = np.zeros(cells, dtype=np.int64)
+        self.end_tick: Index = np.full(cells, NO_TICK_LIMIT, dtype=np.int64)
+        self._planned: Index = self.end_tick.copy()
+        self.unchanged = True
 
-    def plan(self, cells: Iterable[int], tick: int) -> None:
+    def schedule_death(self, cells: Iterable[int], tick: int) -> None:
         """``cells`` (indices) will be gone from ``tick`` on, whatever happens to them before."""
         index = np.fromiter(cells, dtype=np.int64)
         self._planned[index] = np.minimum(self._planned[index], tick)
-        self.retire(index.tolist(), tick)
+        self.mark_dead(index.tolist(), tick)
 
-    def retire(self, cells: Iterable[int], tick: int) -> None:
+    def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """``cells`` (indices) are gone from ``tick`` on, or earlier if they were to go earlier."""
         index = np.fromiter(cells, dtype=np.int64)
-        self.until[index] = np.minimum(self.until[index], tick)
-        self.all = False
+        self.end_tick[index] = np.minimum(self.end_tick[index], tick)
+        self.unchanged = False
 
     def admit(self, cells: Iterable[int], tick: int) -> None:
         """``cells`` (indices), which are gone, take part again from ``tick`` on."""
         index = np.fromiter(cells, dtype=np.int64)
-        self.since[index] = tick
-        self.until[index] = self._planned[index]
+        self.first_tick[index] = tick
+        self.end_tick[index] = self._planned[index]
 
     def live(self, tick: int) -> Mask:
         """``(n,)``: the cells that take part in ``tick``."""
-        return (self.since <= tick) & (tick < self.until)
+        return (self.first_tick <= tick) & (tick < self.end_tick)
 
-    def last(self, groups: Iterable[Index]) -> list[int]:
+    def end_by_group(self, groups: Iterable[Index]) -> list[int]:
         """For each group of cells, the tick from which all of them are gone."""
-        return [int(self.until[cells].max()) for cells in groups]
+        return [int(self.end_tick[cells].max()) for cells in groups]
 
-    def first(self, groups: Iterable[Index]) -> list[int]:
+    def start_by_group(self, groups: Iterable[Index]) -> list[int]:
         """For each group, the tick from which the first takes part of those that stay longest."""
         return [
-            int(self.since[cells][self.until[cells] == self.until[cells].max()].min()) for cells in groups
+            int(self.first_tick[cells][self.end_tick[cells] == self.end_tick[cells].max()].min())
+            for cells in groups
         ]

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from bus.errors import BarrierError
 from bus.lattice import Lattice
-from bus.transports.base import Alive
-from bus.wire.format import HostForm
+from bus.transports.base import LivelinessChange
+from bus.wire.format import CoordinatorCodec
 
 _NAMED = 12
 """Cells that a message names before it only counts them."""
 
 
 @final
-class Roll:
+class LivenessTracker:
     """Keeps the tokens of every unit of a form.
 
     Attributes:
@@ -29,42 +29,42 @@ class Roll:
         gone: Of these, the ones that nobody has dealt with yet.
     """
 
-    def __init__(self, form: HostForm, lattice: Lattice) -> None:
+    def __init__(self, form: CoordinatorCodec, lattice: Lattice) -> None:
         self._form = form
         self._lattice = lattice
         self.alive: set[int] = set()
         self.ready: set[int] = set()
-        self.left: set[int] = set()
-        self.gone: set[int] = set()
+        self.ever_left: set[int] = set()
+        self.unhandled_departures: set[int] = set()
 
-    def complete(self) -> bool:
+    def all_ready(self) -> bool:
         """Whether every unit is ready."""
         return len(self.ready) == len(self._form.unit_cells)
 
     def absent(self, shard_of: NDArray[np.int64]) -> set[int]:
         """Shards with a unit whose token has never stood; ``shard_of``: ``(n,)``, the shard of every cell."""
-        seen = self.alive | self.left
+        seen = self.alive | self.ever_left
         units = enumerate(self._form.unit_cells)
         return {int(shard_of[int(i)]) for unit, cells in units if unit not in seen for i in cells}
 
-    def take(self, event: Alive) -> None:
+    def handle(self, event: LivelinessChange) -> None:
         """Takes note of a token that came or went; other tokens than the form's are none of ours."""
         if (unit := self._form.alive_units.get(event.key)) is not None:
             if event.present:
                 self.alive.add(unit)
-                self.gone.discard(unit)
+                self.unhandled_departures.discard(unit)
             else:
                 self.alive.discard(unit)
-                self.left.add(unit)
-                self.gone.add(unit)
+                self.ever_left.add(unit)
+                self.unhandled_departures.add(unit)
         elif (unit := self._form.ready_units.get(event.key)) is not None:
             (self.ready.add if event.present else self.ready.discard)(unit)
 
     def missing(self, waited_s: float, unheard: Sequence[int]) -> BarrierError:
         """The error that names who is missing; ``unheard``: units to which nothing can be sent yet."""
         units = range(len(self._form.unit_cells))
-        never = [u for u in units if u not in self.alive and u not in self.left]
-        left = [u for u in units if u not in self.alive and u in self.left]
+        never = [u for u in units if u not in self.alive and u not in self.ever_left]
+        left = [u for u in units if u not in self.alive and u in self.ever_left]
         unready = [u for u in units if u in self.alive and u not in self.ready]
         deaf: Sequence[int] = () if never or left or unready else unheard
         parts = [
@@ -95,7 +95,7 @@ class Roll:
 
 @final
 @dataclass(slots=True)
-class Absence:
+class PendingRejoin:
     """A shard that went.
 
     Attributes:
@@ -105,12 +105,12 @@ class Absence:
     """
 
     cells: list[int]
-    asked: bool = False
+    prepared: bool = False
     linked: set[int] = field(default_factory=set[int])
 
 
 @final
-class Returns:
+class RejoinTracker:
     """Keeps the shards that went, and says which of them can take part again.
 
     Args:
@@ -119,39 +119,41 @@ class Returns:
         matched: Whether a unit can be sent to.
     """
 
-    def __init__(self, roll: Roll, units: Sequence[Sequence[int]], matched: Callable[[int], bool]) -> None:
+    def __init__(
+        self, roll: LivenessTracker, units: Sequence[Sequence[int]], matched: Callable[[int], bool]
+    ) -> None:
         self._roll = roll
         self._units = units
         self._matched = matched
-        self._absent: dict[int, Absence] = {}
+        self._absent: dict[int, PendingRejoin] = {}
 
-    def left(self, shard: int, cells: Iterable[int]) -> None:
+    def on_left(self, shard: int, cells: Iterable[int]) -> None:
         """Cells of a shard went, as their process did."""
-        self._absent.setdefault(shard, Absence([])).cells.extend(cells)
+        self._absent.setdefault(shard, PendingRejoin([])).cells.extend(cells)
 
-    def linked(self, shard: int, cells: Iterable[int]) -> None:
+    def on_ready(self, shard: int, cells: Iterable[int]) -> None:
         """A shard can send to ``cells`` again."""
         wanted = set(cells)
         for absence in self._absent.values():
             if wanted.issuperset(absence.cells):
                 absence.linked.add(shard)
 
-    def to_ask(self) -> list[Absence]:
+    def to_prepare(self) -> list[PendingRejoin]:
         """Those that are back, and of whom nobody has been asked yet."""
-        found: list[Absence] = []
+        found: list[PendingRejoin] = []
         for shard, absence in self._absent.items():
             if not self._back(shard):
-                absence.asked = False  # one that went again is asked about again
+                absence.prepared = False  # one that went again is asked about again
                 absence.linked.clear()
-            elif not absence.asked:
-                absence.asked = True
+            elif not absence.prepared:
+                absence.prepared = True
                 found.append(absence)
         return found
 
-    def back(self, others: Iterable[int]) -> list[int]:
+    def ready_to_commit(self, others: Iterable[int]) -> list[int]:
         """Cells that take part again from now on, to whom all ``others`` (shards that live) can send."""
         wanted = set(others)
-        ready = [s for s, absence in self._absent.items() if absence.asked and absence.linked >= wanted]
+        ready = [s for s, absence in self._absent.items() if absence.prepared and absence.linked >= wanted]
         return sorted(cell for shard in ready for cell in self._absent.pop(shard).cells)
 
     def __bool__(self) -> bool:
@@ -160,5 +162,5 @@ class Returns:
     def _back(self, shard: int) -> bool:
         """Whether all of a shard's units went, came again, are ready, and can be sent to."""
         roll, units = self._roll, self._units[shard]
-        here = roll.left & roll.alive & roll.ready
+        here = roll.ever_left & roll.alive & roll.ready
         return here.issuperset(units) and all(self._matched(unit) for unit in units)

@@ -7,17 +7,17 @@ from typing import final
 
 import numpy as np
 
-from bus.lockstep.counters import Counts, Loss, Reason
-from bus.lockstep.intervals import Lives
-from bus.lockstep.liveness import Returns, Roll
-from bus.lockstep.receive import Collector
+from bus.lockstep.counters import Loss, MessageCounters, Reason
+from bus.lockstep.intervals import Membership
+from bus.lockstep.liveness import LivenessTracker, RejoinTracker
+from bus.lockstep.receive import FrameAssembler
 from bus.partition import Partition
-from bus.wire.format import HostForm
+from bus.wire.format import CoordinatorCodec
 from bus.wire.frames import Control, Mask
 
 
 @final
-class Muster:
+class CoordinatorMembership:
     """Keeps the plant's books of the living, and tells the others of who goes and who comes back.
 
     Args:
@@ -36,10 +36,10 @@ class Muster:
     def __init__(
         self,
         partition: Partition,
-        form: HostForm,
-        roll: Roll,
-        drives: Collector,
-        counts: Counts,
+        form: CoordinatorCodec,
+        roll: LivenessTracker,
+        drives: FrameAssembler,
+        counts: MessageCounters,
         *,
         matched: Callable[[int], bool],
         tell: Callable[[Control], None],
@@ -51,16 +51,16 @@ class Muster:
         self._drives = drives
         self._counts = counts
         self._tell = tell
-        self._lives = Lives(len(partition.lattice))
+        self._lives = Membership(len(partition.lattice))
         self._losses: list[Loss] = []
         shards = self._unit_shards = [int(partition.shard_of[cells[0]]) for cells in form.unit_cells]
         units = [[u for u, own in enumerate(shards) if own == s] for s in range(partition.count)]
-        self.returns = Returns(roll, units, matched)
+        self.rejoins = RejoinTracker(roll, units, matched)
 
     @property
-    def all(self) -> bool:
+    def unchanged(self) -> bool:
         """Whether no cell was ever retired: nobody need look who lives."""
-        return self._lives.all
+        return self._lives.unchanged
 
     def live(self, tick: int) -> Mask:
         """``(n,)``: the cells that take part in ``tick``."""
@@ -70,46 +70,46 @@ class Muster:
         """Shards of which any cell takes part in ``tick``."""
         return np.unique(self._shard_of[self._lives.live(tick)]).tolist()
 
-    def retire(self, cells: Iterable[int], tick: int) -> None:
+    def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """``cells`` (indices) are gone from ``tick`` on."""
-        self._lives.retire(cells, tick)
-        self._drives.bury(self._lives.last(self._unit_cells))
+        self._lives.mark_dead(cells, tick)
+        self._drives.update_membership(self._lives.end_by_group(self._unit_cells))
 
     # --- who goes -------------------------------------------------------------------------------
 
-    def lose_failed(self, tick: int, failed: Iterable[tuple[str, Sequence[int]]]) -> None:
+    def drop_failed(self, tick: int, failed: Iterable[tuple[str, Sequence[int]]]) -> None:
         """Gives up, at ``tick``, cells whose process said that they failed, and why."""
         for detail, cells in failed:
-            self._lose(cells, tick, "failed", detail)
+            self._drop(cells, tick, "failed", detail)
 
-    def lose_gone(self, tick: int, have: bytearray) -> None:
+    def drop_disconnected(self, tick: int, have: bytearray) -> None:
         """Gives up units whose token went and who had not driven ``tick``; ``have`` says who had."""
         # A unit whose drive came before its token went is lost at the next tick.
-        gone = [unit for unit in self._roll.gone if not have[unit]]
-        self._roll.gone.difference_update(gone)
-        self._lose_units([unit for unit in gone if self._drives.until[unit] > tick], tick, "token lost")
+        gone = [unit for unit in self._roll.unhandled_departures if not have[unit]]
+        self._roll.unhandled_departures.difference_update(gone)
+        self._drop_units([unit for unit in gone if self._drives.end_tick[unit] > tick], tick, "token lost")
 
-    def lose_silent(self, tick: int, busy: Collection[int] = ()) -> None:
+    def drop_timed_out(self, tick: int, busy: Collection[int] = ()) -> None:
         """Gives up units whose drive for ``tick`` has not come, but for those of the shards that are ``busy``."""
         missing = self._drives.missing(tick)
-        self._lose_units([u for u in missing if self._unit_shards[u] not in busy], tick, "stalled")
+        self._drop_units([u for u in missing if self._unit_shards[u] not in busy], tick, "stalled")
 
-    def take_losses(self) -> list[Loss]:
+    def drain_losses(self) -> list[Loss]:
         """Who was lost since the last call, ascending."""
         losses, self._losses = self._losses, []
         return sorted(losses, key=lambda loss: loss.cell)
 
-    def _lose_units(self, units: list[int], tick: int, reason: Reason) -> None:
+    def _drop_units(self, units: list[int], tick: int, reason: Reason) -> None:
         self._counts.lost += len(units)
         before = len(self._losses)
-        self._lose([int(i) for unit in units for i in self._unit_cells[unit]], tick, reason)
+        self._drop([int(i) for unit in units for i in self._unit_cells[unit]], tick, reason)
         for loss in self._losses[before:]:
-            self.returns.left(int(self._shard_of[loss.cell]), (loss.cell,))
+            self.rejoins.on_left(int(self._shard_of[loss.cell]), (loss.cell,))
 
-    def _lose(self, cells: Iterable[int], tick: int, reason: Reason, detail: str = "") -> None:
-        lost = sorted(i for i in cells if self._lives.until[i] > tick)
+    def _drop(self, cells: Iterable[int], tick: int, reason: Reason, detail: str = "") -> None:
+        lost = sorted(i for i in cells if self._lives.end_tick[i] > tick)
         if lost:
-            self.retire(lost, tick)
+            self.mark_dead(lost, tick)
             names = tuple(self._lattice.cells[i] for i in lost)
             self._tell(Control("lost", tick, names, detail or reason))
             self._losses += [Loss(i, tick, reason, detail) for i in lost]
@@ -125,15 +125,17 @@ class Muster:
         Returns:
             Their indices, ascending: they are waited for from ``tick`` on. All others have been told.
         """
-        if not self.returns:
+        if not self.rejoins:
             return []
         names = self._lattice.cells
-        for absence in self.returns.to_ask():
+        for absence in self.rejoins.to_prepare():
             self._tell(Control("joining", tick, tuple(names[i] for i in absence.cells)))
-        cells = self.returns.back(self.shards(tick))
+        cells = self.rejoins.ready_to_commit(self.shards(tick))
         if cells:
             self._lives.admit(cells, tick)
-            self._drives.admit(self._lives.first(self._unit_cells), self._lives.last(self._unit_cells))
+            self._drives.admit(
+                self._lives.start_by_group(self._unit_cells), self._lives.end_by_group(self._unit_cells)
+            )
             # whoever is new knows nobody who went before
             gone = tuple(names[i] for i in np.flatnonzero(~self._lives.live(tick)).tolist())
             self._tell(Control("lost", 0, gone))

@@ -9,21 +9,21 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from bus.errors import BarrierError, HostLostError, WokenError
-from bus.lockstep.control import Told
-from bus.lockstep.counters import Counts
-from bus.lockstep.intervals import Lives
+from bus.errors import BarrierError, CoordinatorLostError, WaitInterrupted
+from bus.lockstep.control import ControlState
+from bus.lockstep.counters import MessageCounters
+from bus.lockstep.intervals import Membership
 from bus.lockstep.receive import Dispatcher
-from bus.lockstep.registers import Own, Showing, Wanted
-from bus.lockstep.reports import Reports
-from bus.lockstep.shard_io import Company, Gathered, Incoming, Outgoing
-from bus.lockstep.snapshots import Remembering
+from bus.lockstep.registers import Own, RegisterPublisher, RegisterRequest
+from bus.lockstep.reports import ReportPublisher
+from bus.lockstep.shard_io import InboundFrames, OutboundFrames, ParticipantMembership, TickInputs
+from bus.lockstep.snapshots import SnapshotPublisher
 from bus.partition import Partition
-from bus.sensors import Readings
+from bus.sensors import SensorSchema
 from bus.spec import StallSpec
 from bus.transports.base import Endpoint
-from bus.wire.format import MemberForm, Wiring
-from bus.wire.formats import FORMS, FormName
+from bus.wire.format import ParticipantCodec, RunSchema
+from bus.wire.formats import FORMATS, WireFormat
 from bus.wire.frames import Control, DriveFrame, LinkFrame, Mask
 from bus.wire.keys import plant_key, shard_key
 
@@ -37,7 +37,7 @@ _LEAVE_S: Final = 5.0
 
 
 @final
-class Member:
+class Participant:
     """Gathers what a shard's cells sense and hear, and publishes what they drive and say.
 
     Blocking; one thread at a time, but ``publish`` may be called from another while ``gather`` waits for the tick
@@ -69,48 +69,54 @@ class Member:
         endpoint: Endpoint,
         partition: Partition,
         shard: int,
-        form: FormName,
+        form: WireFormat,
         *,
         run: str,
-        readings: Readings,
+        readings: SensorSchema,
         message: np.dtype[Any] | None,
         stall: StallSpec | None = None,
         silence_s: float | None = None,
-        wanted: Sequence[Wanted] = (),
+        wanted: Sequence[RegisterRequest] = (),
         tally: Callable[[], Mapping[str, int]] = dict[str, int],
         keeps: bool = False,
         joins: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        wiring = Wiring(run, partition, readings, message)
+        wiring = RunSchema(run, partition, readings, message)
         self._endpoint = endpoint
         self._lattice = partition.lattice
         self._shard = shard
         self._stall = StallSpec() if stall is None else stall
         self._silence_s = silence_s
         self._clock = clock
-        self._form: MemberForm = FORMS[form].member(wiring, shard)
-        self.counts = Counts()
+        self._form: ParticipantCodec = FORMATS[form].participant(wiring, shard)
+        self.counters = MessageCounters()
         self._tick = 0
         self._answer_until = 0.0
         self._declared: list[str] = []
-        lives = Lives(len(partition.lattice))
-        self._incoming = Incoming(wiring, shard, self._form, lives, self.counts)
-        self._outgoing = Outgoing(endpoint, wiring, shard, self._form, lives)
-        self._company = Company(partition.cells(shard), lives, self._incoming, self._outgoing, self.counts)
+        lives = Membership(len(partition.lattice))
+        self._incoming = InboundFrames(wiring, shard, self._form, lives, self.counters)
+        self._outgoing = OutboundFrames(endpoint, wiring, shard, self._form, lives)
+        self._company = ParticipantMembership(
+            partition.cells(shard), lives, self._incoming, self._outgoing, self.counters
+        )
         if joins:
-            self._incoming.await_first()
+            self._incoming.accept_any_tick()
         token, control = plant_key(run, "alive"), plant_key(run, "control")
-        self._told = Told(partition.lattice, self._company, token, self.counts)
-        self._inbox = Dispatcher(endpoint, self.counts, self._told.take_token)
-        self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._told.take, 0)}
+        self._told = ControlState(partition.lattice, self._company, token, self.counters)
+        self._inbox = Dispatcher(endpoint, self.counters, self._told.handle_token)
+        self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._told.handle, 0)}
         endpoint.subscribe(control, "urgent")
-        self._reports = Reports(endpoint.publisher(shard_key(run, shard, "report")), self.counts, tally)
+        self._reports = ReportPublisher(
+            endpoint.publisher(shard_key(run, shard, "report")), self.counters, tally
+        )
         registers = endpoint.publisher(shard_key(run, shard, "registers"))
-        self._showing = Showing(registers, wanted, self.counts, clock)
-        self._remembering: Remembering | None = None
+        self._showing = RegisterPublisher(registers, wanted, self.counters, clock)
+        self._remembering: SnapshotPublisher | None = None
         if keeps:
-            self._remembering = Remembering(endpoint.publisher(shard_key(run, shard, "memory")), self.counts)
+            self._remembering = SnapshotPublisher(
+                endpoint.publisher(shard_key(run, shard, "memory")), self.counters
+            )
         endpoint.watch_alive(token)
 
     # --- the start ------------------------------------------------------------------------------
@@ -130,7 +136,7 @@ class Member:
         deadline = self._clock() + limit
         self._declare(self._form.alive_keys)
         waiting = {**self._outgoing.publishers, "report": self._reports.publisher}
-        if self._showing.wanted:
+        if self._showing.requests:
             waiting["registers"] = self._showing.publisher
         if self._remembering is not None:
             waiting["memory"] = self._remembering.publisher
@@ -144,9 +150,9 @@ class Member:
                 why = f"nobody listens to {keys}" if self._told.plant_seen else "the plant does not answer"
                 raise BarrierError(f"shard {self._shard} is not ready after {limit:g} s: {why}")
             # No event tells of a match.
-            self._inbox.read(min(left, _POLL_S))
+            self._inbox.poll(min(left, _POLL_S))
             if self._told.plant_lost:
-                raise HostLostError("the plant left before the run began")
+                raise CoordinatorLostError("the plant left before the run began")
         self._declare(self._form.ready_keys)
 
     def join(self, deadline_s: float | None = None) -> int | None:
@@ -165,14 +171,14 @@ class Member:
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
         deadline = self._clock() + limit
-        while self._told.joined is None and self._told.stop is None:
+        while self._told.rejoin_tick is None and self._told.stop is None:
             left = deadline - self._clock()
             if left <= 0:
                 raise BarrierError(f"shard {self._shard} was not let in within {limit:g} s")
-            self._inbox.read(left)
+            self._inbox.poll(left)
             if self._told.plant_lost:
-                raise HostLostError("the plant left before the shard could take part")
-        return self._told.joined
+                raise CoordinatorLostError("the plant left before the shard could take part")
+        return self._told.rejoin_tick
 
     def resume(self, tick: int, dead: Sequence[int]) -> None:
         """Goes on at ``tick`` where another side of the same shard was; before ``ready``.
@@ -184,18 +190,18 @@ class Member:
         self._tick, self._told.resumed = tick, True
         self._incoming.resume(tick)
         if dead:
-            self.retire(dead, 0)
+            self.mark_dead(dead, 0)
 
-    def repeat(self, links: LinkFrame | None) -> None:
+    def resend_links(self, links: LinkFrame | None) -> None:
         """Sends the messages of the tick before the first again, which that side had sent and counted; once ready.
 
         Args:
             links: Those messages; None where the firmware has none.
         """
         if links is not None:
-            self._endpoint.put_all(self._outgoing.link_puts(links))
+            self._endpoint.put_all(self._outgoing.encode_links(links))
         if self._company.none_live(self._tick):
-            self._reports.counted(self._tick)
+            self._reports.publish_counters(self._tick)
 
     def _declare(self, keys: Iterable[str]) -> None:
         for key in keys:
@@ -204,7 +210,7 @@ class Member:
 
     # --- a tick ---------------------------------------------------------------------------------
 
-    def gather(self, tick: int) -> Gathered | Control:
+    def gather(self, tick: int) -> TickInputs | Control:
         """Waits for what the shard needs to compute ``tick``.
 
         That is the tick's senses, and the link frame of the tick before from every neighbour that lived then.
@@ -221,11 +227,11 @@ class Member:
         """
         self._tick = tick
         told, company = self._told, self._company
-        if told.joining:
-            told.joining = [control for control in told.joining if not self._offer(control)]
+        if told.rejoins_offered:
+            told.rejoins_offered = [control for control in told.rejoins_offered if not self._offer(control)]
         sense, links = self._incoming.slots(tick)
         deadline = None if self._silence_s is None else self._clock() + self._silence_s
-        read = self._inbox.read
+        read = self._inbox.poll
         while True:
             waits = sense.missing > 0
             missing = waits or (links is not None and links.missing > 0)
@@ -239,28 +245,28 @@ class Member:
                 read(left, 1)
                 continue
             if not missing:
-                if tick + 1 == told.asked and self._remembering is not None:
-                    self._remembering.note(self._incoming.taken_in(tick))
-                return self._incoming.hand_over(tick)
+                if tick + 1 == told.snapshot_tick and self._remembering is not None:
+                    self._remembering.record_counters(self._incoming.received_count(tick))
+                return self._incoming.collect(tick)
             if told.plant_lost:
-                raise HostLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
+                raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = None if deadline is None else max(deadline - self._clock(), 0.0)
             if not waits:
                 # Messages after the senses wake nobody.
                 left = _LINK_POLL_S if left is None else min(left, _LINK_POLL_S)
             if not read(left, max(sense.missing, 1)) and left == 0:
-                raise HostLostError(
+                raise CoordinatorLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
 
-    def take_faults(self) -> list[Control]:
+    def drain_faults(self) -> list[Control]:
         """Faults that somebody injected or repaired since the last call; they act from the tick gathered last on."""
-        return self._told.take_faults()
+        return self._told.drain_faults()
 
     def _offer(self, joining: Control) -> bool:
         """Tells the plant that cells that come back can be sent to, if they can."""
         cells = [self._lattice.index(cell) for cell in joining.cells]
-        if not all(publisher.matched() for publisher in self._outgoing.towards(cells)):
+        if not all(publisher.matched() for publisher in self._outgoing.publishers_to(cells)):
             return False
         self._reports.linked(joining.cells, self._tick)
         return True
@@ -277,13 +283,13 @@ class Member:
         Raises:
             BusError: A shape or type is not what was agreed, or a drive is not finite; names the cell.
         """
-        puts = self._outgoing.puts(drive, links)
-        self.counts.sent += len(puts)
+        puts = self._outgoing.encode(drive, links)
+        self.counters.sent += len(puts)
         if self._company.none_live(drive.tick + 1):
-            self._reports.counted(self._tick)
+            self._reports.publish_counters(self._tick)
         self._endpoint.put_all(puts)
 
-    def keep(self, tick: int, read: Callable[[], bytes]) -> None:
+    def publish_snapshot(self, tick: int, read: Callable[[], bytes]) -> None:
         """Tells the plant what the shard remembers before ``tick``, if it has asked.
 
         Call it after ``publish`` of the tick before.
@@ -292,10 +298,10 @@ class Member:
             tick: The next.
             read: Gives the state; asked only where the plant has.
         """
-        if tick == self._told.asked and self._remembering is not None:
-            self._remembering.tell(tick, read())
+        if tick == self._told.snapshot_tick and self._remembering is not None:
+            self._remembering.publish(tick, read())
 
-    def show(self, tick: int, read: Callable[[], Own]) -> None:
+    def publish_registers(self, tick: int, read: Callable[[], Own]) -> None:
         """Puts the registers of the cells, if the plant or somebody else wants to see them.
 
         Call it before ``publish`` of that tick: then the plant has them when it has its drives.
@@ -305,17 +311,17 @@ class Member:
             read: Gives who they are, ``(n, 2)`` row and column, and their registers by name, arrays with a row for
                 each; asked only where somebody wants to see.
         """
-        self._showing.show(tick, read)
+        self._showing.publish(tick, read)
 
     # --- who takes part -------------------------------------------------------------------------
 
-    def plan(self, cells: Iterable[int], tick: int) -> None:
+    def schedule_death(self, cells: Iterable[int], tick: int) -> None:
         """Nobody waits for ``cells`` (indices in the lattice) from ``tick`` on: a scheduled death."""
-        self._company.plan(cells, tick)
+        self._company.schedule_death(cells, tick)
 
-    def retire(self, cells: Iterable[int], tick: int) -> None:
+    def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Nobody waits for ``cells`` (indices in the lattice) from ``tick`` on; their process may come back."""
-        self._company.retire(cells, tick)
+        self._company.mark_dead(cells, tick)
 
     def live(self, tick: int) -> Mask:
         """``(n,)``: the shard's cells that take part in ``tick``."""
@@ -331,7 +337,7 @@ class Member:
         self._reports.failed(names, tick, detail)
         self._told.unanswered.update(index)
         self._answer_until = self._clock() + _ANSWER_S
-        self.retire(index, tick)
+        self.mark_dead(index, tick)
 
     def hang(self, cell: int, tick: int, detail: str) -> None:
         """Tells the plant that the program of ``cell`` (index in the lattice) hangs since ``tick``; the cell goes on.
@@ -346,15 +352,15 @@ class Member:
 
     def close(self) -> None:
         """Reports this side's counts and, once the plant that stopped the run has taken them, takes the tokens back."""
-        self._reports.counted(self._tick)
+        self._reports.publish_counters(self._tick)
         # Whoever closes a session may take with it what is still queued there: the report must have arrived before.
         deadline = self._clock() + _LEAVE_S
         while self._told.stop is not None and not self._told.plant_lost:
             left = deadline - self._clock()
             if left <= 0:
                 break
-            with contextlib.suppress(WokenError):
-                self._inbox.read(left)
+            with contextlib.suppress(WaitInterrupted):
+                self._inbox.poll(left)
         for key in reversed(self._declared):
             self._endpoint.withdraw(key)
         self._declared.clear()

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, final
 
-from bus.errors import WireError, WokenError
-from bus.lattice import NEVER
-from bus.lockstep.counters import Counts
-from bus.transports.base import Alive, Endpoint, Received
+from bus.errors import WaitInterrupted, WireError
+from bus.lattice import NO_TICK_LIMIT
+from bus.lockstep.counters import MessageCounters
+from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.keys import owner_of
 
 EARLY_TICKS: Final = 64
@@ -16,7 +16,7 @@ EARLY_TICKS: Final = 64
 
 
 @final
-class Slot:
+class PartialFrame:
     """One tick's frame, as far as it has come.
 
     Attributes:
@@ -34,7 +34,7 @@ class Slot:
 
 
 @final
-class Collector:
+class FrameAssembler:
     """Frames of one kind that come in parts, each part from one sender.
 
     Args:
@@ -55,12 +55,12 @@ class Collector:
         kind: str,
         blank: Sequence[Any],
         decode: Callable[[int, bytes], tuple[int, Any]],
-        counts: Counts,
+        counts: MessageCounters,
     ) -> None:
         self.now = 0
-        self.since = [0] * len(blank)
-        self.until = [NEVER] * len(blank)
-        self.latest = NEVER
+        self.first_tick = [0] * len(blank)
+        self.end_tick = [NO_TICK_LIMIT] * len(blank)
+        self.latest = NO_TICK_LIMIT
         self._deaths = False
         self._expected: set[int] = set()
         self._any_tick = False
@@ -68,10 +68,10 @@ class Collector:
         self._blank = list(blank)
         self._decode = decode
         self._counts = counts
-        self._current = Slot(self._blank.copy(), len(blank))
-        self._early: dict[int, Slot] = {}
+        self._current = PartialFrame(self._blank.copy(), len(blank))
+        self._early: dict[int, PartialFrame] = {}
 
-    def take(self, part: int, payload: bytes) -> None:
+    def handle(self, part: int, payload: bytes) -> None:
         """Keeps the value of a part.
 
         Raises:
@@ -82,8 +82,8 @@ class Collector:
             raise WireError(
                 self._kind, "ahead", f"tick {tick}: must be at most {self.latest}, the last begun"
             )
-        if tick < self.now or not self.since[part] <= tick < self.until[part]:
-            self._take_gone(part, tick, value)
+        if tick < self.now or not self.first_tick[part] <= tick < self.end_tick[part]:
+            self._handle_departed(part, tick, value)
             return
         if tick > self.now + EARLY_TICKS and not (self._any_tick and len(self._early) < EARLY_TICKS):
             raise WireError(
@@ -97,7 +97,7 @@ class Collector:
         slot.missing -= 1
         self._counts.delivered += 1
 
-    def _take_gone(self, part: int, tick: int, value: Any) -> None:
+    def _handle_departed(self, part: int, tick: int, value: Any) -> None:
         """Keeps the value of a part whose sender is expected back; counts any other as late."""
         if part not in self._expected or not self.now <= tick <= self.now + EARLY_TICKS:
             self._counts.late += 1
@@ -112,15 +112,15 @@ class Collector:
     def _duplicate(self, tick: int) -> WireError:
         return WireError(self._kind, "duplicate", f"tick {tick} came already")
 
-    def expect(self, parts: Iterable[int]) -> None:
+    def allow_early(self, parts: Iterable[int]) -> None:
         """The senders of these, who are gone, may take part again: their word may come before the news of it."""
         self._expected.update(parts)
 
-    def await_first(self) -> None:
+    def accept_any_tick(self) -> None:
         """Keeps whatever tick comes until ``begin`` says which is the first."""
         self._any_tick = True
 
-    def slot(self, tick: int) -> Slot:
+    def slot(self, tick: int) -> PartialFrame:
         """The frame of ``tick``, not before ``now``; begun if it isn't."""
         if tick == self.now:
             return self._current
@@ -129,9 +129,9 @@ class Collector:
             slot = self._early[tick] = self._begin(tick)
         return slot
 
-    def _begin(self, tick: int) -> Slot:
-        lives = zip(self.since, self.until, strict=True)
-        return Slot(self._blank.copy(), sum(since <= tick < until for since, until in lives))
+    def _begin(self, tick: int) -> PartialFrame:
+        lives = zip(self.first_tick, self.end_tick, strict=True)
+        return PartialFrame(self._blank.copy(), sum(since <= tick < until for since, until in lives))
 
     def early(self, tick: int) -> int:
         """How many parts have come of frames from ``tick`` on."""
@@ -141,27 +141,27 @@ class Collector:
     def missing(self, tick: int) -> list[int]:
         """Live parts of ``tick`` that have not come."""
         have = self.slot(tick).have
-        lives = enumerate(zip(self.since, self.until, strict=True))
+        lives = enumerate(zip(self.first_tick, self.end_tick, strict=True))
         return [part for part, (since, until) in lives if since <= tick < until and not have[part]]
 
-    def bury(self, until: list[int]) -> None:
+    def update_membership(self, until: list[int]) -> None:
         """Sets the ticks from which the senders are gone: nobody waits for them."""
-        self.until = until
+        self.end_tick = until
         self._recount()
 
     def admit(self, since: list[int], until: list[int]) -> None:
         """Sets the ticks from which the senders take part, and from which they are gone."""
-        self.since, self.until = since, until
+        self.first_tick, self.end_tick = since, until
         self._recount()
 
-    def begin(self, tick: int) -> None:
+    def start_at(self, tick: int) -> None:
         """``tick`` is the first; what has come for earlier ones is late."""
         self._any_tick = False
         self.now = tick
         self._early = {t: slot for t, slot in self._early.items() if t >= tick}
         self._current = self._early.pop(tick, None) or self._begin(tick)
 
-    def void(self, parts: Sequence[int], tick: int) -> None:
+    def discard(self, parts: Sequence[int], tick: int) -> None:
         """What has come from these for ``tick`` and later ones counts as not sent."""
         for slot in [self.slot(t) for t in (self.now, *self._early) if t >= tick]:
             for part in parts:
@@ -173,12 +173,12 @@ class Collector:
         for tick in (self.now, *self._early):
             self.slot(tick).missing = len(self.missing(tick))
 
-    def close(self, tick: int) -> Slot:
+    def close(self, tick: int) -> PartialFrame:
         """The frame of ``tick``, which with all before it is over: whatever comes for it now is late."""
         slot = self.slot(tick)
         self.now = now = tick + 1
         if not self._early and not self._deaths:  # nearly always, and every tick
-            self._current = Slot(self._blank.copy(), len(self.until))
+            self._current = PartialFrame(self._blank.copy(), len(self.end_tick))
             return slot
         self._current = self._early.pop(now, None) or self._begin(now)
         for over in [t for t in self._early if t < now]:
@@ -206,13 +206,15 @@ class Dispatcher:
         routes: For each key, what takes its payloads; may raise WireError.
     """
 
-    def __init__(self, endpoint: Endpoint, counts: Counts, tokens: Callable[[Alive], None]) -> None:
+    def __init__(
+        self, endpoint: Endpoint, counts: MessageCounters, tokens: Callable[[LivelinessChange], None]
+    ) -> None:
         self.routes: dict[str, Route] = {}
         self._receive = endpoint.receive_all
         self._counts = counts
         self._tokens = tokens
 
-    def read(self, timeout_s: float | None, enough: int = 1) -> bool:
+    def poll(self, timeout_s: float | None, enough: int = 1) -> bool:
         """Waits as ``Endpoint.receive`` does, then takes all there is; False if there was nothing in time.
 
         Raises:
@@ -229,12 +231,12 @@ class Dispatcher:
                     # A stranger may invent keys without end; they are one.
                     known = take is not _refuse
                     self._counts.refuse(error, owner_of(event.key) if known else "nobody")
-            elif type(event) is Alive:
+            elif type(event) is LivelinessChange:
                 self._tokens(event)
             else:
                 woken = True
         if woken:
-            raise WokenError("woken while waiting for the others")
+            raise WaitInterrupted("woken while waiting for the others")
         return bool(events)
 
 

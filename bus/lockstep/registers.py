@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bus.errors import WireError
 from bus.lattice import Lattice
-from bus.lockstep.counters import Counts
+from bus.lockstep.counters import MessageCounters
 from bus.partition import Partition
 from bus.transports.base import Publisher
 from bus.wire.msgpack_codec import VERSION, binary, layout, packer, reader
@@ -39,7 +39,7 @@ class RegisterFrame(NamedTuple):
     registers: Mapping[str, NDArray[Any]]
 
 
-class Wanted(NamedTuple):
+class RegisterRequest(NamedTuple):
     """Registers that the plant wants to see.
 
     Attributes:
@@ -51,16 +51,16 @@ class Wanted(NamedTuple):
     names: frozenset[str] | None = None
 
 
-def due(wanted: Iterable[Wanted], tick: int) -> Wanted | None:
+def requested_at(wanted: Iterable[RegisterRequest], tick: int) -> RegisterRequest | None:
     """What is wanted in a tick, all of it together; None if nothing is."""
     found = [one.names for one in wanted if tick % one.every == 0]
     if not found:
         return None
     named = [names for names in found if names is not None]
-    return Wanted(1, frozenset[str]().union(*named) if len(named) == len(found) else None)
+    return RegisterRequest(1, frozenset[str]().union(*named) if len(named) == len(found) else None)
 
 
-class Shown(NamedTuple):
+class RegisterSnapshot(NamedTuple):
     """The registers of all cells after a tick, in the lattice's order.
 
     Attributes:
@@ -74,7 +74,7 @@ class Shown(NamedTuple):
     registers: Mapping[str, NDArray[Any]]
 
 
-def joined(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[Shown]:
+def merge_frames(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[RegisterSnapshot]:
     """Frames of several shards, those of a tick together.
 
     Args:
@@ -86,7 +86,7 @@ def joined(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[Shown]:
     for frame in frames:
         by_tick.setdefault(frame.tick, []).append(frame)
     n = len(lattice)
-    found: list[Shown] = []
+    found: list[RegisterSnapshot] = []
     for tick, together in by_tick.items():
         cells = np.zeros(n, dtype=np.bool_)
         registers: dict[str, NDArray[Any]] = {}
@@ -103,11 +103,11 @@ def joined(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[Shown]:
                     own[rows] = array
                 elif own.dtype.kind == "f":
                     own[rows] = np.nan
-        found.append(Shown(tick, cells, registers))
+        found.append(RegisterSnapshot(tick, cells, registers))
     return found
 
 
-def shown(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def encodable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Those of some arrays with a row a cell that can be shown: little-endian numbers and booleans, not too wide."""
     fit: dict[str, NDArray[Any]] = {}
     for name, array in list(arrays.items())[:NAMES_LIMIT]:
@@ -196,7 +196,7 @@ Own = tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]
 
 
 @final
-class Showing:
+class RegisterPublisher:
     """A shard's side: shows the registers of its cells.
 
     Args:
@@ -207,30 +207,34 @@ class Showing:
     """
 
     def __init__(
-        self, publisher: Publisher, wanted: Sequence[Wanted], counts: Counts, clock: Callable[[], float]
+        self,
+        publisher: Publisher,
+        wanted: Sequence[RegisterRequest],
+        counts: MessageCounters,
+        clock: Callable[[], float],
     ) -> None:
         self.publisher = publisher
-        self.wanted = tuple(wanted)
+        self.requests = tuple(wanted)
         self._counts = counts
         self._clock = clock
         self._next_look = 0.0
 
-    def show(self, tick: int, read: Callable[[], Own]) -> None:
+    def publish(self, tick: int, read: Callable[[], Own]) -> None:
         """Puts the registers after ``tick``, if the plant or somebody else wants to see them.
 
         Args:
             tick: That the cells have computed.
             read: Gives them; asked only where somebody wants to see.
         """
-        wanted = due(self.wanted, tick)
+        wanted = requested_at(self.requests, tick)
         if (wanted is None or wanted.names is not None) and self._watched():
-            wanted = Wanted(1)
+            wanted = RegisterRequest(1)
         if wanted is None:
             return
         cells, registers = read()
         if wanted.names is not None:
             registers = {name: array for name, array in registers.items() if name in wanted.names}
-        self.publisher.put(encode_registers(RegisterFrame(tick, cells, shown(registers))))
+        self.publisher.put(encode_registers(RegisterFrame(tick, cells, encodable(registers))))
         self._counts.sent += 1
 
     def _watched(self) -> bool:
@@ -243,7 +247,7 @@ class Showing:
 
 
 @final
-class Seen:
+class RegisterReceiver:
     """The plant's side: takes in what shards show.
 
     Args:
@@ -256,8 +260,8 @@ class Seen:
     def __init__(
         self,
         partition: Partition,
-        wanted: Sequence[Wanted],
-        counts: Counts,
+        wanted: Sequence[RegisterRequest],
+        counts: MessageCounters,
         now: Callable[[], int],
     ) -> None:
         self._partition = partition
@@ -267,7 +271,7 @@ class Seen:
         self._frames: dict[tuple[int, int], RegisterFrame] = {}
         """By tick and shard."""
 
-    def take(self, shard: int, payload: bytes) -> None:
+    def handle(self, shard: int, payload: bytes) -> None:
         """Takes in what a shard shows.
 
         Raises:
@@ -287,10 +291,10 @@ class Seen:
         if (frame.tick, shard) in self._frames:
             raise WireError("registers", "duplicate", f"tick {frame.tick} came already")
         self._counts.delivered += 1
-        if due(self._wanted, frame.tick) is not None:
+        if requested_at(self._wanted, frame.tick) is not None:
             self._frames[frame.tick, shard] = frame  # others are for those who watch
 
-    def take_all(self) -> list[Shown]:
+    def drain(self) -> list[RegisterSnapshot]:
         """What cells have shown since the last call; a tick's is there when its drives are."""
         frames, self._frames = self._frames, {}
-        return joined(list(frames.values()), self._partition.lattice)
+        return merge_frames(list(frames.values()), self._partition.lattice)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import final
 
 from bus.errors import WireError
-from bus.lockstep.counters import Counts
+from bus.lockstep.counters import MessageCounters
 from bus.lockstep.receive import EARLY_TICKS
 from bus.partition import Partition
 from bus.transports.base import Publisher
@@ -16,7 +16,7 @@ Cell = tuple[int, int]
 
 
 @final
-class Reports:
+class ReportPublisher:
     """A shard's side: reports.
 
     Args:
@@ -25,7 +25,9 @@ class Reports:
         tally: What else to report as the shard leaves: numbers that the cells counted, by name.
     """
 
-    def __init__(self, publisher: Publisher, counts: Counts, tally: Callable[[], Mapping[str, int]]) -> None:
+    def __init__(
+        self, publisher: Publisher, counts: MessageCounters, tally: Callable[[], Mapping[str, int]]
+    ) -> None:
         self.publisher = publisher
         self._counts = counts
         self._tally = tally
@@ -50,16 +52,16 @@ class Reports:
         self.publisher.put(encode_report(report))
         self._counts.sent += 1
 
-    def counted(self, tick: int) -> None:
+    def publish_counters(self, tick: int) -> None:
         """What the shard counted, as it leaves; this is not counted itself."""
         counts = self._counts
         numbers = (counts.sent, counts.delivered, counts.lost, counts.late)
-        report = Report("counts", tick, (), "", numbers, counts.tallied(self._tally()))
+        report = Report("counts", tick, (), "", numbers, counts.to_report(self._tally()))
         self.publisher.put(encode_report(report))
 
 
 @final
-class Reported:
+class ReportReceiver:
     """The plant's side: takes reports in.
 
     Args:
@@ -85,10 +87,10 @@ class Reported:
         self._linked = linked
         self._hung: dict[Cell, Report] = {}
         self.failed: dict[Cell, Report] = {}
-        self.counts: dict[int, Counts] = {}
+        self.counters: dict[int, MessageCounters] = {}
         self._busy: dict[int, int] = {}
 
-    def take(self, shard: int, payload: bytes) -> None:
+    def handle(self, shard: int, payload: bytes) -> None:
         """Takes in what a shard reports.
 
         Raises:
@@ -96,7 +98,7 @@ class Reported:
         """
         report = decode_report(payload, len(self._lattice))
         if report.kind == "counts":
-            self.counts[shard] = Counts.reported(report.counts, report.tally)
+            self.counters[shard] = MessageCounters.from_report(report.counts, report.tally)
         elif report.kind == "busy":
             self._busy[shard] = report.tick
         elif report.kind == "linked":
@@ -115,7 +117,7 @@ class Reported:
         if report.tick > self._now() + EARLY_TICKS:
             raise WireError("report", "ahead", f"tick {report.tick}: must be at most {EARLY_TICKS} ahead")
 
-    def take_failed(self) -> list[tuple[str, Sequence[int]]]:
+    def drain_failed(self) -> list[tuple[str, Sequence[int]]]:
         """Cells (indices) that can't do the tick that is under way, each report's together, and why; each once."""
         told = {cell: report for cell, report in self.failed.items() if report.tick <= self._now()}
         for cell in told:
@@ -125,12 +127,12 @@ class Reported:
             for report in dict.fromkeys(told.values())
         ]
 
-    def take_busy(self, tick: int) -> set[int]:
+    def drain_busy(self, tick: int) -> set[int]:
         """Shards that have said since the last call that they still compute ``tick``."""
         busy, self._busy = self._busy, {}
         return {shard for shard, at in busy.items() if at == tick}
 
-    def take_hung(self) -> list[Report]:
+    def drain_hung(self) -> list[Report]:
         """Programs that have hung since the last call, and why; their cells still take part."""
         hung, self._hung = self._hung, {}
         return list(dict.fromkeys(hung.values()))

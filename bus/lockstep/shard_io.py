@@ -8,17 +8,17 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from bus.errors import BusError, WireError
-from bus.lattice import NEVER
-from bus.lockstep.counters import Counts
-from bus.lockstep.intervals import Lives
-from bus.lockstep.receive import Collector, Route, Slot
+from bus.lattice import NO_TICK_LIMIT
+from bus.lockstep.counters import MessageCounters
+from bus.lockstep.intervals import Membership
+from bus.lockstep.receive import FrameAssembler, PartialFrame, Route
 from bus.partition import Index
 from bus.transports.base import Endpoint, Publisher
-from bus.wire.format import MemberForm, Wiring
+from bus.wire.format import ParticipantCodec, RunSchema
 from bus.wire.frames import DriveFrame, LinkFrame, Mask, SenseFrame
 
 
-class Gathered(NamedTuple):
+class TickInputs(NamedTuple):
     """What a shard computes a tick from.
 
     Attributes:
@@ -33,7 +33,7 @@ class Gathered(NamedTuple):
 
 
 @final
-class Incoming:
+class InboundFrames:
     """Collects the payloads of a shard's frames, and waits for those of the living.
 
     Args:
@@ -44,15 +44,22 @@ class Incoming:
         counts: Where to count.
     """
 
-    def __init__(self, wiring: Wiring, shard: int, form: MemberForm, lives: Lives, counts: Counts) -> None:
+    def __init__(
+        self,
+        wiring: RunSchema,
+        shard: int,
+        form: ParticipantCodec,
+        lives: Membership,
+        counts: MessageCounters,
+    ) -> None:
         self._form = form
         self._lives = lives
         self._counts = counts
         self._cells = wiring.partition.cells(shard)
         self._speaks = wiring.message is not None
         self._first = 0
-        self._senses = Collector("sense", form.blank_senses, form.decode_sense, counts)
-        self._links = Collector("link", form.blank_links, form.decode_link, counts)
+        self._senses = FrameAssembler("sense", form.blank_senses, form.decode_sense, counts)
+        self._links = FrameAssembler("link", form.blank_links, form.decode_link, counts)
 
     def subscribe(self, endpoint: Endpoint) -> dict[str, Route]:
         """Subscribes to all of it: what takes the payloads of each key."""
@@ -63,81 +70,83 @@ class Incoming:
         for key in self._form.in_parts:
             endpoint.subscribe(key, "quiet")
         return {
-            **{key: (self._senses.take, unit) for key, unit in self._form.sense_units.items()},
-            **{key: (self._links.take, part) for key, part in self._form.in_parts.items()},
+            **{key: (self._senses.handle, unit) for key, unit in self._form.sense_units.items()},
+            **{key: (self._links.handle, part) for key, part in self._form.in_parts.items()},
         }
 
     # --- a tick ---------------------------------------------------------------------------------
 
-    def slots(self, tick: int) -> tuple[Slot, Slot | None]:
+    def slots(self, tick: int) -> tuple[PartialFrame, PartialFrame | None]:
         """The tick's senses and the messages of the tick before, as far as they have come; None: there are none."""
         # At its first tick nobody has sent it anything.
         links = None if not self._speaks or tick == self._first else self._links.slot(tick - 1)
         return self._senses.slot(tick), links
 
-    def taken_in(self, tick: int) -> int:
+    def received_count(self, tick: int) -> int:
         """How many payloads have been taken in, but for messages that were sent in ``tick`` or later."""
         return self._counts.delivered - (self._links.early(tick) if self._speaks else 0)
 
-    def hand_over(self, tick: int) -> Gathered:
+    def collect(self, tick: int) -> TickInputs:
         """All of a tick, of which nothing more is waited for."""
         senses = self._form.join_senses(self._senses.close(tick).values)
-        if not self._lives.all:
+        if not self._lives.unchanged:
             gone = ~self._lives.live(tick)[self._cells]
             for sensed in (senses.presence, senses.encoder_m, senses.level, senses.label):
                 if sensed is not None:
                     sensed[gone] = 0
         sense = SenseFrame(tick, *senses)
         if not self._speaks:
-            return Gathered(sense, None)
+            return TickInputs(sense, None)
         values = self._form.blank_links if tick == self._first else self._links.close(tick - 1).values
-        return Gathered(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
+        return TickInputs(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
 
     # --- from when on, and of whom --------------------------------------------------------------
 
-    def await_first(self) -> None:
+    def accept_any_tick(self) -> None:
         """Keeps whatever tick comes until it is said which is the first."""
-        self._senses.await_first()
-        self._links.await_first()
+        self._senses.accept_any_tick()
+        self._links.accept_any_tick()
 
     def resume(self, tick: int) -> None:
         """``tick`` is the next; its neighbours' messages of the one before will come again."""
-        self._senses.begin(tick)
-        self._links.begin(tick - 1)
+        self._senses.start_at(tick)
+        self._links.start_at(tick - 1)
 
     def enter(self, tick: int) -> None:
         """``tick`` is the first that the shard takes part in: nobody has sent it anything."""
         self._first = tick
         self.resume(tick)
 
-    def bury(self) -> None:
+    def update_membership(self) -> None:
         """Takes note of who is gone."""
-        last, form = self._lives.last, self._form
-        self._senses.bury(last(form.unit_cells))
+        last, form = self._lives.end_by_group, self._form
+        self._senses.update_membership(last(form.unit_cells))
         # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
         sources, targets = last(form.in_sources), last(form.in_targets)
-        self._links.bury([min(source, target - 1) for source, target in zip(sources, targets, strict=True)])
+        self._links.update_membership(
+            [min(source, target - 1) for source, target in zip(sources, targets, strict=True)]
+        )
 
     @property
     def awaited(self) -> int:
         """How many messages have not come of the tick that is not over yet."""
         return len(self._links.missing(self._links.now))
 
-    def void(self, tick: int) -> None:
+    def discard(self, tick: int) -> None:
         """Those who are gone by ``tick``, in which they were lost, said nothing in it; after ``bury``."""
         # What they sent before has arrived, or will; of that tick it may have, or not: it never was.
-        gone = [part for part, until in enumerate(self._links.until) if until <= tick]
-        self._links.void(gone, tick)
+        gone = [part for part, until in enumerate(self._links.end_tick) if until <= tick]
+        self._links.discard(gone, tick)
 
-    def expect(self, cells: Iterable[int]) -> None:
+    def allow_early(self, cells: Iterable[int]) -> None:
         """Cells (indices) that are gone may come back: their word may come before the news of it."""
         back = set(cells)
         sources = enumerate(self._form.in_sources)
-        self._links.expect(part for part, source in sources if not back.isdisjoint(source.tolist()))
+        self._links.allow_early(part for part, source in sources if not back.isdisjoint(source.tolist()))
 
     def admit(self) -> None:
         """Takes note of who takes part again."""
-        first, last, form = self._lives.first, self._lives.last, self._form
+        first, last, form = self._lives.start_by_group, self._lives.end_by_group, self._form
         self._senses.admit(first(form.unit_cells), last(form.unit_cells))
         sources, targets = form.in_sources, form.in_targets
         since = [max(pair) for pair in zip(first(sources), first(targets), strict=True)]
@@ -149,7 +158,7 @@ _F8: Final = np.dtype(np.float64)
 
 
 @final
-class Outgoing:
+class OutboundFrames:
     """Makes a shard's frames into payloads with their publishers.
 
     Args:
@@ -164,7 +173,7 @@ class Outgoing:
     """
 
     def __init__(
-        self, endpoint: Endpoint, wiring: Wiring, shard: int, form: MemberForm, lives: Lives
+        self, endpoint: Endpoint, wiring: RunSchema, shard: int, form: ParticipantCodec, lives: Membership
     ) -> None:
         self._shard = shard
         self._form = form
@@ -180,16 +189,16 @@ class Outgoing:
         self.publishers = dict(
             zip((*form.drive_keys, *form.out_keys), (*self._drive, *self._out), strict=True)
         )
-        self._drive_until = [NEVER] * len(self._drive)
-        self._out_until = self._target_until = [NEVER] * len(self._out)
+        self._drive_until = [NO_TICK_LIMIT] * len(self._drive)
+        self._out_until = self._target_until = [NO_TICK_LIMIT] * len(self._out)
 
-    def bury(self) -> None:
+    def update_membership(self) -> None:
         """Takes note of who is gone."""
-        last, form = self._lives.last, self._form
+        last, form = self._lives.end_by_group, self._form
         self._drive_until = last(form.unit_cells)
         self._out_until, self._target_until = last(form.out_sources), last(form.out_targets)
 
-    def towards(self, cells: Collection[int]) -> list[Publisher]:
+    def publishers_to(self, cells: Collection[int]) -> list[Publisher]:
         """Publishers of messages to any of ``cells`` (indices)."""
         return [
             publisher
@@ -197,7 +206,7 @@ class Outgoing:
             if not set(targets.tolist()).isdisjoint(cells)
         ]
 
-    def puts(self, drive: DriveFrame, links: LinkFrame | None) -> list[tuple[Publisher, bytes]]:
+    def encode(self, drive: DriveFrame, links: LinkFrame | None) -> list[tuple[Publisher, bytes]]:
         """A tick's payloads, each with its publisher.
 
         Messages come first: when the plant has the drives, it has passed the messages on.
@@ -207,28 +216,28 @@ class Outgoing:
         """
         self._check(drive, links)
         tick = drive.tick
-        puts = [] if links is None else self.link_puts(links)
+        puts = [] if links is None else self.encode_links(links)
         try:
             driven = list(zip(self._drive, self._form.drive_payloads(drive), strict=True))
         except WireError:
             raise self._not_finite(drive) from None
-        if not self._lives.all:
+        if not self._lives.unchanged:
             driven = [put for put, until in zip(driven, self._drive_until, strict=True) if until > tick]
         return puts + driven
 
-    def link_puts(self, links: LinkFrame) -> list[tuple[Publisher, bytes]]:
+    def encode_links(self, links: LinkFrame) -> list[tuple[Publisher, bytes]]:
         """A tick's messages, each payload with its publisher."""
         tick = links.tick
         if not self._out:
             return []
-        if self._lives.all:
+        if self._lives.unchanged:
             return list(zip(self._out, self._form.link_payloads(links), strict=True))
-        live = self._lives.until[self._sources] > tick
+        live = self._lives.end_tick[self._sources] > tick
         payloads = self._form.link_payloads(LinkFrame(tick, links.sent & live, links.message))
         puts = zip(self._out, payloads, strict=True)
-        return [put for put, spoken in zip(puts, self._spoken(tick), strict=True) if spoken]
+        return [put for put, spoken in zip(puts, self._has_reader(tick), strict=True) if spoken]
 
-    def _spoken(self, tick: int) -> list[bool]:
+    def _has_reader(self, tick: int) -> list[bool]:
         """Which parts of the outgoing links have somebody to send them, and somebody to read them a tick later."""
         return [
             source > tick and target > tick + 1
@@ -272,7 +281,7 @@ class Outgoing:
 
 
 @final
-class Company:
+class ParticipantMembership:
     """Keeps a shard's books of the living; all cells are indices in the lattice.
 
     Args:
@@ -284,7 +293,12 @@ class Company:
     """
 
     def __init__(
-        self, cells: Index, lives: Lives, incoming: Incoming, outgoing: Outgoing, counts: Counts
+        self,
+        cells: Index,
+        lives: Membership,
+        incoming: InboundFrames,
+        outgoing: OutboundFrames,
+        counts: MessageCounters,
     ) -> None:
         self._cells = cells
         self._lives = lives
@@ -298,28 +312,28 @@ class Company:
 
     def none_live(self, tick: int) -> bool:
         """Whether no cell of the shard takes part in ``tick``."""
-        return not self._lives.all and not self.live(tick).any()
+        return not self._lives.unchanged and not self.live(tick).any()
 
-    def plan(self, cells: Iterable[int], tick: int) -> None:
+    def schedule_death(self, cells: Iterable[int], tick: int) -> None:
         """``cells`` will be gone for good from ``tick`` on: a scheduled death."""
-        self._lives.plan(cells, tick)
-        self._bury()
+        self._lives.schedule_death(cells, tick)
+        self._update_membership()
 
-    def retire(self, cells: Iterable[int], tick: int) -> None:
+    def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """``cells`` are gone from ``tick`` on."""
-        self._lives.retire(cells, tick)
-        self._bury()
+        self._lives.mark_dead(cells, tick)
+        self._update_membership()
 
-    def lose(self, cells: Iterable[int], tick: int) -> None:
+    def mark_lost(self, cells: Iterable[int], tick: int) -> None:
         """``cells`` were lost in ``tick``: what they have not said yet, they won't say."""
         waited = self._incoming.awaited
-        self.retire(cells, tick)
+        self.mark_dead(cells, tick)
         self._counts.lost += waited - self._incoming.awaited
-        self._incoming.void(tick)
+        self._incoming.discard(tick)
 
-    def expect(self, cells: Iterable[int]) -> None:
+    def allow_early(self, cells: Iterable[int]) -> None:
         """``cells``, which are gone, may come back."""
-        self._incoming.expect(cells)
+        self._incoming.allow_early(cells)
 
     def admit(self, cells: Collection[int], tick: int) -> bool:
         """``cells`` take part again from ``tick`` on, which is the next; whether any is the shard's own."""
@@ -328,13 +342,13 @@ class Company:
         if own:
             self._incoming.enter(tick)
         self._incoming.admit()
-        self._outgoing.bury()
+        self._outgoing.update_membership()
         return own
 
     def owns(self, cells: Iterable[int]) -> bool:
         """Whether any of ``cells`` is the shard's own."""
         return not set(cells).isdisjoint(self._cells.tolist())
 
-    def _bury(self) -> None:
-        self._incoming.bury()
-        self._outgoing.bury()
+    def _update_membership(self) -> None:
+        self._incoming.update_membership()
+        self._outgoing.update_membership()

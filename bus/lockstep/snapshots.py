@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any, Final, NamedTuple, cast, final
 
 from bus.errors import WireError
-from bus.lockstep.counters import Counts
+from bus.lockstep.counters import MessageCounters
 from bus.transports.base import Publisher
 from bus.wire.msgpack_codec import TICK_LIMIT, VERSION, layout, packer, reader
 
@@ -15,7 +15,7 @@ CELL_LIMIT: Final = 64 * 1024
 """Most bytes that one cell's memory may take, and a shard's own beside its cells'."""
 
 
-class Kept(NamedTuple):
+class ShardSnapshot(NamedTuple):
     """What one shard remembers before a tick, all before it being over.
 
     Attributes:
@@ -29,12 +29,12 @@ class Kept(NamedTuple):
     state: bytes
 
 
-def encode_kept(kept: Kept) -> bytes:
+def encode_snapshot(kept: ShardSnapshot) -> bytes:
     """The payload of what a shard remembers."""
     return packer()({"v": VERSION, "tick": kept.tick, "counts": kept.counts, "state": kept.state})
 
 
-def decode_kept(payload: bytes, cells: int) -> Kept:
+def decode_snapshot(payload: bytes, cells: int) -> ShardSnapshot:
     """What a shard of ``cells`` cells remembers; the state itself is not looked at.
 
     Raises:
@@ -51,14 +51,14 @@ def decode_kept(payload: bytes, cells: int) -> Kept:
     if type(state) is not bytes:
         raise WireError("memory", "type", "state must be bytes")
     a, b, c, d = cast("list[int]", counts)
-    return Kept(tick, (a, b, c, d), state)
+    return ShardSnapshot(tick, (a, b, c, d), state)
 
 
 def _is_count(value: object) -> bool:
     return type(value) is int and 0 <= value < TICK_LIMIT
 
 
-class Together(NamedTuple):
+class GlobalSnapshot(NamedTuple):
     """What all sides of a run remember before a tick.
 
     Attributes:
@@ -68,12 +68,12 @@ class Together(NamedTuple):
     """
 
     tick: int
-    counts: Counts
+    counts: MessageCounters
     states: dict[int, bytes]
 
 
 @final
-class Remembering:
+class SnapshotPublisher:
     """A shard's side: tells what it remembers before the tick for which it was asked.
 
     Args:
@@ -81,16 +81,16 @@ class Remembering:
         counts: What its side has counted.
     """
 
-    def __init__(self, publisher: Publisher, counts: Counts) -> None:
+    def __init__(self, publisher: Publisher, counts: MessageCounters) -> None:
         self.publisher = publisher
         self._counts = counts
         self._taken_in = 0
 
-    def note(self, taken_in: int) -> None:
+    def record_counters(self, taken_in: int) -> None:
         """Note how many payloads had been taken in when all of the tick before was there."""
         self._taken_in = taken_in
 
-    def tell(self, tick: int, state: bytes) -> None:
+    def publish(self, tick: int, state: bytes) -> None:
         """Tell it.
 
         Args:
@@ -99,11 +99,11 @@ class Remembering:
         """
         counts = self._counts
         numbers = (counts.sent, self._taken_in, counts.lost, counts.late)
-        self.publisher.put(encode_kept(Kept(tick, numbers, state)))
+        self.publisher.put(encode_snapshot(ShardSnapshot(tick, numbers, state)))
 
 
 @final
-class Keeping:
+class SnapshotCollector:
     """The plant's side: takes in what the shards remember before one tick.
 
     Args:
@@ -114,14 +114,14 @@ class Keeping:
     def __init__(self, tick: int, shards: Iterable[int]) -> None:
         self.tick = tick
         self._shards = frozenset(shards)
-        self._kept: dict[int, Kept] = {}
-        self._counts: Counts | None = None
+        self._kept: dict[int, ShardSnapshot] = {}
+        self._counts: MessageCounters | None = None
 
-    def note(self, own: Counts) -> None:
+    def record_counters(self, own: MessageCounters) -> None:
         """Note what the plant's side has counted by then."""
-        self._counts = own + Counts()
+        self._counts = own + MessageCounters()
 
-    def take(self, shard: int, kept: Kept) -> None:
+    def handle(self, shard: int, kept: ShardSnapshot) -> None:
         """Take one in.
 
         Raises:
@@ -136,7 +136,7 @@ class Keeping:
         """Shards that have not answered."""
         return sorted(self._shards - self._kept.keys())
 
-    def together(self, left: dict[int, Counts]) -> Together | None:
+    def combined(self, left: dict[int, MessageCounters]) -> GlobalSnapshot | None:
         """All of it, once it is there.
 
         Args:
@@ -145,6 +145,6 @@ class Keeping:
         if self._counts is None or self.missing:
             return None
         own = [counts for shard, counts in left.items() if shard not in self._shards]
-        asked = [Counts(*kept.counts) for kept in self._kept.values()]
+        asked = [MessageCounters(*kept.counts) for kept in self._kept.values()]
         states = {shard: self._kept[shard].state for shard in sorted(self._kept)}
-        return Together(self.tick, sum((*own, *asked), self._counts), states)
+        return GlobalSnapshot(self.tick, sum((*own, *asked), self._counts), states)

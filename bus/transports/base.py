@@ -14,19 +14,19 @@ class Received(NamedTuple):
     payload: bytes
 
 
-class Alive(NamedTuple):
+class LivelinessChange(NamedTuple):
     """A token that appeared (``present``) or went: withdrawn, or its process gone."""
 
     key: str
     present: bool
 
 
-class Woken(NamedTuple):
+class Wakeup(NamedTuple):
     """Somebody called ``wake``."""
 
 
-Event = Received | Alive | Woken
-Haste = Literal["quiet", "wake", "urgent"]
+Event = Received | LivelinessChange | Wakeup
+Urgency = Literal["quiet", "wake", "urgent"]
 
 
 class Publisher(ABC):
@@ -52,7 +52,7 @@ class Endpoint(ABC):
     - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
       subscriptions of one endpoint would break that and are refused. An endpoint hears its own puts.
     - **Patience.** ``receive`` may be told how many payloads it takes to get on: it then lets fewer wait, but
-      never beyond its time, and never behind a token, a ``Woken`` or an urgent subscription's payload.
+      never beyond its time, and never behind a token, a ``Wakeup`` or an urgent subscription's payload.
     - **Bytes.** Payloads arrive as they were put, empty ones included.
     - **Late joiners** get nothing of what was put before they subscribed. Tokens are otherwise: a watcher is
       told of every token that is there when it begins to watch. The same presence may be told twice.
@@ -76,7 +76,7 @@ class Endpoint(ABC):
         """Puts each payload with its publisher, all of this endpoint, as close together as can be."""
 
     @abstractmethod
-    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
+    def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
         """Lets everything put on matching keys into the inbox; a second time with the same words is a no-op.
 
         Args:
@@ -109,23 +109,23 @@ class Endpoint(ABC):
             enough: How many must be there before the wait ends early; see *patience*.
         """
         if not self._rest:
-            self._rest = self.take(timeout_s, enough)
+            self._rest = self.poll_all(timeout_s, enough)
         return self._rest.pop(0) if self._rest else None
 
     def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """As ``receive``, but all that is in the inbox, oldest first; empty after ``timeout_s``."""
         if self._rest:
             rest, self._rest = self._rest, []
-            return rest + self.take(0, 1)
-        return self.take(timeout_s, enough)
+            return rest + self.poll_all(0, 1)
+        return self.poll_all(timeout_s, enough)
 
     @abstractmethod
-    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
         """What ``receive_all`` hands over; for a transport to say how."""
 
     @abstractmethod
     def wake(self) -> None:
-        """Puts one ``Woken`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""
+        """Puts one ``Wakeup`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""
 
     @abstractmethod
     def close(self) -> None:

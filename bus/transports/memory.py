@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, final
 
 from bus.errors import TransportError
-from bus.transports.base import Alive, Endpoint, Event, Haste, Publisher, Received, Woken
+from bus.transports.base import Endpoint, Event, LivelinessChange, Publisher, Received, Urgency, Wakeup
 from bus.wire.keys import intersects
 
 
@@ -23,7 +23,7 @@ class _Urgent:
 
 
 @final
-class Inbox:
+class EventQueue:
     """First in, first out; the reader waits until *enough* has come, or something urgent.
 
     In the main thread the wait lets signal handlers run.
@@ -86,7 +86,7 @@ class MemoryBus:
         route = self._routes.get(key)
         if route is None:
             with self._lock:
-                route = tuple(door for e in self._endpoints if (door := e.door(key)) is not None)
+                route = tuple(door for e in self._endpoints if (door := e.queue_of(key)) is not None)
                 self._routes[key] = route
         return route
 
@@ -97,7 +97,7 @@ class MemoryBus:
         for door in self.route(key):
             door(event)
 
-    def subscribe(self, endpoint: MemoryEndpoint, key_expr: str, haste: Haste) -> None:
+    def subscribe(self, endpoint: MemoryEndpoint, key_expr: str, haste: Urgency) -> None:
         """Lets what comes on matching keys into the endpoint's inbox."""
         with self._lock:
             endpoint.subscriptions[key_expr] = haste
@@ -109,14 +109,14 @@ class MemoryBus:
             if key in self._tokens:
                 raise TransportError(f"token {key} is declared already")
             self._tokens[key] = endpoint
-            self._announce(Alive(key, True))
+            self._announce(LivelinessChange(key, True))
 
     def withdraw(self, key: str, endpoint: MemoryEndpoint) -> None:
         """Takes back a token of ``endpoint``."""
         with self._lock:
             if self._tokens.get(key) is endpoint:
                 del self._tokens[key]
-                self._announce(Alive(key, False))
+                self._announce(LivelinessChange(key, False))
 
     def watch(self, key_expr: str, endpoint: MemoryEndpoint) -> None:
         """Begins to tell ``endpoint`` of tokens, those that are there first."""
@@ -124,7 +124,7 @@ class MemoryBus:
             endpoint.watches.append(key_expr)
             for key in self._tokens:
                 if intersects(key_expr, key):
-                    endpoint.tell(Alive(key, True))
+                    endpoint.enqueue(LivelinessChange(key, True))
 
     def leave(self, endpoint: MemoryEndpoint) -> None:
         """Forgets ``endpoint`` and withdraws its tokens."""
@@ -135,10 +135,10 @@ class MemoryBus:
             for key in [key for key, owner in self._tokens.items() if owner is endpoint]:
                 self.withdraw(key, endpoint)
 
-    def _announce(self, event: Alive) -> None:
+    def _announce(self, event: LivelinessChange) -> None:
         for endpoint in self._endpoints:
             if any(intersects(expr, event.key) for expr in endpoint.watches):
-                endpoint.tell(event)
+                endpoint.enqueue(event)
 
 
 @final
@@ -168,15 +168,15 @@ class MemoryEndpoint(Endpoint):
     def __init__(self, bus: MemoryBus) -> None:
         super().__init__()
         self._bus = bus
-        self._inbox = Inbox()
+        self._inbox = EventQueue()
         self._quiet: deque[Event] = deque()
-        self._doors: dict[Haste, Callable[[Event], None]] = {
+        self._doors: dict[Urgency, Callable[[Event], None]] = {
             "quiet": self._quiet.append,
             "wake": self._inbox.put,
             "urgent": self._inbox.put_urgent,
         }
         self._closed = False
-        self.subscriptions: dict[str, Haste] = {}
+        self.subscriptions: dict[str, Urgency] = {}
         self.watches: list[str] = []
 
     def publisher(self, key: str) -> Publisher:
@@ -189,7 +189,7 @@ class MemoryEndpoint(Endpoint):
         for publisher, payload in puts:
             publisher.put(payload)
 
-    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
+    def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
         """Lets everything put on matching keys into the inbox."""
         self.check_open()
         if key_expr in self.subscriptions:
@@ -212,15 +212,15 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         self._bus.watch(key_expr, self)
 
-    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
         """All events, the quiet first."""
         self.check_open()
         events = self._inbox.take(timeout_s, enough)
         return [self._quiet.popleft() for _ in range(len(self._quiet))] + events
 
     def wake(self) -> None:
-        """Puts one ``Woken`` in the inbox."""
-        self._inbox.put_urgent(Woken())
+        """Puts one ``Wakeup`` in the inbox."""
+        self._inbox.put_urgent(Wakeup())
 
     def close(self) -> None:
         """Withdraws everything and leaves."""
@@ -228,14 +228,14 @@ class MemoryEndpoint(Endpoint):
             self._bus.leave(self)
             self._closed = True
 
-    def door(self, key: str) -> Callable[[Event], None] | None:
+    def queue_of(self, key: str) -> Callable[[Event], None] | None:
         """Where to put what comes on ``key``; None where no subscription matches."""
         for expr, haste in self.subscriptions.items():
             if intersects(expr, key):
                 return self._doors[haste]
         return None
 
-    def tell(self, event: Alive) -> None:
+    def enqueue(self, event: LivelinessChange) -> None:
         """Puts news of a token in the inbox."""
         self._inbox.put_urgent(event)
 

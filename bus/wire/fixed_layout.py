@@ -23,7 +23,7 @@ _MARKS: Final = {
 _TO_WIRE: Final = bytes.maketrans(b"\x00\x01", b"\xc2\xc3")
 _FROM_WIRE: Final = bytes({0xC2: 0, 0xC3: 1}.get(byte, 2) for byte in range(256))
 
-Place = str | tuple[str, ...] | int | None
+FieldLayout = str | tuple[str, ...] | int | None
 """What stands under a name: a number, a list of numbers, a list of so many booleans, or nil; ``"?"``: a boolean."""
 
 
@@ -31,21 +31,21 @@ Decode = Callable[[int, bytes], tuple[int, Any]]
 """From the part of a frame and any payload to its tick and value, or WireError."""
 
 
-def flags(marks: bytes) -> bytes | None:
+def decode_booleans(marks: bytes) -> bytes | None:
     """Booleans, a byte each, 0 or 1, from what MessagePack has for them; None where it is something else."""
     found = marks.translate(_FROM_WIRE)
     return None if 2 in found else found
 
 
 @final
-class Fixed:
+class FixedLayoutCodec:
     """One kind of payload; writes for one thread at a time.
 
     Args:
         places: What stands under each name, after ``v`` and ``tick``.
     """
 
-    def __init__(self, places: Mapping[str, Place]) -> None:
+    def __init__(self, places: Mapping[str, FieldLayout]) -> None:
         between, values, self._booleans = _layout(places)
         words = [f"{len(text)}s{value}" for text, value in zip(between, [*values, ""], strict=True)]
         self._layout = struct.Struct(">" + "".join(words))
@@ -87,7 +87,7 @@ class Fixed:
         return decode
 
 
-def _layout(places: Mapping[str, Place]) -> tuple[list[bytes], list[str], list[int]]:
+def _layout(places: Mapping[str, FieldLayout]) -> tuple[list[bytes], list[str], list[int]]:
     """The bytes before, between and after the values; the values' types; where between both the booleans are."""
     packer = cast("Any", msgpack).Packer()
     between, values, booleans = [b""], list[str](), list[int]()

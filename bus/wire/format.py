@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from bus.partition import Index, Partition
-from bus.sensors import Labels, Picture, Readings
+from bus.sensors import CameraFrame, Labels, SensorSchema
 from bus.wire.fixed_layout import Decode
 from bus.wire.frames import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
 from bus.wire.keys import check_run
@@ -21,7 +21,7 @@ from bus.wire.keys import check_run
 
 @final
 @dataclass(frozen=True, slots=True)
-class Wiring:
+class RunSchema:
     """What both sides of a run must agree on.
 
     Args:
@@ -37,7 +37,7 @@ class Wiring:
 
     run: str
     partition: Partition
-    readings: Readings
+    readings: SensorSchema
     message: np.dtype[Any] | None
 
     def __post_init__(self) -> None:
@@ -61,10 +61,10 @@ class Senses(NamedTuple):
     encoder_m: Values | None
     level: Values | None
     label: Labels | None
-    picture: Picture | None
+    picture: CameraFrame | None
 
 
-class HostForm(ABC):
+class CoordinatorCodec(ABC):
     """The plant's side of a form.
 
     Attributes:
@@ -96,7 +96,7 @@ class HostForm(ABC):
         """``(n, 2)`` from a value a unit; may be written."""
 
 
-class MemberForm(ABC):
+class ParticipantCodec(ABC):
     """A shard's side of a form.
 
     Attributes:
@@ -150,7 +150,7 @@ class MemberForm(ABC):
         """A payload a part that the shard sends, in their order."""
 
 
-def stretch(index: Index) -> slice | Index:
+def as_slice(index: Index) -> slice | Index:
     """The same selection as a slice where it is one: NumPy then copies instead of gathering."""
     if len(index) and int(index[-1]) - int(index[0]) == len(index) - 1:
         return slice(int(index[0]), int(index[-1]) + 1)

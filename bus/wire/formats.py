@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, Literal, NamedTuple
 
-from bus.wire.format import HostForm, MemberForm, Wiring
-from bus.wire.packed import PackedHost, PackedMember
-from bus.wire.per_cell import CellsHost, CellsMember
+from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema
+from bus.wire.packed import PackedCoordinator, PackedParticipant
+from bus.wire.per_cell import PerCellCoordinator, PerCellParticipant
 
-FormName = Literal["packed", "cells"]
+WireFormat = Literal["packed", "cells"]
 
 
-class Form(NamedTuple):
+class FormatCodecs(NamedTuple):
     """Both sides of a form."""
 
-    host: Callable[[Wiring], HostForm]
-    member: Callable[[Wiring, int], MemberForm]
+    coordinator: Callable[[RunSchema], CoordinatorCodec]
+    participant: Callable[[RunSchema, int], ParticipantCodec]
 
 
-FORMS: Final[dict[FormName, Form]] = {
-    "packed": Form(PackedHost, PackedMember),
-    "cells": Form(CellsHost, CellsMember),
+FORMATS: Final[dict[WireFormat, FormatCodecs]] = {
+    "packed": FormatCodecs(PackedCoordinator, PackedParticipant),
+    "cells": FormatCodecs(PerCellCoordinator, PerCellParticipant),
 }

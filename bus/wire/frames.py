@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, NamedTuple, cast, final
 import numpy as np
 
 from bus.errors import BusError, WireError
-from bus.sensors import Labels, Picture, Readings
+from bus.sensors import CameraFrame, Labels, SensorSchema
 from bus.wire.msgpack_codec import TICK_LIMIT, VERSION, Mask, Message, Values, layout, packer, reader
 
 TEXT_LIMIT: Final = 4096
@@ -32,7 +32,7 @@ class SenseFrame(NamedTuple):
     encoder_m: Values | None
     level: Values | None = None
     label: Labels | None = None
-    picture: Picture | None = None
+    picture: CameraFrame | None = None
 
 
 class DriveFrame(NamedTuple):
@@ -110,7 +110,7 @@ def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
     return packed
 
 
-def check_sense(frame: SenseFrame, readings: Readings, cells: int) -> None:
+def check_sense(frame: SenseFrame, readings: SensorSchema, cells: int) -> None:
     """Checks that a frame of ``cells`` cells has what was agreed on, and nothing else.
 
     Raises:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.errors import WireError
-from bus.sensors import Labels, Picture
+from bus.sensors import CameraFrame, Labels
 
 VERSION: Final = 1
 """Version of every payload; another is refused."""
@@ -124,7 +124,7 @@ def floats(kind: str, value: object, rows: int) -> Values:
     return found
 
 
-def shares(kind: str, value: object, rows: int, columns: int) -> Values:
+def fractions(kind: str, value: object, rows: int, columns: int) -> Values:
     """``(rows, columns)`` little-endian float64 in [0, 1], which may be written.
 
     Raises:
@@ -136,7 +136,7 @@ def shares(kind: str, value: object, rows: int, columns: int) -> Values:
     return found
 
 
-def share_list(kind: str, value: object, count: int) -> list[float]:
+def fraction_list(kind: str, value: object, count: int) -> list[float]:
     """``count`` numbers in [0, 1] from a list of them.
 
     Raises:
@@ -157,7 +157,7 @@ def all_finite(values: Values) -> bool:
     return 0 not in np.isfinite(values).tobytes()
 
 
-def nothing(kind: str, name: str, value: object) -> None:
+def expect_nil(kind: str, name: str, value: object) -> None:
     """Checks that there is no value.
 
     Raises:
@@ -178,7 +178,7 @@ def check_finite(kind: str, first: float, second: float) -> None:
         raise WireError(kind, "finite", "every value must be finite")
 
 
-def pair(kind: str, value: object) -> tuple[float, float]:
+def finite_pair(kind: str, value: object) -> tuple[float, float]:
     """Two finite numbers from a list of two.
 
     Raises:
@@ -303,14 +303,14 @@ def label(kind: str, value: object, largest: int) -> int:
     return value
 
 
-def picture_rows(shown: Picture | None) -> list[list[float]] | None:
+def picture_rows(shown: CameraFrame | None) -> list[list[float]] | None:
     """A picture as rows of parcel, x, y and angle; nil for none."""
     if shown is None:
         return None
     return [[parcel, *pose] for parcel, pose in zip(shown.parcel.tolist(), shown.pose.tolist(), strict=True)]
 
 
-def picture(kind: str, value: object, most: int) -> Picture | None:
+def picture(kind: str, value: object, most: int) -> CameraFrame | None:
     """What a camera saw from what ``picture_rows`` made: of parcels 0 to ``most`` - 1, each once, in their order.
 
     Raises:
@@ -335,4 +335,4 @@ def picture(kind: str, value: object, most: int) -> Picture | None:
     found: Values = np.array(poses, dtype=np.float64).reshape(-1, 3)
     if not all_finite(found):
         raise WireError(kind, "finite", "every value must be finite")
-    return Picture(np.array(parcels, dtype=np.int64), found)
+    return CameraFrame(np.array(parcels, dtype=np.int64), found)

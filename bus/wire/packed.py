@@ -8,11 +8,11 @@ import numpy as np
 
 from bus.errors import WireError
 from bus.partition import Index
-from bus.sensors import Readings
+from bus.sensors import SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
 from bus.wire import msgpack_codec as readings_codec
-from bus.wire.format import HostForm, MemberForm, Senses, Wiring, stretch
+from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema, Senses, as_slice
 from bus.wire.keys import shard_key, shard_link_key
 
 _DRIVE: Final = codec.layout("drive")
@@ -22,17 +22,17 @@ _NAME: Final = 16
 
 
 @final
-class PackedHost(HostForm):
+class PackedCoordinator(CoordinatorCodec):
     """The plant's side: a unit is a shard."""
 
-    def __init__(self, wiring: Wiring) -> None:
+    def __init__(self, wiring: RunSchema) -> None:
         self._pack = codec.packer()
         partition, run = wiring.partition, wiring.run
         shards = range(partition.count)
         self._cells = len(partition.lattice)
         self._pictures = wiring.readings.camera > 0
         self.unit_cells = tuple(partition.cells(s) for s in shards)
-        self._rows = tuple(stretch(cells) for cells in self.unit_cells)
+        self._rows = tuple(as_slice(cells) for cells in self.unit_cells)
         self.sense_keys = tuple(shard_key(run, s, "sense") for s in shards)
         self.drive_units = {shard_key(run, s, "drive"): s for s in shards}
         self.alive_units = {shard_key(run, s, "alive"): s for s in shards}
@@ -82,7 +82,7 @@ def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, obje
     return fields
 
 
-def _sense_reader(readings: Readings, rows: int) -> codec.Read:
+def _sense_reader(readings: SensorSchema, rows: int) -> codec.Read:
     """What reads the senses of so many cells."""
     names, limit = ["presence", "encoder_m"], rows * (readings.sensors + 16)
     if readings.levels:
@@ -98,10 +98,10 @@ def _sense_reader(readings: Readings, rows: int) -> codec.Read:
 
 
 @final
-class PackedMember(MemberForm):
+class PackedParticipant(ParticipantCodec):
     """A shard's side: one unit, a part a border."""
 
-    def __init__(self, wiring: Wiring, shard: int) -> None:
+    def __init__(self, wiring: RunSchema, shard: int) -> None:
         self._pack = codec.packer()
         partition, run = wiring.partition, wiring.run
         cells = partition.cells(shard)
@@ -151,9 +151,9 @@ class PackedMember(MemberForm):
         if readings.encoders:
             encoder_m = codec.floats("sense", fields["encoder_m"], rows)
         else:
-            codec.nothing("sense", "encoder_m", fields["encoder_m"])
+            codec.expect_nil("sense", "encoder_m", fields["encoder_m"])
         if readings.levels:
-            level = codec.shares("sense", fields["level"], rows, readings.sensors)
+            level = codec.fractions("sense", fields["level"], rows, readings.sensors)
         if readings.labels:
             label = readings_codec.labels("sense", fields["label"], rows, readings.labels)
         if readings.camera:

@@ -12,29 +12,29 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from bus.sensors import Picture, Readings
+from bus.sensors import CameraFrame, SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
 from bus.wire import msgpack_codec as readings_codec
-from bus.wire.fixed_layout import Decode, Fixed, Place, flags
-from bus.wire.format import HostForm, MemberForm, Senses, Wiring
+from bus.wire.fixed_layout import Decode, FieldLayout, FixedLayoutCodec, decode_booleans
+from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema, Senses
 from bus.wire.keys import cell_key, cell_link_key
 
 VALUE: Final = 80
 """Bytes that one named value of a payload may take, its name included up to four fifths of that."""
 PAIR: Final = struct.Struct("<2d")
-Sensed = tuple[bytes, bytes, bytes, int, Picture | None]
+Sensed = tuple[bytes, bytes, bytes, int, CameraFrame | None]
 """Of a cell: presence a byte each; travel and levels packed, empty where there are none; its label; a picture."""
 
 
-def blank(readings: Readings) -> Sensed:
+def blank(readings: SensorSchema) -> Sensed:
     """What stands for a cell that senses nothing."""
     return bytes(readings.sensors), bytes(PAIR.size), bytes(8 * readings.sensors), 0, None
 
 
-def _places(readings: Readings) -> dict[str, Place]:
+def _places(readings: SensorSchema) -> dict[str, FieldLayout]:
     """What stands under each name, in a tick without a picture."""
-    places: dict[str, Place] = {
+    places: dict[str, FieldLayout] = {
         "presence": readings.sensors,
         "encoder_m": ("d", "d") if readings.encoders else None,
     }
@@ -55,9 +55,9 @@ class SenseWriter:
         readings: What there is to read.
     """
 
-    def __init__(self, readings: Readings) -> None:
+    def __init__(self, readings: SensorSchema) -> None:
         self._readings = readings
-        self._fixed = Fixed(_places(readings))
+        self._fixed = FixedLayoutCodec(_places(readings))
         self._pack = codec.packer()
 
     def write(self, frame: wire.SenseFrame) -> list[bytes]:
@@ -80,7 +80,7 @@ class SenseWriter:
         made = dict(zip(patterns, write(frame.tick, patterns), strict=True))
         return [made[row] for row in rows]
 
-    def _write_pictured(self, frame: wire.SenseFrame, picture: Picture) -> list[bytes]:
+    def _write_pictured(self, frame: wire.SenseFrame, picture: CameraFrame) -> list[bytes]:
         """In a tick in which a picture comes in: not the same places as ever."""
         n, shown = len(frame.presence), readings_codec.picture_rows(picture)
         columns: dict[str, list[Any]] = {
@@ -100,7 +100,7 @@ class SenseWriter:
         ]
 
 
-def joined(readings: Readings, values: list[Sensed]) -> Senses:
+def joined(readings: SensorSchema, values: list[Sensed]) -> Senses:
     """What so many cells sense; the picture is the first one's that has one: all are told the same."""
     bits, travel, levels, labels, pictures = zip(*values, strict=True)
     each = (len(values), readings.sensors)
@@ -115,7 +115,7 @@ def joined(readings: Readings, values: list[Sensed]) -> Senses:
     return Senses(presence, encoder_m, level, label, picture)
 
 
-def sense_decoder(readings: Readings) -> Decode:
+def sense_decoder(readings: SensorSchema) -> Decode:
     """From a sense payload to its tick and what the cell senses."""
     sensors, largest, most = readings.sensors, readings.labels, readings.camera
     names = list(_places(readings))
@@ -127,26 +127,26 @@ def sense_decoder(readings: Readings) -> Decode:
         presence = bytes(codec.booleans("sense", fields["presence"], sensors))
         travel, level, label, picture = b"", b"", 0, None
         if readings.encoders:
-            travel = PAIR.pack(*codec.pair("sense", fields["encoder_m"]))
+            travel = PAIR.pack(*codec.finite_pair("sense", fields["encoder_m"]))
         else:
-            codec.nothing("sense", "encoder_m", fields["encoder_m"])
+            codec.expect_nil("sense", "encoder_m", fields["encoder_m"])
         if readings.levels:
-            level = pack(*codec.share_list("sense", fields["level"], sensors))
+            level = pack(*codec.fraction_list("sense", fields["level"], sensors))
         if largest:
             label = readings_codec.label("sense", fields["label"], largest)
         if most:
             picture = readings_codec.picture("sense", fields["picture"], most)
         return tick, (presence, travel, level, label, picture)
 
-    return Fixed(_places(readings)).decoder(_short(readings, pack), decode)
+    return FixedLayoutCodec(_places(readings)).decoder(_short(readings, pack), decode)
 
 
-def _short(readings: Readings, pack: Callable[..., bytes]) -> Callable[..., Sensed | None]:
+def _short(readings: SensorSchema, pack: Callable[..., bytes]) -> Callable[..., Sensed | None]:
     """From the values as they come to what the cell senses; None if they are not what they should be."""
     encoders, levels, largest = readings.encoders, readings.levels, readings.labels
 
     def sensed(marks: bytes, *values: float) -> Sensed | None:
-        presence, label = flags(marks), values[-1] if largest else 0
+        presence, label = decode_booleans(marks), values[-1] if largest else 0
         numbers = values[:-1] if largest else values
         travel, shares = (finite_pair(*numbers[:2]), numbers[2:]) if encoders else (b"", numbers)
         fits = label <= largest and all(0.0 <= share <= 1.0 for share in shares)
@@ -166,12 +166,12 @@ def finite_pair(first: float, second: float) -> bytes | None:
 
 
 def _travelled(marks: bytes, x: float, y: float) -> Sensed | None:
-    presence, travel = flags(marks), finite_pair(x, y)
+    presence, travel = decode_booleans(marks), finite_pair(x, y)
     return None if presence is None or travel is None else (presence, travel, b"", 0, None)
 
 
 def _present(marks: bytes) -> Sensed | None:
-    presence = flags(marks)
+    presence = decode_booleans(marks)
     return None if presence is None else (presence, b"", b"", 0, None)
 
 
@@ -181,16 +181,16 @@ _LETTERS: Final = {
 }  # fmt: skip
 """The struct module's letter for each kind of field and its size."""
 _NO_MESSAGE: Final = codec.layout()
-_DRIVE: Final[dict[str, Place]] = {"drive": ("d", "d")}
+_DRIVE: Final[dict[str, FieldLayout]] = {"drive": ("d", "d")}
 
 _read_drive = codec.reader("drive", VALUE, codec.layout("drive"))
 
 
 @final
-class CellsHost(HostForm):
+class PerCellCoordinator(CoordinatorCodec):
     """The plant's side: a unit is a cell."""
 
-    def __init__(self, wiring: Wiring) -> None:
+    def __init__(self, wiring: RunSchema) -> None:
         cells, run = wiring.partition.lattice.cells, wiring.run
         self._sense = SenseWriter(wiring.readings)
         self.unit_cells = tuple(np.array([i], dtype=np.int64) for i in range(len(cells)))
@@ -218,16 +218,16 @@ def _drive_decoder() -> Decode:
 
     def decode(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
         tick, fields = _read_drive(payload)
-        return tick, PAIR.pack(*codec.pair("drive", fields["drive"]))
+        return tick, PAIR.pack(*codec.finite_pair("drive", fields["drive"]))
 
-    return Fixed(_DRIVE).decoder(finite_pair, decode)
+    return FixedLayoutCodec(_DRIVE).decoder(finite_pair, decode)
 
 
 @final
-class CellsMember(MemberForm):
+class PerCellParticipant(ParticipantCodec):
     """A shard's side: a unit a cell, a part a link."""
 
-    def __init__(self, wiring: Wiring, shard: int) -> None:
+    def __init__(self, wiring: RunSchema, shard: int) -> None:
         partition, run = wiring.partition, wiring.run
         cells = partition.lattice.cells
         mine = partition.cells(shard)
@@ -254,7 +254,11 @@ class CellsMember(MemberForm):
         self._no_message = bytes(message.itemsize)
         self._message = message
         self._fields = _struct(message, "1s").iter_unpack
-        self._drive, self._link, self._silence = Fixed(_DRIVE), Fixed(_link_places(message)), Fixed({})
+        self._drive, self._link, self._silence = (
+            FixedLayoutCodec(_DRIVE),
+            FixedLayoutCodec(_link_places(message)),
+            FixedLayoutCodec({}),
+        )
         self.out_keys = tuple(
             cell_link_key(run, cells[int(outgoing.source[i])], int(outgoing.source_side[i])) for i in said
         )
@@ -291,8 +295,8 @@ class CellsMember(MemberForm):
 
 def _link_decoder(message: np.dtype[Any]) -> Decode:
     """From a link payload to its tick and the message's packed fields, empty where nothing was sent."""
-    silence = Fixed({}).decoder(bytes, _any_link_decoder(message))
-    return Fixed(_link_places(message)).decoder(_message_packer(message), silence)
+    silence = FixedLayoutCodec({}).decoder(bytes, _any_link_decoder(message))
+    return FixedLayoutCodec(_link_places(message)).decoder(_message_packer(message), silence)
 
 
 def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
@@ -304,7 +308,10 @@ def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
     booleans = [letter == "?" for letter in letters]
 
     def pack(*values: Any) -> bytes | None:
-        made = [flags(value) if is_flag else value for value, is_flag in zip(values, booleans, strict=True)]
+        made = [
+            decode_booleans(value) if is_flag else value
+            for value, is_flag in zip(values, booleans, strict=True)
+        ]
         try:
             return None if None in made else packed.pack(*made)
         except OverflowError:  # Half a float does not hold it.
@@ -336,7 +343,7 @@ def _letters(message: np.dtype[Any]) -> dict[str, str]:
     return {name: _LETTERS[field.kind + str(field.itemsize)] for name, field in fields}
 
 
-def _link_places(message: np.dtype[Any]) -> dict[str, Place]:
+def _link_places(message: np.dtype[Any]) -> dict[str, FieldLayout]:
     """A message in MessagePack, which has no half floats."""
     return {name: "f" if letter == "e" else letter for name, letter in _letters(message).items()}
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bus.random_streams import Draws
-from cell_firmware.effects.base import CellEffectSpec, Site, Stage, places
+from bus.random_streams import CounterStream
+from cell_firmware.effects.base import CellEffectSpec, InputFilter, ShardContext, stream_ids
 from cell_firmware.firmware import Inputs
 
 CODES: Final = 256
@@ -32,29 +32,29 @@ class AdcSpec(CellEffectSpec):
 
     needs: ClassVar[tuple[str, ...]] = ("analogue_sensors",)
     messages: ClassVar[tuple[str, ...]] = ("levels have 8 bits",)
-    rung: ClassVar[int | None] = 56
+    fidelity_rank: ClassVar[int | None] = 56
     noise_codes: Annotated[float, Field(ge=0, le=CODES, allow_inf_nan=False)] = 0.0
     """Root mean square of what is added before rounding, each reading by itself, in codes."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """Noise of half a code."""
         return cls(noise_codes=0.5)
 
-    def stages(self, site: Site) -> Iterator[Stage]:
+    def input_filters(self, site: ShardContext) -> Iterator[InputFilter]:
         """One."""
         yield _Conversion(self.noise_codes, site)
 
 
 @final
-class _Conversion(Stage):
+class _Conversion(InputFilter):
     """Noise is the sum of four uniform numbers: never beyond 3.5 times its root mean square, and no transcendentals."""
 
-    def __init__(self, noise_codes: float, site: Site) -> None:
+    def __init__(self, noise_codes: float, site: ShardContext) -> None:
         super().__init__()
         self._scale = _SPREAD * noise_codes
-        each = places(site.sensor_places(), _SUMMED)
-        self._draws = Draws(site.seed, "adc", each) if noise_codes else None
+        each = stream_ids(site.sensor_stream_ids(), _SUMMED)
+        self._draws = CounterStream(site.seed, "adc", each) if noise_codes else None
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Reads levels as codes."""

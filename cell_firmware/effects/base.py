@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from bus.effect import EffectSpec
 from bus.lattice import SIDES
-from bus.state import Remembers
-from cell_firmware.clocks import NEVER, Clocks
+from bus.state import StateFields
+from cell_firmware.clocks import NOT_IN_WINDOW, CellClocks
 from cell_firmware.firmware import Bools, Inputs
 from cell_firmware.specs import CellsSpec
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Site:
+class ShardContext:
     """The cells of one shard, as far as effects are concerned.
 
     Attributes:
@@ -42,40 +42,40 @@ class Site:
     levels: bool = False
     said: np.dtype[Any] | None = None
     tick_ns: int = 0
-    clocks: Clocks | None = None
+    clocks: CellClocks | None = None
 
     def fresh(self, tick: int) -> Bools | None:
         """Cells with a reading of their own in an exchange, ``(n,)``; None: all have one.
 
         The pins of the others say what they last read.
         """
-        return None if self.clocks is None else self.clocks.instants(tick - 1) != NEVER
+        return None if self.clocks is None else self.clocks.instants(tick - 1) != NOT_IN_WINDOW
 
-    def sensor_places(self) -> NDArray[np.int64]:
+    def sensor_stream_ids(self) -> NDArray[np.int64]:
         """``(n sensors,)``: a number for every sensor that is its own in the whole array."""
-        return places(self.cells, self.sensors)
+        return stream_ids(self.cells, self.sensors)
 
-    def link_places(self) -> NDArray[np.int64]:
+    def link_stream_ids(self) -> NDArray[np.int64]:
         """``(4 n,)``: the same for every side on which a cell may hear a neighbour."""
-        return places(self.cells, len(SIDES))
+        return stream_ids(self.cells, len(SIDES))
 
 
-def places(whose: NDArray[np.int64], each: int) -> NDArray[np.int64]:
+def stream_ids(whose: NDArray[np.int64], each: int) -> NDArray[np.int64]:
     """Numbers, ``each`` of them for every one of ``whose`` numbers, ``(each m,)``, no two alike."""
     return (each * whose[:, None] + np.arange(each)).ravel()
 
 
-class Stage(ABC):
+class InputFilter(ABC):
     """Changes what the cells of a shard see: each tick once, in order of ticks, before the firmware.
 
     Attributes:
         counted: What happened so far to cells that were alive, by name.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("counted")
+    remembers: ClassVar[StateFields] = StateFields("counters")
 
     def __init__(self) -> None:
-        self.counted: Counter[str] = Counter()
+        self.counters: Counter[str] = Counter()
 
     @abstractmethod
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
@@ -89,7 +89,7 @@ class Stage(ABC):
 
     def count(self, name: str, happened: Bools, alive: NDArray[np.int64] | slice) -> None:
         """Counts what ``happened``, ``(n, ...)``, to cells that live."""
-        self.counted[name] += int(np.count_nonzero(happened[alive]))
+        self.counters[name] += int(np.count_nonzero(happened[alive]))
 
 
 class CellEffectSpec(EffectSpec):
@@ -98,11 +98,11 @@ class CellEffectSpec(EffectSpec):
     It acts on what cells see, as stages, or it is a part of their board: see ``cell_firmware.build``.
     """
 
-    def stages(self, site: Site) -> Iterator[Stage]:  # noqa: ARG002
+    def input_filters(self, site: ShardContext) -> Iterator[InputFilter]:  # noqa: ARG002
         """What the shard's inputs have to pass, in this order; nothing where the settings change nothing."""
         yield from ()
 
-    def unfit(
+    def fit_problems(
         self,
         cells: CellsSpec,  # noqa: ARG002
     ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:

@@ -25,7 +25,7 @@ class EncoderSpec(CellEffectSpec):
 
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     states: ClassVar[tuple[str, ...]] = ("counts of every encoder",)
-    rung: ClassVar[int | None] = 42
+    fidelity_rank: ClassVar[int | None] = 42
     counts_per_revolution: Annotated[int, Field(ge=1, le=65_536)] = 256
     """Of a wheel, as they are counted: a decoder counts each cycle of its two channels four times."""
     decoder: Literal["hctl2016"] | None = None
@@ -35,7 +35,7 @@ class EncoderSpec(CellEffectSpec):
     """By default the motors', 0.03 where they have none; where both say one, they must agree."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """The defaults."""
         return cls()
 

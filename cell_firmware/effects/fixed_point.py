@@ -15,13 +15,13 @@ class FixedPointSpec(CellEffectSpec):
     """Speed loops compute in integers, speeds in Q4, voltages in Q12, with the same gains as in floating point."""
 
     needs: ClassVar[tuple[str, ...]] = ("motors",)
-    rung: ClassVar[int | None] = 46
+    fidelity_rank: ClassVar[int | None] = 46
     speed_unit_m_s: Positive | None = None
     """Unit of speeds where there is no ``encoder``, whose counts a period are it else: 0.001 unless given; speeds are
     16-bit words in sixteenths of it, and saturate at 2,048 of it."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """The defaults."""
         return cls()
 

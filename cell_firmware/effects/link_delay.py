@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from bus.lattice import SIDES
-from bus.random_streams import Draws
+from bus.random_streams import CounterStream
 from bus.spec import Spec
-from bus.state import Remembers
-from cell_firmware.effects.base import CellEffectSpec, Site, Stage
+from bus.state import StateFields
+from cell_firmware.effects.base import CellEffectSpec, InputFilter, ShardContext
 from cell_firmware.firmware import Inbox, Inputs
 
 LONGEST_TICKS: Final = 1_000
@@ -47,7 +47,7 @@ class Delays(Spec):
         ticks = self.ticks or 0
         return ticks, ticks
 
-    def delaying(self, site: Site, purpose: str) -> Iterator[Stage]:
+    def delaying(self, site: ShardContext, purpose: str) -> Iterator[InputFilter]:
         """A stage that keeps what a shard's inbox has until it is due; none where there is nothing to delay.
 
         Args:
@@ -73,25 +73,25 @@ class LinkDelaySpec(Delays, CellEffectSpec):
 
     states: ClassVar[tuple[str, ...]] = ("messages under way",)
     messages: ClassVar[tuple[str, ...]] = ("messages between neighbours take longer",)
-    rung: ClassVar[int | None] = 70
+    fidelity_rank: ClassVar[int | None] = 70
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """Up to two ticks."""
         return cls(between_ticks=(0, 2))
 
-    def stages(self, site: Site) -> Iterator[Stage]:
+    def input_filters(self, site: ShardContext) -> Iterator[InputFilter]:
         """One, where there are messages to delay."""
         yield from self.delaying(site, "link_delay")
 
 
 @final
-class _AllAlike(Stage):
+class _AllAlike(InputFilter):
     """Keeps whole inboxes, as many as the delay has ticks: nothing can overtake anything."""
 
-    remembers: ClassVar[Remembers] = Remembers("_under_way", records=(Inbox,))
+    remembers: ClassVar[StateFields] = StateFields("_under_way", records=(Inbox,))
 
-    def __init__(self, ticks: int, site: Site, message: np.dtype[np.void]) -> None:
+    def __init__(self, ticks: int, site: ShardContext, message: np.dtype[np.void]) -> None:
         super().__init__()
         shape = (len(site.cells), len(SIDES))
         self._under_way = [
@@ -108,21 +108,21 @@ class _AllAlike(Stage):
 
 
 @final
-class _EachItsOwn(Stage):
+class _EachItsOwn(InputFilter):
     """Keeps every message at its receiver until it is due: one inbox a tick, as many as the greatest delay spans."""
 
-    remembers: ClassVar[Remembers] = Remembers("_last_due", "_received", "_message")
+    remembers: ClassVar[StateFields] = StateFields("_last_due", "_received", "_message")
 
-    def __init__(self, spec: Delays, site: Site, message: np.dtype[np.void], purpose: str) -> None:
+    def __init__(self, spec: Delays, site: ShardContext, message: np.dtype[np.void], purpose: str) -> None:
         super().__init__()
         self._least, greatest = spec.bounds_ticks
         self._choices = greatest - self._least + 1
-        self._draws = Draws(site.seed, purpose, site.link_places())
+        self._draws = CounterStream(site.seed, purpose, site.link_stream_ids())
         links = len(SIDES) * len(site.cells)
         self._last_due = np.zeros(links, dtype=np.int64) if spec.ordered else None
         self._received = np.zeros((greatest + 1, links), dtype=np.bool_)
         self._message = np.zeros((greatest + 1, links), dtype=message)
-        self.counted["overtaken"] = 0
+        self.counters["overtaken"] = 0
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Puts aside what has come, and hands over what is due."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bus.random_streams import Draws
-from cell_firmware.effects.base import CellEffectSpec, Site, Stage
+from bus.random_streams import CounterStream
+from cell_firmware.effects.base import CellEffectSpec, InputFilter, ShardContext
 from cell_firmware.firmware import Inbox, Inputs
 
 
@@ -20,29 +20,29 @@ class LinkLossSpec(CellEffectSpec):
     """Each message between neighbours is lost with the same probability, each by itself."""
 
     messages: ClassVar[tuple[str, ...]] = ("messages between neighbours get lost",)
-    rung: ClassVar[int | None] = 80
+    fidelity_rank: ClassVar[int | None] = 80
     probability: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
     """Of a message, that its receiver never sees it."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """One message in a hundred."""
         return cls(probability=0.01)
 
-    def stages(self, site: Site) -> Iterator[Stage]:
+    def input_filters(self, site: ShardContext) -> Iterator[InputFilter]:
         """One, where there are messages to lose."""
         if self.probability and site.message is not None:
             yield _Loss(self.probability, site, site.message)
 
 
 @final
-class _Loss(Stage):
-    def __init__(self, probability: float, site: Site, message: np.dtype[np.void]) -> None:
+class _Loss(InputFilter):
+    def __init__(self, probability: float, site: ShardContext, message: np.dtype[np.void]) -> None:
         super().__init__()
         self._probability = probability
         self._nothing = np.zeros((), dtype=message)
-        self._draws = Draws(site.seed, "link_loss", site.link_places())
-        self.counted["lost"] = 0
+        self._draws = CounterStream(site.seed, "link_loss", site.link_stream_ids())
+        self.counters["lost"] = 0
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Takes messages out of the inbox."""

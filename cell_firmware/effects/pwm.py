@@ -20,14 +20,14 @@ class PwmSpec(CellEffectSpec):
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     states: ClassVar[tuple[str, ...]] = ("duty of every wheel",)
     messages: ClassVar[tuple[str, ...]] = ("drives are whole duties",)
-    rung: ClassVar[int | None] = 44
+    fidelity_rank: ClassVar[int | None] = 44
     levels: Annotated[int, Field(ge=1, le=65_535)] | None = None
     """Timer counts of a pulse period: 2 MHz over the frequency. 2,000 (1 kHz) where neither is given."""
     frequency_hz: Annotated[float, Field(ge=31, le=TIMER_HZ, allow_inf_nan=False)] | None = None
     """Or how many pulses a second; the timer's nearest."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """The defaults."""
         return cls()
 

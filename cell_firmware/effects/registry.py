@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from bus.effect import Effects
 from cell_firmware.effects.adc import AdcSpec
-from cell_firmware.effects.base import CellEffectSpec, Site, Stage
+from cell_firmware.effects.base import CellEffectSpec, InputFilter, ShardContext
 from cell_firmware.effects.clock.spec import ClockSpec
 from cell_firmware.effects.cop.spec import CopSpec
 from cell_firmware.effects.encoder import EncoderSpec
@@ -37,17 +37,17 @@ class CellEffects(Effects):
     serial: SerialSpec | None = None
     cop: CopSpec | None = None
 
-    def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+    def fit_problems(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
         """What effects say that does not fit the cells: path from ``effects``, value, and the broken rule."""
-        for name, effect in self.asked():
+        for name, effect in self.enabled():
             if isinstance(effect, CellEffectSpec):
-                for path, value, rule in effect.unfit(cells):
+                for path, value, rule in effect.fit_problems(cells):
                     yield (name, *path), value, rule
 
-    def stages(self, site: Site) -> dict[str, tuple[Stage, ...]]:
+    def input_filters(self, site: ShardContext) -> dict[str, tuple[InputFilter, ...]]:
         """What the inputs of a shard's cells have to pass, in order, by the name of the effect."""
         return {
-            name: tuple(effect.stages(site))
-            for name, effect in self.asked()
+            name: tuple(effect.input_filters(site))
+            for name, effect in self.enabled()
             if isinstance(effect, CellEffectSpec)
         }

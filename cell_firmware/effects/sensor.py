@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from bus.random_streams import Draws
-from bus.state import Remembers
-from cell_firmware.effects.base import CellEffectSpec, Site, Stage
+from bus.random_streams import CounterStream
+from bus.state import StateFields
+from cell_firmware.effects.base import CellEffectSpec, InputFilter, ShardContext
 from cell_firmware.firmware import Inputs
 
 Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -35,7 +35,7 @@ class SensorSpec(CellEffectSpec):
         "bits held by hysteresis, changes not yet believed, readings under way",
     )
     messages: ClassVar[tuple[str, ...]] = ("what cells are told of sensors errs and lags",)
-    rung: ClassVar[int | None] = 60
+    fidelity_rank: ClassVar[int | None] = 60
     threshold: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
     """Level at which an analogue sensor says that something is there; None: one half."""
     hysteresis: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
@@ -50,7 +50,7 @@ class SensorSpec(CellEffectSpec):
     """How many ticks later than without the effect the cell sees a reading."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """One reading in a thousand is wrong, and each a tick late."""
         return cls(false_positive=1e-3, false_negative=1e-3, latency_ticks=1)
 
@@ -69,11 +69,11 @@ class SensorSpec(CellEffectSpec):
         threshold = THRESHOLD if self.threshold is None else self.threshold
         return threshold - 0.5 * self.hysteresis, threshold + 0.5 * self.hysteresis
 
-    def needed(self) -> tuple[str, ...]:
+    def required(self) -> tuple[str, ...]:
         """Levels, where the scene says what to make of them."""
         return ("analogue_sensors",) if self.threshold is not None or self.hysteresis else ()
 
-    def stages(self, site: Site) -> Iterator[Stage]:
+    def input_filters(self, site: ShardContext) -> Iterator[InputFilter]:
         """Threshold, errors, debouncing, latency."""
         if site.levels:
             yield _Threshold(self, site)
@@ -86,12 +86,12 @@ class SensorSpec(CellEffectSpec):
 
 
 @final
-class _Threshold(Stage):
+class _Threshold(InputFilter):
     """A comparator with hysteresis."""
 
-    remembers: ClassVar[Remembers] = Remembers("_there")
+    remembers: ClassVar[StateFields] = StateFields("_there")
 
-    def __init__(self, spec: SensorSpec, site: Site) -> None:
+    def __init__(self, spec: SensorSpec, site: ShardContext) -> None:
         super().__init__()
         self._off, self._on = spec.switching_levels
         self._there = np.zeros((len(site.cells), site.sensors), dtype=np.bool_)
@@ -106,12 +106,12 @@ class _Threshold(Stage):
 
 
 @final
-class _Errors(Stage):
-    def __init__(self, spec: SensorSpec, site: Site) -> None:
+class _Errors(InputFilter):
+    def __init__(self, spec: SensorSpec, site: ShardContext) -> None:
         super().__init__()
         self._false_positive, self._false_negative = spec.false_positive, spec.false_negative
-        self._draws = Draws(site.seed, "sensor", site.sensor_places())
-        self.counted.update({"false_positives": 0, "false_negatives": 0})
+        self._draws = CounterStream(site.seed, "sensor", site.sensor_stream_ids())
+        self.counters.update({"false_positives": 0, "false_negatives": 0})
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Flips readings."""
@@ -124,22 +124,22 @@ class _Errors(Stage):
 
 
 @final
-class _Debounce(Stage):
+class _Debounce(InputFilter):
     """Counts in how many readings in a row each bit was other than it is believed to be.
 
     A reading counts once: where cells have clocks of their own an exchange may find a cell with no new one.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_believed", "_read")
+    remembers: ClassVar[StateFields] = StateFields("_believed", "_read")
 
-    def __init__(self, ticks: int, site: Site) -> None:
+    def __init__(self, ticks: int, site: ShardContext) -> None:
         super().__init__()
         self._ticks = ticks
         self._site = site
         shape = (len(site.cells), site.sensors)
         self._believed = np.zeros(shape, dtype=np.bool_)
         self._read = np.zeros(shape, dtype=np.int64)
-        self.counted["bounces"] = 0
+        self.counters["bounces"] = 0
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Holds each bit until its change has been read often enough."""
@@ -158,10 +158,10 @@ class _Debounce(Stage):
 
 
 @final
-class _Latency(Stage):
-    remembers: ClassVar[Remembers] = Remembers("_under_way")
+class _Latency(InputFilter):
+    remembers: ClassVar[StateFields] = StateFields("_under_way")
 
-    def __init__(self, ticks: int, site: Site) -> None:
+    def __init__(self, ticks: int, site: ShardContext) -> None:
         super().__init__()
         self._under_way = np.zeros((ticks, len(site.cells), site.sensors), dtype=np.bool_)
 

@@ -23,7 +23,7 @@ FIELDS: Final = [("level", "u1"), ("leader", "<u4"), ("hops", "u1"), ("parent", 
 """What cells tell each other of it: 7 bytes."""
 
 
-class Place(NamedTuple):
+class ElectionState(NamedTuple):
     """Where cells are in their groups; arrays ``(n,)`` int64.
 
     Attributes:
@@ -39,8 +39,8 @@ class Place(NamedTuple):
     leader: Integers
     hops: Integers
     parent: Integers
-    barred: Integers
-    bar: Integers
+    blocked_leader: Integers
+    block_ticks: Integers
 
 
 def keys(row: Integers, column: Integers, leads: Bools) -> Integers:
@@ -56,8 +56,14 @@ def levels(covered: Bools, told: NDArray[Any], heard: Bools, halo: int) -> Integ
 
 
 def elect(
-    own: Integers, covered: Bools, level: Integers, told: NDArray[Any], heard: Bools, before: Place, hold: int
-) -> Place:
+    own: Integers,
+    covered: Bools,
+    level: Integers,
+    told: NDArray[Any],
+    heard: Bools,
+    before: ElectionState,
+    hold: int,
+) -> ElectionState:
     """One round of the election: everybody follows the least key that it hears of, by the fewest links.
 
     Only cells that sense a parcel stand. Who follows a leader goes on following it only along neighbours that are no
@@ -74,12 +80,12 @@ def elect(
         before: The round before.
         hold: Periods for which a leader that is gone is not listened to.
     """
-    bar = np.maximum(before.bar, 1) - 1
+    bar = np.maximum(before.block_ticks, 1) - 1
     best = np.where(covered, own, NOBODY) << 8
     parent = np.full(len(own), ROOT, dtype=np.int64)
     for side in range(4):
         leader, hops = told["leader"][:, side].astype(np.int64), told["hops"][:, side].astype(np.int64)
-        stale = (leader == own) | ((bar > 0) & (leader == before.barred))
+        stale = (leader == own) | ((bar > 0) & (leader == before.blocked_leader))
         circular = (leader == before.leader) & (hops > before.hops)
         fit = heard[:, side] & (leader != NOBODY) & (hops < FARTHEST) & ~stale & ~circular
         offer = np.where(fit, leader << 8 | (hops + 1), NOBODY << 8)
@@ -88,17 +94,17 @@ def elect(
     member = level > 0
     leader = np.where(member, best >> 8, NOBODY)
     dropped = (before.leader != leader) & (before.leader != NOBODY) & (before.leader < leader)
-    return Place(
+    return ElectionState(
         level,
         leader,
         np.where(member, best & 0xFF, 0),
         np.where(member, parent, ROOT),
-        np.where(dropped, before.leader, before.barred),
+        np.where(dropped, before.leader, before.blocked_leader),
         np.where(dropped, hold, bar),
     )
 
 
-def children(place: Place, told: NDArray[Any], heard: Bools) -> Bools:
+def children(place: ElectionState, told: NDArray[Any], heard: Bools) -> Bools:
     """``(n, 4)``: which neighbours have the cell for their parent."""
     opposite = np.array(OPPOSITE)
     same = told["leader"].astype(np.int64) == place.leader[:, None]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cell_firmware.estimation import election as group
 from cell_firmware.estimation import occupancy as pattern
 from cell_firmware.estimation.leader import FIELDS, SHOWN, UNKNOWN, EstimatorParameters, Leader, followed
-from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Outbox, State, picked, put
+from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Outbox, State, put_rows, take_rows
 
 MESSAGE: Final = np.dtype([*group.FIELDS, *pattern.FIELDS, *FIELDS])
 """What cells tell their neighbours: 95 bytes."""
@@ -55,15 +55,15 @@ class Estimator:
     Args:
         parameters: The protocol's.
         halo: How many links around a sensed parcel cells take part.
-        patience: For how many periods a neighbour's word counts.
+        ttl_periods: For how many periods a neighbour's word counts.
         memory: For how many periods a pose counts that nobody confirms; at most 254.
     """
 
     def __init__(
-        self, parameters: EstimatorParameters, halo: int = 2, patience: int = 6, memory: int = 200
+        self, parameters: EstimatorParameters, halo: int = 2, ttl_periods: int = 6, memory: int = 200
     ) -> None:
         self._parameters = parameters
-        self._halo, self._patience, self._memory = halo, patience, memory
+        self._halo, self._patience, self._memory = halo, ttl_periods, memory
 
     def init(self, cells: Cells) -> State:
         """What cells remember; nothing is known.
@@ -131,15 +131,15 @@ class Estimator:
         rows = np.flatnonzero(awake)
         if not len(rows):
             return state, outbox
-        some = {name: picked(array, rows) for name, array in state.items()}
-        mail = Inbox(picked(inbox.received, rows), picked(inbox.message, rows))
-        changed, sent, message = self._step(some, picked(presence, rows), mail, command[rows])
-        put(outbox.sent, rows, np.repeat(sent[:, None], 4, axis=1))
-        put(outbox.message, rows, np.repeat(message[:, None], 4, axis=1))
+        some = {name: take_rows(array, rows) for name, array in state.items()}
+        mail = Inbox(take_rows(inbox.received, rows), take_rows(inbox.message, rows))
+        changed, sent, message = self._step(some, take_rows(presence, rows), mail, command[rows])
+        put_rows(outbox.sent, rows, np.repeat(sent[:, None], 4, axis=1))
+        put_rows(outbox.message, rows, np.repeat(message[:, None], 4, axis=1))
         after = dict(state)
         for name, new in changed.items():
             after[name] = state[name].copy()
-            put(after[name], rows, new.astype(state[name].dtype, copy=False))
+            put_rows(after[name], rows, new.astype(state[name].dtype, copy=False))
         return after, outbox
 
     def plausible(self) -> dict[str, tuple[float, float]]:
@@ -169,13 +169,16 @@ class Estimator:
         place = self._place(state, covered, told, heard)
 
         theirs = pattern.heard(
-            pattern.Map(state["heard_known"], state["heard_covered"]), inbox.message, inbox.received, heard
+            pattern.OccupancyMap(state["heard_known"], state["heard_covered"]),
+            inbox.message,
+            inbox.received,
+            heard,
         )
         mine = pattern.own(state["row"], state["column"], presence, place.level > 0)
-        whole = pattern.gathered(mine, theirs, group.children(place, told, heard))
-        sent = pattern.Map(state["sent_known"], state["sent_covered"])
+        whole = pattern.merge(mine, theirs, group.children(place, told, heard))
+        sent = pattern.OccupancyMap(state["sent_known"], state["sent_covered"])
         turn = pattern.next_sensor(whole, sent, state["turn"])
-        sent = pattern.noted(sent, whole, turn)
+        sent = pattern.mark_sent(sent, whole, turn)
 
         views = self._pose(state, place, inbox, whole, command)
         changed: dict[str, NDArray[Any]] = {
@@ -192,8 +195,8 @@ class Estimator:
         }
         return changed, (place.level > 0) | (state["level"] > 0), _message(place, whole, turn, views)
 
-    def _place(self, state: State, covered: Bools, told: NDArray[Any], heard: Bools) -> group.Place:
-        before = group.Place(*(state[name] for name in group.Place._fields))
+    def _place(self, state: State, covered: Bools, told: NDArray[Any], heard: Bools) -> group.ElectionState:
+        before = group.ElectionState(*(state[name] for name in group.ElectionState._fields))
         level = group.levels(covered, told, heard, self._halo)
         own = group.keys(state["row"], state["column"], state["leads"])
         return group.elect(own, covered, level, told, heard, before, self._patience + 2)
@@ -201,9 +204,9 @@ class Estimator:
     def _pose(
         self,
         state: State,
-        place: group.Place,
+        place: group.ElectionState,
         inbox: Inbox,
-        whole: pattern.Map,
+        whole: pattern.OccupancyMap,
         command: Floats,
     ) -> dict[str, NDArray[Any]]:
         """What everybody believes of the parcel now."""
@@ -214,23 +217,26 @@ class Estimator:
         views["leads"] = leads
         rows = np.flatnonzero(leads)
         if len(rows):
-            before = {name: picked(array, rows) for name, array in state.items()}
+            before = {name: take_rows(array, rows) for name, array in state.items()}
             leader = Leader(self._parameters, state["site"][0])
             mine = leader.step(before, whole.take(rows), command[rows])
             for name, new in mine.items():
                 views[name] = views[name].copy() if name in views else state[name].copy()
-                put(views[name], rows, new.astype(views[name].dtype, copy=False))
+                put_rows(views[name], rows, new.astype(views[name].dtype, copy=False))
         return views
 
 
 def _message(
-    place: group.Place, whole: pattern.Map, turn: NDArray[np.int64], views: dict[str, NDArray[Any]]
+    place: group.ElectionState,
+    whole: pattern.OccupancyMap,
+    turn: NDArray[np.int64],
+    views: dict[str, NDArray[Any]],
 ) -> NDArray[Any]:
     """What cells tell, ``(n,)`` of ``MESSAGE``."""
     message = np.zeros(len(turn), dtype=MESSAGE)
     for name in ("level", "leader", "hops", "parent"):
         message[name] = getattr(place, name)
-    pattern.tell(message, whole, turn)
+    pattern.write_message(message, whole, turn)
     for name, (array, column) in SHOWN.items():
         message[name] = views[array][:, column]
     message["age"] = views["age"]

@@ -57,7 +57,7 @@ def total(values: NDArray[np.float64]) -> Floats:
     return values[:, 0]
 
 
-def local(sensors: Sensors, pose: Pose) -> tuple[Floats, Floats]:
+def to_parcel_frame(sensors: Sensors, pose: Pose) -> tuple[Floats, Floats]:
     """Sensors in the axes of the rectangles, ``(n, m)`` each: where the parcel has carried what they told by now."""
     dx, dy = sensors.x_m - pose.centre_m[:, :1], sensors.y_m - pose.centre_m[:, 1:]
     vx, vy, spin = pose.motion[:, :1], pose.motion[:, 1:2], pose.motion[:, 2:]
@@ -66,7 +66,7 @@ def local(sensors: Sensors, pose: Pose) -> tuple[Floats, Floats]:
     return ux * x + uy * y, ux * y - uy * x
 
 
-def worst(sensors: Sensors, pose: Pose, half_m: Floats) -> tuple[Floats, Floats]:
+def worst_residual(sensors: Sensors, pose: Pose, half_m: Floats) -> tuple[Floats, Floats]:
     """The sensor that contradicts a pose the most, one of each of n.
 
     A sensor contradicts by how far it is on the wrong side of the nearest edge: outside though it senses the
@@ -81,7 +81,7 @@ def worst(sensors: Sensors, pose: Pose, half_m: Floats) -> tuple[Floats, Floats]
         ``(n,)``, how far, m; negative where none does. ``(n, 3)``, how much farther if the centre moved
         by a metre along x, along y, and the rectangle turned by a radian.
     """
-    along, across = local(sensors, pose)
+    along, across = to_parcel_frame(sensors, pose)
     beyond_along, beyond_across = abs(along) - half_m[:, :1], abs(across) - half_m[:, 1:]
     outside = np.maximum(beyond_along, beyond_across)
     wrong = np.where(sensors.known, np.where(sensors.covered, outside, -outside), -np.inf)
@@ -100,7 +100,7 @@ def worst(sensors: Sensors, pose: Pose, half_m: Floats) -> tuple[Floats, Floats]
     return wrong[every, one], slope
 
 
-def turned(direction: Floats, angle_rad: Floats) -> Floats:
+def rotate(direction: Floats, angle_rad: Floats) -> Floats:
     """Unit vectors ``(n, 2)`` turned by small angles ``(n,)``, to first order and back to unit length."""
     x = direction[:, 0] - angle_rad * direction[:, 1]
     y = direction[:, 1] + angle_rad * direction[:, 0]

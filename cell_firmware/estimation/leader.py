@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.estimation import occupancy as pattern
-from cell_firmware.estimation.election import Place
-from cell_firmware.estimation.footprint_residual import Pose, Sensors, turned, worst
+from cell_firmware.estimation.election import ElectionState
+from cell_firmware.estimation.footprint_residual import Pose, Sensors, rotate, worst_residual
 from cell_firmware.estimation.observer import Belief, Observer, footing
 from cell_firmware.firmware import Floats, Inbox, State
 from cell_firmware.specs import Positive, Spec
@@ -53,7 +53,7 @@ class EstimatorParameters(Spec):
     """Time constant with which a parcel follows wheels that all run alike: under viscous friction 1 / (mu g)."""
 
 
-def followed(state: State, place: Place, inbox: Inbox, period_s: float) -> dict[str, NDArray[Any]]:
+def followed(state: State, place: ElectionState, inbox: Inbox, period_s: float) -> dict[str, NDArray[Any]]:
     """The pose a period later: the parent's word moved on, if that is no older than one's own, else one's own."""
     views = {name: state[name] for name in ("centre_m", "direction", "motion", "shift_m", "age")}
     views = {name: array.copy() for name, array in views.items()}
@@ -67,7 +67,7 @@ def followed(state: State, place: Place, inbox: Inbox, period_s: float) -> dict[
     views["centre_m"] += period_s * views["motion"][:, :2]
     known = views["age"] < UNKNOWN
     direction = np.where(known[:, None], views["direction"], (1.0, 0.0))
-    views["direction"] = turned(direction, period_s * views["motion"][:, 2])
+    views["direction"] = rotate(direction, period_s * views["motion"][:, 2])
     views["age"] = np.where(known, views["age"] + 1, UNKNOWN)
     return views
 
@@ -92,7 +92,7 @@ class Leader:
         self._cells = pattern.places(np.zeros((1, 2)), self._pitch_m)
         self._age_s: Floats = pattern.hops(len(sensors_m)) * np.float64(period_s)
 
-    def step(self, before: State, whole: pattern.Map, command: Floats) -> dict[str, NDArray[Any]]:
+    def step(self, before: State, whole: pattern.OccupancyMap, command: Floats) -> dict[str, NDArray[Any]]:
         """The estimate a period later.
 
         Args:
@@ -155,7 +155,7 @@ class Leader:
         aside = own._replace(direction=np.stack((-own.direction[:, 1], own.direction[:, 0]), axis=1))
         spread = np.broadcast_to(observer.told, (len(rows), 3, 3)).copy()
         other = observer.corrected(Belief(aside, spread), told)[0].pose
-        gain = worst(told, own, half_m)[0] - np.maximum(worst(told, other, half_m)[0], 0.0)
+        gain = worst_residual(told, own, half_m)[0] - np.maximum(worst_residual(told, other, half_m)[0], 0.0)
         counts = doubt[rows] + np.where(gain > _DOUBTFUL * self._pitch_m, 2, 0)
         turns = counts > _DOUBT_PERIODS
         pose, found = [array.copy() for array in belief.pose], belief.spread.copy()
@@ -165,7 +165,7 @@ class Leader:
         doubt[rows] = np.where(turns, 0, counts)
         return Belief(Pose(*pose), found), doubt
 
-    def _sensors(self, before: State, whole: pattern.Map) -> Sensors:
+    def _sensors(self, before: State, whole: pattern.OccupancyMap) -> Sensors:
         n, place = len(before["row"]), before["position_m"]
         known = pattern.unfolded(whole.known, before["row"], before["column"]).reshape(n, -1)
         covered = pattern.unfolded(whole.covered, before["row"], before["column"]).reshape(n, -1)

@@ -6,7 +6,14 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from cell_firmware.estimation.footprint_residual import Pose, Sensors, local, total, turned, worst
+from cell_firmware.estimation.footprint_residual import (
+    Pose,
+    Sensors,
+    rotate,
+    to_parcel_frame,
+    total,
+    worst_residual,
+)
 from cell_firmware.firmware import Bools, Floats
 
 CORRECTIONS: Final = 4
@@ -95,7 +102,7 @@ class Observer:
         for _ in range(_FIRST_CORRECTIONS):
             pose = self._corrected(belief, many)[0].pose
             belief = Belief(pose, belief.spread)
-        wrong = np.maximum(worst(many, belief.pose, self.half_m(n * _ANGLES))[0], 0.0)
+        wrong = np.maximum(worst_residual(many, belief.pose, self.half_m(n * _ANGLES))[0], 0.0)
         moved = pose.centre_m - np.repeat(centre, _ANGLES, axis=0)
         score = wrong + 0.05 * np.sqrt(moved[:, 0] * moved[:, 0] + moved[:, 1] * moved[:, 1])
         best = score.reshape(n, _ANGLES).argmin(axis=1) + np.arange(n) * _ANGLES
@@ -113,7 +120,7 @@ class Observer:
         pose, spread = belief
         dt, follow = self._period_s, (self._rate * grip)[:, None]
         centre = pose.centre_m + dt * pose.motion[:, :2]
-        direction = turned(pose.direction, dt * pose.motion[:, 2])
+        direction = rotate(pose.direction, dt * pose.motion[:, 2])
         motion = pose.motion + follow * (command - pose.motion)
         return Belief(Pose(centre, direction, motion), spread + self._drift)
 
@@ -136,7 +143,7 @@ class Observer:
     def _corrected(self, belief: Belief, sensors: Sensors) -> tuple[Belief, Floats, Floats]:
         """With the worst contradiction resolved: the belief, what it was changed by, and how bad it was."""
         pose, spread = belief
-        wrong, slope = worst(sensors, pose, self.half_m(len(pose.centre_m)))
+        wrong, slope = worst_residual(sensors, pose, self.half_m(len(pose.centre_m)))
         any_ = wrong > 0.0
         error = np.where(any_, wrong, 0.0)
         carried = (
@@ -152,7 +159,7 @@ class Observer:
         ) + (self._fineness + late)
         change = carried * (-error / variance)[:, None]
         change[:, 2] = np.clip(change[:, 2], -_FARTHEST_TURN_RAD, _FARTHEST_TURN_RAD)
-        after = Pose(pose.centre_m + change[:, :2], turned(pose.direction, change[:, 2]), pose.motion)
+        after = Pose(pose.centre_m + change[:, :2], rotate(pose.direction, change[:, 2]), pose.motion)
         gain = np.where(any_, 1.0 / variance, 0.0)[:, None, None]
         smaller = spread - carried[:, :, None] * carried[:, None, :] * gain
         return Belief(after, smaller), change, wrong
@@ -178,7 +185,7 @@ def footing(cells: Sensors, pose: Pose, half_m: Floats) -> Footing:
         pose: Where the parcels are.
         half_m: ``(n, 2)``, half their sides.
     """
-    along, across = local(cells, pose)
+    along, across = to_parcel_frame(cells, pose)
     under = (abs(along) <= half_m[:, :1]) & (abs(across) <= half_m[:, 1:])
     one = np.where(under, 1.0, 0.0)
     number = np.maximum(total(one), 1.0)

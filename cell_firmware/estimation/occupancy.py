@@ -30,27 +30,27 @@ _ONE: Final = np.uint64(1)
 _NONE: Final = np.uint64(0)
 
 
-class Map(NamedTuple):
+class OccupancyMap(NamedTuple):
     """Maps of n cells: ``(n, sensors, 4)`` words each, or ``(n, 4, sensors, 4)`` of their neighbours."""
 
     known: Words
     covered: Words
 
-    def take(self, rows: Integers) -> Map:
+    def take(self, rows: Integers) -> OccupancyMap:
         """Those of these cells, in this order."""
-        return Map(self.known[rows], self.covered[rows])
+        return OccupancyMap(self.known[rows], self.covered[rows])
 
 
-def own(row: Integers, column: Integers, presence: Bools, member: Bools) -> Map:
+def own(row: Integers, column: Integers, presence: Bools, member: Bools) -> OccupancyMap:
     """What cells know by themselves: members of a group their own bits, others nothing."""
     word = np.where(member, row % WINDOW // WORDS, -1)
     bit = np.left_shift(_ONE, (row % WORDS * WINDOW + column % WINDOW).astype(np.uint64))
     here = np.where(np.arange(WORDS) == word[:, None], bit[:, None], _NONE)
     known = np.repeat(here[:, None], presence.shape[1], axis=1)
-    return Map(known, np.where(presence[:, :, None], known, _NONE))
+    return OccupancyMap(known, np.where(presence[:, :, None], known, _NONE))
 
 
-def heard(before: Map, told: NDArray[Any], received: Bools, counts: Bools) -> Map:
+def heard(before: OccupancyMap, told: NDArray[Any], received: Bools, counts: Bools) -> OccupancyMap:
     """The neighbours' maps with what has just come in; nothing of who is silent."""
     sensors = int(before.known.shape[2])
     number: Integers = told["sensor"].astype(np.int64)
@@ -60,12 +60,14 @@ def heard(before: Map, told: NDArray[Any], received: Bools, counts: Bools) -> Ma
         np.where(fresh, np.stack([told[name] for name in names], axis=2)[:, :, None], old)
         for names, old in ((_KNOWN, before.known), (_COVERED, before.covered))
     ]
-    return Map(np.where(listened, maps[0], _NONE), np.where(listened, maps[1], _NONE))
+    return OccupancyMap(np.where(listened, maps[0], _NONE), np.where(listened, maps[1], _NONE))
 
 
-def gathered(mine: Map, theirs: Map, children: Bools) -> Map:
+def merge(mine: OccupancyMap, theirs: OccupancyMap, children: Bools) -> OccupancyMap:
     """Maps of one's own bits and those of the children."""
-    return Map(_joined(mine.known, theirs.known, children), _joined(mine.covered, theirs.covered, children))
+    return OccupancyMap(
+        _joined(mine.known, theirs.known, children), _joined(mine.covered, theirs.covered, children)
+    )
 
 
 def _joined(mine: Words, theirs: Words, children: Bools) -> Words:
@@ -73,7 +75,7 @@ def _joined(mine: Words, theirs: Words, children: Bools) -> Words:
     return mine | of_children[:, 0] | of_children[:, 1] | of_children[:, 2] | of_children[:, 3]
 
 
-def next_sensor(whole: Map, sent: Map, turn: Integers) -> Integers:
+def next_sensor(whole: OccupancyMap, sent: OccupancyMap, turn: Integers) -> Integers:
     """Whose maps are told next, ``(n,)``: a sensor's that have changed since, else that whose turn it is."""
     sensors = int(whole.known.shape[1])
     changed = ((whole.known != sent.known) | (whole.covered != sent.covered)).any(axis=2)
@@ -81,13 +83,13 @@ def next_sensor(whole: Map, sent: Map, turn: Integers) -> Integers:
     return waits.argmin(axis=1)
 
 
-def noted(sent: Map, whole: Map, told: Integers) -> Map:
+def mark_sent(sent: OccupancyMap, whole: OccupancyMap, told: Integers) -> OccupancyMap:
     """What has been told of each sensor, now that one is."""
     now = (np.arange(int(whole.known.shape[1])) == told[:, None])[:, :, None]
-    return Map(np.where(now, whole.known, sent.known), np.where(now, whole.covered, sent.covered))
+    return OccupancyMap(np.where(now, whole.known, sent.known), np.where(now, whole.covered, sent.covered))
 
 
-def tell(message: NDArray[Any], whole: Map, told: Integers) -> None:
+def write_message(message: NDArray[Any], whole: OccupancyMap, told: Integers) -> None:
     """Put one sensor's maps into messages ``(n,)``."""
     every = np.arange(len(told))
     message["sensor"] = told

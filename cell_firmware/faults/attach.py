@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from bus.lattice import Lattice
-from cell_firmware.controller import Around, Controller, ControllerState
-from cell_firmware.effects.clock.wrapper import Clocked
-from cell_firmware.faults.base import CellFault, FaultAround
+from cell_firmware.controller import Controller, ControllerState, ControllerWrapper
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
+from cell_firmware.faults.base import CellFault, FaultWrapper
 from cell_firmware.firmware import Floats
 
-_Kind = TypeVar("_Kind", bound=FaultAround)
+_Kind = TypeVar("_Kind", bound=FaultWrapper)
 
 
-def joined(controller: Controller, lattice: Lattice, seed: int, fault: Injected[CellFault]) -> Controller:
+def attach_fault(
+    controller: Controller, lattice: Lattice, seed: int, fault: FaultInstance[CellFault]
+) -> Controller:
     """A controller that carries out one more fault; it, or what is inside of it, is changed.
 
     Args:
@@ -23,13 +25,13 @@ def joined(controller: Controller, lattice: Lattice, seed: int, fault: Injected[
         seed: The scene's.
         fault: Which.
     """
-    for kind in _kinds(fault.fault, talks=controller.said is not None):
+    for kind in _kinds(fault.fault, talks=controller.message_type is not None):
         controller, found = _found(controller, kind, lattice, seed)
         found.add(fault)
     return controller
 
 
-def begun(controller: Controller, state: ControllerState, drive: Floats) -> ControllerState:
+def init_new_wrappers(controller: Controller, state: ControllerState, drive: Floats) -> ControllerState:
     """The state of a running controller's cells, with what it does not have yet of what was ``joined`` to it.
 
     Args:
@@ -38,28 +40,28 @@ def begun(controller: Controller, state: ControllerState, drive: Floats) -> Cont
         drive: ``(n, 2)``, what they drive.
     """
     inside = controller
-    while isinstance(inside, Around):
-        if inside.part not in state.parts and isinstance(inside, FaultAround):
+    while isinstance(inside, ControllerWrapper):
+        if inside.part not in state.parts and isinstance(inside, FaultWrapper):
             state = inside.begin(state, drive)
         inside = inside.controller
     return state
 
 
-def _kinds(fault: CellFault, *, talks: bool) -> list[type[FaultAround]]:
+def _kinds(fault: CellFault, *, talks: bool) -> list[type[FaultWrapper]]:
     """What carries out a fault, of cells that talk or not; where it is stages alone, nothing."""
-    kinds: list[type[FaultAround]] = []
-    if fault.slows:
-        from cell_firmware.faults.execution import Slowed
+    kinds: list[type[FaultWrapper]] = []
+    if fault.skips_periods:
+        from cell_firmware.faults.execution import ClockFaultWrapper
 
-        kinds.append(Slowed)
-    if fault.pauses:
-        from cell_firmware.faults.execution import Outages
+        kinds.append(ClockFaultWrapper)
+    if fault.halts_program:
+        from cell_firmware.faults.execution import ExecutionFaultWrapper
 
-        kinds.append(Outages)
-    if fault.damages and talks:
-        from cell_firmware.faults.messages import Words
+        kinds.append(ExecutionFaultWrapper)
+    if fault.corrupts_messages and talks:
+        from cell_firmware.faults.messages import MessageFaultWrapper
 
-        kinds.append(Words)
+        kinds.append(MessageFaultWrapper)
     return kinds
 
 
@@ -67,10 +69,10 @@ def _found(
     controller: Controller, kind: type[_Kind], lattice: Lattice, seed: int
 ) -> tuple[Controller, _Kind]:
     """What carries out faults of a kind inside of a controller; put there if there is none yet."""
-    around: Around | None = None
+    around: ControllerWrapper | None = None
     inside, lag = controller, 0
-    while isinstance(inside, Around) and isinstance(inside, kind.beneath):
-        lag = 1 if isinstance(inside, Clocked) else lag
+    while isinstance(inside, ControllerWrapper) and isinstance(inside, kind.beneath):
+        lag = 1 if isinstance(inside, LocalClockWrapper) else lag
         around, inside = inside, inside.controller
     if isinstance(inside, kind):
         return controller, inside

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import FaultSpec, Injected, Problem
+from bus.fault import FaultInstance, FaultSpec, Problem
 from bus.lattice import Lattice
-from cell_firmware.controller import Around, Controller, ControllerState
-from cell_firmware.effects.base import Site, Stage
+from cell_firmware.controller import Controller, ControllerState, ControllerWrapper
+from cell_firmware.effects.base import InputFilter, ShardContext
 from cell_firmware.firmware import Bools, Cells, Floats, Inputs
 
 if TYPE_CHECKING:
-    from cell_firmware.faults.message_fault import Talk, Tamper
+    from cell_firmware.faults.message_fault import MessageContext, MessageFault
     from cell_firmware.specs import CellsSpec
 
 
 @final
 @dataclass(slots=True)
-class Pause:
+class ExecutionFaults:
     """What faults do to the programs of all cells of the array in a tick; each fault adds its own.
 
     Attributes:
@@ -33,28 +33,33 @@ class Pause:
         reset: ``(N,)``: does the program begin anew in this tick, as after power-on?
     """
 
-    stopped: Bools
-    keeps: Bools
-    unserved: Bools
+    halted: Bools
+    outputs_held: Bools
+    watchdog_unserved: Bools
     reset: Bools
 
     @staticmethod
-    def none(cells: int) -> Pause:
+    def none(cells: int) -> ExecutionFaults:
         """Nothing happens to any of them."""
-        return Pause(*(np.zeros(cells, dtype=np.bool_) for _ in range(4)))
+        return ExecutionFaults(*(np.zeros(cells, dtype=np.bool_) for _ in range(4)))
 
 
 class CellFault(FaultSpec):
     """A fault of cells: it acts on what they see, as stages after those of the effects, or on their programs."""
 
-    pauses: ClassVar[bool] = False
+    halts_program: ClassVar[bool] = False
     """Whether it stops programs or lets them begin anew (``pause``)."""
-    slows: ClassVar[bool] = False
+    skips_periods: ClassVar[bool] = False
     """Whether it keeps programs from running in some of their periods (``runs``)."""
-    damages: ClassVar[bool] = False
+    corrupts_messages: ClassVar[bool] = False
     """Whether messages may come of it that no program sends, so that receivers have to look what they take."""
 
-    def stages(self, site: Site, lattice: Lattice, injected: Injected[CellFault]) -> Iterator[FaultStage]:  # noqa: ARG002
+    def input_filters(
+        self,
+        site: ShardContext,  # noqa: ARG002
+        lattice: Lattice,  # noqa: ARG002
+        injected: FaultInstance[CellFault],  # noqa: ARG002
+    ) -> Iterator[FaultFilter]:
         """What the inputs of a shard's cells have to pass; nothing where none of its cells is struck.
 
         Args:
@@ -64,7 +69,7 @@ class CellFault(FaultSpec):
         """
         yield from ()
 
-    def pause(self, tick: int, injected: Injected[CellFault], pause: Pause) -> None:
+    def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
         """Say what becomes of programs in a tick, in which it need not act: a repair is of the tick after.
 
         Args:
@@ -73,11 +78,11 @@ class CellFault(FaultSpec):
             pause: To be changed.
         """
 
-    def runs(self, period: NDArray[np.int64]) -> Bools:
+    def running_periods(self, period: NDArray[np.int64]) -> Bools:
         """In which control periods, counted from when it began, a program runs that it slows."""
         return np.ones(period.shape, dtype=np.bool_)
 
-    def tampers(self, talk: Talk, injected: Injected[CellFault]) -> Tamper | None:  # noqa: ARG002
+    def message_faults(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> MessageFault | None:  # noqa: ARG002
         """What it does to whole messages, as they are heard or said; None: nothing.
 
         Args:
@@ -86,7 +91,7 @@ class CellFault(FaultSpec):
         """
         return None
 
-    def unfit(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:  # noqa: ARG002
+    def fit_problems(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:  # noqa: ARG002
         """What of it does not fit the cells.
 
         Args:
@@ -96,7 +101,7 @@ class CellFault(FaultSpec):
         yield from ()
 
 
-class FaultStage(Stage):
+class FaultFilter(InputFilter):
     """A stage that acts while its fault does. What it counts is told by the fault's kind.
 
     Args:
@@ -105,36 +110,36 @@ class FaultStage(Stage):
         lingers: For how many ticks after its end the fault may still have something to hand over.
     """
 
-    def __init__(self, injected: Injected[CellFault], *counts: str, lingers: int = 0) -> None:
+    def __init__(self, injected: FaultInstance[CellFault], *counts: str, lingers: int = 0) -> None:
         super().__init__()
         self._injected = injected
         self._lingers = lingers
-        self.counted.update(dict.fromkeys((self._named(name) for name in counts), 0))
+        self.counters.update(dict.fromkeys((self._named(name) for name in counts), 0))
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells see instead, while the fault acts or has something left to hand over."""
-        if self._injected.first <= tick < self._injected.end + self._lingers:
-            return self.strike(tick, inputs, alive)
+        if self._injected.start_tick <= tick < self._injected.end_tick + self._lingers:
+            return self.apply_active(tick, inputs, alive)
         return inputs
 
     @abstractmethod
-    def strike(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells see instead; see ``Stage.apply``."""
+    def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+        """What the cells see instead; see ``InputFilter.apply``."""
 
     def count(self, name: str, happened: Bools, alive: NDArray[np.int64] | slice) -> None:
         """Counts what ``happened``, ``(n, ...)``, to cells that live."""
         super().count(self._named(name), happened, alive)
 
     def _named(self, name: str) -> str:
-        return f"{self._injected.fault.called}.{name}"
+        return f"{self._injected.fault.kind_name}.{name}"
 
 
-def purpose(injected: Injected[CellFault], what: str = "") -> str:
+def stream_name(injected: FaultInstance[CellFault], what: str = "") -> str:
     """What a fault's draws are named after: no two faults of a scene draw the same numbers."""
-    return f"faults.{injected.number}.{injected.fault.called}{what}"
+    return f"faults.{injected.number}.{injected.fault.kind_name}{what}"
 
 
-class FaultAround(Around):
+class FaultWrapper(ControllerWrapper):
     """Base of what carries out faults around the cells' controller.
 
     Args:
@@ -148,17 +153,17 @@ class FaultAround(Around):
         faults: What it carries out.
     """
 
-    beneath: ClassVar[tuple[type[Around], ...]]
+    beneath: ClassVar[tuple[type[ControllerWrapper], ...]]
     """What goes around it."""
 
     def __init__(self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0) -> None:
         super().__init__(controller)
         self.lattice = lattice
         self.seed = seed
-        self.lag = lag
-        self.faults: list[Injected[CellFault]] = []
+        self.start_tick = lag
+        self.faults: list[FaultInstance[CellFault]] = []
 
-    def add(self, fault: Injected[CellFault]) -> None:
+    def add(self, fault: FaultInstance[CellFault]) -> None:
         """One more, from its first tick on."""
         self.faults.append(fault)
 

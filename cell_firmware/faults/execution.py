@@ -8,17 +8,17 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import Injected
-from cell_firmware.clocks import NEVER
-from cell_firmware.controller import ControllerOutputs, ControllerState, Instant
-from cell_firmware.effects.clock.wrapper import Clocked
-from cell_firmware.effects.cop.wrapper import Watchdog
-from cell_firmware.faults.base import CellFault, FaultAround, Pause
-from cell_firmware.firmware import Bools, Floats, Inbox, Inputs, State, solid
+from bus.fault import FaultInstance
+from cell_firmware.clocks import NOT_IN_WINDOW
+from cell_firmware.controller import ControllerOutputs, ControllerState, StepTime
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
+from cell_firmware.effects.cop.wrapper import WatchdogWrapper
+from cell_firmware.faults.base import CellFault, ExecutionFaults, FaultWrapper
+from cell_firmware.firmware import Bools, Floats, Inbox, Inputs, State, opaque_view
 
 
 @final
-class Slowed(FaultAround):
+class ClockFaultWrapper(FaultWrapper):
     """Steps the cells in the periods in which their clock lets them; what they drive holds in between.
 
     Their controller, watchdog and all, knows nothing of the periods between. Lines are listened to in each of them, but
@@ -28,7 +28,7 @@ class Slowed(FaultAround):
     """
 
     part = "slow_clock"
-    beneath = (Clocked,)
+    beneath = (LocalClockWrapper,)
     shown = ("skipped",)
 
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
@@ -41,47 +41,51 @@ class Slowed(FaultAround):
             "skipped": np.zeros(n, dtype=np.int64),
             **{str(one.number): np.zeros(n, dtype=np.int64) for one in self.faults},
         }
-        return self.outer(inner, own)
+        return self.wrap_state(inner, own)
 
-    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+    def receive(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, Inputs]:
         """What came over the lines, for the cells that run."""
-        own, tick = dict(state.parts[self.part]), now.tick + self.lag
+        own, tick = dict(state.parts[self.part]), now.tick + self.start_tick
         steps, runs = np.asarray(now.at_ns >= 0), np.ones(len(state.cells), dtype=np.bool_)
         for injected in self.faults:
-            if not injected.acts(tick):
+            if not injected.active_at(tick):
                 continue
             periods = own.get(str(injected.number), np.zeros(len(runs), dtype=np.int64))
-            runs &= ~np.isin(own["place"], injected.cells) | injected.fault.runs(periods)
+            runs &= ~np.isin(own["place"], injected.cells) | injected.fault.running_periods(periods)
             own[str(injected.number)] = periods + steps
-        then = now if runs.all() else Instant(now.tick, np.where(runs, now.at_ns, NEVER))
-        inner, inputs = self.controller.listen(then, self.inner(state), inputs)
+        then = now if runs.all() else StepTime(now.tick, np.where(runs, now.at_ns, NOT_IN_WINDOW))
+        inner, inputs = self.controller.receive(then, self.unwrap_state(state), inputs)
         after = {
             **own,
             "runs": runs,
             "skipped": own["skipped"] + (steps & ~runs),
         }
-        return self.outer(inner, after), inputs
+        return self.wrap_state(inner, after), inputs
 
-    def act(
-        self, now: Instant, state: ControllerState, inputs: Inputs
+    def compute(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period of those that run."""
         own = state.parts[self.part]
-        inner, outputs = self.controller.act_on(np.flatnonzero(own["runs"]), now, self.inner(state), inputs)
+        inner, outputs = self.controller.compute_rows(
+            np.flatnonzero(own["runs"]), now, self.unwrap_state(state), inputs
+        )
         drive = np.where(own["runs"][:, None], outputs.drive, own["drive"])
         return (
-            self.outer(inner, {**own, "drive": drive.copy()}),
+            self.wrap_state(inner, {**own, "drive": drive.copy()}),
             ControllerOutputs(drive, outputs.outbox, outputs.failures, outputs.served, outputs.hung),
         )
 
-    def counted(self, state: ControllerState) -> dict[str, int]:
+    def counters(self, state: ControllerState) -> dict[str, int]:
         """Periods that cells missed."""
         skipped = int(state.parts[self.part]["skipped"].sum())
-        return {f"faults.{self.part}.periods": skipped, **super().counted(state)}
+        return {f"faults.{self.part}.periods": skipped, **super().counters(state)}
 
 
 @final
-class Outages(FaultAround):
+class ExecutionFaultWrapper(FaultWrapper):
     """Steps the cells whose programs no fault has stopped.
 
     A program that stands still sends nothing; its parts go on as on a board without power for their program
@@ -95,7 +99,7 @@ class Outages(FaultAround):
     """
 
     part = "faults"
-    beneath = (Clocked, Slowed, Watchdog)
+    beneath = (LocalClockWrapper, ClockFaultWrapper, WatchdogWrapper)
     shown = ("stopped", "begun_anew")
 
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
@@ -108,52 +112,54 @@ class Outages(FaultAround):
             "begun_anew": np.zeros(n, dtype=np.int64),
             **{_periods(one): np.zeros(n, dtype=np.int64) for one in self.faults},
         }
-        return self.outer(inner, own)
+        return self.wrap_state(inner, own)
 
-    def after_reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
+    def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
         """What the cells' controller keeps of itself; pins are low, and what a reset was to do is done."""
         own = state.parts[self.part]
         after = {**own, "drive": np.zeros_like(own["drive"]), "reset": np.zeros_like(own["reset"])}
-        return self.outer(self.controller.after_reset(self.inner(state), warm=warm), after)
+        return self.wrap_state(self.controller.reset(self.unwrap_state(state), warm=warm), after)
 
-    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+    def receive(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, Inputs]:
         """What came over the lines; and what faults say."""
-        inner, inputs = self.controller.listen(now, self.inner(state), inputs)
+        inner, inputs = self.controller.receive(now, self.unwrap_state(state), inputs)
         own = state.parts[self.part]
         place, steps = own["place"], np.asarray(now.at_ns >= 0)
-        pause, periods = Pause.none(len(self.lattice)), dict[str, NDArray[Any]]()
+        pause, periods = ExecutionFaults.none(len(self.lattice)), dict[str, NDArray[Any]]()
         for injected in self.faults:
-            before = pause.stopped.copy()
-            injected.fault.pause(now.tick + self.lag, injected, pause)
+            before = pause.halted.copy()
+            injected.fault.execution(now.tick + self.start_tick, injected, pause)
             name = _periods(injected)
-            stands = (pause.stopped & ~before)[place] & steps
+            stands = (pause.halted & ~before)[place] & steps
             periods[name] = periods.get(name, own.get(name, 0)) + stands
         noted = {
-            "stopped": pause.stopped[place],
-            "keeps": pause.keeps[place],
-            "unserved": pause.unserved[place],
+            "stopped": pause.halted[place],
+            "keeps": pause.outputs_held[place],
+            "unserved": pause.watchdog_unserved[place],
             "reset": own["reset"] | pause.reset[place],
         }
-        return self.outer(inner, {**own, **noted, **periods}), inputs
+        return self.wrap_state(inner, {**own, **noted, **periods}), inputs
 
-    def act(
-        self, now: Instant, state: ControllerState, inputs: Inputs
+    def compute(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period of the programs that run."""
-        own, inner = state.parts[self.part], self.inner(state)
+        own, inner = state.parts[self.part], self.unwrap_state(state)
         stopped, reset, before = own["stopped"], own["reset"], own["drive"]
         if reset.any():
             rows = np.flatnonzero(reset)
-            inner = inner.put(rows, self.controller.after_reset(inner.take(rows)))
+            inner = inner.replace_rows(rows, self.controller.reset(inner.select(rows)))
             inputs = _unheard(inputs, rows)
             before = np.where(reset[:, None], 0.0, before)
         if not stopped.any():
-            inner, outputs = self.controller.act(now, inner, inputs)
+            inner, outputs = self.controller.compute(now, inner, inputs)
             drive, served = outputs.drive, outputs.served
         else:
             waits = np.flatnonzero(stopped)
-            inner = inner.put(waits, self.controller.idle(now.take(waits), inner.take(waits)))
-            inner, outputs = self.controller.act_on(np.flatnonzero(~stopped), now, inner, inputs)
+            inner = inner.replace_rows(waits, self.controller.idle(now.select(waits), inner.select(waits)))
+            inner, outputs = self.controller.compute_rows(np.flatnonzero(~stopped), now, inner, inputs)
             drive = np.where((stopped & own["keeps"])[:, None], before, outputs.drive)
             served = _served(stopped, own["unserved"], outputs.served)
         after: State = {
@@ -163,11 +169,11 @@ class Outages(FaultAround):
             "begun_anew": own["begun_anew"] + (reset & ~stopped),
         }
         return (
-            self.outer(inner, after),
+            self.wrap_state(inner, after),
             ControllerOutputs(drive, outputs.outbox, outputs.failures, served, outputs.hung),
         )
 
-    def counted(self, state: ControllerState) -> dict[str, int]:
+    def counters(self, state: ControllerState) -> dict[str, int]:
         """Periods in which programs stood still, by what stopped them, and how often one began anew."""
         own = state.parts[self.part]
         told = {
@@ -175,15 +181,15 @@ class Outages(FaultAround):
             for name, value in own.items()
             if name.startswith(_PERIODS)
         }
-        return {**told, f"{self.part}.begun_anew": int(own["begun_anew"].sum()), **super().counted(state)}
+        return {**told, f"{self.part}.begun_anew": int(own["begun_anew"].sum()), **super().counters(state)}
 
 
 _PERIODS = "periods_"
 
 
-def _periods(injected: Injected[CellFault]) -> str:
+def _periods(injected: FaultInstance[CellFault]) -> str:
     """Where it is counted for how many periods a fault's kind has stopped programs."""
-    return f"{_PERIODS}{injected.fault.called}"
+    return f"{_PERIODS}{injected.fault.kind_name}"
 
 
 def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:
@@ -192,7 +198,7 @@ def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:
         return inputs
     received, message = inputs.inbox.received.copy(), inputs.inbox.message.copy()
     received[rows] = False
-    slots = solid(message)
+    slots = opaque_view(message)
     slots[rows] = np.zeros((), dtype=slots.dtype)
     return replace(inputs, inbox=Inbox(received, message))
 

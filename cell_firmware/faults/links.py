@@ -10,45 +10,47 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from bus.lattice import SIDES, Lattice
-from bus.random_streams import Draws
-from cell_firmware.effects.base import Site, places
-from cell_firmware.faults.base import CellFault, FaultStage, purpose
-from cell_firmware.firmware import Bools, Inbox, Inputs, Messages, solid
+from bus.random_streams import CounterStream
+from cell_firmware.effects.base import ShardContext, stream_ids
+from cell_firmware.faults.base import CellFault, FaultFilter, stream_name
+from cell_firmware.firmware import Bools, Inbox, Inputs, Messages, opaque_view
 
 Ints = NDArray[np.int64]
 Changed = tuple[Bools, Messages, dict[str, Bools | Ints]]
 """What links bring instead: whether, and what; and by name what is counted."""
 
 
-class OnLinks(CellFault):
+class LinkFault(CellFault):
     """A fault of links, which acts on what they bring where it is heard.
 
     A message is what a link carries in a tick: of the program's, or with the effect ``serial`` the bytes of a tick.
     """
 
     @abstractmethod
-    def heard(self, lattice: Lattice, seed: int, number: int) -> Ints:
+    def affected_links(self, lattice: Lattice, seed: int, number: int) -> Ints:
         """Its links, as ``(m, 2)``: the cell that hears it, by index, and the side on which; ascending, each once."""
 
-    def stages(self, site: Site, lattice: Lattice, injected: Injected[CellFault]) -> Iterator[FaultStage]:
+    def input_filters(
+        self, site: ShardContext, lattice: Lattice, injected: FaultInstance[CellFault]
+    ) -> Iterator[FaultFilter]:
         """One, where the shard's cells hear something on a link that is struck."""
         if site.message is None:
             return
-        heard = self.heard(lattice, site.seed, injected.number)
+        heard = self.affected_links(lattice, site.seed, injected.number)
         heard = heard[np.isin(heard[:, 0], site.cells)]
         if len(heard):
-            yield self.acting(Links.of(site, heard, site.message), injected)
+            yield self.make_filter(AffectedLinks.of(site, heard, site.message), injected)
 
     @abstractmethod
-    def acting(self, links: Links, injected: Injected[CellFault]) -> FaultStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> FaultFilter:
         """The stage, for links of a shard that are struck."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Links:
+class AffectedLinks:
     """Links on which cells of a shard hear something.
 
     Attributes:
@@ -58,59 +60,61 @@ class Links:
         message: Type of what they carry.
     """
 
-    site: Site
+    site: ShardContext
     slot: Ints
     place: Ints
     message: np.dtype[Any]
 
     @staticmethod
-    def of(site: Site, heard: Ints, message: np.dtype[Any]) -> Links:
+    def of(site: ShardContext, heard: Ints, message: np.dtype[Any]) -> AffectedLinks:
         """Those that cells of a shard hear, ``(m, 2)`` cell and side."""
         order = np.argsort(site.cells)
         row = order[np.searchsorted(site.cells, heard[:, 0], sorter=order)]
         sides = len(SIDES)
-        return Links(site, sides * row + heard[:, 1], sides * heard[:, 0] + heard[:, 1], message)
+        return AffectedLinks(site, sides * row + heard[:, 1], sides * heard[:, 0] + heard[:, 1], message)
 
     def __len__(self) -> int:
         return len(self.slot)
 
-    def draws(self, injected: Injected[CellFault], what: str = "", each: int = 1) -> Draws:
+    def draws(self, injected: FaultInstance[CellFault], what: str = "", each: int = 1) -> CounterStream:
         """``each`` numbers for each of these links and every tick, ``(each m,)``."""
-        return Draws(self.site.seed, purpose(injected, what), places(self.place, each))
+        return CounterStream(self.site.seed, stream_name(injected, what), stream_ids(self.place, each))
 
 
-class LinkStage(FaultStage):
+class LinkFilter(FaultFilter):
     """A stage that changes what the struck links bring.
 
     Args:
         links: The links.
         injected: The fault.
         counts: Names of what it counts.
-        lingers: See ``FaultStage``.
+        lingers: See ``FaultFilter``.
     """
 
-    def __init__(self, links: Links, injected: Injected[CellFault], *counts: str, lingers: int = 0) -> None:
+    def __init__(
+        self, links: AffectedLinks, injected: FaultInstance[CellFault], *counts: str, lingers: int = 0
+    ) -> None:
         super().__init__(injected, *counts, lingers=lingers)
         self._links = links
-        self._nothing = np.zeros((), dtype=solid(np.zeros((), dtype=links.message)).dtype)
+        self._nothing = np.zeros((), dtype=opaque_view(np.zeros((), dtype=links.message)).dtype)
 
-    def strike(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+    def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells hear instead."""
         inbox, slot = inputs.inbox, self._links.slot
         assert inbox is not None, "this is a bug: no inbox, but links"
         received, message = inbox.received.copy(), np.ascontiguousarray(inbox.message)
-        flat, whole = received.reshape(-1), solid(message).reshape(-1)
-        came, words, happened = self.change(tick, flat[slot], whole[slot])
+        flat, whole = received.reshape(-1), opaque_view(message).reshape(-1)
+        came, words, happened = self.transform(tick, flat[slot], whole[slot])
         flat[slot], whole[slot] = came, words
         whole[slot[~came]] = self._nothing
         for name, links in happened.items():
             numbers = np.zeros(received.shape, dtype=np.int64)
             numbers.reshape(-1)[slot] = links
-            self.counted[self._named(name)] += int(numbers[alive].sum())
+            self.counters[self._named(name)] += int(numbers[alive].sum())
         return replace(inputs, inbox=Inbox(received, message))
 
     @abstractmethod
-    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+    def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """What the links bring instead.
 
         Args:
@@ -126,6 +130,6 @@ class LinkStage(FaultStage):
         """Room for messages of these links, ``(*shape, m)``."""
         return np.zeros((*shape, len(self._links)), dtype=self._nothing.dtype)
 
-    def acts(self, tick: int) -> bool:
+    def active_at(self, tick: int) -> bool:
         """Whether the fault acts, rather than has things left to hand over."""
-        return self._injected.acts(tick)
+        return self._injected.active_at(tick)

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import FaultSpec, Injected
+from bus.fault import FaultInstance, FaultSpec
 from bus.lattice import Lattice
 from cell_firmware.firmware import Inbox, Outbox, State
 
 if TYPE_CHECKING:
-    from cell_firmware.components import LinkPart
-    from cell_firmware.controller import Instant
+    from cell_firmware.components import LinkDriver
+    from cell_firmware.controller import StepTime
 
 Ints = NDArray[np.int64]
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Talk:
+class MessageContext:
     """How programs talk in a run.
 
     Attributes:
@@ -35,10 +35,10 @@ class Talk:
     lattice: Lattice
     seed: int
     message: np.dtype[np.void]
-    links: LinkPart | None
+    links: LinkDriver | None
 
 
-class Tamper(ABC):
+class MessageFault(ABC):
     """What a fault does to whole messages after they came off the lines, or to what goes out on the lines.
 
     Args:
@@ -51,14 +51,14 @@ class Tamper(ABC):
     counts: ClassVar[str]
     """What it counts of each cell."""
 
-    def __init__(self, injected: Injected[FaultSpec]) -> None:
+    def __init__(self, injected: FaultInstance[FaultSpec]) -> None:
         self.injected = injected
 
     def begin(self, cells: int) -> State:  # noqa: ARG002
         """What it remembers of cells before it has heard anything, arrays by name with a row a cell."""
         return {}
 
-    def hear(self, tick: int, own: State, place: Ints, inbox: Inbox) -> tuple[State, Inbox, Ints]:  # noqa: ARG002
+    def on_receive(self, tick: int, own: State, place: Ints, inbox: Inbox) -> tuple[State, Inbox, Ints]:  # noqa: ARG002
         """What programs hear instead.
 
         Args:
@@ -72,6 +72,12 @@ class Tamper(ABC):
         """
         return own, inbox, np.zeros(len(place), dtype=np.int64)
 
-    def say(self, now: Instant, tick: int, place: Ints, outbox: Outbox | None) -> tuple[Outbox | None, Ints]:  # noqa: ARG002
+    def on_send(
+        self,
+        now: StepTime,  # noqa: ARG002
+        tick: int,  # noqa: ARG002
+        place: Ints,
+        outbox: Outbox | None,
+    ) -> tuple[Outbox | None, Ints]:
         """What goes out instead, and how many messages of each cell that are its doing."""
         return outbox, np.zeros(len(place), dtype=np.int64)

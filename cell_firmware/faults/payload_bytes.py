@@ -8,7 +8,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.random_streams import Draws
+from bus.random_streams import CounterStream
 from bus.wire.frames import check_message
 from cell_firmware.effects.serial.bursts import WORD, BurstType
 from cell_firmware.firmware import Messages
@@ -20,7 +20,7 @@ _DRAWN: Final = 6
 """Bytes of a draw, which has 53 bits."""
 
 
-class OnWire(ABC):
+class PayloadView(ABC):
     """What links carry, as bytes.
 
     Attributes:
@@ -38,16 +38,16 @@ class OnWire(ABC):
         """These messages with other bytes."""
 
     @staticmethod
-    def of(carried: np.dtype[Any], said: np.dtype[Any]) -> OnWire:
+    def of(carried: np.dtype[Any], said: np.dtype[Any]) -> PayloadView:
         """Of links that carry ``carried`` for programs that say ``said``: that and perhaps a stamp, or bytes of it."""
         if set(said.names or ()) <= set(carried.names or ()):
-            return Whole(said)
+            return MessageBytes(said)
         words = sum(name.startswith("word_") for name in carried.names or ())
-        return Bursts(BurstType(WORD * words))
+        return SerialBytes(BurstType(WORD * words))
 
 
 @final
-class Whole(OnWire):
+class MessageBytes(PayloadView):
     """Whole messages: the program's fields, packed and little-endian. A stamp that goes with them is no byte of theirs.
 
     Args:
@@ -76,7 +76,7 @@ class Whole(OnWire):
 
 
 @final
-class Bursts(OnWire):
+class SerialBytes(PayloadView):
     """Bytes on serial lines: those that are there change, and neither their number nor their times.
 
     Args:
@@ -123,12 +123,12 @@ def flipped(data: Bytes, count: Ints, bits: int, chance: NDArray[np.float64]) ->
     return after
 
 
-def drawn(draws: Draws, tick: int, rows: int, width: int) -> Bytes:
+def random_bytes(draws: CounterStream, tick: int, rows: int, width: int) -> Bytes:
     """``(rows, width)`` random bytes, of draws that have ``drawn_each(width)`` numbers a row."""
     numbers = (draws.uniform(tick) * 2.0 ** (8 * _DRAWN)).astype("<u8").reshape(rows, -1, 1)
     return numbers.view(np.uint8)[..., :_DRAWN].reshape(rows, -1)[:, :width]
 
 
-def drawn_each(width: int) -> int:
+def random_bytes_each(width: int) -> int:
     """Draws for so many bytes."""
     return -(-width // _DRAWN)

@@ -14,7 +14,7 @@ from cell_firmware.estimation.estimator import MESSAGE, Estimator, EstimatorPara
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outputs, State
 from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, Positive, Vector
-from cell_firmware.toolkit.camera_tracking import Sightings
+from cell_firmware.toolkit.camera_tracking import CameraTracker
 
 _AGAIN: Final = 2.0
 """How many times as far off as it may rest a parcel has to be for its cells to start anew."""
@@ -62,29 +62,29 @@ class Align(Firmware):
 
     Parameters = AlignParameters
     message = MESSAGE
-    observed = "left"
+    observable = "left"
 
     def __init__(self, parameters: AlignParameters) -> None:
         super().__init__(parameters)
         self._estimator: Estimator | None = None
-        self._sightings: Sightings | None = None
+        self._sightings: CameraTracker | None = None
         if parameters.source == "sensors":
             self._estimator = Estimator(parameters)
         else:
             self.message = None  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
-            self._sightings = Sightings(parameters.size_m, parameters.patience_s)
+            self._sightings = CameraTracker(parameters.size_m, parameters.patience_s)
         self._target = np.array((np.cos(parameters.angle_rad), np.sin(parameters.angle_rad)))
         self._corner_m = 0.5 * float(np.sqrt(parameters.size_m[0] ** 2 + parameters.size_m[1] ** 2))
 
-    def needed(self) -> tuple[str, ...]:
+    def required_effects(self) -> tuple[str, ...]:
         """A camera, where that is to tell the pose."""
         return () if self._sightings is None else ("camera",)
 
-    def subscribes(self) -> bool:
+    def uses_camera(self) -> bool:
         """To the camera, where that is to tell the pose."""
         return self._sightings is not None
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """A gain with which parcels overshoot."""
         del lattice
         damping = self._damping()
@@ -98,7 +98,7 @@ class Align(Firmware):
         )
         return (line,)
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """What the estimator says of its words."""
         return {} if self._estimator is None else self._estimator.plausible()
 

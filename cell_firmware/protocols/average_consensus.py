@@ -14,9 +14,9 @@ from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, Spec, Vector
-from cell_firmware.toolkit.graph import Links, explicit_cautions, relaxed
-from cell_firmware.toolkit.hold import Patience
-from cell_firmware.toolkit.regions import Value, lay, misplaced
+from cell_firmware.toolkit.graph import GraphLaplacian, convergence_factor, explicit_warnings
+from cell_firmware.toolkit.hold import Ttl
+from cell_firmware.toolkit.regions import RegionValue, assign, region_problems
 from cell_firmware.toolkit.stencil import total
 
 _LONGER: Final = 4
@@ -34,11 +34,11 @@ class AverageConsensusParameters(Spec):
     """Of what the mean is: of ``value`` and ``values``, or of how many of a cell's sensors see a parcel, 0 to 1."""
     value: Finite = 0.0
     """What every cell has, unless ``values`` names it."""
-    values: tuple[Value, ...] = ()
+    values: tuple[RegionValue, ...] = ()
     """Cells that have something else."""
     weight: Literal["metropolis"] | Annotated[float, Field(gt=0, allow_inf_nan=False)] = "metropolis"
     """Of a link: ``1 / (1 + d)``, d being the greater number of neighbours of its two cells, or the same for all."""
-    patience: Patience = 20
+    ttl_periods: Ttl = 20
     """After how many silent periods at least a neighbour is taken for gone, and what was lent to it is called in.
 
     A cell that has known a neighbour to speak again after s silent periods waits 4 s from then on, if that is more.
@@ -61,56 +61,58 @@ class AverageConsensus(Firmware):
     Boyd. A lost message makes the two ends differ, which the next exchange undoes: at rest the flows are opposite, so
     that the sum of the estimates is that of what the cells have. What cells have may change, and the mean is followed.
 
-    A cell that dies takes with it what it had, and nothing else: a flow is set to 0 after ``patience`` silent periods,
-    or 4 times the longest silence that any side of the cell has broken, and the others come to their own mean. Nobody
-    can tell a long silence from a death: where links are silent for longer, estimates are off by as much as the flows
-    until cells have learnt how long silences last, and the mean is exact in the limit though links go on like that.
+    A cell that dies takes with it what it had, and nothing else: a flow is set to 0 after ``ttl_periods`` silent
+    periods, or 4 times the longest silence that any side of the cell has broken, and the others come to their own
+    mean. Nobody can tell a long silence from a death: where links are silent for longer, estimates are off by as much
+    as the flows until cells have learnt how long silences last, and the mean is exact in the limit though links go on
+    like that.
 
     Source: Xiao & Boyd, "Fast linear iterations for distributed averaging", Systems & Control Letters 53 (2004), with
     its constant and Metropolis weights; flows kept at both ends after Jesus, Baquero & Almeida, "Flow updating:
-    fault-tolerant aggregation for dynamic networks", J. Parallel Distrib. Comput. 78 (2015); patience that grows with
-    silences after Chandra & Toueg, "Unreliable failure detectors for reliable distributed systems", J. ACM 43 (1996).
+    fault-tolerant aggregation for dynamic networks", J. Parallel Distrib. Comput. 78 (2015); ttl_periods that grows
+    with silences after Chandra & Toueg, "Unreliable failure detectors for reliable distributed systems", J. ACM 43
+    (1996).
     """
 
     Parameters = AverageConsensusParameters
     message = np.dtype([("value", "<f8"), ("flow", "<f8"), ("neighbours", "u1")])
-    observed = "value"
+    observable = "value"
 
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
-        problems = misplaced(lattice, {"values": self.parameters.values})
+        problems = region_problems(lattice, {"values": self.parameters.values})
         if problems:
             raise ParametersError("average_consensus", problems)
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """Ten times what cells have, for estimates on their way; a thousand times for what flows over a link."""
         parameters: AverageConsensusParameters = self.parameters
         values = [parameters.value, *(place.value for place in parameters.values)]
         most = 1.0 if parameters.source == "presence" else max(abs(value) for value in values)
         return {"value": (-10.0 * most, 10.0 * most), "flow": (-1e3 * most, 1e3 * most)}
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """A constant weight's limit; Metropolis weights have none."""
         weight = self.parameters.weight
         if weight == "metropolis":
             return ()
-        return explicit_cautions("weight", weight, "estimates", lambda: Links(lattice))
+        return explicit_warnings("weight", weight, "estimates", lambda: GraphLaplacian(lattice))
 
     def theory(self, lattice: Lattice) -> Theory:
         """Factor from the weighted Laplacian's spectrum; the limit is the mean of each part that hangs together."""
         weight = self.parameters.weight
         if weight == "metropolis":
             degree = (lattice.neighbours >= 0).sum(axis=1)
-            links = Links(
+            links = GraphLaplacian(
                 lattice, weight=1.0 / (1.0 + np.maximum(degree[:, None], degree[lattice.neighbours]))
             )
         else:
-            links = Links(lattice, weight=np.full((len(lattice), 4), weight))
+            links = GraphLaplacian(lattice, weight=np.full((len(lattice), 4), weight))
         given = self._given(lattice.rows, lattice.columns)
         return Theory(
             "averaging: slowest of |1 - lambda| over the weighted Laplacian's spectrum (Xiao & Boyd 2004)",
-            factor=relaxed(links.spectrum(), 1.0),
-            limit=None if self.parameters.source == "presence" else links.at_rest(given),
+            factor=convergence_factor(links.spectrum(), 1.0),
+            limit=None if self.parameters.source == "presence" else links.steady_state(given),
         )
 
     def init(self, cells: Cells) -> State:
@@ -136,7 +138,7 @@ class AverageConsensus(Firmware):
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         silent, longest = _silences(inbox.received, state["silent"], state["longest"])
-        there = silent < np.maximum(self.parameters.patience, _LONGER * longest)[:, None]
+        there = silent < np.maximum(self.parameters.ttl_periods, _LONGER * longest)[:, None]
         theirs, own = inbox.message, state["value"][:, None]
         level = self._weight(state["neighbours"][:, None], theirs["neighbours"]) * (theirs["value"] - own)
         levelled = (state["flow"] - theirs["flow"]) / 2.0 + level
@@ -152,7 +154,7 @@ class AverageConsensus(Firmware):
 
     def _given(self, row: np.ndarray, column: np.ndarray) -> Floats:
         given = np.full(len(row), self.parameters.value)
-        lay(self.parameters.values, row, column, given)
+        assign(self.parameters.values, row, column, given)
         return given
 
     def _weight(self, own: np.ndarray, theirs: np.ndarray) -> Floats | float:

@@ -11,17 +11,17 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
-from cell_firmware.toolkit.boundary_conditions import SpreadParameters, speeds_told, widened
-from cell_firmware.toolkit.graph import explicit_cautions, relaxed
-from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.boundary_conditions import InitialAndHeld, expand_ranges, message_speeds
+from cell_firmware.toolkit.graph import convergence_factor, explicit_warnings
+from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 
 
-class HeatDiffusionParameters(SpreadParameters):
+class HeatDiffusionParameters(InitialAndHeld):
     """How fast speed spreads, where from, and where it is held."""
 
     diffusion_number: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.2
     """``r = alpha period / pitch^2``: at most 1/4, or speeds may alternate and grow."""
-    patience: Patience = 1
+    ttl_periods: Ttl = 1
     """For how many periods a neighbour's word counts: more than 1 where messages get lost."""
 
 
@@ -38,8 +38,8 @@ class HeatDiffusion(Firmware):
     of tick k run at ``M^k u[0]``, where M is the identity less r times the lattice's Laplacian, with the
     rows of held cells replaced by the identity's.
 
-    Where no message comes the last one counts, for ``patience`` periods in all. A side without one (no cell there, or a
-    dead one) is insulated.
+    Where no message comes the last one counts, for ``ttl_periods`` periods in all. A side without one (no cell there,
+    or a dead one) is insulated.
 
     Up to r = 1/4 every speed is a mean of speeds there were, with weights of at least 0, whatever links lose or delay:
     it stays in the range in which all began. On links that do neither, the slowest error shrinks by
@@ -50,22 +50,22 @@ class HeatDiffusion(Firmware):
 
     Parameters = HeatDiffusionParameters
     message = np.dtype([("vx_m_s", "<f8"), ("vy_m_s", "<f8")])
-    observed = "speed_m_s"
+    observable = "speed_m_s"
 
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
         self.parameters.check("heat_diffusion", lattice)
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """The range in which all began, which no mean leaves; up to r = 1/4."""
         if self.parameters.diffusion_number > 0.25:
             return {}
-        return widened(self.parameters.range_m_s(), 1e-6)
+        return expand_ranges(self.parameters.range_m_s(), 1e-6)
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """The scheme's limit: 1/4 on four neighbours, ``2 / lambda_max`` on this array."""
         number, links = self.parameters.diffusion_number, self.parameters.links
-        return explicit_cautions("diffusion_number", number, "speeds", lambda: links(lattice))
+        return explicit_warnings("diffusion_number", number, "speeds", lambda: links(lattice))
 
     def theory(self, lattice: Lattice) -> Theory:
         """Factor from the spectrum; the limit is harmonic between held cells, and flat where there are none."""
@@ -74,7 +74,7 @@ class HeatDiffusion(Firmware):
         number = self.parameters.diffusion_number
         return Theory(
             f"explicit conduction: slowest of |1 - {number:g} lambda| over the Laplacian's spectrum (Crank 1975)",
-            factor=relaxed(links.spectrum(), number),
+            factor=convergence_factor(links.spectrum(), number),
             limit=links.at_rest(speed),
         )
 
@@ -94,8 +94,8 @@ class HeatDiffusion(Firmware):
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         own = state["speed_m_s"]
-        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
-        told = last_word(inbox.received, counts, speeds_told(inbox), state["told_m_s"])
+        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
+        told = hold_last(inbox.received, counts, message_speeds(inbox), state["told_m_s"])
         flow = np.where(counts[:, :, None] > 0, told - own[:, None, :], 0.0)
         gain = flow[:, 0] + flow[:, 1] + flow[:, 2] + flow[:, 3]
         speed = np.where(state["held"], own, own + self.parameters.diffusion_number * gain)

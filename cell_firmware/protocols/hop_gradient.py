@@ -12,9 +12,9 @@ from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
 from cell_firmware.specs import Positive, Spec
-from cell_firmware.toolkit.graph import steps_to
-from cell_firmware.toolkit.hold import Patience, last_word, still_counts
-from cell_firmware.toolkit.regions import Ints, Place, misplaced
+from cell_firmware.toolkit.graph import hop_distance
+from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
+from cell_firmware.toolkit.regions import Ints, Region, region_problems
 
 _AHEAD: Final = np.array([(column, row) for row, column in STEPS], dtype=np.float64)
 """Direction along x and y of each side."""
@@ -23,11 +23,11 @@ _AHEAD: Final = np.array([(column, row) for row, column in STEPS], dtype=np.floa
 class HopGradientParameters(Spec):
     """Where to, how fast, and when a distance or a silence is too long."""
 
-    goals: Annotated[tuple[Place, ...], Field(min_length=1)]
+    goals: Annotated[tuple[Region, ...], Field(min_length=1)]
     speed_m_s: Positive = 0.2
     limit: Annotated[int, Field(ge=2, le=65_535)] = 255
     """Distance that means: no way leads to a goal. More than the longest way there may ever be."""
-    patience: Patience = 1
+    ttl_periods: Ttl = 1
     """For how many periods a neighbour's word counts; one not heard for longer counts as dead."""
 
 
@@ -51,15 +51,15 @@ class HopGradient(Firmware):
 
     Parameters = HopGradientParameters
     message = np.dtype([("distance", "<u2")])
-    observed = "distance"
+    observable = "distance"
 
     def check(self, lattice: Lattice) -> None:
         """Every goal must exist."""
-        problems = misplaced(lattice, {"goals": self.parameters.goals})
+        problems = region_problems(lattice, {"goals": self.parameters.goals})
         if problems:
             raise ParametersError("hop_gradient", problems)
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """Cells that ``limit`` keeps from ever knowing their way."""
         away, limit = self._away(lattice), self.parameters.limit
         if away.max() < limit:
@@ -84,7 +84,7 @@ class HopGradient(Firmware):
         return found
 
     def _away(self, lattice: Lattice) -> Ints:
-        return steps_to(lattice, np.flatnonzero(self._is_goal(lattice.rows, lattice.columns)))
+        return hop_distance(lattice, np.flatnonzero(self._is_goal(lattice.rows, lattice.columns)))
 
     def init(self, cells: Cells) -> State:
         """Who is a goal; each cell's distance; what each side told last, and for how long that counts."""
@@ -100,8 +100,8 @@ class HopGradient(Firmware):
         """Take the least distance, drive that way, tell the neighbours."""
         inbox, limit = inputs.inbox, self.parameters.limit
         assert inbox is not None, "this is a bug: this firmware has messages"
-        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
-        told = last_word(inbox.received, counts, inbox.message["distance"], state["told"], silence=limit)
+        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
+        told = hold_last(inbox.received, counts, inbox.message["distance"], state["told"], silence=limit)
         least, side = told.min(axis=1), told.argmin(axis=1)
         distance = np.where(state["goal"], 0, np.minimum(least, limit - 1) + 1).astype(np.uint16)
         moves = ~state["goal"] & (distance < limit)

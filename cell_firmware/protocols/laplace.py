@@ -14,20 +14,20 @@ from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, NotNegative, Spec
-from cell_firmware.toolkit.graph import Links, second_order, steps_to
-from cell_firmware.toolkit.hold import Patience, last_word, still_counts
-from cell_firmware.toolkit.regions import Value, lay, misplaced
+from cell_firmware.toolkit.graph import GraphLaplacian, hop_distance, second_order
+from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
+from cell_firmware.toolkit.regions import RegionValue, assign, region_problems
 from cell_firmware.toolkit.stencil import across, gradient, total
 
 
 class LaplaceParameters(Spec):
     """Where the potential is held, how cells relax to it, and what wheels make of it."""
 
-    held: Annotated[tuple[Value, ...], Field(min_length=1)]
+    held: Annotated[tuple[RegionValue, ...], Field(min_length=1)]
     """Cells that keep their potential: sources, sinks, obstacles that repel."""
     relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
     """1 for Jacobi's method; more for the second-order one, which is faster by far where it suits the array."""
-    patience: Patience = 50
+    ttl_periods: Ttl = 50
     """For how many periods a neighbour's word counts; then it is taken for gone, and its side for insulated."""
     speed_m_s: NotNegative | None = None
     """At which wheels run down the potential, however steep."""
@@ -56,11 +56,11 @@ class Laplace(Firmware):
     values of this tick from half the cells, which no message can bring.
 
     No potential leaves the range of what is held and the 0 at which cells start. Lost and late messages cost time
-    alone: what cells come to is the same (at w = 1, for any delays below the patience: Chazan & Miranker 1969). With
+    alone: what cells come to is the same (at w = 1, for any delays below the ttl_periods: Chazan & Miranker 1969). With
     w > 1 that holds for lost messages; where they come late potentials may swing within their range for ever.
 
     Nobody can rest but at a held cell: a harmonic potential has no other minimum. What has no cell, and cells that died
-    and were silent for ``patience`` periods, are insulators: the field goes around them.
+    and were silent for ``ttl_periods`` periods, are insulators: the field goes around them.
 
     Source: Golub & Varga, "Chebyshev semi-iterative methods, successive overrelaxation iterative methods, and second
     order Richardson iterative methods", Numer. Math. 3 (1961); Connolly, Burns & Weiss, "Path planning using
@@ -69,25 +69,25 @@ class Laplace(Firmware):
 
     Parameters = LaplaceParameters
     message = np.dtype([("potential", "<f8")])
-    observed = "potential"
+    observable = "potential"
 
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
-        problems = misplaced(lattice, {"held": self.parameters.held})
+        problems = region_problems(lattice, {"held": self.parameters.held})
         if problems:
             raise ParametersError("laplace", problems)
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """The range of what is held, to which cells keep."""
         return {"potential": self._range()}
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """Cells that no held one can reach, and a potential without a slope."""
         found: list[str] = []
         potential, held = self._start(lattice.rows, lattice.columns)
         if np.ptp(potential[held]) == 0.0:
             found.append("all held cells have the same potential: it becomes flat, and wheels stand")
-        loose = int((steps_to(lattice, np.flatnonzero(held)) < 0).sum())
+        loose = int((hop_distance(lattice, np.flatnonzero(held)) < 0).sum())
         if loose:
             found.append(
                 f"{loose} cells have no way to a held one: their potential stays 0, and their wheels stand"
@@ -97,15 +97,15 @@ class Laplace(Firmware):
     def theory(self, lattice: Lattice) -> Theory:
         """Factor from the spectral radius of the mean over neighbours; the limit is harmonic."""
         potential, held = self._start(lattice.rows, lattice.columns)
-        links = Links(lattice, held)
+        links = GraphLaplacian(lattice, held)
         degree = np.maximum((lattice.neighbours >= 0).sum(axis=1), 1)
-        ends = Links(lattice, held | links.loose, of_cell=1.0 / np.sqrt(degree)).spectrum()
+        ends = GraphLaplacian(lattice, held | links.unanchored, of_cell=1.0 / np.sqrt(degree)).spectrum()
         radius = None if ends.least is None else max(1.0 - ends.least, ends.greatest - 1.0)
         return Theory(
             "relaxation: spectral radius of the mean over neighbours, second order if relaxation > 1"
             " (Golub & Varga 1961)",
             factor=None if radius is None else second_order(radius, self.parameters.relaxation),
-            limit=links.at_rest(potential),
+            limit=links.steady_state(potential),
         )
 
     def init(self, cells: Cells) -> State:
@@ -126,8 +126,8 @@ class Laplace(Firmware):
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, before = state["potential"], state["before"]
-        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
-        told = last_word(inbox.received, counts, inbox.message["potential"], state["told"])
+        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
+        told = hold_last(inbox.received, counts, inbox.message["potential"], state["told"])
         heard = counts > 0
         number = total(heard.astype(np.float64))
         mean = total(np.where(heard, told, 0.0)) / np.where(number > 0.0, number, 1.0)
@@ -142,7 +142,7 @@ class Laplace(Firmware):
 
     def _start(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[Floats, Bools]:
         potential = np.zeros(len(row))
-        return potential, lay(self.parameters.held, row, column, potential)
+        return potential, assign(self.parameters.held, row, column, potential)
 
     def _range(self) -> tuple[float, float]:
         """The least and the greatest potential that is held; 0, at which cells start, among them."""

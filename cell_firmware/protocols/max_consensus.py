@@ -13,8 +13,8 @@ from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
 from cell_firmware.specs import Spec, Vector
-from cell_firmware.toolkit.graph import leaders, steps_to
-from cell_firmware.toolkit.regions import Place, lay, misplaced
+from cell_firmware.toolkit.graph import hop_distance, reachable_maximum
+from cell_firmware.toolkit.regions import Region, assign, region_problems
 
 Rank = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 
@@ -22,7 +22,7 @@ _PLACES: Final = 1 << 16
 """Rows and columns that a key has room for."""
 
 
-class Ranked(Place):
+class Ranked(Region):
     """Cells, and a rank for each of them."""
 
     rank: Rank
@@ -65,22 +65,22 @@ class MaxConsensus(Firmware):
 
     Parameters = MaxConsensusParameters
     message = np.dtype([("key", "<i8"), ("age", "<u2")])
-    observed = "leader"
+    observable = "leader"
 
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, no cell be named twice, and keys have room for all."""
-        problems = misplaced(lattice, {"ranks": self.parameters.ranks})
+        problems = region_problems(lattice, {"ranks": self.parameters.ranks})
         if max(lattice.rows.max(), lattice.columns.max()) >= _PLACES:
             problems += (Problem((), f"rows and columns must be below {_PLACES}"),)
         if problems:
             raise ParametersError("max_consensus", problems)
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """A lifetime that is shorter than the leader's word takes."""
         lifetime = self.parameters.lifetime
         if lifetime >= len(lattice):
             return ()
-        steps = steps_to(lattice, self._leaders(lattice))
+        steps = hop_distance(lattice, self._leaders(lattice))
         beyond = int((steps > lifetime).sum())
         if not beyond:
             return ()
@@ -92,7 +92,7 @@ class MaxConsensus(Firmware):
         leader = self._leaders(lattice)
         return Theory(
             "flooding: a cell knows the leader after as many ticks as it is steps away (Lynch 1996, ch. 4.1)",
-            ticks=int(steps_to(lattice, leader).max()),
+            ticks=int(hop_distance(lattice, leader).max()),
             limit=np.stack((lattice.rows[leader], lattice.columns[leader]), axis=1),
         )
 
@@ -124,9 +124,9 @@ class MaxConsensus(Firmware):
 
     def _keys(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int64]:
         rank = np.full(len(row), self.parameters.rank, dtype=np.int64)
-        lay(self.parameters.ranks, row, column, rank)
+        assign(self.parameters.ranks, row, column, rank)
         return (rank << 32) + row * _PLACES + column
 
     def _leaders(self, lattice: Lattice) -> NDArray[np.int64]:
         """``(n,)``: the cell that each comes to follow, by index."""
-        return leaders(lattice, self._keys(lattice.rows, lattice.columns))
+        return reachable_maximum(lattice, self._keys(lattice.rows, lattice.columns))

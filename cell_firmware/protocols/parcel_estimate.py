@@ -37,13 +37,13 @@ class ParcelEstimate(Firmware):
 
     Parameters = ParcelEstimateParameters
     message = MESSAGE
-    observed = "centre_m"
+    observable = "centre_m"
 
     def __init__(self, parameters: ParcelEstimateParameters) -> None:
         super().__init__(parameters)
         self._estimator = Estimator(parameters)
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """What the estimator says of its words."""
         return self._estimator.plausible()
 

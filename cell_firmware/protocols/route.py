@@ -25,7 +25,7 @@ class Route(TileFirmware):
         """Every exit is one of its own."""
         return len(parameters.exits)
 
-    def needed(self) -> tuple[str, ...]:
+    def required_effects(self) -> tuple[str, ...]:
         """Labels have to be read."""
         return ("scanners",)
 

@@ -14,14 +14,20 @@ from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, Spec
-from cell_firmware.toolkit.graph import Links, explicit_cautions, parts, relaxed, second_order
-from cell_firmware.toolkit.hold import Patience, last_word, still_counts
-from cell_firmware.toolkit.regions import Place, lay, misplaced
+from cell_firmware.toolkit.graph import (
+    GraphLaplacian,
+    components,
+    convergence_factor,
+    explicit_warnings,
+    second_order,
+)
+from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
+from cell_firmware.toolkit.regions import Region, assign, region_problems
 from cell_firmware.toolkit.stencil import across, gradient, total
 
 
-class Spring(Place):
-    """Cells, and how much springs up in each of them."""
+class Source(Region):
+    """Cells, and how much flows out of each of them."""
 
     flow_m2_s: Finite
     """Per cell and unit of height: below 0 it sinks away."""
@@ -35,13 +41,13 @@ class Spring(Place):
 class StreamParameters(Spec):
     """Where the fluid comes from and goes to, and how fast cells find its potential."""
 
-    springs: Annotated[tuple[Spring, ...], Field(min_length=1)]
+    sources: Annotated[tuple[Source, ...], Field(min_length=1)]
     """Sources and sinks; together they should be even."""
     diffusion_number: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.2
     """By which a cell levels its balance: at most 1/4, or potentials may alternate and grow."""
     relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
     """1 for explicit steps; more for the second-order method, which is faster where it suits the array."""
-    patience: Patience = 50
+    ttl_periods: Ttl = 50
     """For how many periods a neighbour's word counts; then it is taken for gone, and its side for a wall."""
 
 
@@ -49,16 +55,16 @@ class StreamParameters(Spec):
 class Stream(Firmware):
     """Potential flow: the flow through the face between two cells is the difference of their potentials.
 
-    A cell adds to its potential what its balance lacks, r being the diffusion number, s its spring, w the relaxation::
+    A cell adds to its potential what its balance lacks, r being the diffusion number, s its source, w the relaxation::
 
         q_i[k] = q_i[k-2] + w (q_i[k-1] + r (s_i + sum over neighbours j of (q_j - q_i)[k-1]) - q_i[k-2])
 
-    At rest what flows out of every cell is its spring: net flow 0 through the faces of all others, to rounding, which
+    At rest what flows out of every cell is its source: net flow 0 through the faces of all others, to rounding, which
     is what incompressible means on cells. A side without a neighbour, or with one that died and was silent for
-    ``patience`` periods, is a wall: nothing flows through it, and the stream goes round. Wheels run at the mean
+    ``ttl_periods`` periods, is a wall: nothing flows through it, and the stream goes round. Wheels run at the mean
     velocity of opposite faces, flow over pitch. Potentials are known up to a constant, which matters to nobody.
 
-    Where springs are not even every cell of their part takes an equal share of what is too much, its potential rises
+    Where sources are not even every cell of their part takes an equal share of what is too much, its potential rises
     for ever, and the flow still settles. Lost and late messages cost time, and shift the constant; with w > 1 late ones
     may make potentials grow without bound.
 
@@ -68,49 +74,49 @@ class Stream(Firmware):
 
     Parameters = StreamParameters
     message = np.dtype([("potential_m2_s", "<f8")])
-    observed = "potential_m2_s"
+    observable = "potential_m2_s"
 
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
-        problems = misplaced(lattice, {"springs": self.parameters.springs})
+        problems = region_problems(lattice, {"sources": self.parameters.sources})
         if problems:
             raise ParametersError("stream", problems)
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
-        """As much as the strongest spring drives through a million cells in a row."""
-        most = 1e6 * max(abs(spring.flow_m2_s) for spring in self.parameters.springs)
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
+        """As much as the strongest source drives through a million cells in a row."""
+        most = 1e6 * max(abs(source.flow_m2_s) for source in self.parameters.sources)
         return {"potential_m2_s": (-most, most)}
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
-        """The scheme's limit, and springs that are not even."""
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
+        """The scheme's limit, and sources that are not even."""
         number = self.parameters.diffusion_number
-        found = explicit_cautions("diffusion_number", number, "potentials", lambda: Links(lattice))
+        found = explicit_warnings("diffusion_number", number, "potentials", lambda: GraphLaplacian(lattice))
         for cells, surplus in self._uneven(lattice):
-            part = f"springs of the {cells.sum()} cells about {list(lattice.cells[int(np.argmax(cells))])}"
+            part = f"sources of the {cells.sum()} cells about {list(lattice.cells[int(np.argmax(cells))])}"
             share = f"every one of them takes in {surplus / cells.sum():.6g} m2/s, and the stream is none of a fluid"
             found += (f"{part} are {surplus:.6g} m2/s out of balance: {share}",)
         return found
 
     def theory(self, lattice: Lattice) -> Theory:
-        """Factor from the Laplacian's spectrum; the limit balances every cell, with mean 0, if springs are even."""
-        p, links = self.parameters, Links(lattice)
-        radius = relaxed(links.spectrum(), p.diffusion_number)
+        """Factor from the Laplacian's spectrum; the limit balances every cell, with mean 0, if sources are even."""
+        p, links = self.parameters, GraphLaplacian(lattice)
+        radius = convergence_factor(links.spectrum(), p.diffusion_number)
         even = not any(True for _ in self._uneven(lattice))
-        spring = self._spring(lattice.rows, lattice.columns)
+        source = self._source(lattice.rows, lattice.columns)
         return Theory(
             "potential flow: slowest of |1 - r lambda| over the Laplacian's spectrum, second order if relaxation > 1"
             " (Golub & Varga 1961)",
             factor=None if radius is None else second_order(radius, p.relaxation),
-            limit=links.at_rest(np.zeros(len(lattice)), spring) if even else None,
+            limit=links.steady_state(np.zeros(len(lattice)), source) if even else None,
         )
 
     def init(self, cells: Cells) -> State:
-        """Potentials ``(n,)`` m2/s now and a tick before, springs, what each side told, the pitch."""
+        """Potentials ``(n,)`` m2/s now and a tick before, sources, what each side told, the pitch."""
         sides = cells.has_neighbour.shape
         return {
             "potential_m2_s": np.zeros(len(cells)),
             "before_m2_s": np.zeros(len(cells)),
-            "spring_m2_s": self._spring(cells.row, cells.column),
+            "source_m2_s": self._source(cells.row, cells.column),
             "told_m2_s": np.zeros(sides),
             "counts": np.zeros(sides, dtype=np.int16),
             "pitch_m": np.full(len(cells), cells.pitch_m),
@@ -121,10 +127,10 @@ class Stream(Firmware):
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, before = state["potential_m2_s"], state["before_m2_s"]
-        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
-        told = last_word(inbox.received, counts, inbox.message["potential_m2_s"], state["told_m2_s"])
+        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
+        told = hold_last(inbox.received, counts, inbox.message["potential_m2_s"], state["told_m2_s"])
         faces = across(counts > 0, told, own)
-        levelled = own + self.parameters.diffusion_number * (state["spring_m2_s"] + total(faces))
+        levelled = own + self.parameters.diffusion_number * (state["source_m2_s"] + total(faces))
         potential = before + self.parameters.relaxation * (levelled - before)
 
         after = {
@@ -137,15 +143,15 @@ class Stream(Firmware):
         speed = -gradient(faces, state["pitch_m"])
         return after, Outputs(speed, Outbox.to_all(self.message, potential_m2_s=potential))
 
-    def _spring(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> Floats:
-        spring = np.zeros(len(row))
-        lay(self.parameters.springs, row, column, spring)
-        return spring
+    def _source(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> Floats:
+        source = np.zeros(len(row))
+        assign(self.parameters.sources, row, column, source)
+        return source
 
     def _uneven(self, lattice: Lattice) -> Iterator[tuple[Bools, float]]:
-        """Parts of the array whose springs are not even: their cells, and what is too much in all."""
-        spring, part = self._spring(lattice.rows, lattice.columns), parts(lattice)
+        """Parts of the array whose sources are not even: their cells, and what is too much in all."""
+        source, part = self._source(lattice.rows, lattice.columns), components(lattice)
         for one in range(int(part.max()) + 1):
-            surplus = float(spring[part == one].sum())
-            if abs(surplus) > 1e-9 * float(abs(spring).sum()):
+            surplus = float(source[part == one].sum())
+            if abs(surplus) > 1e-9 * float(abs(source).sum()):
                 yield part == one, surplus

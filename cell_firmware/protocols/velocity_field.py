@@ -22,7 +22,7 @@ class VelocityField(Firmware):
 
     Parameters = VelocityFieldParameters
 
-    def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
+    def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """The field must be a number at every cell."""
         del pitch_m
         self.parameters.field.check_places("velocity_field", lattice, position_m)

@@ -15,9 +15,9 @@ from cell_firmware.errors import ParametersError, Problem
 from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inbox, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, NotNegative, Positive, Spec, Vector
-from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 from cell_firmware.toolkit.portable_trig import direction
-from cell_firmware.toolkit.trajectory import Journey, Leg, Reference, at_all
+from cell_firmware.toolkit.trajectory import ReferenceTrajectory, Segment, Setpoint, at_all
 
 Integers = NDArray[np.int64]
 
@@ -40,15 +40,17 @@ class Vehicle(Spec):
     """Of the reference, where it moves."""
     turn_rate_rad_s: Positive = 0.5
     """Of the reference, where it turns."""
-    legs: Annotated[tuple[Leg, ...], Field(min_length=1, max_length=1_000)]
+    legs: Annotated[tuple[Segment, ...], Field(min_length=1, max_length=1_000)]
     """Its journey."""
     laps: Annotated[int, Field(ge=1, le=1_000)] = 1
     """How often it goes through its legs."""
 
-    def journey(self) -> Journey:
+    def journey(self) -> ReferenceTrajectory:
         """Where its reference is after a time."""
         legs = self.legs * self.laps
-        return Journey((*self.start_m, self.angle_rad), legs, self.speed_m_s, self.turn_rate_rad_s)
+        return ReferenceTrajectory(
+            (*self.start_m, self.angle_rad), legs, self.speed_m_s, self.turn_rate_rad_s
+        )
 
 
 class VirtualVehicleParameters(Spec):
@@ -58,7 +60,7 @@ class VirtualVehicleParameters(Spec):
     ahead: Annotated[int, Field(ge=1, le=20)] = 1
     """How many cells from one that senses the parcel wheels turn too, and how many pitches wider than its radius a
     vehicle is."""
-    patience: Patience = 4
+    ttl_periods: Ttl = 4
     """For how many periods a neighbour's word counts."""
     centring_per_s: tuple[NotNegative, NotNegative] = (0.5, 1.5)
     """Speed towards the reference by distance from it, along its own axes: unequal, they turn a long parcel along the
@@ -85,7 +87,7 @@ class _Words:
     """
 
     periods: Integers
-    reference: Reference
+    reference: Setpoint
     dx: Floats
     dy: Floats
     depth: Floats
@@ -125,7 +127,7 @@ class VirtualVehicle(Firmware):
     message = np.dtype(
         [("vehicle", "u1"), ("periods", "<u4"), ("level", "u1"), ("life", "u1"), ("halt", "u1")]
     )
-    observed = "speed_m_s"
+    observable = "speed_m_s"
 
     def __init__(self, parameters: VirtualVehicleParameters) -> None:
         super().__init__(parameters)
@@ -134,7 +136,7 @@ class VirtualVehicle(Firmware):
         self._margin = 2.0 * parameters.ahead - 1.0
         self._numbers: Integers = np.arange(1, len(self._journeys) + 1)
 
-    def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
+    def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """A journey must not lead where no cell could hold the record, nor two vehicles begin at one place."""
         del lattice
         parameters: VirtualVehicleParameters = self.parameters
@@ -152,7 +154,7 @@ class VirtualVehicle(Firmware):
         if problems:
             raise ParametersError("virtual_vehicle", tuple(problems))
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """Numbers of vehicles that there are, 0 for none."""
         return {"vehicle": (0, len(self._journeys))}
 
@@ -222,9 +224,9 @@ class VirtualVehicle(Firmware):
 
     def _told(self, state: State, inbox: Inbox) -> dict[str, NDArray[Any]]:
         """What each side told last, where that still counts; else nothing."""
-        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
+        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
         told = {
-            name: last_word(inbox.received, counts, inbox.message[name.removeprefix("told_")], state[name])
+            name: hold_last(inbox.received, counts, inbox.message[name.removeprefix("told_")], state[name])
             for name in ("told_vehicle", "told_level", "told_life", "told_halt")
         }
         return {**told, "counts": counts}
@@ -248,7 +250,7 @@ class VirtualVehicle(Firmware):
         says = (told["told_vehicle"][:, :, None] == self._numbers) & (told["told_life"] > 0)[:, :, None]
         nearest: Integers = np.where(says, told["told_life"][:, :, None], 0).max(axis=1)
         life = np.where(core, hops, np.maximum(nearest - 1, 0))
-        still = np.where(says.any(axis=1), self.parameters.patience, np.maximum(state["heard"] - 1, 0))
+        still = np.where(says.any(axis=1), self.parameters.ttl_periods, np.maximum(state["heard"] - 1, 0))
         return _Words(periods, reference, dx, dy, outer_m - distance, core, hops, life, still)
 
     # --- what is done -----------------------------------------------------------------------------
@@ -287,7 +289,7 @@ class VirtualVehicle(Firmware):
 
     def _state(self, own: Integers, mine: _Words, halt: Integers, idle: Integers) -> Integers:
         """A word for people: what becomes of the vehicle."""
-        found = np.where(idle > self.parameters.patience, WAITS, CARRIES)
+        found = np.where(idle > self.parameters.ttl_periods, WAITS, CARRIES)
         found = np.where(halt > 0, GIVES_WAY, found)
         return np.where(own == 0, NONE, np.where(mine.reference.ended, ARRIVED, found))
 
@@ -337,7 +339,7 @@ def _picked(item: Any, index: Integers) -> Any:
 
 
 def _bare(
-    journey: Journey, speed_m_s: float, position_m: Floats, hold_m: float, pitch_m: float
+    journey: ReferenceTrajectory, speed_m_s: float, position_m: Floats, hold_m: float, pitch_m: float
 ) -> tuple[float, float] | None:
     """The first place of a journey without a cell near enough to hold the record."""
     steps = int(journey.duration_s * speed_m_s / (0.1 * pitch_m)) + 2

@@ -11,18 +11,18 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
-from cell_firmware.toolkit.boundary_conditions import SpreadParameters, speeds_told, widened
-from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.boundary_conditions import InitialAndHeld, expand_ranges, message_speeds
+from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 
 
-class WaveParameters(SpreadParameters):
+class WaveParameters(InitialAndHeld):
     """How fast waves run, how they die down, where they begin, and where speed is held."""
 
     courant_number_squared: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.25
     """``c2 = (wave speed period / pitch)^2``: at most 1/2, or waves may grow without bound."""
     damping: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
     """Share of its change that a speed loses in half a period."""
-    patience: Patience = 1
+    ttl_periods: Ttl = 1
     """For how many periods a neighbour's word counts."""
 
 
@@ -52,19 +52,19 @@ class Wave(Firmware):
 
     Parameters = WaveParameters
     message = np.dtype([("vx_m_s", "<f8"), ("vy_m_s", "<f8")])
-    observed = "speed_m_s"
+    observable = "speed_m_s"
 
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
         self.parameters.check("wave", lattice)
 
-    def plausible(self) -> Mapping[str, tuple[float, float]]:
+    def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """Ten times the greatest speed at the start beyond it: waves meet, but not so many; up to the limit of 1/2."""
         if self.parameters.courant_number_squared > 0.5:
             return {}
-        return widened(self.parameters.range_m_s(), 10.0)
+        return expand_ranges(self.parameters.range_m_s(), 10.0)
 
-    def cautions(self, lattice: Lattice) -> tuple[str, ...]:
+    def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """The limit of Courant, Friedrichs and Lewy: 1/2 on four neighbours, ``4 / lambda_max`` on this array."""
         number = self.parameters.courant_number_squared
         if number <= 0.5:
@@ -108,8 +108,8 @@ class Wave(Firmware):
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, b = state["speed_m_s"], self.parameters.damping
-        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
-        told = last_word(inbox.received, counts, speeds_told(inbox), state["told_m_s"])
+        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
+        told = hold_last(inbox.received, counts, message_speeds(inbox), state["told_m_s"])
         flow = np.where(counts[:, :, None] > 0, told - own[:, None, :], 0.0)
         push = flow[:, 0] + flow[:, 1] + flow[:, 2] + flow[:, 3]
         change = ((1.0 - b) * state["change_m_s"] + self.parameters.courant_number_squared * push) / (1.0 + b)

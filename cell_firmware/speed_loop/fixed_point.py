@@ -7,7 +7,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.components import WheelPart
+from cell_firmware.components import WheelDriver
 from cell_firmware.firmware import Cells, Floats, State
 from cell_firmware.speed_loop.output import Duties, Pwm
 from cell_firmware.speed_loop.scaling import OUTPUT_BITS, Scaling
@@ -17,7 +17,7 @@ _HALF = 1 << (OUTPUT_BITS - 1)
 
 
 @final
-class FixedPointLoop(WheelPart):
+class FixedPointLoop(WheelDriver):
     """The law of `SpeedLoop` in integers, for both wheels of n cells.
 
     Speeds are in Q4 of the tachometer's unit, outputs and integrals in Q12 of a level (`Scaling`)::

@@ -7,7 +7,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.components import WheelPart
+from cell_firmware.components import WheelDriver
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Floats, State
 from cell_firmware.specs import SpeedLoopSpec
@@ -16,7 +16,7 @@ from cell_firmware.speed_loop.sensing import Tachometer, Travel
 
 
 @final
-class SpeedLoop(WheelPart):
+class SpeedLoop(WheelDriver):
     """PI with saturation and anti-windup, for both wheels of n cells.
 
     Each period::

@@ -88,7 +88,7 @@ class Travel(Tachometer):
 
 
 @final
-class Words(IntegerTachometer):
+class FixedPointTachometer(IntegerTachometer):
     """The exact travel over the period as a 16-bit word in Q4, rounded to the nearest and saturating.
 
     What an integer loop reads where the scene has no encoder.

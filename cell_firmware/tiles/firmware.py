@@ -15,13 +15,13 @@ from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbo
 from cell_firmware.program import Theory
 from cell_firmware.specs import NotNegative, Positive
 from cell_firmware.tiles import heartbeat as rounds
-from cell_firmware.tiles.leader import Around, decide, doubtful, refused
+from cell_firmware.tiles.leader import NeighbourTiles, decide, doubtful, refused
 from cell_firmware.tiles.messages import (
     MASK_16,
     NEIGHBOURS,
     OPPOSITES,
     TALK,
-    Doing,
+    TileMode,
     ahead_by,
     doing,
     exit_of,
@@ -32,8 +32,8 @@ from cell_firmware.tiles.messages import (
     word,
 )
 from cell_firmware.tiles.tiling import TilesSpec, Tiling
-from cell_firmware.toolkit.graph import steps_to
-from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.graph import hop_distance
+from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 
 Ints = NDArray[np.int64]
 
@@ -55,9 +55,9 @@ class TileParameters(TilesSpec):
     """A tile in which fewer cells live is closed; at least more than half. Left out: all but one row of it."""
     waiting_hops: Annotated[int, Field(ge=0, le=1_000)] = 4
     """A tile whose parcel waits counts as so many cells more: others go round it if that is nearer then."""
-    patience: Annotated[int, Field(ge=8, le=255)] = 40
+    ttl_periods: Annotated[int, Field(ge=8, le=255)] = 40
     """For how many ticks a tile's word is believed: longer than it takes from one tile's far end to the next's."""
-    recall: Patience = 4
+    recall: Ttl = 4
     """For how many periods a neighbour's word about distances counts."""
     limit: Annotated[int, Field(ge=2, le=16_000)] = 250
     """Distance in cells that means: no way leads there."""
@@ -78,7 +78,7 @@ class TileFirmware(Firmware):
     name: ClassVar[str]
     """As scenes name it."""
     message = np.dtype([*TALK, ("way_1", "<u2")])
-    observed = "distance"
+    observable = "distance"
 
     def __init__(self, parameters: TileParameters) -> None:
         super().__init__(parameters)
@@ -102,12 +102,12 @@ class TileFirmware(Firmware):
         if problems:
             raise ParametersError(self.name, problems)
 
-    def credible(self, messages: NDArray[Any]) -> Bools:
+    def accepts(self, messages: NDArray[Any]) -> Bools:
         """Words of what tiles do, for exits that there are."""
-        good = super().credible(messages)
+        good = super().accepts(messages)
         for name in ("own", *NEIGHBOURS):
             told = messages[name].astype(np.int64)
-            good &= is_word(told) & (doing(told) <= Doing.PUSH) & (exit_of(told) <= self._kinds)
+            good &= is_word(told) & (doing(told) <= TileMode.PUSH) & (exit_of(told) <= self._kinds)
         return good & (messages["label"] <= self._kinds)
 
     def theory(self, lattice: Lattice) -> Theory:
@@ -117,7 +117,8 @@ class TileFirmware(Firmware):
         passes = place["mate"] | place["out"]
         kind = np.minimum(place["exit"], self._kinds)
         away = [
-            steps_to(lattice, np.flatnonzero(kind == number), passes) for number in range(1, self._kinds + 1)
+            hop_distance(lattice, np.flatnonzero(kind == number), passes)
+            for number in range(1, self._kinds + 1)
         ]
         far, limit = np.stack(away, axis=1), self.parameters.limit
         return Theory(
@@ -129,14 +130,14 @@ class TileFirmware(Firmware):
         """Where each cell is in its tile; what it knows of its tile and those around it; distances; a leader's mind."""
         place, n, sides = self.tiling.place(cells), len(cells), (len(cells), 4)
         silence = np.full(
-            n, -self.parameters.patience
+            n, -self.parameters.ttl_periods
         )  # a cell that starts first listens whether somebody leads
         place["exit"] = np.minimum(place["exit"], self._kinds)
         least = self.parameters.least_cells or self.tiling.side * (self.tiling.side - 1)
         far = self.parameters.limit << 2
         return {
             **place,
-            **rounds.begun(place, self.tiling.side),
+            **rounds.initial_state(place, self.tiling.side),
             "silence": silence,
             "own": np.zeros(n, dtype=np.int64),
             "last": np.zeros(n, dtype=np.int64),
@@ -157,15 +158,15 @@ class TileFirmware(Firmware):
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """Hear, learn the ways, decide where one leads, drive, tell."""
-        inbox, patience = inputs.inbox, self.parameters.patience
+        inbox, ttl_periods = inputs.inbox, self.parameters.ttl_periods
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, around = newest_words(state["own"], state["around"], inbox, state["mate"], state["used"])
         here, passed = _under_its_parcel(state, inputs, own)
         label = np.where(here, self.labels(inputs), 0)
         told, counts = self._told(state, inputs)
         way = self._ways(state, told)
-        after, leads, takes_over = rounds.heard(state, inbox, here, label, patience)
-        known = Around.of(around)
+        after, leads, takes_over = rounds.on_messages(state, inbox, here, label, ttl_periods)
+        known = NeighbourTiles.of(around)
         own = self._lead(state, after, own, known, way, leads, takes_over, here, label)
         speed = np.where(passed[:, None], 0.0, self._speed(state, own, known))
         after["here"], after["passed"] = here, passed
@@ -184,9 +185,9 @@ class TileFirmware(Firmware):
     def _told(self, state: State, inputs: Inputs) -> tuple[NDArray[np.uint16], NDArray[np.int16]]:
         inbox = inputs.inbox
         assert inbox is not None
-        counts = still_counts(inbox.received, state["counts"], self.parameters.recall)
+        counts = age_ttl(inbox.received, state["counts"], self.parameters.recall)
         news = np.stack([inbox.message[way] for way in self.ways], axis=2)
-        return last_word(
+        return hold_last(
             inbox.received, counts, news, state["told"], silence=self.parameters.limit << 2
         ), counts
 
@@ -205,7 +206,7 @@ class TileFirmware(Firmware):
         state: State,
         after: dict[str, NDArray[Any]],
         own: Ints,
-        around: Around,
+        around: NeighbourTiles,
         way: Ints,
         leads: Bools,
         takes_over: Bools,
@@ -216,7 +217,7 @@ class TileFirmware(Firmware):
         last = np.where(own > 0, own, state["last"])
         after["last"] = last
         own = np.where(takes_over, ahead_by(last, _AFRESH), own)
-        over = rounds.ended(state, after, leads)
+        over = rounds.round_finished(state, after, leads)
         after["sure"] = np.where(takes_over, 0, after["sure"])
         full = after["sure"] > state["sure"]
         doubts = leads & doubtful(state, own, around)
@@ -225,19 +226,19 @@ class TileFirmware(Firmware):
         news = decide(state, after, own, around, way, self.parameters.limit)
         was, now = doing(own) * 4 + side(own), news.code
         changed = leads & ((now != was) | (news.exit != own >> 16 & 255) | (news.ticket != own & MASK_16))
-        word_ = word(version(own) + changed, self.parameters.patience, now, news.exit, news.ticket)
-        expects, has = Doing.EXPECT, now >> 2 >= Doing.HOLD
-        got = changed & (was >> 2 < Doing.HOLD) & has
+        word_ = word(version(own) + changed, self.parameters.ttl_periods, now, news.exit, news.ticket)
+        expects, has = TileMode.EXPECT, now >> 2 >= TileMode.HOLD
+        got = changed & (was >> 2 < TileMode.HOLD) & has
         after["came"] = np.where(got, np.where(was >> 2 == expects, was & 3, 4), state["came"])
         after["held"] = np.where(has & ~got, np.minimum(state["held"] + 1, state["settle"]), 0)
         granted = changed & (now >> 2 == expects)
         after["turn"] = np.where(granted, now & 3, state["turn"])
         after["sure"] = np.where(changed, 0, after["sure"])
         fresh_doubt = doubts & (state["grace"] < 0)
-        rounds.begin(state, after, over | changed | fresh_doubt, here, label)
+        rounds.start_round(state, after, over | changed | fresh_doubt, here, label)
         return np.where(leads, word_, own)
 
-    def _speed(self, state: State, own: Ints, around: Around) -> Floats:
+    def _speed(self, state: State, own: Ints, around: NeighbourTiles) -> Floats:
         """Centred where a tile has a parcel or expects one; at full speed over the side to which it passes one on.
 
         Where the tile there has closed a parcel is pulled back at once: who has it the leader finds out later.
@@ -247,8 +248,8 @@ class TileFirmware(Firmware):
         centring = np.clip(-np.array(self.parameters.gain_per_s) * state["offset_m"], -most, most)
         ahead = _AHEAD[side(own)]
         pushing = np.where(ahead != 0.0, most * ahead, centring)
-        carries = (does >= Doing.EXPECT)[:, None]
-        pushes = (does == Doing.PUSH) & ~refused(state, own, around)
+        carries = (does >= TileMode.EXPECT)[:, None]
+        pushes = (does == TileMode.PUSH) & ~refused(state, own, around)
         return np.where(pushes[:, None], pushing, np.where(carries, centring, 0.0))
 
     def _tell(
@@ -262,9 +263,9 @@ class TileFirmware(Firmware):
         for number, name in enumerate(NEIGHBOURS):
             message[name] = around[:, number, None]
         does = doing(own)
-        passes = (does != Doing.CLOSED) & (does != Doing.HOLD)
+        passes = (does != TileMode.CLOSED) & (does != TileMode.HOLD)
         far = self.parameters.limit << 2
-        toll = np.where(does == Doing.WANT, self.parameters.waiting_hops << 2, 0)
+        toll = np.where(does == TileMode.WANT, self.parameters.waiting_hops << 2, 0)
         for number, name in enumerate(self.ways):
             known = way[:, number]
             shown = np.where(passes, np.minimum(known + toll, far), far)
@@ -283,5 +284,5 @@ def _under_its_parcel(state: State, inputs: Inputs, own: Ints) -> tuple[Bools, B
     sensed, own = np.asarray(inputs.presence.any(axis=1)), np.where(own > 0, own, state["last"])
     told = inbox.message["passed"] & state["mate"] & (side(own)[:, None] != OPPOSITES)
     gone = ~sensed & (state["here"] | told.any(axis=1))
-    passed = (doing(own) == Doing.PUSH) & (state["passed"] | gone)
+    passed = (doing(own) == TileMode.PUSH) & (state["passed"] | gone)
     return sensed & ~passed, passed

@@ -20,7 +20,7 @@ _SILENT_ROUNDS: Final = 2
 """A cell that has not answered in so many rounds in a row that ended so counts as dead."""
 
 
-def begun(place: dict[str, NDArray[Any]], tile_cells: int) -> dict[str, NDArray[Any]]:
+def initial_state(place: dict[str, NDArray[Any]], tile_cells: int) -> dict[str, NDArray[Any]]:
     """What a cell remembers of its tile's rounds before the first tick: nothing, and it takes all cells for living."""
     n, everyone = len(place["used"]), (1 << tile_cells * tile_cells) - 1
     return {
@@ -31,21 +31,21 @@ def begun(place: dict[str, NDArray[Any]], tile_cells: int) -> dict[str, NDArray[
     }
 
 
-def heard(
-    state: Any, inbox: Inbox, here: Bools, label: Ints, patience: int
+def on_messages(
+    state: Any, inbox: Inbox, here: Bools, label: Ints, ttl_periods: int
 ) -> tuple[dict[str, NDArray[Any]], Bools, Bools]:
     """A tick of listening: the newest pulse, one's own answer to it, and who leads.
 
-    A cell leads whose pulse is the newest that it knows. Where the last has died out, ``patience`` ticks after it was
-    sent, cells take over in the order of their rank. Where two lead, the one of lower rank has the greater pulse, and
-    the other follows.
+    A cell leads whose pulse is the newest that it knows. Where the last has died out, ``ttl_periods`` ticks after it
+    was sent, cells take over in the order of their rank. Where two lead, the one of lower rank has the greater pulse,
+    and the other follows.
 
     Args:
         state: Of the firmware.
         inbox: What came.
         here: ``(n,)``: is a parcel over the cell?
         label: ``(n,)``, what its label reader says; 0 for nothing.
-        patience: For how many ticks a pulse is believed.
+        ttl_periods: For how many ticks a pulse is believed.
 
     Returns:
         What it remembers from now on; who leads; who has just taken over.
@@ -56,7 +56,7 @@ def heard(
     takes_over = state["used"] & (silence > _TURN_TICKS * state["rank"])
     leads = state["used"] & (takes_over | (pulse >> 24 == mine))
     number = np.where(takes_over, state["pulse"] >> 8 & MASK_16, pulse >> 8 & MASK_16)
-    pulse = np.where(leads, mine << 24 | number << 8 | patience, pulse)
+    pulse = np.where(leads, mine << 24 | number << 8 | ttl_periods, pulse)
     after = {
         "pulse": pulse,
         "silence": np.where(takes_over, 0, silence),
@@ -67,7 +67,7 @@ def heard(
     return after, leads, takes_over
 
 
-def ended(state: Any, after: dict[str, NDArray[Any]], leads: Bools) -> Bools:
+def round_finished(state: Any, after: dict[str, NDArray[Any]], leads: Bools) -> Bools:
     """A tick of a leader's rounds; adds to ``after`` what it has learnt.
 
     A round in which all that count as living have answered says whether a parcel is over any of them. One that takes
@@ -93,7 +93,7 @@ def ended(state: Any, after: dict[str, NDArray[Any]], leads: Bools) -> Bools:
     return full | late
 
 
-def begin(state: Any, after: dict[str, NDArray[Any]], where: Bools, here: Bools, label: Ints) -> None:
+def start_round(state: Any, after: dict[str, NDArray[Any]], where: Bools, here: Bools, label: Ints) -> None:
     """Leaders begin a new round, at once, where they want to know something anew."""
     pulse = after["pulse"]
     number = (pulse >> 8) + 1 & MASK_16

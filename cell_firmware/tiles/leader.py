@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.firmware import Bools
-from cell_firmware.tiles.messages import MASK_16, OPPOSITES, Doing, doing, exit_of, side, ticket, version
+from cell_firmware.tiles.messages import MASK_16, OPPOSITES, TileMode, doing, exit_of, side, ticket, version
 
 Ints = NDArray[np.int64]
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Around:
+class NeighbourTiles:
     """What a leader knows of the tiles on its four sides, ``(n, 4)`` each.
 
     Attributes:
@@ -39,14 +39,16 @@ class Around:
     ticket: Ints
 
     @staticmethod
-    def of(words: Ints) -> Around:
+    def of(words: Ints) -> NeighbourTiles:
         """From the words of the four tiles."""
-        return Around(doing(words), side(words) == OPPOSITES, exit_of(words), version(words), ticket(words))
+        return NeighbourTiles(
+            doing(words), side(words) == OPPOSITES, exit_of(words), version(words), ticket(words)
+        )
 
-    def on(self, sides: Ints) -> Around:
+    def on(self, sides: Ints) -> NeighbourTiles:
         """Of one side each, ``(n,)``."""
         row = np.arange(len(sides))
-        return Around(
+        return NeighbourTiles(
             self.doing[row, sides],
             self.faces[row, sides],
             self.exit[row, sides],
@@ -77,12 +79,12 @@ def with_parcel(state: Any, ways: Ints, limit: int, exit_: Ints) -> Ints:
     """What a tile does that has a parcel for an exit: carry it out, ask for the way, or hold it."""
     way = _way_to(ways, exit_[:, None])[:, 0]
     known = (exit_ > 0) & (way >> 2 < limit)
-    onward = np.where(known, Doing.WANT * 4 + (way & 3), Doing.HOLD * 4)
-    return np.where(known & (state["exit"] == exit_), Doing.PUSH * 4 + state["exit_side"], onward)
+    onward = np.where(known, TileMode.WANT * 4 + (way & 3), TileMode.HOLD * 4)
+    return np.where(known & (state["exit"] == exit_), TileMode.PUSH * 4 + state["exit_side"], onward)
 
 
 def decide(
-    state: Any, after: dict[str, NDArray[Any]], own: Ints, around: Around, ways: Ints, limit: int
+    state: Any, after: dict[str, NDArray[Any]], own: Ints, around: NeighbourTiles, ways: Ints, limit: int
 ) -> Decision:
     """What tiles do from now on, as their leaders see it.
 
@@ -102,60 +104,62 @@ def decide(
     nothing = np.zeros_like(own)
     kept = Decision(was * 4 + at, exit_, ticket_)
     mine = with_parcel(state, ways, limit, exit_)
-    news = kept.where(labelled & (was <= Doing.FREE), with_parcel(state, ways, limit, read), read, nothing)
+    news = kept.where(labelled & (was <= TileMode.FREE), with_parcel(state, ways, limit, read), read, nothing)
     vacant = sure & ~occupied
-    news = news.where((was == Doing.CLOSED) & vacant, nothing + Doing.FREE * 4, nothing, nothing)
-    news = news.where((was == Doing.CLOSED) & sure & occupied & (exit_ > 0), mine, exit_, nothing)
-    news = _granted(news, state, was == Doing.FREE, vacant, around, ways, limit)
+    news = news.where((was == TileMode.CLOSED) & vacant, nothing + TileMode.FREE * 4, nothing, nothing)
+    news = news.where((was == TileMode.CLOSED) & sure & occupied & (exit_ > 0), mine, exit_, nothing)
+    news = _granted(news, state, was == TileMode.FREE, vacant, around, ways, limit)
 
-    lost = (was == Doing.EXPECT) & (after["grace"] >= 1)
+    lost = (was == TileMode.EXPECT) & (after["grace"] >= 1)
     news = news.where(lost & occupied, mine, exit_, nothing)
-    news = news.where(lost & ~occupied, nothing + Doing.FREE * 4, nothing, nothing)
+    news = news.where(lost & ~occupied, nothing + TileMode.FREE * 4, nothing, nothing)
 
-    news = news.where((was == Doing.HOLD) | (was == Doing.WANT) & after["ended"], mine, exit_, nothing)
+    news = news.where((was == TileMode.HOLD) | (was == TileMode.WANT) & after["ended"], mine, exit_, nothing)
     steady = (state["held"] >= state["settle"]) | (state["came"] == OPPOSITES[at])
-    promised = (partner.doing == Doing.EXPECT) & partner.faces & (partner.ticket == version(own))
-    goes = (was == Doing.WANT) & promised & steady
-    news = news.where(goes, Doing.PUSH * 4 + at, exit_, nothing)
+    promised = (partner.doing == TileMode.EXPECT) & partner.faces & (partner.ticket == version(own))
+    goes = (was == TileMode.WANT) & promised & steady
+    news = news.where(goes, TileMode.PUSH * 4 + at, exit_, nothing)
 
-    stopped = (was == Doing.PUSH) & (after["grace"] >= 1) & occupied
+    stopped = (was == TileMode.PUSH) & (after["grace"] >= 1) & occupied
     news = news.where(stopped, mine, exit_, nothing)
-    news = news.where((was == Doing.PUSH) & vacant, nothing + Doing.FREE * 4, nothing, nothing)
+    news = news.where((was == TileMode.PUSH) & vacant, nothing + TileMode.FREE * 4, nothing, nothing)
 
     open_ = np.bitwise_count(after["members"].astype(np.uint64)) >= after["least"]
-    keeps = (was == Doing.HOLD) | (was == Doing.WANT) | (was == Doing.PUSH) | (was == Doing.CLOSED)
+    keeps = (
+        (was == TileMode.HOLD) | (was == TileMode.WANT) | (was == TileMode.PUSH) | (was == TileMode.CLOSED)
+    )
     return news.where(~open_, nothing, np.where(keeps, exit_, 0), nothing)
 
 
-def refused(state: Any, own: Ints, around: Around) -> Bools:
+def refused(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
     """Of a tile that pushes a parcel on: has the other closed? Nobody can refuse what leaves by an exit."""
     leaving = state["exit"] == exit_of(own)
-    return (doing(own) == Doing.PUSH) & ~leaving & (around.on(side(own)).doing == Doing.CLOSED)
+    return (doing(own) == TileMode.PUSH) & ~leaving & (around.on(side(own)).doing == TileMode.CLOSED)
 
 
-def doubtful(state: Any, own: Ints, around: Around) -> Bools:
+def doubtful(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
     """Whether only a new round can tell who has the parcel: the other has closed, or no longer hands it over."""
     partner, granted = around.on(side(own)), ticket(own)
-    wants = (partner.doing == Doing.WANT) & (partner.version == granted)
-    pushes = (partner.doing == Doing.PUSH) & (partner.version == (granted + 1 & MASK_16))
-    waits_in_vain = (doing(own) == Doing.EXPECT) & ~(partner.faces & (wants | pushes))
+    wants = (partner.doing == TileMode.WANT) & (partner.version == granted)
+    pushes = (partner.doing == TileMode.PUSH) & (partner.version == (granted + 1 & MASK_16))
+    waits_in_vain = (doing(own) == TileMode.EXPECT) & ~(partner.faces & (wants | pushes))
     return waits_in_vain | refused(state, own, around)
 
 
 def _granted(
-    news: Decision, state: Any, free: Bools, vacant: Bools, around: Around, ways: Ints, limit: int
+    news: Decision, state: Any, free: Bools, vacant: Bools, around: NeighbourTiles, ways: Ints, limit: int
 ) -> Decision:
     """A free tile's choice among those that ask it, each side having its turn; one that pushes already comes first."""
     ours = around.faces & state["into"]
-    pushes = ours & (around.doing == Doing.PUSH)
+    pushes = ours & (around.doing == TileMode.PUSH)
     leads_on = (around.exit > 0) & (_way_to(ways, around.exit) >> 2 < limit)
-    asks = ours & (around.doing == Doing.WANT) & leads_on & vacant[:, None]
+    asks = ours & (around.doing == TileMode.WANT) & leads_on & vacant[:, None]
     late = (np.arange(4) - state["turn"][:, None] - 1) % 4
     first = np.where(pushes, late - 8, np.where(asks, late, 9)).argmin(axis=1)
     chosen = around.on(first)
     found = free & (pushes | asks).any(axis=1)
-    wish = np.where(chosen.doing == Doing.PUSH, chosen.version - 1, chosen.version) & MASK_16
-    return news.where(found, Doing.EXPECT * 4 + first, chosen.exit, wish)
+    wish = np.where(chosen.doing == TileMode.PUSH, chosen.version - 1, chosen.version) & MASK_16
+    return news.where(found, TileMode.EXPECT * 4 + first, chosen.exit, wish)
 
 
 def _way_to(ways: Ints, exits: Ints) -> Ints:

@@ -46,7 +46,7 @@ TALK: Final = [
 whether the parcel that leaves has passed the cell, and the words of the own tile and of the four around it."""
 
 
-class Doing(IntEnum):
+class TileMode(IntEnum):
     """What a tile does."""
 
     CLOSED = 0

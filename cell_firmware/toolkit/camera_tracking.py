@@ -14,7 +14,7 @@ _MARGIN: Final = 1.5
 
 
 @final
-class Sightings:
+class CameraTracker:
     """Picks, of each picture, the parcel whose centre is nearest, if any of it may be over the cell or next to it.
 
     Args:
@@ -32,7 +32,7 @@ class Sightings:
         return {
             "position_m": cells.position_m,
             "reach_m": np.full(n, self._corner_m + _MARGIN * cells.pitch_m),
-            "patience": np.full(n, max(1, round(self._patience_s / cells.period_s))),
+            "ttl_periods": np.full(n, max(1, round(self._patience_s / cells.period_s))),
             "counts": np.zeros(n, dtype=np.int64),
             "centre_m": np.zeros((n, 2)),
             "direction": np.tile((1.0, 0.0), (n, 1)),
@@ -54,7 +54,7 @@ class Sightings:
         direction = np.array([(np.cos(one), np.sin(one)) for one in angle])
         return {
             **state,
-            "counts": np.where(close, state["patience"], 0),
+            "counts": np.where(close, state["ttl_periods"], 0),
             "centre_m": picture.pose[nearest, :2],
             "direction": direction[nearest],
         }

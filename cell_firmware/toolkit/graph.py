@@ -24,7 +24,7 @@ _FACING: Final = np.array([2, 3, 0, 1])
 """Of each side, the one of the neighbour there that faces it."""
 
 
-def steps_to(lattice: Lattice, cells: Ints, passes: NDArray[np.bool_] | None = None) -> Ints:
+def hop_distance(lattice: Lattice, cells: Ints, passes: NDArray[np.bool_] | None = None) -> Ints:
     """Steps from each cell to the nearest of some.
 
     Args:
@@ -47,18 +47,18 @@ def steps_to(lattice: Lattice, cells: Ints, passes: NDArray[np.bool_] | None = N
     return steps
 
 
-def leaders(lattice: Lattice, key: Ints) -> Ints:
+def reachable_maximum(lattice: Lattice, key: Ints) -> Ints:
     """``(n,)``: for each cell the index of the one with the greatest key that it can reach; keys differ."""
     leader = np.full(len(lattice), -1)
     for cell in np.argsort(-key):
         if leader[cell] < 0:
-            leader[steps_to(lattice, np.array([cell])) >= 0] = cell
+            leader[hop_distance(lattice, np.array([cell])) >= 0] = cell
     return leader
 
 
-def parts(lattice: Lattice) -> Ints:
+def components(lattice: Lattice) -> Ints:
     """``(n,)``: the number of the part of the array that a cell is in, from 0, of cells that can reach each other."""
-    return np.unique(leaders(lattice, np.arange(len(lattice))), return_inverse=True)[1]
+    return np.unique(reachable_maximum(lattice, np.arange(len(lattice))), return_inverse=True)[1]
 
 
 Bools = NDArray[np.bool_]
@@ -82,11 +82,11 @@ class Spectrum:
 
     least: float | None
     greatest: float
-    loose: Bools
+    unanchored: Bools
 
 
 @final
-class Links:
+class GraphLaplacian:
     """The links of an array with their weights, and which of its cells are held.
 
     Args:
@@ -125,8 +125,8 @@ class Links:
         self._part[self._free] = part
         touches = joined[self._free][:, np.flatnonzero(self.held)].sum(axis=1) > 0
         self._anchored = np.bincount(part, touches, count) > 0
-        self.loose: Bools = np.zeros(n, dtype=np.bool_)
-        self.loose[self._free] = ~self._anchored[part]
+        self.unanchored: Bools = np.zeros(n, dtype=np.bool_)
+        self.unanchored[self._free] = ~self._anchored[part]
 
     def spectrum(self) -> Spectrum:
         """Its ends, over all parts into which held cells and gaps divide the array."""
@@ -136,9 +136,9 @@ class Links:
             ends = self._ends(np.flatnonzero(self._part == part), anchored)
             least += ends[:1]
             greatest += ends[1:]
-        return Spectrum(min(least, default=None), max(greatest), self.loose)
+        return Spectrum(min(least, default=None), max(greatest), self.unanchored)
 
-    def at_rest(self, value: Floats, poured: Floats | None = None) -> Floats:
+    def steady_state(self, value: Floats, poured: Floats | None = None) -> Floats:
         """The field in which what is poured into every free cell flows off to its neighbours, ``(n, ...)``.
 
         With nothing poured it is harmonic. A part without held cells keeps its mean, and what is poured into it beyond
@@ -201,7 +201,7 @@ def _nearest(matrix: Any, point: float, skipped: int) -> float:
     return float(sorted(values, key=lambda value: abs(float(value) - point))[skipped])
 
 
-def relaxed(spectrum: Spectrum, number: float) -> float | None:
+def convergence_factor(spectrum: Spectrum, number: float) -> float | None:
     """Factor of ``u - number L u``: by how much its slowest error shrinks, or grows, in a step.
 
     None where nothing is left to change.
@@ -224,7 +224,9 @@ def second_order(radius: float, relaxation: float) -> float:
     return float(relaxation * radius + np.sqrt(apart)) / 2.0
 
 
-def explicit_cautions(name: str, number: float, what: str, links: Callable[[], Links]) -> tuple[str, ...]:
+def explicit_warnings(
+    name: str, number: float, what: str, links: Callable[[], GraphLaplacian]
+) -> tuple[str, ...]:
     """What is to be said of ``u - number L u`` before it runs: 1/4 on four neighbours, ``2 / lambda_max`` on an array.
 
     Args:

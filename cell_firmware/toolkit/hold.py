@@ -10,23 +10,23 @@ from pydantic import Field
 
 from cell_firmware.firmware import Bools
 
-Patience = Annotated[int, Field(ge=1, le=1_000)]
+Ttl = Annotated[int, Field(ge=1, le=1_000)]
 """For how many periods a neighbour's word counts: 1 for the period in which it comes alone."""
 Counts = NDArray[np.int16]
 
 
-def still_counts(received: Bools, counts: Counts, patience: int) -> Counts:
+def age_ttl(received: Bools, counts: Counts, ttl_periods: int) -> Counts:
     """For how many periods, this one among them, each side's word still counts; 0 where there is none.
 
     Args:
         received: ``(n, 4)``: did one come?
         counts: ``(n, 4)``, this function's answer of the period before.
-        patience: For how many periods a word counts.
+        ttl_periods: For how many periods a word counts.
     """
-    return np.where(received, patience, np.maximum(counts, 1) - 1).astype(np.int16)
+    return np.where(received, ttl_periods, np.maximum(counts, 1) - 1).astype(np.int16)
 
 
-def last_word(
+def hold_last(
     received: Bools, counts: Counts, message: NDArray[Any], before: NDArray[Any], silence: int = 0
 ) -> NDArray[Any]:
     """What each side told last, ``(n, 4)`` or ``(n, 4, components)``.

@@ -17,7 +17,7 @@ Index = Annotated[int, Field(ge=0)]
 Ints = NDArray[np.int64]
 
 
-class Place(Spec):
+class Region(Spec):
     """``cell = [r, c]``, or a block: ``rows = [first, last]`` and ``columns = [first, last]``, either or both.
 
     Both ends of a block belong to it; what it leaves out is all rows, or all columns.
@@ -38,7 +38,7 @@ class Place(Spec):
         return value
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> Place:
+    def _one_of_two(self) -> Region:
         if (self.cell is None) == (self.rows is None and self.columns is None):
             raise ValueError("give cell, or a block by rows, columns or both")
         return self
@@ -55,7 +55,7 @@ class Place(Spec):
         return among
 
 
-class Value(Place):
+class RegionValue(Region):
     """Cells, and a number for each of them."""
 
     value: Finite
@@ -66,7 +66,7 @@ class Value(Place):
         return self.value
 
 
-class Velocity(Place):
+class RegionVelocity(Region):
     """Cells, and a speed for each of them."""
 
     speed_m_s: Vector
@@ -77,7 +77,7 @@ class Velocity(Place):
         return self.speed_m_s
 
 
-class Given(Protocol):
+class RegionAssignment(Protocol):
     """Cells, and something for each of them."""
 
     @property
@@ -90,7 +90,9 @@ class Given(Protocol):
         ...
 
 
-def lay(named: Sequence[Given], row: Ints, column: Ints, into: NDArray[Any]) -> NDArray[np.bool_]:
+def assign(
+    named: Sequence[RegionAssignment], row: Ints, column: Ints, into: NDArray[Any]
+) -> NDArray[np.bool_]:
     """Writes what is given for some cells ``into`` ``(n, ...)``; returns ``(n,)``: is the cell among them?"""
     found = np.zeros(len(row), dtype=np.bool_)
     for place in named:
@@ -100,7 +102,7 @@ def lay(named: Sequence[Given], row: Ints, column: Ints, into: NDArray[Any]) -> 
     return found
 
 
-def misplaced(lattice: Lattice, named: Mapping[str, Sequence[Place]]) -> tuple[Problem, ...]:
+def region_problems(lattice: Lattice, named: Mapping[str, Sequence[Region]]) -> tuple[Problem, ...]:
     """What is wrong with places on an array: that they have no cell, or one that another of their list has.
 
     Args:
@@ -110,7 +112,7 @@ def misplaced(lattice: Lattice, named: Mapping[str, Sequence[Place]]) -> tuple[P
     return tuple(problem for name, places in named.items() for problem in _misplaced(lattice, name, places))
 
 
-def _misplaced(lattice: Lattice, name: str, places: Sequence[Place]) -> Iterator[Problem]:
+def _misplaced(lattice: Lattice, name: str, places: Sequence[Region]) -> Iterator[Problem]:
     owner = np.full(len(lattice), -1)
     for i, place in enumerate(places):
         mine = place.has(lattice.rows, lattice.columns)

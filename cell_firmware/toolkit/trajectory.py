@@ -14,7 +14,7 @@ from cell_firmware.specs import Finite, NotNegative, Spec, Vector
 Floats = NDArray[np.float64]
 
 
-class Leg(Spec):
+class Segment(Spec):
     """One leg: to a place, by an angle, both at once, or a pause."""
 
     to_m: Vector | None = None
@@ -25,7 +25,7 @@ class Leg(Spec):
     """Or how long it stands still."""
 
     @model_validator(mode="after")
-    def _moves_or_waits(self) -> Leg:
+    def _moves_or_waits(self) -> Segment:
         moves = self.to_m is not None or self.turn_rad != 0.0
         if moves == (self.wait_s > 0.0):
             raise ValueError("give wait_s, or to_m or turn_rad or both of these")
@@ -34,7 +34,7 @@ class Leg(Spec):
 
 @final
 @dataclass(frozen=True, slots=True)
-class Reference:
+class Setpoint:
     """Reference poses, and how they move.
 
     Attributes:
@@ -57,7 +57,7 @@ class Reference:
 
 
 @final
-class Journey:
+class ReferenceTrajectory:
     """Legs one after the other, each at one speed and one rate of turning, begun and ended at once.
 
     A leg takes as long as the slower of its two motions at its greatest speed, and the other is slowed down to end
@@ -73,7 +73,7 @@ class Journey:
     def __init__(
         self,
         start: tuple[float, float, float],
-        legs: tuple[Leg, ...],
+        legs: tuple[Segment, ...],
         speed_m_s: float,
         turn_rate_rad_s: float,
     ) -> None:
@@ -96,7 +96,7 @@ class Journey:
         self._pose: Floats = np.array(poses)
         self._speed: Floats = np.array(speeds)
 
-    def at(self, time_s: Floats) -> Reference:
+    def at(self, time_s: Floats) -> Setpoint:
         """The reference after times of at least 0, ``(n,)`` s."""
         leg = np.searchsorted(self._begin, time_s, side="right") - 1
         speed = self._speed[leg]
@@ -104,15 +104,15 @@ class Journey:
         ended = leg == len(self._begin) - 1
         x, y, angle = pose.T
         vx, vy, turning = speed.T
-        return Reference(x, y, angle, vx, vy, turning, ended)
+        return Setpoint(x, y, angle, vx, vy, turning, ended)
 
 
-def at_all(journeys: tuple[Journey, ...], time_s: Floats) -> Reference:
+def at_all(journeys: tuple[ReferenceTrajectory, ...], time_s: Floats) -> Setpoint:
     """The references of journeys after times ``(n, journeys)`` s, in the same shape."""
     found = [journey.at(time_s[:, j]) for j, journey in enumerate(journeys)]
 
     def together(part: str) -> NDArray[Any]:
         return np.stack([getattr(reference, part) for reference in found], axis=1)
 
-    x, y, angle, vx, vy, turning, ended = (together(part.name) for part in fields(Reference))
-    return Reference(x, y, angle, vx, vy, turning, ended)
+    x, y, angle, vx, vy, turning, ended = (together(part.name) for part in fields(Setpoint))
+    return Setpoint(x, y, angle, vx, vy, turning, ended)

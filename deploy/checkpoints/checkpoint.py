@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any, Final, cast, final
 
-from bus.errors import MemoryRefusedError
-from bus.lockstep.counters import Counts
+from bus.errors import StateError
+from bus.lockstep.counters import MessageCounters
 from bus.state_codec import decode, encode
 from deploy.errors import InputError
 
@@ -62,11 +62,11 @@ class Checkpoint:
     wall_s: float
     resumed: tuple[int, ...]
 
-    def all_counts(self) -> Counts:
+    def all_counts(self) -> MessageCounters:
         """The counts as the bus has them."""
-        counts = Counts(*self.counts)
+        counts = MessageCounters(*self.counts)
         counts.refused.update(self.refused)
-        counts.tally.update(self.tally)
+        counts.cell_counters.update(self.tally)
         return counts
 
     def to_bytes(self) -> bytes:
@@ -92,7 +92,7 @@ class Checkpoint:
             raise InputError("cut or changed: its checksum is not that of its content")
         try:
             values = decode(body, {})
-        except MemoryRefusedError as error:
+        except StateError as error:
             raise InputError(str(error)) from None
         _check(values)
         return cls(**values)

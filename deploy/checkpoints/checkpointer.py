@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from bus.errors import MemoryRefusedError
-from bus.state import remember
+from bus.errors import StateError
+from bus.state import save_state
 from deploy.checkpoints.checkpoint import Checkpoint
-from deploy.checkpoints.store import Store
+from deploy.checkpoints.store import CheckpointStore
 from deploy.errors import DeployError, InputError
 from deploy.recordings.format import EVENTS
 
 if TYPE_CHECKING:
-    from bus.lockstep.coordinator import Host
-    from bus.lockstep.snapshots import Together
+    from bus.lockstep.coordinator import Coordinator
+    from bus.lockstep.snapshots import GlobalSnapshot
     from deploy.protocol_report.reporter import Reporter
-    from deploy.recordings.run_log import Ledger
+    from deploy.recordings.run_log import RunLog
     from deploy.recordings.writer import Recorder
     from deploy.scenes.scene import Scene
     from deploy.workers.plan import Plan, RunOptions
@@ -35,7 +35,7 @@ PATIENCE_S: Final = 5.0
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class About:
+class CheckpointMetadata:
     """What all checkpoints of a run have in common: see ``Checkpoint``.
 
     Attributes:
@@ -52,7 +52,7 @@ class About:
 
 @final
 @dataclass(slots=True)
-class _Draft:
+class _Pending:
     """A checkpoint under way.
 
     Attributes:
@@ -69,7 +69,7 @@ class _Draft:
 
 
 @final
-class Keeper:
+class Checkpointer:
     """Takes a checkpoint every so many seconds of wall time.
 
     It begins with each so much earlier as the last took to be on the disk: then what has to be done again after a kill
@@ -98,12 +98,12 @@ class Keeper:
     def __init__(
         self,
         every_s: float,
-        host: Host,
-        ledger: Ledger,
+        host: Coordinator,
+        ledger: RunLog,
         recorder: Recorder,
         reporter: Reporter | None,
-        store: Store,
-        about: About,
+        store: CheckpointStore,
+        about: CheckpointMetadata,
         *,
         patience_s: float,
         warn: Callable[[str], None],
@@ -115,23 +115,23 @@ class Keeper:
         self._begun = clock()
         self._last = self._begun
         self._took_s = 0.0
-        self._draft: _Draft | None = None
+        self._draft: _Pending | None = None
         self._writer: threading.Thread | None = None
         self._trouble: str | None = None
         self.written: list[int] = []
 
-    def attend(self, process: PlantProcess) -> None:
+    def before_tick(self, process: PlantProcess) -> None:
         """A tick is about to begin, and nothing of it has happened; all before it are over."""
         draft = self._draft
         if draft is None:
             due = self._last + self._every_s - self._took_s
             if self._clock() >= due and self._writer is None:
                 self._last = self._clock()
-                self._host.ask(process.tick + 1)
-                self._draft = _Draft(process.tick + 1, self._last)
+                self._host.request_snapshot(process.tick + 1)
+                self._draft = _Pending(process.tick + 1, self._last)
         elif draft.plant is None:
             process.report()
-            self._host.note()
+            self._host.record_counters()
             if self._ledger.controls:
                 self._stop("what was done to the run while it went on is in its recording: see --replay")
                 return
@@ -139,32 +139,32 @@ class Keeper:
 
     def _plant(self, process: PlantProcess) -> tuple[dict[str, Any], int]:
         """The plant's side as it is now, and what of the recording belongs to it."""
-        recorded, mark = self._recorder.mark()
+        recorded, mark = self._recorder.position()
         return {
             "tick": process.tick,
             "time_ns": process.time_ns,
-            "process": remember(process),
-            "ledger": remember(self._ledger),
-            "reporter": None if self._reporter is None else remember(self._reporter),
+            "process": save_state(process),
+            "ledger": save_state(self._ledger),
+            "reporter": None if self._reporter is None else save_state(self._reporter),
             "recorded": recorded,
             "dead": tuple(np.flatnonzero(process.lost).tolist()),
             "wall_s": self._about.wall_s + self._clock() - self._begun,
         }, mark
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Look whether everybody has answered; once a tick."""
         if self._writer is not None and not self._writer.is_alive():
             self._finish()
         draft = self._draft
         if draft is None or draft.plant is None:
             return
-        together = self._host.take_kept()
+        together = self._host.poll_snapshot()
         if together is not None:
             self._draft = None
             self._write(draft.plant, together, draft)
         elif self._clock() > draft.asked + self._patience_s:
             self._draft = None
-            shards = ", ".join(map(str, self._host.give_up()))
+            shards = ", ".join(map(str, self._host.cancel_snapshot()))
             self._warn(
                 f"no checkpoint before tick {draft.tick}: shard {shards} has not told what it remembers within "
                 f"{self._patience_s:g} s"
@@ -172,7 +172,7 @@ class Keeper:
 
     def _stop(self, why: str) -> None:
         """Take no more checkpoints."""
-        self._host.give_up()
+        self._host.cancel_snapshot()
         self._draft, self._last = None, float("inf")
         self._warn(f"no more checkpoints: {why}")
 
@@ -188,7 +188,7 @@ class Keeper:
             self._warn(f"no checkpoint: {self._trouble}")
             self._trouble = None
 
-    def _write(self, plant: Mapping[str, Any], together: Together, draft: _Draft) -> None:
+    def _write(self, plant: Mapping[str, Any], together: GlobalSnapshot, draft: _Pending) -> None:
         about, counts = self._about, together.counts
         checkpoint = Checkpoint(
             scene_name=about.scene_name,
@@ -199,7 +199,7 @@ class Keeper:
             states=together.states,
             counts=(counts.sent, counts.delivered, counts.lost, counts.late),
             refused=dict(counts.refused),
-            tally=dict(counts.tally),
+            tally=dict(counts.cell_counters),
             **plant,
         )
         self._writer = threading.Thread(
@@ -207,10 +207,10 @@ class Keeper:
         )
         self._writer.start()
 
-    def _put(self, checkpoint: Checkpoint, draft: _Draft) -> None:
+    def _put(self, checkpoint: Checkpoint, draft: _Pending) -> None:
         """In a thread: first the recording, up to there, and then the checkpoint that counts on it."""
         try:
-            self._recorder.secure(draft.mark)
+            self._recorder.sync_to(draft.mark)
             self._store.write(checkpoint.to_bytes())
             self.written.append(checkpoint.tick)
             self._took_s = self._clock() - draft.asked
@@ -218,9 +218,9 @@ class Keeper:
             self._trouble = str(error)
 
 
-def about_run(
+def checkpoint_metadata(
     scene: Scene, plan: Plan, options: RunOptions, plant: Plant, resumed: Checkpoint | None, *, live: bool
-) -> About | None:
+) -> CheckpointMetadata | None:
     """What all checkpoints of a run have in common; None where there are to be none.
 
     Args:
@@ -236,18 +236,18 @@ def about_run(
     """
     if options.checkpoint_s is None:
         return None
-    from bus.state import remember
-    from deploy.checkpoints.store import bound, check, told
+    from bus.state import save_state
+    from deploy.checkpoints.store import check, fingerprint, options_record
 
     try:
-        remember(plant)
-    except MemoryRefusedError as error:
+        save_state(plant)
+    except StateError as error:
         raise InputError(f"--checkpoint: this plant can't be kept: {error}") from None
-    about = About(
+    about = CheckpointMetadata(
         scene_name=scene.name,
         scene=scene.model_dump(mode="json"),
-        bound=bound(scene),
-        options=told(plan, options, live=live),
+        bound=fingerprint(scene),
+        options=options_record(plan, options, live=live),
     )
     if resumed is None:
         return about
@@ -255,16 +255,16 @@ def about_run(
     return replace(about, resumed=(*resumed.resumed, resumed.tick), wall_s=resumed.wall_s)
 
 
-def keeper_of(
-    about: About | None,
+def make_checkpointer(
+    about: CheckpointMetadata | None,
     options: RunOptions,
-    host: Host,
-    ledger: Ledger,
+    host: Coordinator,
+    ledger: RunLog,
     recorder: Recorder,
     reporter: Reporter | None,
     resumed: Checkpoint | None,
     patience_s: float,
-) -> Keeper | None:
+) -> Checkpointer | None:
     """What takes a run's checkpoints; None where there are to be none.
 
     Args:
@@ -280,10 +280,10 @@ def keeper_of(
     if about is None or options.checkpoint_s is None:
         return None
 
-    store = Store(recorder.path.parent)
+    store = CheckpointStore(recorder.path.parent)
     if resumed is not None:
         store.keep(resumed)
-    return Keeper(
+    return Checkpointer(
         options.checkpoint_s,
         host,
         ledger,
@@ -296,12 +296,14 @@ def keeper_of(
     )
 
 
-def go_on(resumed: Checkpoint, process: PlantProcess, ledger: Ledger, reporter: Reporter | None) -> None:
+def restore_run(
+    resumed: Checkpoint, process: PlantProcess, ledger: RunLog, reporter: Reporter | None
+) -> None:
     """Let all of the plant's process be as it was."""
-    from bus.state import recall
+    from bus.state import load_state
 
-    recall(process, resumed.process)
-    recall(ledger, resumed.ledger)
+    load_state(process, resumed.process)
+    load_state(ledger, resumed.ledger)
     ledger.show(resumed.recorded.get(EVENTS, 0))
     if reporter is not None and resumed.reporter is not None:
-        recall(reporter, resumed.reporter)
+        load_state(reporter, resumed.reporter)

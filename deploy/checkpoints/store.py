@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 
 FILE_NAME: Final = "checkpoint.msgpack"
-BEFORE: Final = "checkpoint-before.msgpack"
+PREVIOUS: Final = "checkpoint-before.msgpack"
 """The one before the last."""
 DRAFT: Final = ".checkpoint.msgpack.draft"
-NAMES: Final = (FILE_NAME, BEFORE, DRAFT)
+NAMES: Final = (FILE_NAME, PREVIOUS, DRAFT)
 
 
 @final
-class Store:
+class CheckpointStore:
     """The checkpoints in a run's output folder.
 
     Args:
@@ -107,7 +107,7 @@ _OVER: Final = ("ok", "unstable")
 """Ends that going on from a checkpoint could only come to again."""
 
 
-def found(folder: Path) -> Checkpoint:
+def find_checkpoint(folder: Path) -> Checkpoint:
     """The checkpoint that a run in a folder can go on from.
 
     Raises:
@@ -121,7 +121,7 @@ def found(folder: Path) -> Checkpoint:
             f"--resume {folder}: that run is over, with status {status}: there is nothing to go on with"
         )
     try:
-        return Store(folder).read()
+        return CheckpointStore(folder).read()
     except InputError as error:
         why = str(error).replace("\n", "; ")
         raise InputError(
@@ -176,7 +176,7 @@ def options_of(checkpoint: Checkpoint, asked: RunOptions) -> RunOptions:
     return replace(asked, **{**alike, "checkpoint_s": asked.checkpoint_s or then["checkpoint_s"]})
 
 
-def told(plan: Plan, options: RunOptions, *, live: bool) -> dict[str, Any]:
+def options_record(plan: Plan, options: RunOptions, *, live: bool) -> dict[str, Any]:
     """A run's options as checkpoints have them; ``live``: whether faults may come over serial lines too."""
     return {
         "live": live,
@@ -186,14 +186,14 @@ def told(plan: Plan, options: RunOptions, *, live: bool) -> dict[str, Any]:
     }
 
 
-def bound(scene: Scene) -> dict[str, str]:
+def fingerprint(scene: Scene) -> dict[str, str]:
     """What the bits of a run hang on, by name."""
-    from cell_firmware.cell import PerCell
+    from cell_firmware.cell import PerCellAdapter
     from cell_firmware.loader import load
     from plant.kernels.common.cache import key
 
     firmware = load(scene.cells)
-    own = firmware.firmware if isinstance(firmware, PerCell) else firmware
+    own = firmware.firmware if isinstance(firmware, PerCellAdapter) else firmware
     path = getsourcefile(type(own))
     return {
         **versions(),

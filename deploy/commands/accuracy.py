@@ -21,7 +21,7 @@ from deploy.util.formatting import say, silent
 from deploy.util.output_lock import locked_folder
 
 if TYPE_CHECKING:
-    from deploy.studies.accuracy.report import Report
+    from deploy.studies.accuracy.report import AccuracyReport
 
 DocsOption = Annotated[
     Path | None,
@@ -99,7 +99,7 @@ def accuracy(
     from dataclasses import replace
 
     from deploy.runs.setup import tell_cautions
-    from deploy.studies.accuracy.study import Plan, study
+    from deploy.studies.accuracy.study import StudyPlan, study
     from deploy.util.signals import Interruption
 
     if target is not None and not 0.0 < target < float("inf"):
@@ -111,12 +111,12 @@ def accuracy(
         raise InputError("accuracy: which SCENE? (`mdms scenes` lists those that are bundled)")
     found = load_scene(scene, sets, duration=duration)
     interruption = Interruption()
-    with interruption.watching(last=True), interruption.allowed():
-        plan = replace(Plan.of(quick=quick, repeats=repeats), sampling=sampling and target is None)
+    with interruption.handling(last=True), interruption.interruptible():
+        plan = replace(StudyPlan.of(quick=quick, repeats=repeats), sampling=sampling and target is None)
         tell = silent if quiet else say
         tell_cautions(found, tell)
         with locked_folder(output, tell) as folder:  # before the work: it would be for nothing
-            report = study(found, plan, say=tell, look=interruption.check)
+            report = study(found, plan, say=tell, look=interruption.raise_if_requested)
             if folder is not None:
                 from deploy.studies.accuracy.plots import write_report
 
@@ -131,11 +131,11 @@ def _write_page(scene: str | None, docs: Path, repeats: int | None, say: Callabl
     if scene is not None:
         raise InputError(f"--docs {docs}: takes no SCENE: the page has its own")
     interruption = Interruption()
-    with interruption.watching(last=True), interruption.allowed(), locked_folder(docs, say):
+    with interruption.handling(last=True), interruption.interruptible(), locked_folder(docs, say):
         print(write(docs, repeats=REPEATS if repeats is None else repeats, say=say))
 
 
-def _tell(report: Report, target: float | None, folder: Path | None, *, as_json: bool) -> None:
+def _tell(report: AccuracyReport, target: float | None, folder: Path | None, *, as_json: bool) -> None:
     from deploy.studies.accuracy.console import answer, print_report
 
     if as_json:

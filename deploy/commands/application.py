@@ -30,7 +30,7 @@ COMMANDS = {
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
-_ALONE = {
+_OPTIONAL_VALUES = {
     "--realtime": ("1", _NUMBER),
     "--protocol-report": ("1", re.compile(r"[+-]?\d+")),
     "--registers": ("1", re.compile(r"[+-]?\d+")),
@@ -61,13 +61,13 @@ _EXIT_STATUS = (
 )
 
 
-def completed(arguments: Sequence[str]) -> list[str]:
+def fill_flag_values(arguments: Sequence[str]) -> list[str]:
     """The arguments, with the value that an option has when it stands alone."""
     given = list(arguments)
     for i, argument in enumerate(arguments):
         following = arguments[i + 1] if i + 1 < len(arguments) else ""
-        if argument in _ALONE:
-            value, pattern = _ALONE[argument]
+        if argument in _OPTIONAL_VALUES:
+            value, pattern = _OPTIONAL_VALUES[argument]
             if not pattern.fullmatch(following):
                 given[i] = f"{argument}={value}"
     return given

@@ -11,7 +11,7 @@ import typer
 
 from deploy.commands.completion import fault_kinds
 from deploy.commands.options import (
-    HOW,
+    EXECUTION_PANEL,
     DurationOption,
     JsonOption,
     QuietOption,
@@ -22,8 +22,8 @@ from deploy.errors import InputError
 from deploy.util.formatting import say, silent
 
 if TYPE_CHECKING:
-    from deploy.studies.campaign.report import Report
-    from deploy.studies.campaign.spec import Asked
+    from deploy.studies.campaign.report import CampaignReport
+    from deploy.studies.campaign.spec import CampaignSpec
 
 _VARIED, _JUDGED = "What is varied", "How runs are judged"
 _VALUES = "FROM:TO:STEP"
@@ -109,7 +109,7 @@ LimitOption = Annotated[
     float | None,
     typer.Option(
         "--limit",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="SECONDS",
         help="Wall time after which a run is ended and counted as failed. Default: 600.",
     ),
@@ -117,14 +117,18 @@ LimitOption = Annotated[
 JobsOption = Annotated[
     int | None,
     typer.Option(
-        "--jobs", rich_help_panel=HOW, metavar="N", min=1, help="Runs at a time. Default: one a processor."
+        "--jobs",
+        rich_help_panel=EXECUTION_PANEL,
+        metavar="N",
+        min=1,
+        help="Runs at a time. Default: one a processor.",
     ),
 ]
 OutputOption = Annotated[
     Path | None,
     typer.Option(
         "--output",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
         help="Folder for the results. Default: one under runs/.",
     ),
@@ -133,7 +137,7 @@ ResumeOption = Annotated[
     Path | None,
     typer.Option(
         "--resume",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
         help="Go on with the campaign in this folder: do the runs that are missing. Needs nothing else.",
     ),
@@ -142,12 +146,15 @@ OtherVersionsOption = Annotated[
     bool,
     typer.Option(
         "--other-versions",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         help="With --resume: go on though this program or what it is built on has another version by now.",
     ),
 ]
 PictureOption = Annotated[
-    bool, typer.Option("--picture/--no-picture", rich_help_panel=HOW, help="Draw campaign.png at the end.")
+    bool,
+    typer.Option(
+        "--picture/--no-picture", rich_help_panel=EXECUTION_PANEL, help="Draw campaign.png at the end."
+    ),
 ]
 
 
@@ -228,9 +235,9 @@ def _texts(options: list[str] | None) -> tuple[str, ...] | None:
     return tuple(options) if options else None
 
 
-def _new(given: dict[str, Any], output: Path | None) -> tuple[Asked, str, Path | None]:
+def _new(given: dict[str, Any], output: Path | None) -> tuple[CampaignSpec, str, Path | None]:
     from deploy.scenes.files import bundled_names, scene_text
-    from deploy.studies.campaign.spec import asked_for
+    from deploy.studies.campaign.spec import read_options
 
     scene = given["scene"]
     if scene is None:
@@ -239,7 +246,7 @@ def _new(given: dict[str, Any], output: Path | None) -> tuple[Asked, str, Path |
         _check_new(output)
     text = scene_text(scene)
     folder = None if scene in bundled_names() else str(Path(scene).parent.resolve())
-    return asked_for({**given, "folder": folder}), text, output
+    return read_options({**given, "folder": folder}), text, output
 
 
 def _check_new(folder: Path) -> None:
@@ -249,7 +256,7 @@ def _check_new(folder: Path) -> None:
         raise InputError(f"--output {folder}: holds a campaign already; --resume {folder} goes on with it")
 
 
-def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tuple[Asked, str]:
+def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tuple[CampaignSpec, str]:
     from deploy.runs.output import versions
     from deploy.studies.campaign.spec import check_same, check_versions, read
 
@@ -261,7 +268,7 @@ def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tu
 
 
 def _run(
-    asked: Asked,
+    asked: CampaignSpec,
     text: str,
     folder: Path | None,
     jobs: int | None,
@@ -269,12 +276,12 @@ def _run(
     *,
     resumed: bool,
     quiet: bool,
-) -> Report:
+) -> CampaignReport:
     """Carry out a campaign; its folder is locked until ``locked`` closes."""
     import time
 
     from deploy.runs.output import run_name, versions
-    from deploy.runs.setup import cautions_of
+    from deploy.runs.setup import warnings_of
     from deploy.studies.campaign.cases import cases_of
     from deploy.studies.campaign.runner import Campaign
     from deploy.studies.campaign.spec import write
@@ -283,11 +290,11 @@ def _run(
     from plant.solvers.thread_pool import processors
 
     interruption = Interruption()
-    with interruption.watching(last=True):
+    with interruption.handling(last=True):
         tell = silent if quiet else say
-        with interruption.allowed():
+        with interruption.interruptible():
             cases = cases_of(asked, text)
-            for line in dict.fromkeys(line for case in cases.cases for line in cautions_of(case.scene)):
+            for line in dict.fromkeys(line for case in cases.cases for line in warnings_of(case.scene)):
                 tell(f"caution: {line}")
         if folder is None:
             folder = new_folder(run_name(cases.scene, f"campaign-{time.strftime('%Y%m%d-%H%M%S')}"))
@@ -300,7 +307,7 @@ def _run(
         return Campaign(asked, cases, folder, quiet=quiet).run(jobs or processors(), interruption)
 
 
-def _finish(report: Report, *, picture: bool, as_json: bool) -> None:
+def _finish(report: CampaignReport, *, picture: bool, as_json: bool) -> None:
     """Print and write what a campaign came to, and end the command with the status that goes with it."""
     from deploy.commands.outcome import EXIT_STATUS
     from deploy.studies.campaign.console import print_report

@@ -18,7 +18,7 @@ from deploy.commands.options import (
     numbers,
 )
 from deploy.errors import InputError
-from deploy.util.formatting import point, say, short
+from deploy.util.formatting import format_point, say, short_number
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
@@ -122,22 +122,22 @@ def _print(scene: Scene, parcel: int, motion: ConstantsOfMotion) -> None:
     rows = (
         (
             "k_s",
-            f"{point(motion.k_s_n_per_m[0])}, {point(motion.k_s_n_per_m[1])} N/m",
+            f"{format_point(motion.k_s_n_per_m[0])}, {format_point(motion.k_s_n_per_m[1])} N/m",
             "rows of the stiffness",
         ),
-        ("f0", f"{point(motion.f0_n)} N", "force at the origin"),
-        ("mu W", f"{short(motion.damping_n_s_per_m)} N s/m", "damping in translation"),
-        ("tau0", f"{short(motion.tau0_n_m)} N m", "torque at the pose"),
-        ("k_tau", f"{point(motion.k_tau_n)} N", "its gradient in position"),
-        ("d", f"{short(motion.d_n_m_s)} N m s", "damping in rotation"),
+        ("f0", f"{format_point(motion.f0_n)} N", "force at the origin"),
+        ("mu W", f"{short_number(motion.damping_n_s_per_m)} N s/m", "damping in translation"),
+        ("tau0", f"{short_number(motion.tau0_n_m)} N m", "torque at the pose"),
+        ("k_tau", f"{format_point(motion.k_tau_n)} N", "its gradient in position"),
+        ("d", f"{short_number(motion.d_n_m_s)} N m s", "damping in rotation"),
         ("equilibrium", _equilibrium(motion), "where the force vanishes"),
         ("eigenvalues", f"{_rates(motion.eigenvalues_per_s)} 1/s", "of the translation"),
-        ("tau0 / I", f"{short(motion.angular_acceleration_rad_s2)} rad/s²", "acceleration from rest"),
+        ("tau0 / I", f"{short_number(motion.angular_acceleration_rad_s2)} rad/s²", "acceleration from rest"),
     )
     pose = scene.parcels[parcel]
     console = Console(highlight=False)
     console.print(
-        f"scene {scene.name}, parcel {parcel} at {point(pose.position_m)} m, {pose.angle_rad:.6g} rad "
+        f"scene {scene.name}, parcel {parcel} at {format_point(pose.position_m)} m, {pose.angle_rad:.6g} rad "
         f"({math.degrees(pose.angle_rad):.5g}°), carried by {len(motion.supports)} cells\n"
         "force = f0 + k_s X - mu W U    torque = tau0 + k_tau (X - pose) + ... - d omega\n",
         markup=False,
@@ -161,13 +161,13 @@ def _equilibrium(motion: ConstantsOfMotion) -> str:
     if motion.equilibrium_m is None:
         return "none: k_s is singular"
     there = "same cells" if motion.equilibrium_inside else "other cells"
-    return f"{point(motion.equilibrium_m)} m, on {there}"
+    return f"{format_point(motion.equilibrium_m)} m, on {there}"
 
 
 def _rates(values: Any) -> str:
     """Complex numbers, conjugate ones as a pair."""
     words: list[str] = []
     for value in values:
-        real, imaginary = short(value.real), short(abs(value.imag))
+        real, imaginary = short_number(value.real), short_number(abs(value.imag))
         words.append(real if imaginary == "0" else f"{real} ± {imaginary}i")
     return ", ".join(dict.fromkeys(words))

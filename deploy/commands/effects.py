@@ -25,7 +25,7 @@ from deploy.util.output_lock import locked_folder
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
-    from deploy.studies.effects.ladder import Climbed
+    from deploy.studies.effects.ladder import RungResult
 
 OutputOption = Annotated[
     Path | None,
@@ -88,7 +88,7 @@ def effects(
     found = load_scene(scene, sets, seed, duration, solver, tolerance)
     tell = silent if quiet else say
     interruption = Interruption()
-    with interruption.watching(last=True), interruption.allowed():
+    with interruption.handling(last=True), interruption.interruptible():
         from deploy.runs.setup import load_plant, tell_cautions
 
         tell_cautions(found, tell)
@@ -116,9 +116,9 @@ def _study(
 ) -> None:
     from deploy.studies.effects.advice import advise
     from deploy.studies.effects.report import advice_json, row_json
-    from deploy.studies.effects.study import Study
+    from deploy.studies.effects.study import EffectStudy
 
-    study = Study(scene, repeats, tell)
+    study = EffectStudy(scene, repeats, tell)
     rows = study.rows()
     advice = None if tolerance_mm is None else advise(study, rows, 1e-3 * tolerance_mm)
     if as_json:
@@ -139,10 +139,10 @@ def _study(
 def _ladder(
     scene: Scene, repeats: int, folder: Path | None, tell: Callable[[str], None], *, as_json: bool
 ) -> None:
-    from deploy.studies.effects.ladder import climb, rungs
+    from deploy.studies.effects.ladder import run_ladder, rungs
     from deploy.studies.effects.report import ladder_json
 
-    climbed = climb(rungs(scene), repeats, tell)
+    climbed = run_ladder(rungs(scene), repeats, tell)
     picture = None if folder is None else _draw(scene, climbed, folder)
     if as_json:
         _print_json(
@@ -161,7 +161,7 @@ def _ladder(
         print(f"\n{picture}")
 
 
-def _draw(scene: Scene, climbed: list[Climbed], folder: Path) -> Path:
+def _draw(scene: Scene, climbed: list[RungResult], folder: Path) -> Path:
     from deploy.studies.effects.plot import FILE_NAME, draw_ladder
 
     picture = folder / FILE_NAME

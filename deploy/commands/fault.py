@@ -20,7 +20,7 @@ from deploy.commands.options import (
 )
 from deploy.errors import InputError
 from deploy.scenes.overrides import Override, apply
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 _CELL = re.compile(r"(\d{1,9}),(\d{1,9})")
 _RECTANGLE = re.compile(r"(\d{1,9}),(\d{1,9})-(\d{1,9}),(\d{1,9})")
@@ -153,7 +153,7 @@ def _print(request: dict[str, Any], answer: dict[str, Any]) -> None:
     if request["do"] == "inject":
         named = ", ".join(f"{row},{column}" for row, column in answer["cells"][:6])
         more = ", ..." if answer["struck"] > 6 else ""
-        what = f"{request['fault']['kind']} of {counted(answer['struck'], 'cell')} ({named}{more})"
+        what = f"{request['fault']['kind']} of {plural(answer['struck'], 'cell')} ({named}{more})"
         print(f"{answer['run']}: fault {answer['number']}, {what}, {when}")
     elif request["do"] == "repair":
         print(f"{answer['run']}: fault {answer['number']} repaired, {when}")
@@ -162,6 +162,6 @@ def _print(request: dict[str, Any], answer: dict[str, Any]) -> None:
     for one in answer.get("faults", ()):
         end = "for good" if one["until_tick"] is None else f"until tick {one['until_tick']:,}"
         print(
-            f"{one['number']:>4}  {one['kind']} of {counted(one['struck'], 'cell')}  "
+            f"{one['number']:>4}  {one['kind']} of {plural(one['struck'], 'cell')}  "
             f"from tick {one['from_tick']:,} {end}  {one['state']}"
         )

@@ -14,7 +14,7 @@ from deploy.errors import InputError
 from deploy.workers.plan import RunOptions, plan
 
 if TYPE_CHECKING:
-    from deploy.security.manifest import About
+    from deploy.security.manifest import KeyManifest
 
 _MOST_DAYS = 3650
 _ROLES = 8
@@ -73,10 +73,10 @@ def keys(
     if passwords and host:
         raise InputError("--host: is for certificates; passwords name no host")
     made = plan(load_scene(scene, sets), RunOptions(processes=parse_processes(processes), wire=wire), "RUN")
-    from deploy.security.generate import make
+    from deploy.security.generate import generate_keys
 
     kind: Literal["certificate", "password"] = "password" if passwords else "certificate"
-    about = make(folder, made.scene, made.cut, kind, hosts=host or (), days=days, force=force)
+    about = generate_keys(folder, made.scene, made.cut, kind, hosts=host or (), days=days, force=force)
     how = "" if processes is None else f" --processes {processes}"
     how += "" if wire is None else f" --wire {wire}"
     if as_json:
@@ -85,24 +85,24 @@ def keys(
         _print(folder, about, how)
 
 
-def _print(folder: Path, about: About, how: str) -> None:
+def _print(folder: Path, about: KeyManifest, how: str) -> None:
     """The roles, where their keys are, until when they hold, and how the run is to be started."""
     from rich.console import Console
     from rich.table import Table
 
     from deploy.security.manifest import ACCESS
-    from deploy.util.formatting import counted
+    from deploy.util.formatting import plural
 
     console = Console(highlight=False)
     cells = sum(map(len, about.roles.values()))
-    console.print(f"[bold]{about.scene}[/bold]  {counted(cells, 'cell')}, wire form {about.wire}")
+    console.print(f"[bold]{about.scene}[/bold]  {plural(cells, 'cell')}, wire form {about.wire}")
     table = Table.grid(padding=(0, 2))
     roles = list(about.roles)
     shown = roles if len(roles) <= _ROLES else [*roles[:3], "...", *roles[-2:]]
     for role in shown:
         where = "" if role == "..." else str(folder / role)
         own = about.roles.get(role, ())
-        table.add_row(f"[cyan]{role}[/cyan]", counted(len(own), "cell") if own else "", where)
+        table.add_row(f"[cyan]{role}[/cyan]", plural(len(own), "cell") if own else "", where)
     console.print(table)
     console.print(f"What each may do: {folder / ACCESS}", soft_wrap=True)
     if about.until is not None:

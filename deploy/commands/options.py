@@ -19,7 +19,7 @@ from deploy.scenes.files import load_scene as load
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
 
-HOW: Final = "How it is run"
+EXECUTION_PANEL: Final = "How it is run"
 """Heads the options of a command that say nothing of what is run."""
 
 _SCENE: Final = "A scene file, or the name of a bundled scene."
@@ -99,7 +99,7 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress an
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class SceneOptions:
     """What both ``run`` and ``simulate`` are asked for, an option a field."""
 
     scene: SceneArgument
@@ -120,7 +120,7 @@ class Asked:
 
 @final
 @dataclass(frozen=True, slots=True)
-class AskedOfRun(Asked):
+class AskedOfRun(SceneOptions):
     """The same of a run, which may have its scene from one that it goes on with."""
 
     scene: Annotated[str, typer.Argument(metavar="[SCENE]", help=_SCENE, autocompletion=scenes)] = ""
@@ -191,9 +191,9 @@ def address_of(connect: str | None, run: Path | None) -> str:
         if run is not None:
             raise InputError("--connect and --run: give one of the two")
         return connect
-    from deploy.control.client import find
+    from deploy.control.client import discover
 
-    return find(run).connect
+    return discover(run).connect
 
 
 ParcelOption = Annotated[int, typer.Option("--parcel", metavar="N", help="Which parcel, counted from 0.")]
@@ -230,7 +230,7 @@ def numbers(option: str, text: str, form: str) -> list[float]:
     return found
 
 
-def spread(command: Callable[..., None]) -> Callable[..., None]:
+def expand_dataclass(command: Callable[..., None]) -> Callable[..., None]:
     """A command as typer reads it: its first parameter, a dataclass of options, as one parameter a field.
 
     Args:

@@ -23,7 +23,7 @@ from deploy.util.formatting import say
 from deploy.util.output_lock import locked_folder
 
 if TYPE_CHECKING:
-    from deploy.studies.orientations.study import SizeMap, Study
+    from deploy.studies.orientations.study import OrientationStudy, SizeMap
     from plant.analysis.orientations import TorqueProfile
     from plant.wheels import Floats
 
@@ -85,7 +85,7 @@ def orientations(
     place = None if at is None else numbers("--at", at, _POINT)
     ranges = None if sizes is None else _ranges(sizes)
     interruption = Interruption()
-    with interruption.watching(last=True), interruption.allowed():
+    with interruption.handling(last=True), interruption.interruptible():
         tell_cautions(found, say)
         asked = study(found, parcel, place)
         with locked_folder(output, say) as folder:
@@ -95,7 +95,7 @@ def orientations(
                 _many(asked, ranges, folder, as_json=as_json)
 
 
-def _one(asked: Study, folder: Path | None, *, as_json: bool) -> None:
+def _one(asked: OrientationStudy, folder: Path | None, *, as_json: bool) -> None:
     profile = asked.profile()
     picture = None
     if folder is not None:
@@ -114,7 +114,9 @@ def _one(asked: Study, folder: Path | None, *, as_json: bool) -> None:
         print(f"\n{picture}")
 
 
-def _many(asked: Study, ranges: tuple[Floats, Floats], folder: Path | None, *, as_json: bool) -> None:
+def _many(
+    asked: OrientationStudy, ranges: tuple[Floats, Floats], folder: Path | None, *, as_json: bool
+) -> None:
     from deploy.studies.orientations.study import size_map
 
     sizes = size_map(asked, *ranges)
@@ -155,7 +157,7 @@ def _ranges(text: str) -> tuple[Floats, Floats]:
     return lengths, widths
 
 
-def _head(asked: Study) -> dict[str, Any]:
+def _head(asked: OrientationStudy) -> dict[str, Any]:
     return {"scene": asked.scene.name, "parcel": asked.parcel, "centre_m": asked.centre_m.tolist()}
 
 

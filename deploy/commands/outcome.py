@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 EXIT_STATUS = {"ok": 0, "failed": 1, "stalled": 1, "unstable": 3, "interrupted": 130}
 
 
-def carry_out(what: str, work: Callable[[Interruption], Outcome], *, as_json: bool) -> NoReturn:
+def execute(what: str, work: Callable[[Interruption], Outcome], *, as_json: bool) -> NoReturn:
     """Do the work while signals are watched for, report what it came to, and end the command.
 
     Args:
@@ -26,7 +26,7 @@ def carry_out(what: str, work: Callable[[Interruption], Outcome], *, as_json: bo
         as_json: Whether to report for programs.
     """
     interruption = Interruption()
-    with interruption.watching(last=True):
+    with interruption.handling(last=True):
         try:
             # What a firmware prints in this process is no part of what the command prints.
             with contextlib.redirect_stdout(sys.stderr):

@@ -53,10 +53,10 @@ def plot(recording: RecordingArgument, output: OutputOption = None, kind: KindOp
     run = load(recording)
     path = output or run.path.with_name(f"{kind.value}.png")
     if kind is Kind.protocol:
-        from deploy.protocol_report.from_recording import replayed
+        from deploy.protocol_report.from_recording import report_from_recording
         from deploy.protocol_report.plot import draw_protocol
 
-        draw_protocol(*replayed(run), path)
+        draw_protocol(*report_from_recording(run), path)
     else:
         from deploy.plots.overview import draw_overview
 

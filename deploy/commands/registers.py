@@ -17,10 +17,10 @@ from deploy.commands.options import (
     address_of,
 )
 from deploy.errors import InputError
-from deploy.util.formatting import counted, short
+from deploy.util.formatting import plural, short_number
 
 if TYPE_CHECKING:
-    from deploy.control.registers import Cell, Seen
+    from deploy.control.registers import Cell, RegisterReadings
 
 _CELL = re.compile(r"(\d{1,9}),(\d{1,9})")
 _SIDE_BY_SIDE = 6
@@ -52,9 +52,9 @@ def registers(
     wanted = [_cell(text) for text in cells or ()]
     if not 0 < timeout < float("inf"):
         raise InputError(f"--timeout {timeout:g}: must be greater than 0")
-    from deploy.control.registers import look
+    from deploy.control.registers import read_registers
 
-    seen = look(address_of(connect, run), wanted, timeout, keys)
+    seen = read_registers(address_of(connect, run), wanted, timeout, keys)
     if wanted:
         seen.cells = {cell: seen.cells[cell] for cell in wanted}
     if as_json:
@@ -71,7 +71,7 @@ def _cell(text: str) -> Cell:
     return int(match[1]), int(match[2])
 
 
-def _print(seen: Seen) -> None:
+def _print(seen: RegisterReadings) -> None:
     """A column a cell; of many cells the least, mean and greatest."""
     from rich.console import Console
     from rich.table import Table
@@ -80,7 +80,7 @@ def _print(seen: Seen) -> None:
     from deploy.control.registers import ranges
 
     console = Console(highlight=False)
-    console.print(f"[bold]{seen.run}[/bold]  tick {seen.tick:,}, {counted(len(seen.cells), 'cell')}")
+    console.print(f"[bold]{seen.run}[/bold]  tick {seen.tick:,}, {plural(len(seen.cells), 'cell')}")
     table = Table(box=None, pad_edge=False, padding=(0, 2))
     table.add_column("register")
     if len(seen.cells) <= _SIDE_BY_SIDE:
@@ -93,7 +93,7 @@ def _print(seen: Seen) -> None:
         for word in ("least", "mean", "greatest"):
             table.add_column(word, justify="right")
         for name, values in ranges(seen.cells).items():
-            table.add_row(Text(name), *(short(value) for value in values))
+            table.add_row(Text(name), *(short_number(value) for value in values))
     console.print(table)
 
 
@@ -102,4 +102,4 @@ def _text(value: Any) -> str:
         return " ".join(_text(part) for part in value)  # pyright: ignore[reportUnknownVariableType]
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return "" if value is None else short(value)
+    return "" if value is None else short_number(value)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from deploy.commands.options import HOW, AskedOfRun, spread
-from deploy.commands.outcome import carry_out
+from deploy.commands.options import EXECUTION_PANEL, AskedOfRun, expand_dataclass
+from deploy.commands.outcome import execute
 from deploy.errors import InputError
 from deploy.util.formatting import say, silent
 from deploy.workers.plan import Plan, Processes, RunOptions, plan
@@ -27,7 +27,7 @@ ProcessesOption = Annotated[
     str | None,
     typer.Option(
         "--processes",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="N|each|0",
         help="Worker processes for the cells; each: one a cell; 0: everything in this process.",
     ),
@@ -35,14 +35,16 @@ ProcessesOption = Annotated[
 TransportOption = Annotated[
     Literal["zenoh", "memory"],
     typer.Option(
-        "--transport", rich_help_panel=HOW, help="What carries the messages; memory needs --processes 0."
+        "--transport",
+        rich_help_panel=EXECUTION_PANEL,
+        help="What carries the messages; memory needs --processes 0.",
     ),
 ]
 WireOption = Annotated[
     Literal["packed", "cells"] | None,
     typer.Option(
         "--wire",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         help="One array a worker, or one key a cell and link that any Zenoh tool can join. "
         "Default: packed, but cells with --processes each.",
     ),
@@ -51,7 +53,7 @@ ListenOption = Annotated[
     str | None,
     typer.Option(
         "--listen",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="ENDPOINT",
         help="Where listeners and operators (mdms fault, mdms registers) connect, such as tcp/127.0.0.1:7447; with "
         "port 0 a free one. Default: a free loopback port.",
@@ -61,7 +63,7 @@ JoinOption = Annotated[
     str | None,
     typer.Option(
         "--join",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="ENDPOINT",
         help="Where processes of cells connect, such as tls/10.0.0.5:7448 for cells on other hosts. Default: a socket "
         "that only you can open; with --keys a free loopback port.",
@@ -71,7 +73,7 @@ KeysOption = Annotated[
     Path | None,
     typer.Option(
         "--keys",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
         help="Let in only who has keys from here, to do only what their role may; mdms keys makes them.",
     ),
@@ -80,7 +82,7 @@ InsecureOption = Annotated[
     bool,
     typer.Option(
         "--insecure",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         help="Listen where anybody can come in without keys: whoever reaches --join can drive the run.",
     ),
 ]
@@ -88,7 +90,7 @@ RealtimeOption = Annotated[
     float | None,
     typer.Option(
         "--realtime",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="[FACTOR]",
         help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as it goes.",
     ),
@@ -97,7 +99,7 @@ RegistersOption = Annotated[
     int | None,
     typer.Option(
         "--registers",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="[TICKS]",
         help="Record what cells show of themselves, every tick or every so many: their program's variables, and the "
         "registers and counters of their board.",
@@ -107,7 +109,7 @@ ProtocolReportOption = Annotated[
     int | None,
     typer.Option(
         "--protocol-report",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="[TICKS]",
         help="Report what the cells' protocol does: its field's residuals tick by tick (or every so many ticks), their "
         "rate against theory's, the load on its links; with a table (protocol.csv) and a picture (protocol.png).",
@@ -117,7 +119,7 @@ RespawnOption = Annotated[
     int,
     typer.Option(
         "--respawn",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="N",
         help="Start worker processes anew that went or fell silent, N times in all: their cells begin as after "
         "power-on, at a tick boundary.",
@@ -127,7 +129,7 @@ ReplayOption = Annotated[
     Path | None,
     typer.Option(
         "--replay",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
         help="Repeat what was done to a recorded run of this scene while it went on: its live faults, at their ticks, "
         "and a crash of every cell that it lost. Says whether the digest is the same.",
@@ -137,7 +139,7 @@ CheckpointOption = Annotated[
     float | None,
     typer.Option(
         "--checkpoint",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="SECONDS",
         help="Leave a checkpoint in the output folder every so many seconds of wall time. Default: none.",
     ),
@@ -146,18 +148,19 @@ ResumeOption = Annotated[
     Path | None,
     typer.Option(
         "--resume",
-        rich_help_panel=HOW,
+        rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
         help="Go on with the run whose output folder this is, from its last checkpoint: to the digest that it would "
         "have come to. Takes scene, processes and the like from there.",
     ),
 ]
 PlanOption = Annotated[
-    bool, typer.Option("--plan", rich_help_panel=HOW, help="Print what would be started, and exit.")
+    bool,
+    typer.Option("--plan", rich_help_panel=EXECUTION_PANEL, help="Print what would be started, and exit."),
 ]
 
 
-@spread
+@expand_dataclass
 def run(
     asked: AskedOfRun,
     *,
@@ -236,7 +239,7 @@ def run(
                 scene, options, quiet=asked.quiet, interruption=interruption, resumed=resumed, lock=lock
             )
 
-        carry_out("the run", work, as_json=asked.as_json)
+        execute("the run", work, as_json=asked.as_json)
 
 
 def check_unchanged(folder: Path, asked: AskedOfRun) -> None:
@@ -269,9 +272,9 @@ def taken_up(folder: Path, options: RunOptions) -> tuple[Scene, RunOptions, Chec
     Raises:
         InputError: It can't be taken up, or not like this.
     """
-    from deploy.checkpoints.store import found, options_of, scene_of
+    from deploy.checkpoints.store import find_checkpoint, options_of, scene_of
 
-    checkpoint = found(folder)
+    checkpoint = find_checkpoint(folder)
     return scene_of(checkpoint), replace(options_of(checkpoint, options), output=folder), checkpoint
 
 

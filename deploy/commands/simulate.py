@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deploy.commands.options import Asked, StepOption, spread
-from deploy.commands.outcome import carry_out
+from deploy.commands.options import SceneOptions, StepOption, expand_dataclass
+from deploy.commands.outcome import execute
 
 if TYPE_CHECKING:
     from deploy.runs.summary import Outcome
     from deploy.util.signals import Interruption
 
 
-@spread
-def simulate(asked: Asked, *, step: StepOption = None) -> None:
+@expand_dataclass
+def simulate(asked: SceneOptions, *, step: StepOption = None) -> None:
     """Simulate a scene without cells: wheel speeds straight from its velocity field.
 
     This is the simulator of the papers: ideal wheels that run at the field's speed from the start. The scene's
@@ -38,4 +38,4 @@ def simulate(asked: Asked, *, step: StepOption = None) -> None:
             interruption=interruption,
         )
 
-    carry_out("the simulation", work, as_json=asked.as_json)
+    execute("the simulation", work, as_json=asked.as_json)

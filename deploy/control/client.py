@@ -47,7 +47,7 @@ class Address:
 
 
 @contextmanager
-def announced(run: str, locator: str, folder: Path) -> Generator[None]:
+def advertise(run: str, locator: str, folder: Path) -> Generator[None]:
     """Leave a note in a run's folder, while it goes on, of where it can be spoken to.
 
     Args:
@@ -66,7 +66,7 @@ def announced(run: str, locator: str, folder: Path) -> Generator[None]:
         address.remove(folder)
 
 
-def find(folder: Path | None) -> Address:
+def discover(folder: Path | None) -> Address:
     """The run of a folder; None: the one below ``runs/`` that began last and still goes on.
 
     Raises:
@@ -124,11 +124,11 @@ def ask_run(
         RequestError: The run refuses; says why.
         DeployError: It doesn't answer in time.
     """
-    from bus.transports.zenoh.requests import ask
+    from bus.transports.zenoh.requests import send_request
 
     endpoint = operator_session(connect, timeout_s, keys)
     try:
-        text = ask(endpoint, plant_key("*", "operator"), json.dumps(request).encode(), timeout_s)
+        text = send_request(endpoint, plant_key("*", "operator"), json.dumps(request).encode(), timeout_s)
         answer = _answer(json.loads(text))
     except TransportError as error:
         raise DeployError(f"{connect}: {error}") from None

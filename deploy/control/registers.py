@@ -33,7 +33,7 @@ _TOGETHER_S: Final = 1.0
 
 @final
 @dataclass(slots=True)
-class Seen:
+class RegisterReadings:
     """What cells showed of themselves.
 
     Attributes:
@@ -47,7 +47,9 @@ class Seen:
     cells: dict[Cell, dict[str, Any]] = field(default_factory=dict[Cell, dict[str, Any]])
 
 
-def look(connect: str, wanted: Iterable[Cell], timeout_s: float, keys: Path | None = None) -> Seen:
+def read_registers(
+    connect: str, wanted: Iterable[Cell], timeout_s: float, keys: Path | None = None
+) -> RegisterReadings:
     """What cells show of themselves now.
 
     Args:
@@ -65,14 +67,14 @@ def look(connect: str, wanted: Iterable[Cell], timeout_s: float, keys: Path | No
     endpoint = operator_session(connect, timeout_s, keys)
     try:
         endpoint.subscribe(KEYS)
-        return gather(endpoint, set(wanted), begun + timeout_s)
+        return collect(endpoint, set(wanted), begun + timeout_s)
     finally:
         endpoint.close()
 
 
-def gather(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> Seen:
+def collect(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> RegisterReadings:
     """The same, of an endpoint that has subscribed to ``KEYS``, until a time of ``time.monotonic``."""
-    seen = Seen()
+    seen = RegisterReadings()
     while (left := deadline - time.monotonic()) > 0 and not (wanted and wanted <= seen.cells.keys()):
         event = endpoint.receive(left)
         if not isinstance(event, Received):
@@ -89,7 +91,7 @@ def gather(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> Seen:
     return seen
 
 
-def _take(seen: Seen, event: Received) -> None:
+def _take(seen: RegisterReadings, event: Received) -> None:
     """Note what a frame says; a frame that is none is somebody else's."""
     try:
         frame = decode_registers(event.payload, _MOST_CELLS)

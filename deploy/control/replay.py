@@ -17,7 +17,7 @@ _FIRST_NUMBER: Final = 1_000_000
 """Of faults that stand for losses: beyond those of scenes and operators."""
 
 
-def script_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ...]:
+def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ...]:
     """The live commands of a recorded run, and a crash for every cell that it lost, by tick.
 
     Raises:
@@ -46,13 +46,13 @@ def script_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ..
 
 def _check(record: Mapping[str, Any], scene: Scene) -> None:
     """Looks whether a command can be read; raises whatever error says that it can't."""
-    from deploy.control.protocol import heard
+    from deploy.control.protocol import decode_fault
 
     int(record["tick"])
     if record["kind"] == "repair":
         int(record["detail"]["number"])
     else:
-        heard(record["detail"], scene)
+        decode_fault(record["detail"], scene)
 
 
 def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

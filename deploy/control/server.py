@@ -6,11 +6,11 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol, cast, final
 
-from bus.fault import FaultSpec, Injected
-from bus.lattice import NEVER
+from bus.fault import FaultInstance, FaultSpec
+from bus.lattice import NO_TICK_LIMIT
 from bus.wire.frames import TEXT_LIMIT, Control
 from cell_firmware.faults.base import CellFault
-from deploy.control.protocol import heard, told
+from deploy.control.protocol import decode_fault, encode_fault
 from deploy.control.requests import (
     InjectRequest,
     ListRequest,
@@ -19,12 +19,12 @@ from deploy.control.requests import (
     RequestError,
     read_request,
 )
-from deploy.scenes.fault_schedule import is_death
+from deploy.scenes.fault_schedule import is_permanent_crash
 from plant.faults.base import PlantFault
 
 if TYPE_CHECKING:
-    from bus.transports.zenoh.requests import Questions
-    from deploy.recordings.run_log import Ledger
+    from bus.transports.zenoh.requests import RequestQueue
+    from deploy.recordings.run_log import RunLog
     from deploy.scenes.scene import Scene
 
 _A_TICK: Final = 8
@@ -36,7 +36,7 @@ Record = Mapping[str, Any]
 class Process(Protocol):
     """What the console needs of ``plant.process.PlantProcess``."""
 
-    def inject(self, fault: Injected[PlantFault]) -> None:
+    def inject(self, fault: FaultInstance[PlantFault]) -> None:
         """One more fault of the plant's parts."""
         ...
 
@@ -46,7 +46,7 @@ class Process(Protocol):
 
 
 @final
-class Console:
+class ControlServer:
     """Takes requests between two ticks; each acts from the next tick on, is answered and recorded.
 
     Args:
@@ -64,10 +64,10 @@ class Console:
         self,
         scene: Scene,
         run: str,
-        faults: Sequence[Injected[FaultSpec]],
+        faults: Sequence[FaultInstance[FaultSpec]],
         tell: Callable[[Control], None],
-        ledger: Ledger,
-        questions: Questions | None = None,
+        ledger: RunLog,
+        questions: RequestQueue | None = None,
         script: Sequence[Record] = (),
         *,
         lines: bool = True,
@@ -88,35 +88,35 @@ class Console:
         """The plant's process, which calls ``attend``."""
         self._process = process
 
-    def attend(self, tick: int) -> None:
+    def before_tick(self, tick: int) -> None:
         """Carry out what is to act from ``tick`` on, which is the next."""
         while self._script and self._script[0]["tick"] <= tick:
             self._repeat(self._script.pop(0), tick)
         if self._questions is None:
             return
         for _ in range(_A_TICK):
-            question = self._questions.take()
+            question = self._questions.drain()
             if question is None:
                 return
             try:
-                answer = self._carry_out(read_request(question.payload), tick)
+                answer = self._handle(read_request(question.payload), tick)
             except RequestError as error:
                 answer = {"ok": False, "problems": error.problems}
             question.answer(json.dumps({"run": self._run, **answer}).encode())
 
-    def retell(self, cells: Sequence[int], tick: int) -> None:
+    def resend_faults(self, cells: Sequence[int], tick: int) -> None:
         """Tell cells that come anew, from ``tick`` on, what has been done to the run so far."""
         names = tuple(self._lattice.cells[cell] for cell in cells)
         for one in self._faults.values():
-            if one.live and isinstance(one.fault, CellFault):
+            if one.injected_at_runtime and isinstance(one.fault, CellFault):
                 self._tell(Control("fault", tick, names, _text(one)))
         for number in self._repaired:
-            end = self._faults[number].end
+            end = self._faults[number].end_tick
             self._tell(Control("fault", tick, names, json.dumps({"number": number, "end": end})))
 
     # --- what is asked ----------------------------------------------------------------------------
 
-    def _carry_out(self, request: Request, tick: int) -> dict[str, Any]:
+    def _handle(self, request: Request, tick: int) -> dict[str, Any]:
         time = {"tick": tick, "time_s": tick * self._scene.tick_ns * 1e-9}
         match request:
             case InjectRequest():
@@ -134,20 +134,21 @@ class Console:
                     "faults": [self._listed(one, tick) for one in self._faults.values()],
                 }
 
-    def _new(self, request: InjectRequest, tick: int) -> Injected[FaultSpec]:
+    def _new(self, request: InjectRequest, tick: int) -> FaultInstance[FaultSpec]:
         fault = cast("FaultSpec", request.fault)
         problems = [
-            f"fault.{'.'.join(map(str, path))}: {rule}" for path, _, rule in fault.misplaced(self._lattice)
+            f"fault.{'.'.join(map(str, path))}: {rule}" for path, _, rule in fault.problems(self._lattice)
         ]
         if isinstance(fault, PlantFault):
             effects = self._scene.effects
             problems += [
-                f"fault.{'.'.join(map(str, path))}: {rule}" for path, _, rule in fault.at_odds(effects)
+                f"fault.{'.'.join(map(str, path))}: {rule}"
+                for path, _, rule in fault.setting_problems(effects)
             ]
         if fault.at_s:
             problems.append("fault.at_s: a live fault begins now: leave it out")
-        if request.for_s is not None and not fault.lasts:
-            problems.append(f"for_s: {fault.called} happens once: leave it out")
+        if request.for_s is not None and not fault.repairable:
+            problems.append(f"for_s: {fault.kind_name} happens once: leave it out")
         if request.for_s is not None and fault.until_s is not None:
             problems.append("for_s: fault.until_s says it already")
         if isinstance(fault, CellFault) and self._deaf:
@@ -161,8 +162,8 @@ class Console:
         if problems:
             raise RequestError(*problems)
         number = max(self._faults, default=-1) + 1
-        struck = fault.struck(self._lattice, self._scene.seed, number)
-        one = Injected(number, fault, struck, tick, end, live=True)
+        struck = fault.affected_cells(self._lattice, self._scene.seed, number)
+        one = FaultInstance(number, fault, struck, tick, end, injected_at_runtime=True)
         if len(_text(one)) > TEXT_LIMIT:
             raise RequestError("fault.cells: are too many to be told at once: use rectangle or share")
         return one
@@ -175,35 +176,35 @@ class Console:
 
         if for_s is not None:
             return from_now(for_s)
-        return fault.span(from_now)[1] if fault.until_s is None else self._scene.tick_at(fault.until_s)
+        return fault.tick_range(from_now)[1] if fault.until_s is None else self._scene.tick_at(fault.until_s)
 
-    def _listed(self, one: Injected[FaultSpec], tick: int) -> dict[str, Any]:
-        state = "acts" if one.acts(tick) else "is to come" if tick < one.first else "is over"
+    def _listed(self, one: FaultInstance[FaultSpec], tick: int) -> dict[str, Any]:
+        state = "acts" if one.active_at(tick) else "is to come" if tick < one.start_tick else "is over"
         return {
             "number": one.number,
-            "kind": one.fault.called,
+            "kind": one.fault.kind_name,
             "struck": len(one.cells),
-            "from_tick": one.first,
-            "until_tick": None if one.end == NEVER else one.end,
+            "from_tick": one.start_tick,
+            "until_tick": None if one.end_tick == NO_TICK_LIMIT else one.end_tick,
             "state": state,
         }
 
     # --- what is done -----------------------------------------------------------------------------
 
-    def _inject(self, one: Injected[FaultSpec]) -> None:
+    def _inject(self, one: FaultInstance[FaultSpec]) -> None:
         self._faults[one.number] = one
         if isinstance(one.fault, CellFault):
-            self._tell(Control("fault", one.first, (), _text(one)))
+            self._tell(Control("fault", one.start_tick, (), _text(one)))
         if isinstance(one.fault, PlantFault):
             assert self._process is not None, "this is a bug: a console without a process"
-            self._process.inject(cast("Injected[PlantFault]", one))
+            self._process.inject(cast("FaultInstance[PlantFault]", one))
         self._ledger.inject(one)
         self._ledger.control(
             {
-                "time_s": one.first * self._scene.tick_ns * 1e-9,
+                "time_s": one.start_tick * self._scene.tick_ns * 1e-9,
                 "kind": "fault",
-                "tick": one.first,
-                "detail": told(one),
+                "tick": one.start_tick,
+                "detail": encode_fault(one),
             }
         )
 
@@ -212,11 +213,11 @@ class Console:
         if one is None:
             known = ", ".join(map(str, sorted(self._faults))) or "none"
             raise RequestError(f"number: there is no fault {number}; there are: {known}")
-        if is_death(one):
+        if is_permanent_crash(one):
             raise RequestError(f"number: the cells of fault {number} have left the run for good")
-        if not one.fault.lasts or not one.acts(tick):
+        if not one.fault.repairable or not one.active_at(tick):
             raise RequestError(f"number: fault {number} doesn't act now")
-        one.end = tick
+        one.end_tick = tick
         assert self._process is not None, "this is a bug: a console without a process"
         self._repaired.add(number)
         self._process.replan()
@@ -234,8 +235,8 @@ class Console:
         if record["kind"] == "repair":
             self._repair(int(detail["number"]), tick)
         else:
-            self._inject(heard(detail, self._scene))
+            self._inject(decode_fault(detail, self._scene))
 
 
-def _text(one: Injected[FaultSpec]) -> str:
-    return json.dumps(told(one))
+def _text(one: FaultInstance[FaultSpec]) -> str:
+    return json.dumps(encode_fault(one))

@@ -7,9 +7,9 @@ from typing import ClassVar, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import CellTarget, Injected
-from cell_firmware.faults.base import CellFault, Pause
-from plant.faults.base import Harm, PlantFault
+from bus.fault import CellTarget, FaultInstance
+from cell_firmware.faults.base import CellFault, ExecutionFaults
+from plant.faults.base import PlantFault, WheelFaults
 from plant.wheels import LossPolicy
 
 
@@ -21,20 +21,20 @@ class CrashFault(CellTarget, CellFault, PlantFault):
     SIGKILL, as a real death does; in a shared worker the cell's agent stops.
     """
 
-    called: ClassVar[str] = "crash"
-    pauses: ClassVar[bool] = True
+    kind_name: ClassVar[str] = "crash"
+    halts_program: ClassVar[bool] = True
     kind: Literal["crash"] = "crash"
     wheels: LossPolicy | None = None
     """What the dead wheels do; None: what the scene's stall policy says."""
 
-    def pause(self, tick: int, injected: Injected[CellFault], pause: Pause) -> None:
+    def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
         """No program runs; after the repair it begins anew."""
-        if injected.acts(tick):
-            pause.stopped[injected.cells] = True
-        pause.reset[injected.cells] |= tick == injected.end
+        if injected.active_at(tick):
+            pause.halted[injected.cells] = True
+        pause.reset[injected.cells] |= tick == injected.end_tick
 
-    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
         """Nobody drives the wheels."""
         harm.dead[cells] = True
         if self.wheels is not None:
-            harm.rests.update(dict.fromkeys(cells.tolist(), self.wheels))
+            harm.wheel_policies.update(dict.fromkeys(cells.tolist(), self.wheels))

@@ -9,35 +9,35 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from bus.fault import CellTarget, Injected
-from cell_firmware.faults.base import CellFault, Pause
-from plant.faults.base import Harm, PlantFault
+from bus.fault import CellTarget, FaultInstance
+from cell_firmware.faults.base import CellFault, ExecutionFaults
+from plant.faults.base import PlantFault, WheelFaults
 
 
-class AbsentModules(CellTarget, CellFault, PlantFault):
+class AbsentModuleFault(CellTarget, CellFault, PlantFault):
     """Cells that are gone while it acts: no wheels under parcels, no sensors, no program, no links.
 
     Plugged in again they begin anew, as after power-on: wheels at rest, encoders going on from where they stood.
     """
 
-    pauses: ClassVar[bool] = True
+    halts_program: ClassVar[bool] = True
 
-    def pause(self, tick: int, injected: Injected[CellFault], pause: Pause) -> None:
+    def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
         """No program runs; once it is plugged in it begins anew."""
-        if injected.acts(tick):
-            pause.stopped[injected.cells] = True
-        pause.reset[injected.cells] |= tick == injected.end
+        if injected.active_at(tick):
+            pause.halted[injected.cells] = True
+        pause.reset[injected.cells] |= tick == injected.end_tick
 
-    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
         """The cells are not in the array."""
         harm.gone[cells] = True
 
 
 @final
-class AddFault(AbsentModules):
+class AddFault(AbsentModuleFault):
     """Cells that are not there at the start, and are from ``at_s`` on."""
 
-    called: ClassVar[str] = "add"
+    kind_name: ClassVar[str] = "add"
     kind: Literal["add"]
 
     @model_validator(mode="after")
@@ -48,14 +48,14 @@ class AddFault(AbsentModules):
             raise ValueError("what is added stays: leave until_s out, and pull it by a fault of kind remove")
         return self
 
-    def span(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
+    def tick_range(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
         """It acts until its cells are there."""
         return 0, tick_at(self.at_s)
 
 
 @final
-class RemoveFault(AbsentModules):
+class RemoveFault(AbsentModuleFault):
     """Cells that are pulled out of the array at ``at_s``, and plugged in again where ``until_s`` says so."""
 
-    called: ClassVar[str] = "remove"
+    kind_name: ClassVar[str] = "remove"
     kind: Literal["remove"]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
-    from bus.fault import FaultSpec, Injected
+    from bus.fault import FaultInstance, FaultSpec
 
 _DID = {"crash": "crashed", "token_lost": "went away"}
 """What a cell did that is lost, by the fault's kind, where that is not the word for it."""
@@ -18,8 +18,8 @@ OUT = ("remove", "add")
 """Kinds of which cells are not in the array while they act."""
 
 
-def turned(
-    one: Injected[FaultSpec], tick: int, period_ns: int, names: Sequence[tuple[int, int]]
+def transition_record(
+    one: FaultInstance[FaultSpec], tick: int, period_ns: int, names: Sequence[tuple[int, int]]
 ) -> dict[str, Any]:
     """A fault that begins or ends in a tick, as ``faults`` of a summary and ``/faults`` of a recording have it.
 
@@ -30,21 +30,21 @@ def turned(
         names: ``(row, column)`` of every cell.
     """
     cells = [list(names[int(cell)]) for cell in one.cells]
-    phase = ("begins" if one.fault.lasts else "happens") if tick == one.first else "ends"
+    phase = ("begins" if one.fault.repairable else "happens") if tick == one.start_tick else "ends"
     return {
         "time_s": tick * period_ns * 1e-9,
-        "kind": one.fault.called,
+        "kind": one.fault.kind_name,
         "phase": phase,
         "cell": cells[0] if len(cells) == 1 else None,
         "cells": cells,
         "tick": tick,
-        "detail": "live" if one.live else "scheduled",
+        "detail": "live" if one.injected_at_runtime else "scheduled",
         "fault": one.fault.model_dump(mode="json", exclude_none=True),
         "number": one.number,
     }
 
 
-def lines(faults: Sequence[Mapping[str, Any]]) -> list[str]:
+def describe_faults(faults: Sequence[Mapping[str, Any]]) -> list[str]:
     """A run's faults, each in a line: ``crash of 3 cells at 1.2 s, repaired at 2 s``; ``3,4 crashed at 2.00294 s``.
 
     Cells that were lost together share one.
@@ -57,7 +57,7 @@ def lines(faults: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def marks(faults: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
+def plot_marks(faults: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
     """When faults begin or end, cells are lost or come back, and a few words, as a picture's marks have them."""
     return [
         (
@@ -107,7 +107,7 @@ def _together(faults: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any
 def _whom(lost: Sequence[Mapping[str, Any]], one: str = "") -> str:
     """Which cell was lost, or how many."""
     row, column = lost[0]["cell"]
-    return f"{one}{row},{column}" if len(lost) == 1 else counted(len(lost), "cell")
+    return f"{one}{row},{column}" if len(lost) == 1 else plural(len(lost), "cell")
 
 
 def _lost(alike: Sequence[Mapping[str, Any]]) -> str:
@@ -128,7 +128,7 @@ def _mark(fault: Mapping[str, Any]) -> str:
 def _cells(fault: Mapping[str, Any], one: str = "") -> str:
     """Which cell, or how many."""
     cells = fault["cells"]
-    return f"{one}{cells[0][0]},{cells[0][1]}" if len(cells) == 1 else counted(len(cells), "cell")
+    return f"{one}{cells[0][0]},{cells[0][1]}" if len(cells) == 1 else plural(len(cells), "cell")
 
 
 def _kind(fault: Mapping[str, Any]) -> str:

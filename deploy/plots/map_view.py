@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.faults.records import OUT, lost_for_good, out_of_array
-from deploy.recordings.trace import Track
+from deploy.recordings.trace import RunTrace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ def colour(parcel: int) -> str:
     return COLOURS[parcel % len(COLOURS)]
 
 
-def extent(track: Track) -> tuple[float, float, float, float]:
+def extent(track: RunTrace) -> tuple[float, float, float, float]:
     """Left, right, bottom and top of the view: the array, and where parcels went, within reason."""
     half = track.pitch_m / 2
     low, high = track.positions_m.min(axis=0) - half, track.positions_m.max(axis=0) + half
@@ -64,7 +64,7 @@ def extent(track: Track) -> tuple[float, float, float, float]:
     return float(left), float(right), float(bottom), float(top)
 
 
-def draw_map(axes: Axes, track: Track) -> None:
+def draw_map(axes: Axes, track: RunTrace) -> None:
     """Draw the overhead view, metres along both axes."""
     left, right, bottom, top = extent(track)
     axes.set_aspect("equal")
@@ -91,7 +91,7 @@ def _squares(centres: NDArray[np.float64], side: float) -> NDArray[np.float64]:
     return centres[:, None, :] + corners
 
 
-def _draw_cells(axes: Axes, track: Track) -> None:
+def _draw_cells(axes: Axes, track: RunTrace) -> None:
     from matplotlib.collections import PolyCollection
 
     large = len(track.positions_m) > _SQUARES
@@ -108,7 +108,7 @@ def _draw_cells(axes: Axes, track: Track) -> None:
     )
 
 
-def _draw_arrows(axes: Axes, track: Track) -> None:
+def _draw_arrows(axes: Axes, track: RunTrace) -> None:
     """Wheel velocities, of every k-th cell each way where the array is large."""
     if track.wheel_speeds is None:
         return
@@ -147,7 +147,7 @@ def _draw_arrows(axes: Axes, track: Track) -> None:
     axes.set_title(f"wheels, longest arrow {fastest:.3g} m/s", loc="right", color=_ARROW, fontsize=8, pad=4)
 
 
-def struck_cells(track: Track) -> set[tuple[int, int]]:
+def struck_cells(track: RunTrace) -> set[tuple[int, int]]:
     """Cells that a fault struck which begins and ends, and that were in the array all the time."""
     return {
         (row, column)
@@ -157,7 +157,7 @@ def struck_cells(track: Track) -> set[tuple[int, int]]:
     }
 
 
-def _draw_faults(axes: Axes, track: Track) -> None:
+def _draw_faults(axes: Axes, track: RunTrace) -> None:
     """Cells that were pulled, white and dashed; that a fault struck, with a red rim; that are lost, with a cross too.
 
     One that was plugged in, or in again, has its arrow; one that isn't there at the end has none.
@@ -183,7 +183,7 @@ def _draw_faults(axes: Axes, track: Track) -> None:
 
 
 def _draw_squares(
-    axes: Axes, track: Track, cells: list[int], *, facecolors: str = "none", **look: Any
+    axes: Axes, track: RunTrace, cells: list[int], *, facecolors: str = "none", **look: Any
 ) -> None:
     from matplotlib.collections import PolyCollection
 
@@ -195,7 +195,7 @@ def _draw_squares(
     )
 
 
-def _draw_crosses(axes: Axes, track: Track, cells: list[int]) -> None:
+def _draw_crosses(axes: Axes, track: RunTrace, cells: list[int]) -> None:
     from matplotlib.collections import LineCollection
 
     if not cells:
@@ -207,7 +207,7 @@ def _draw_crosses(axes: Axes, track: Track, cells: list[int]) -> None:
     )
 
 
-def _draw_exits(axes: Axes, track: Track) -> None:
+def _draw_exits(axes: Axes, track: RunTrace) -> None:
     """Each exit with its name, at whichever of its corners lies farthest up and to the right."""
     for name, corners in track.exits:
         axes.fill(*corners.T, fc="none", ec=_EXIT, hatch="////", lw=0, alpha=0.3, zorder=1.5)
@@ -236,7 +236,7 @@ def _outline(footprint: NDArray[np.float64], state: NDArray[np.float64]) -> NDAr
     return footprint @ turn + state[:2]
 
 
-def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
+def _draw_parcel(axes: Axes, track: RunTrace, parcel: int) -> None:
     """Path, outlines at regular times growing more solid, and the last with its front where it is still there."""
     from matplotlib.patheffects import withStroke
 
@@ -282,12 +282,12 @@ def _draw_parcel(axes: Axes, track: Track, parcel: int) -> None:
         )
 
 
-def _left(track: Track) -> set[int]:
+def _left(track: RunTrace) -> set[int]:
     """Parcels that left through an exit."""
     return {event["parcel"] for event in track.events if event["kind"] == "left"}
 
 
-def incidents(track: Track) -> list[tuple[float, str, int | None]]:
+def event_annotations(track: RunTrace) -> list[tuple[float, str, int | None]]:
     """Time, words and parcel of the events worth a mark: outcomes, not every change of support."""
     return [
         (float(event["time_s"]), str(event["kind"]).replace("_", " "), event.get("parcel"))
@@ -296,8 +296,8 @@ def incidents(track: Track) -> list[tuple[float, str, int | None]]:
     ]
 
 
-def _draw_incidents(axes: Axes, track: Track) -> None:
-    for time_s, words, parcel in incidents(track):
+def _draw_incidents(axes: Axes, track: RunTrace) -> None:
+    for time_s, words, parcel in event_annotations(track):
         if parcel is None or not len(track.time_s):
             continue
         step = min(int(np.searchsorted(track.time_s, time_s)), len(track.time_s) - 1)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.faults.records import marks as marks_of
-from deploy.plots.map_view import LABEL, LOST, colour, incidents
+from deploy.faults.records import plot_marks as marks_of
+from deploy.plots.map_view import LABEL, LOST, colour, event_annotations
 from deploy.plots.theme import DPI, draw_heading, write_picture
-from deploy.recordings.trace import Track
-from deploy.util.formatting import counted
+from deploy.recordings.trace import RunTrace
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +31,7 @@ _POINTS = 6000
 _LABELS = 5
 
 
-def draw_times(panels: Sequence[Axes], track: Track, *, stacked: bool) -> None:
+def draw_times(panels: Sequence[Axes], track: RunTrace, *, stacked: bool) -> None:
     """Draw one quantity a panel, a line a parcel, and a mark where something happened.
 
     Args:
@@ -70,9 +70,9 @@ def draw_times(panels: Sequence[Axes], track: Track, *, stacked: bool) -> None:
         _mark(axes, track, labelled=column == 0)
 
 
-def _mark(axes: Axes, track: Track, *, labelled: bool) -> None:
+def _mark(axes: Axes, track: RunTrace, *, labelled: bool) -> None:
     """A dashed line at each outcome and each fault; words on the first few."""
-    marks = [(time_s, words) for time_s, words, _ in incidents(track)]
+    marks = [(time_s, words) for time_s, words, _ in event_annotations(track)]
     marks += marks_of(track.faults)
     begin, end = axes.get_xlim()
     for place, (time_s, words) in enumerate(sorted(marks)):
@@ -100,7 +100,7 @@ _HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.62, 0.85, 0.35, 1.0, 0.
 _Box = tuple[float, float, float, float]
 
 
-def draw_overview(run: Recording | Track, path: str | Path) -> None:
+def draw_overview(run: Recording | RunTrace, path: str | Path) -> None:
     """Draw a run, without a display; the file is written whole or not at all.
 
     Args:
@@ -110,11 +110,11 @@ def draw_overview(run: Recording | Track, path: str | Path) -> None:
     Raises:
         DeployError: It can't be written.
     """
-    track = run if isinstance(run, Track) else run.track()
+    track = run if isinstance(run, RunTrace) else run.run_trace()
     write_picture(lambda: _figure(track), path)
 
 
-def _figure(track: Track) -> Figure:
+def _figure(track: RunTrace) -> Figure:
     from matplotlib.figure import Figure
 
     from deploy.plots.map_view import draw_map, extent
@@ -164,11 +164,11 @@ def _below(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
     return _MARGIN + width + _EDGE, _HEAD + height + lift, boxes
 
 
-def _subtitle(track: Track) -> str:
+def _subtitle(track: RunTrace) -> str:
     parts = [
         track.scene,
-        counted(len(track.positions_m), "cell"),
-        counted(len(track.footprints_m), "parcel"),
+        plural(len(track.positions_m), "cell"),
+        plural(len(track.footprints_m), "parcel"),
     ]
     parts.append(f"{track.time_s[-1]:.4g} s" if len(track.time_s) else "no ticks")
     parts.append("recording cut" if track.status is None else track.status)

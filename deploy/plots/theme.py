@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from deploy.errors import InputError
-from deploy.util.files import written_whole
+from deploy.util.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.backend_bases import RendererBase
@@ -83,7 +83,7 @@ def write_picture(make: Callable[[], Figure], path: str | Path) -> None:
         figure = make()
         canvas = FigureCanvasAgg(figure)
         page = _page(figure, canvas.get_renderer())
-        with written_whole(Path(path)) as draft:
+        with atomic_write(Path(path)) as draft:
             canvas.print_figure(
                 str(draft),
                 format=kind,

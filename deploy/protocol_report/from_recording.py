@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import ValidationError
 
-from bus.lockstep.registers import Shown
+from bus.lockstep.registers import RegisterSnapshot
 from deploy.errors import InputError
 from deploy.protocol_report.reporter import Reporter, deaths_of
 from deploy.scenes.scene import Scene
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from deploy.recordings.reader import Recording
 
 
-def replayed(run: Recording) -> tuple[Reporter, ProtocolReport]:
+def report_from_recording(run: Recording) -> tuple[Reporter, ProtocolReport]:
     """What a run's protocol did, as far as its recording tells: all but its messages.
 
     Raises:
@@ -38,7 +38,7 @@ def replayed(run: Recording) -> tuple[Reporter, ProtocolReport]:
     if reporter.wanted:
         for row, tick in enumerate(run.register_tick.tolist()):
             registers = {name: array[row] for name, array in run.registers.items()}
-            reporter.take(Shown(tick, until > tick, registers))
+            reporter.take(RegisterSnapshot(tick, until > tick, registers))
     else:
         for row, tick in enumerate(run.tick[:-1].tolist()):
             reporter.take_drive(tick, run.held_drives.at(row), until > tick)

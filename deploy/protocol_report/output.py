@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.util.files import written_whole
-from deploy.util.formatting import counted, short
+from deploy.util.files import atomic_write
+from deploy.util.formatting import plural, short_number
 
 if TYPE_CHECKING:
-    from deploy.protocol_report.report import Course, LinkLoad, ProtocolReport
+    from deploy.protocol_report.report import LinkLoad, ProtocolReport, ResidualHistory
     from deploy.protocol_report.residuals import Residuals
 
 
@@ -22,7 +22,7 @@ def write_csv(residuals: Residuals, path: Path) -> None:
     """
     names = list(residuals.rms)
     columns = [column for name in names for column in (residuals.rms[name], residuals.most[name])]
-    with written_whole(path) as draft, draft.open("w", encoding="utf-8") as lines:
+    with atomic_write(path) as draft, draft.open("w", encoding="utf-8") as lines:
         lines.write(
             ",".join(["tick", *(f"{name}_{what}" for name in names for what in ("rms", "max"))]) + "\n"
         )
@@ -34,7 +34,7 @@ def write_csv(residuals: Residuals, path: Path) -> None:
 def report_lines(report: ProtocolReport) -> Iterator[tuple[str, str]]:
     """Name and text of each line."""
     often = "every tick" if report.every_ticks == 1 else f"every {report.every_ticks} ticks"
-    yield "field", f"{report.observed} of {counted(report.cells, 'cell')}, {often}{_dead(report)}"
+    yield "field", f"{report.observed} of {plural(report.cells, 'cell')}, {often}{_dead(report)}"
     for name, one in report.residuals.items():
         yield name, _course(one)
     if report.law is not None:
@@ -50,7 +50,7 @@ def _dead(report: ProtocolReport) -> str:
     return f"; {report.cells_dead:,} died" if report.cells_dead else ""
 
 
-def _course(one: Course) -> str:
+def _course(one: ResidualHistory) -> str:
     settled = [
         f"{words} from tick {tick:,} on"
         for words, tick in (("1 %", one.settled_1_percent_tick), ("1e-6", one.settled_1e6_tick))
@@ -70,7 +70,8 @@ def _number(value: float) -> str:
 def _links(load: LinkLoad) -> str:
     filled = f"{100 * load.line_load:.3g} % of what a line at {load.baud:,} baud carries"
     return (
-        f"{short(load.sent_per_cell_tick)} messages a cell and tick sent, {short(load.heard_per_cell_tick)} heard; "
-        f"{load.line_bytes} bytes each on a serial line, {short(load.line_bytes_per_cell_tick)} a cell and tick: "
+        f"{short_number(load.sent_per_cell_tick)} messages a cell and tick sent, "
+        f"{short_number(load.heard_per_cell_tick)} heard; {load.line_bytes} bytes each on a serial line, "
+        f"{short_number(load.line_bytes_per_cell_tick)} a cell and tick: "
         f"{filled}{'' if load.on_lines else ', if the scene had them'}"
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from deploy.plots.theme import DPI, draw_heading, write_picture
 from deploy.protocol_report.residuals import CHANGE, DISAGREEMENT, ERROR
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,7 +107,7 @@ def _facts(reporter: Reporter, report: ProtocolReport) -> str:
     facts = [
         reporter.scene.cells.firmware.rpartition("/")[2],
         reporter.scene.name,
-        counted(report.cells, "cell"),
+        plural(report.cells, "cell"),
     ]
     if report.cells_dead:
         facts.append(f"{report.cells_dead:,} died")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.protocol_report.residuals import CHANGE, DISAGREEMENT, ERROR, Rate, Residuals
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
     from cell_firmware.program import Theory
@@ -106,7 +106,7 @@ _DISTURBS: Final = ("link_loss", "link_delay", "serial", "clock", "cop", "sensor
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class ResidualHistory:
     """What became of a residual.
 
     Attributes:
@@ -158,7 +158,7 @@ class ProtocolReport:
     law: str | None
     predicted_factor: float | None
     predicted_ticks: int | None
-    residuals: Mapping[str, Course]
+    residuals: Mapping[str, ResidualHistory]
     rate_of: str | None
     rate: Rate | None
     rate_ratio: float | None
@@ -168,7 +168,7 @@ class ProtocolReport:
     links: LinkLoad | None
 
 
-def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> Course | None:
+def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> ResidualHistory | None:
     """What became of a residual; None if there never was a number of it."""
     sizes = np.asarray(rms, dtype=np.float64)
     known: NDArray[np.int64] = np.flatnonzero(np.isfinite(sizes))
@@ -183,7 +183,7 @@ def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> 
         after = int(over[-1]) + 1 if len(over) else 0
         return int(ticks[after]) if after < len(ticks) else None
 
-    return Course(
+    return ResidualHistory(
         first_rms=float(sizes[0]),
         greatest_rms=greatest,
         last_rms=float(sizes[-1]),
@@ -193,7 +193,7 @@ def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> 
     )
 
 
-def told_by(residuals: Residuals) -> str:
+def dominant_residual(residuals: Residuals) -> str:
     """The residual whose rate says most: one that no drift of a common value keeps up."""
     return next(name for name in (DISAGREEMENT, ERROR, CHANGE) if name in residuals.rms)
 
@@ -232,7 +232,7 @@ def _done(bound: int, residuals: Residuals, reasons: Sequence[str], last_death: 
     """Of a protocol that is done after some ticks, or was not."""
     last, end = residuals.moved, residuals.tick[-1]
     since = f", {last - last_death} after the last cell died" if 0 < last_death <= last else ""
-    says = f"theory: done after {counted(bound, 'tick')}"
+    says = f"theory: done after {plural(bound, 'tick')}"
     if last >= end:
         return f"The field still changed in the last tick, {last}; {says}{_but(reasons)}."
     fact = f"The field last changed in tick {last}{since}; {says}"
@@ -280,10 +280,10 @@ def _too_little(residuals: Residuals) -> str:
     return "the field never changed." if quiet else "the run leaves too few ticks to measure one."
 
 
-def disturbances(scene: Scene, cells_dead: int) -> list[str]:
+def excluded_effects(scene: Scene, cells_dead: int) -> list[str]:
     """What of a run theory leaves out: effects on cells and links, and deaths."""
-    asked = dict(scene.effects.asked())
+    asked = dict(scene.effects.enabled())
     found = [f"effect {name}" for name in _DISTURBS if name in asked]
     if cells_dead:
-        found.append(f"{counted(cells_dead, 'cell')} died")
+        found.append(f"{plural(cells_dead, 'cell')} died")
     return found

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.lockstep.registers import Shown, Wanted
-from bus.state import Remembers
+from bus.lockstep.registers import RegisterRequest, RegisterSnapshot
+from bus.state import StateFields
 from cell_firmware.errors import FirmwareError
 from deploy.protocol_report.report import (
     ProtocolReport,
     course,
-    disturbances,
+    dominant_residual,
+    excluded_effects,
     link_load,
     ratio,
-    told_by,
     verdict,
 )
-from deploy.protocol_report.residuals import CHANGE, Rate, Residuals, Snapshots, fitted
+from deploy.protocol_report.residuals import CHANGE, Rate, Residuals, Snapshots, fit_rate
 
 if TYPE_CHECKING:
     from bus.lattice import Lattice
@@ -54,7 +54,7 @@ class Reporter:
         FirmwareError: The firmware raised when it was asked for its theory.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("notes", "_limit", "residuals", "snapshots")
+    remembers: ClassVar[StateFields] = StateFields("notes", "_limit", "residuals", "snapshots")
 
     def __init__(self, scene: Scene, lattice: Lattice, every: int = 1) -> None:
         from cell_firmware.loader import load
@@ -65,8 +65,8 @@ class Reporter:
         firmware = load(scene.cells)
         self._message = firmware.message
         self._every = every
-        self.observed = DRIVE if firmware.observed is None else firmware.observed
-        if firmware.observed is None:
+        self.observed = DRIVE if firmware.observable is None else firmware.observable
+        if firmware.observable is None:
             self.notes.append("the program names no field of its own (observed): its drives are shown")
         self.theory = self._theory(firmware)
         limit = None if self.theory is None or self.theory.limit is None else _rows(self.theory.limit)
@@ -79,16 +79,16 @@ class Reporter:
         self.snapshots = Snapshots()
 
     @property
-    def wanted(self) -> tuple[Wanted, ...]:
+    def wanted(self) -> tuple[RegisterRequest, ...]:
         """The registers to have the cells show."""
-        return () if self.observed == DRIVE else (Wanted(self._every, frozenset({self.register})),)
+        return () if self.observed == DRIVE else (RegisterRequest(self._every, frozenset({self.register})),)
 
     @property
     def register(self) -> str:
         """The register that is the field, where the program names one."""
         return _PROGRAM + self.observed
 
-    def take(self, shown: Shown) -> None:
+    def take(self, shown: RegisterSnapshot) -> None:
         """Take what the cells showed of themselves in a tick."""
         field = shown.registers.get(self.register)
         if field is not None and shown.tick % self._every == 0:
@@ -135,7 +135,11 @@ class Reporter:
             rate_ratio=ratio(rate, predicted),
             last_change_tick=residuals.moved,
             verdict=verdict(
-                theory, residuals, rate, disturbances(self.scene, len(dead)), max(dead.values(), default=0)
+                theory,
+                residuals,
+                rate,
+                excluded_effects(self.scene, len(dead)),
+                max(dead.values(), default=0),
             ),
             notes=tuple(self.notes),
             links=None
@@ -145,7 +149,7 @@ class Reporter:
 
     def _told(self, ticks: int, dead: Mapping[tuple[int, int], int]) -> tuple[str, Rate | None]:
         """The residual that tells of a rate, and that rate."""
-        name = told_by(self.residuals)
+        name = dominant_residual(self.residuals)
         if self.theory is not None and self.theory.ticks is not None:
             return name, None  # it is done at once, not ever closer
         rate = self._rate(name, 0, min(dead.values(), default=ticks))
@@ -158,7 +162,7 @@ class Reporter:
         tick = np.array(self.residuals.tick)
         part = (tick >= first) & (tick < end)
         rms, scale = np.array(self.residuals.rms[name]), np.array(self.residuals.scale)
-        return fitted(tick[part], rms[part], scale[part])
+        return fit_rate(tick[part], rms[part], scale[part])
 
     def _take(self, tick: int, field: NDArray[Any], live: NDArray[np.bool_]) -> None:
         rows = _rows(field)

@@ -9,7 +9,7 @@ from typing import ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ class Rate:
         return float(-np.log(10.0) / np.log(self.factor)) if 0.0 < self.factor < 1.0 else None
 
 
-def fitted(tick: Floats, residual: Floats, scale: Floats) -> Rate | None:
+def fit_rate(tick: Floats, residual: Floats, scale: Floats) -> Rate | None:
     """The rate at which a residual dies out.
 
     The logarithm of the residual's root mean square over equal blocks of ticks is fitted by the median of the slopes
@@ -170,7 +170,7 @@ class Residuals:
         moved: The last tick in which any number was another than in the one before; 0 if none ever was.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(
+    remembers: ClassVar[StateFields] = StateFields(
         "_limit", "tick", "rms", "most", "scale", "_greatest", "moved", "_last"
     )
 
@@ -231,7 +231,7 @@ class Snapshots:
         kept: Tick, how far the field had moved by then (the sum of its changes' root mean squares), and the field.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("kept", "_next", "_moved", "_last")
+    remembers: ClassVar[StateFields] = StateFields("kept", "_next", "_moved", "_last")
 
     def __init__(self) -> None:
         self.kept: list[tuple[int, float, Floats]] = []

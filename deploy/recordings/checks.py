@@ -114,7 +114,7 @@ def _has_phase(record: object) -> bool:
     return isinstance(record, dict) and "phase" in record
 
 
-def check_comings(events: Sequence[Mapping[str, Any]], parcels: int) -> None:
+def check_traffic(events: Sequence[Mapping[str, Any]], parcels: int) -> None:
     """Checks that whatever came or left is one of so many parcels.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from deploy.errors import DeployError
 
 PARCEL_FIELDS = ("x", "y", "angle", "vx", "vy", "omega")
@@ -31,7 +31,7 @@ class Digest:
     """
 
     __slots__ = ("value",)
-    remembers: ClassVar[Remembers] = Remembers("value")
+    remembers: ClassVar[StateFields] = StateFields("value")
 
     def __init__(self, description: bytes) -> None:
         self.value: bytes = sha256(description).digest()

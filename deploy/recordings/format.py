@@ -24,7 +24,7 @@ HEADER_RECORD = "mdms.header"
 """Name of the metadata record at the start of the file; the header is JSON under its key ``json``."""
 
 
-class Always(TypedDict):
+class RequiredHeader(TypedDict):
     """What every recording says of its run."""
 
     run: str
@@ -48,7 +48,7 @@ class Always(TypedDict):
     """Corners of each parcel about its centre of mass, in the parcel's axes; those that are fed follow the others."""
 
 
-class Header(Always, total=False):
+class Header(RequiredHeader, total=False):
     """What a recording says of its run, once, at the start. Plain JSON throughout."""
 
     own_parcels: int

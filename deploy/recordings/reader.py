@@ -26,12 +26,12 @@ from deploy.recordings.format import (
     TICK,
     Header,
 )
-from deploy.recordings.trace import Track, while_there
+from deploy.recordings.trace import RunTrace, mask_absent
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Held:
+class ChangeEncoded:
     """A field that is written when it changes: its values and which of them each instant has.
 
     Attributes:
@@ -79,9 +79,9 @@ class Recording:
     tick: NDArray[np.int64]
     time_ns: NDArray[np.int64]
     parcels: NDArray[np.float64]
-    held_presence: Held
-    held_drives: Held
-    held_wheel_speeds: Held
+    held_presence: ChangeEncoded
+    held_drives: ChangeEncoded
+    held_wheel_speeds: ChangeEncoded
     register_tick: NDArray[np.int64]
     registers: dict[str, NDArray[Any]]
     events: Sequence[dict[str, Any]]
@@ -115,11 +115,11 @@ class Recording:
         """``(T, n, 2)`` the wheels' surface speeds at every instant, m/s."""
         return self.held_wheel_speeds.all()
 
-    def track(self) -> Track:
+    def run_trace(self) -> RunTrace:
         """What a picture needs; the wheel speeds are those at the end."""
         header = self.header
         footprints = [np.array(corners, dtype=np.float64) for corners in header["footprints_m"]]
-        return Track(
+        return RunTrace(
             title=header["title"],
             scene=header["scene_name"],
             pitch_m=header["pitch_m"],
@@ -127,7 +127,7 @@ class Recording:
             positions_m=np.array(header["positions_m"], dtype=np.float64).reshape(-1, 2),
             footprints_m=footprints,
             time_s=self.time_s,
-            parcels=while_there(
+            parcels=mask_absent(
                 self.parcels, self.time_s, header.get("own_parcels", len(footprints)), self.events
             ),
             exits=[
@@ -168,7 +168,7 @@ def load(path: str | Path) -> Recording:
 def _load(path: Path) -> Recording:
     import msgpack  # pyright: ignore[reportMissingTypeStubs]
 
-    from deploy.recordings.checks import check_comings, check_end, check_faults, check_records
+    from deploy.recordings.checks import check_end, check_faults, check_records, check_traffic
     from deploy.recordings.mcap_reader import Message, scan
 
     unpack = cast(Callable[[bytes], object], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
@@ -190,7 +190,7 @@ def _load(path: Path) -> Recording:
         raise InputError(f"can't read the recording {path}: it holds no complete header")
     status, digest = check_end(logs[END][-1]) if logs[END] else (None, None)
     events = check_records(logs[EVENTS])
-    check_comings(events, len(header["footprints_m"]))
+    check_traffic(events, len(header["footprints_m"]))
     return Recording(
         path=path,
         header=header,
@@ -282,12 +282,12 @@ class _Rows:
             "held_wheel_speeds": self._numbers("wheel_speeds", (cells, 2)),
         }
 
-    def _numbers(self, name: str, shape: tuple[int, int]) -> Held:
+    def _numbers(self, name: str, shape: tuple[int, int]) -> ChangeEncoded:
         width = shape[0] * shape[1]
         values = np.frombuffer(b"".join(self._joined(name, width * 8)), dtype="<f8")
         return self._held(name, values.astype(np.float64, copy=False).reshape(-1 if width else 1, *shape))
 
-    def _bits(self, name: str, shape: tuple[int, int]) -> Held:
+    def _bits(self, name: str, shape: tuple[int, int]) -> ChangeEncoded:
         width = shape[0] * shape[1]
         size = (width + 7) // 8
         rows = np.frombuffer(b"".join(self._joined(name, size)), dtype=np.uint8).reshape(-1, size)
@@ -301,5 +301,5 @@ class _Rows:
             raise ValueError(f"{name} must be {size} bytes")
         return [bytes(size)] if self._ticks and not written else written
 
-    def _held(self, name: str, values: NDArray[Any]) -> Held:
-        return Held(values, np.array(self._index[name], dtype=np.int64))
+    def _held(self, name: str, values: NDArray[Any]) -> ChangeEncoded:
+        return ChangeEncoded(values, np.array(self._index[name], dtype=np.int64))

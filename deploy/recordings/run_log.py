@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
-from bus.fault import turns
-from bus.state import Remembers
-from deploy.faults.records import turned
+from bus.fault import transition_ticks
+from bus.state import StateFields
+from deploy.faults.records import transition_record
 from deploy.recordings.digest import Digest
 from deploy.recordings.losses import found, kind_of, lines
 from deploy.recordings.mishaps import Mishaps
 
 if TYPE_CHECKING:
-    from bus.fault import FaultSpec, Injected
+    from bus.fault import FaultInstance, FaultSpec
     from bus.lockstep.counters import Loss
-    from bus.lockstep.registers import Shown
+    from bus.lockstep.registers import RegisterSnapshot
     from bus.wire.frames import Report
     from deploy.recordings.writer import Recorder
     from deploy.util.progress import Progress
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @final
-class Ledger:
+class RunLog:
     """Takes in every tick of a run.
 
     Args:
@@ -49,7 +49,7 @@ class Ledger:
         controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(
+    remembers: ClassVar[StateFields] = StateFields(
         "_digest", "ticks", "time_ns", "faults", "cells_lost", "_hung", "_turns"
     )
 
@@ -63,7 +63,7 @@ class Ledger:
         progress: Progress,
         policy: str,
         warn: Callable[[str], None],
-        injected: Sequence[Injected[FaultSpec]] = (),
+        injected: Sequence[FaultInstance[FaultSpec]] = (),
     ) -> None:
         self.cells = cells
         self.period_ns = period_ns
@@ -80,7 +80,7 @@ class Ledger:
         self.controls: list[Mapping[str, Any]] = []
         self._hung: set[str] = set()
         self._injected = list(injected)
-        self._turns = turns(self._injected)
+        self._turns = transition_ticks(self._injected)
 
     def show(self, events: int) -> None:
         """Have the progress show what was before this process took the run up; ``events`` of the plant."""
@@ -89,11 +89,11 @@ class Ledger:
     def tick(self, record: TickRecord) -> None:
         """Take in one tick, once it is over."""
         if self._turns and record.tick >= self._turns[0]:
-            self._turned(record.tick)
+            self._on_transition(record.tick)
         if record.died:
-            self.died(record.tick, record.died)
+            self.on_died(record.tick, record.died)
         if record.losses:
-            self.lost(record.losses)
+            self.on_lost(record.losses)
         self._digest.tick(record.tick, record.sense.presence, record.drives, record.after)
         self._recorder.tick(
             record.tick,
@@ -114,30 +114,30 @@ class Ledger:
         """Of the run so far, in hexadecimal."""
         return self._digest.hexdigest
 
-    def inject(self, fault: Injected[FaultSpec]) -> None:
+    def inject(self, fault: FaultInstance[FaultSpec]) -> None:
         """One more fault, from a tick on that has not been taken in yet."""
         self._injected.append(fault)
         self.replan()
 
     def replan(self) -> None:
         """The end of a fault has changed."""
-        self._turns = [turn for turn in turns(self._injected) if turn >= self.ticks]
+        self._turns = [turn for turn in transition_ticks(self._injected) if turn >= self.ticks]
 
     def control(self, record: Mapping[str, Any]) -> None:
         """Note a live command."""
         self.controls.append(record)
         self._recorder.control(record)
 
-    def _turned(self, tick: int) -> None:
+    def _on_transition(self, tick: int) -> None:
         """Note the faults that begin or end."""
         self._turns.pop(0)
         for one in self._injected:
-            if tick in (one.first, one.end):
-                fault = turned(one, tick, self.period_ns, self.cells)
+            if tick in (one.start_tick, one.end_tick):
+                fault = transition_record(one, tick, self.period_ns, self.cells)
                 self.faults.append(fault)
                 self._recorder.fault(fault)
 
-    def registers(self, shown: Shown) -> None:
+    def registers(self, shown: RegisterSnapshot) -> None:
         """Record what the cells showed of themselves."""
         self._recorder.registers(shown.tick, shown.tick * self.period_ns, shown.registers)
 
@@ -147,12 +147,12 @@ class Ledger:
         self._mishaps.take(events)
         self._progress.events += len(events)
 
-    def died(self, tick: int, cells: Sequence[int]) -> None:
+    def on_died(self, tick: int, cells: Sequence[int]) -> None:
         """Note cells that died at the start of a tick because the scene said so."""
         for cell in cells:
             self._fault(tick, "crash", cell, "scheduled")
 
-    def lost(self, losses: Sequence[Loss]) -> None:
+    def on_lost(self, losses: Sequence[Loss]) -> None:
         """Note cells that were found lost, and say so: once for those that were lost alike."""
         self.note(losses)
         then = "the run ends" if self._policy == "abort" else f"wheels {self._policy}"
@@ -164,7 +164,7 @@ class Ledger:
         for loss in losses:
             self._fault(loss.tick, kind_of(loss), loss.cell, loss.detail)
 
-    def rejoined(self, tick: int, cells: Sequence[int]) -> None:
+    def on_rejoin(self, tick: int, cells: Sequence[int]) -> None:
         """Note that cells take part again from ``tick`` on."""
         places = [self.cells[cell] for cell in cells]
         fault = {
@@ -181,7 +181,7 @@ class Ledger:
         self.cells_lost = [place for place in self.cells_lost if place not in places]
         self._progress.lost -= len(places)
 
-    def hung(self, reports: Sequence[Report]) -> None:
+    def on_hung(self, reports: Sequence[Report]) -> None:
         """Say which programs hang, once for those that do for the same reason."""
         for report in reports:
             problem = report.detail.partition("\n")[0]

@@ -14,7 +14,7 @@ Exit = tuple[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Track:
+class RunTrace:
     """The course of a run, from a recording or straight from the plant.
 
     Attributes:
@@ -50,7 +50,7 @@ class Track:
     status: str | None = None
 
 
-def while_there(
+def mask_absent(
     states: NDArray[np.float64], time_s: NDArray[np.float64], own: int, events: Sequence[Mapping[str, Any]]
 ) -> NDArray[np.float64]:
     """The states with NaN where a parcel has not been fed yet or has left.

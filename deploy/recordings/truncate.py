@@ -12,7 +12,7 @@ from deploy.recordings.format import PROFILE, TICK
 from deploy.recordings.mcap import McapFile
 
 
-def copy_beginning(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[str, bytes]:
+def copy_prefix(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[str, bytes]:
     """Copy the first messages of every topic of a recording, whole or cut.
 
     Args:

@@ -96,12 +96,12 @@ class Recorder:
 
     def _continued(self, header: Header, kept: Mapping[str, int]) -> McapFile:
         """A file that begins as the recording does, in its place; until it is whole the other stays."""
-        from deploy.recordings.truncate import copy_beginning
+        from deploy.recordings.truncate import copy_prefix
 
         draft = self.path.with_name(f".{self.path.name}.draft")
         file = McapFile(draft, header, CHUNK_BYTES)
         try:
-            self._last = copy_beginning(self.path, file, kept)
+            self._last = copy_prefix(self.path, file, kept)
             file.flush()  # a sync alone leaves the last chunk in this process
             file.sync()
             draft.replace(self.path)
@@ -180,11 +180,11 @@ class Recorder:
             self._progress.wait_for(lambda: self._ended or self._flushed >= target)
         self._check()
 
-    def mark(self) -> tuple[dict[str, int], int]:
+    def position(self) -> tuple[dict[str, int], int]:
         """How many messages of each topic there are by now, and what `secure` is to be told to have them safe."""
         return dict(self._counts), self._queued
 
-    def secure(self, mark: int) -> None:
+    def sync_to(self, mark: int) -> None:
         """Return when all up to a mark is on the disk, safe from a loss of power; from any thread.
 
         Raises:

@@ -12,24 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InputError
-from deploy.faults.records import turned
+from deploy.faults.records import transition_record
 from deploy.recordings.digest import Digest
 from deploy.recordings.mishaps import Mishaps
 from deploy.recordings.run_log import event_record
-from deploy.recordings.trace import Track, while_there
-from deploy.runs.output import exits, illustrate, parcel_outcomes, validity
+from deploy.recordings.trace import RunTrace, mask_absent
+from deploy.runs.output import draw_run_overview, exits, parcel_outcomes, validity
 from deploy.runs.output_folder import output_folder
 from deploy.runs.setup import load_plant, status_of, tell_cautions
 from deploy.runs.summary import Outcome, Summary
 from deploy.scenes.fault_schedule import (
     active,
+    cell_only_faults,
     crash_aborts,
-    deaths,
-    lasting,
-    of_cells_alone,
+    crash_wheel_policies,
+    in_run_faults,
     of_plant,
     on_ideal_wheels,
-    rests,
+    permanent_crashes,
 )
 from deploy.scenes.memory_limit import too_many_samples
 from deploy.util.progress import Progress
@@ -75,8 +75,8 @@ def simulate(
         Interrupted: SIGINT or SIGTERM came before the simulation began.
     """
     interruption = interruption or Interruption()
-    with interruption.watching():
-        return _Simulation(scene, interruption, quiet=quiet).go(output, picture=picture)
+    with interruption.handling():
+        return _FieldSimulation(scene, interruption, quiet=quiet).go(output, picture=picture)
 
 
 def field_speeds(scene: Scene, positions_m: Floats) -> Floats:
@@ -97,7 +97,7 @@ def field_speeds(scene: Scene, positions_m: Floats) -> Floats:
     return firmware.parameters.field.velocity(positions_m[:, 0], positions_m[:, 1])
 
 
-def in_parts(
+def iterate_field_motion(
     scene: Scene,
     plant: Plant,
     speeds: Floats,
@@ -123,18 +123,18 @@ def in_parts(
         PlantUnstable: The motion of a parcel can't be followed; the part that was reached has been given.
         PlantStopped: Somebody asked for the end of a part; likewise.
     """
-    from plant.dead_cells import Undriven
+    from plant.dead_cells import DeadCells
 
     period_ns, end_ns, now_ns = scene.tick_ns, scene.duration_ns, 0
-    schedule, faults, abort = deaths(scene), active(scene), scene.stall.policy == "abort"
+    schedule, faults, abort = permanent_crashes(scene), active(scene), scene.stall.policy == "abort"
     policy = "coast" if scene.stall.policy == "abort" else scene.stall.policy
-    undriven = Undriven(plant, len(speeds), policy, rests(scene))
-    ticks = {*schedule, *(() if faults is None else faults.turns)}
+    undriven = DeadCells(plant, len(speeds), policy, crash_wheel_policies(scene))
+    ticks = {*schedule, *(() if faults is None else faults.transitions)}
     for tick in (*sorted(ticks), scene.ticks):
         until_ns = min(tick * period_ns, end_ns)
         while now_ns < until_ns:
             check()
-            drives = undriven.instead(speeds)
+            drives = undriven.override_drives(speeds)
             try:
                 part = plant.trajectory(drives, min(now_ns + samples * period_ns, until_ns), period_ns)
             except PlantHalted as halted:
@@ -146,20 +146,20 @@ def in_parts(
         if now_ns >= end_ns:
             return
         dying = schedule.get(tick, ())
-        harm = None if faults is None or tick < faults.next_turn else faults.turn(tick)
+        harm = None if faults is None or tick < faults.next_transition else faults.at_transition(tick)
         if abort and harm is not None:
-            dying = tuple(sorted({*dying, *undriven.dying(harm)}))
+            dying = tuple(sorted({*dying, *undriven.about_to_die(harm)}))
         if fell is not None:
             fell(tick, dying)
         if abort and dying:
             return
         if harm is not None:
-            undriven.turn(harm, speeds)
-        undriven.bury(dying, speeds)
+            undriven.on_transition(harm, speeds)
+        undriven.mark_dead(dying, speeds)
 
 
 @final
-class _Simulation:
+class _FieldSimulation:
     """One simulation, from the plant to the picture."""
 
     def __init__(self, scene: Scene, interruption: Interruption, *, quiet: bool) -> None:
@@ -168,7 +168,7 @@ class _Simulation:
         self.interruption = interruption
         self.motors = scene.effects.motors is not None
         self.named = scene
-        self.scene = ideal(scene)
+        self.scene = without_cells(scene)
         self.status = "ok"
         self.reason: str | None = None
         self.times: list[NDArray[np.int64]] = []
@@ -176,13 +176,13 @@ class _Simulation:
         self.events: list[Event] = []
         self.faults: list[dict[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
-        self.lasting = of_plant(lasting(self.scene))
+        self.lasting = of_plant(in_run_faults(self.scene))
         self.time_ns = 0
         self.cautions: tuple[str, ...] = ()
 
     def go(self, output: Path | None, *, picture: bool) -> Outcome:
         """Everything; see `simulate`."""
-        with self.interruption.allowed():
+        with self.interruption.interruptible():
             from plant.array import CellArray
 
             rule = too_many_samples(self.scene.ticks, self.scene.parcel_count)
@@ -196,11 +196,11 @@ class _Simulation:
         if self.motors:
             left_out = " and effects.wheel_load are" if self.named.effects.wheel_load is not None else " is"
             self._warn(f"effects.motors{left_out} left out: simulate has ideal wheels")
-        for name, _ in self.named.effects.of_cells().asked():
+        for name, _ in self.named.effects.of_cells().enabled():
             self._warn(f"effects.{name} is left out: simulate has no cells")
-        for fault in of_cells_alone(self.named):
+        for fault in cell_only_faults(self.named):
             self._warn(f"{fault} is left out: simulate has no cells")
-        self.interruption.check()
+        self.interruption.raise_if_requested()
         with output_folder(self.named, output, self._warn, recorded=False) as folder:
             return Outcome(self._simulated(plant, speeds, folder, picture=picture))
 
@@ -219,7 +219,7 @@ class _Simulation:
         summary.write(folder)
         if picture and self.status != "interrupted":
             track = self._track(plant)
-            summary = illustrate(summary, lambda: track, folder, self.interruption)
+            summary = draw_run_overview(summary, lambda: track, folder, self.interruption)
         return summary
 
     # --- the simulation itself --------------------------------------------------------------------
@@ -229,7 +229,9 @@ class _Simulation:
         self.times.append(np.zeros(1, dtype=np.int64))
         self.states.append(plant.state[None])
         mishaps = Mishaps(progress.say)
-        for part in in_parts(self.scene, plant, speeds, check=self.interruption.check, fell=self._fall):
+        for part in iterate_field_motion(
+            self.scene, plant, speeds, check=self.interruption.raise_if_requested, fell=self._on_transition
+        ):
             self._take(part, progress)
             mishaps.take(part.events)
 
@@ -241,12 +243,12 @@ class _Simulation:
         progress.events = len(self.events)
         progress.update(sum(len(times) for times in self.times), self.time_ns)
 
-    def _fall(self, tick: int, dead: Sequence[int]) -> None:
+    def _on_transition(self, tick: int, dead: Sequence[int]) -> None:
         """Note what begins or ends now, as the scene says, and who dies."""
         names, period_ns = self.scene.lattice().cells, self.scene.tick_ns
         at_s, ended = tick * period_ns * 1e-9, bool(dead) and self.scene.stall.policy == "abort"
-        turning = () if ended else (one for one in self.lasting if tick in (one.first, one.end))
-        self.faults += [turned(one, tick, period_ns, names) for one in turning]
+        turning = () if ended else (one for one in self.lasting if tick in (one.start_tick, one.end_tick))
+        self.faults += [transition_record(one, tick, period_ns, names) for one in turning]
         for cell in dead:
             self.cells_lost.append(names[cell])
             self.faults.append(
@@ -270,11 +272,11 @@ class _Simulation:
             digest.tick(tick, nothing, none, states[tick])
         return digest.hexdigest
 
-    def _track(self, plant: Plant) -> Track:
+    def _track(self, plant: Plant) -> RunTrace:
         scene, array = self.scene, plant.array
         events = [event_record(event) for event in self.events]
         time_s = np.concatenate(self.times).astype(np.float64) * 1e-9
-        return Track(
+        return RunTrace(
             title=scene.title,
             scene=self.named.name,
             pitch_m=array.pitch_m,
@@ -282,7 +284,7 @@ class _Simulation:
             positions_m=array.positions_m,
             footprints_m=plant.footprints_m,
             time_s=time_s,
-            parcels=while_there(np.concatenate(self.states), time_s, len(scene.parcels), events),
+            parcels=mask_absent(np.concatenate(self.states), time_s, len(scene.parcels), events),
             wheel_speeds=plant.wheel_speed,
             exits=exits(scene),
             events=events,
@@ -324,9 +326,9 @@ class _Simulation:
             sys.stderr.flush()
 
 
-def ideal(scene: Scene) -> Scene:
+def without_cells(scene: Scene) -> Scene:
     """The scene without cells, and with wheels that run at the commanded speed at once."""
-    left_out = ["motors", "wheel_load", *(name for name, _ in scene.effects.of_cells().asked())]
+    left_out = ["motors", "wheel_load", *(name for name, _ in scene.effects.of_cells().enabled())]
     motors = scene.effects.motors
     changes: dict[str, Any] = {
         "effects": scene.effects.model_copy(update=dict.fromkeys(left_out)),

@@ -16,7 +16,7 @@ from deploy.errors import DeployError
 from deploy.recordings.losses import failure, nobody
 from deploy.runs.field_simulation import field_speeds
 from deploy.runs.output import run_name
-from deploy.runs.setup import load_plant, process_of, readings_of, status_of
+from deploy.runs.setup import load_plant, process_of, sensor_schema, status_of
 from deploy.util.formatting import say
 from deploy.workers.plan import RunOptions, plan
 from deploy.workers.system import System
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from plant.observations import Event, ParcelStatus
     from plant.plant import Plant
-    from plant.process import Ended, PlantProcess, TickRecord
+    from plant.process import LoopResult, PlantProcess, TickRecord
     from plant.wheels import Floats
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class HeadlessResult:
     """What a run came to.
 
     Attributes:
@@ -52,7 +52,7 @@ class Course:
     status: str
     reason: str
     states: Floats
-    fates: Sequence[ParcelStatus]
+    parcel_status: Sequence[ParcelStatus]
     footprints_m: Sequence[Floats]
     events: Sequence[Event]
     wall_s: float
@@ -66,11 +66,11 @@ def needs_cells(scene: Scene) -> bool:
         scene.cells.firmware != "velocity_field"
         or scene.effects.motors is not None
         or bool(scene.faults)
-        or any(name in CellEffects.model_fields for name, _ in scene.effects.asked())
+        or any(name in CellEffects.model_fields for name, _ in scene.effects.enabled())
     )
 
 
-def follow(scene: Scene, *, cells: bool, digest: Digest | None = None) -> Course:
+def run_headless(scene: Scene, *, cells: bool, digest: Digest | None = None) -> HeadlessResult:
     """Run a scene to its end, tick by tick.
 
     Without cells the bits of the motion are those that it has with them, where `needs_cells` says that they do nothing
@@ -89,7 +89,7 @@ def follow(scene: Scene, *, cells: bool, digest: Digest | None = None) -> Course
         return _with_cells(scene, digest) if cells else _plant_alone(scene)
 
 
-def _plant_alone(scene: Scene) -> Course:
+def _plant_alone(scene: Scene) -> HeadlessResult:
     from plant.array import CellArray
 
     speeds = field_speeds(scene, CellArray(scene.array).positions_m)
@@ -107,7 +107,7 @@ def _plant_alone(scene: Scene) -> Course:
     return _course(plant, events, time.perf_counter() - started, status, reason)
 
 
-def _with_cells(scene: Scene, digest: Digest | None) -> Course:
+def _with_cells(scene: Scene, digest: Digest | None) -> HeadlessResult:
     options = RunOptions(processes=0, transport="memory")
     events: list[Event] = []
     lost: list[Loss] = []
@@ -140,11 +140,11 @@ def _with_cells(scene: Scene, digest: Digest | None) -> Course:
 def _process(
     scene: Scene, system: System, plant: Plant, observe: Callable[[TickRecord], None]
 ) -> PlantProcess:
-    readings = readings_of(scene, plant.sense())
+    readings = sensor_schema(scene, plant.sense())
     return process_of(scene, plant, system.start(plant.array, readings), readings, observe)
 
 
-def _why(ended: Ended, lost: Sequence[Loss], plant: Plant, period_ns: int) -> str:
+def _why(ended: LoopResult, lost: Sequence[Loss], plant: Plant, period_ns: int) -> str:
     cells = plant.array.lattice.cells
     if ended.failed:
         return failure(ended.failed, cells, period_ns)
@@ -155,13 +155,13 @@ def _why(ended: Ended, lost: Sequence[Loss], plant: Plant, period_ns: int) -> st
 
 def _course(
     plant: Plant, events: Sequence[Event], wall_s: float, status: str, reason: str, cells_lost: int = 0
-) -> Course:
+) -> HeadlessResult:
     traffic = plant.traffic()
-    return Course(
+    return HeadlessResult(
         status=status,
         reason=reason,
         states=plant.state,
-        fates=tuple(plant.status),
+        parcel_status=tuple(plant.status),
         footprints_m=plant.footprints_m,
         events=tuple(events),
         misrouted=0 if traffic is None else traffic.misrouted,

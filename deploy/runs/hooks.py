@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, final
 from deploy.util.signals import Interrupted, Interruption
 
 if TYPE_CHECKING:
-    from bus.lockstep import Host
-    from deploy.checkpoints.checkpointer import Keeper
-    from deploy.control.server import Console
+    from bus.lockstep import Coordinator
+    from deploy.checkpoints.checkpointer import Checkpointer
+    from deploy.control.server import ControlServer
     from deploy.protocol_report.reporter import Reporter
-    from deploy.recordings.run_log import Ledger
-    from deploy.runs.rejections import Refused
-    from deploy.workers.respawn import Respawn
+    from deploy.recordings.run_log import RunLog
+    from deploy.runs.rejections import RejectionMonitor
+    from deploy.workers.respawn import Respawner
     from plant.process import PlantProcess, TickRecord
 
 
 @final
 @dataclass(slots=True, eq=False)
-class Conduct:
+class RunHooks:
     """Passes on what happens, to whoever a run has for it.
 
     Attributes:
@@ -37,56 +37,56 @@ class Conduct:
         process: The plant's process; set before the first tick.
     """
 
-    host: Host
-    ledger: Ledger
+    coordinator: Coordinator
+    log: RunLog
     interruption: Interruption
     hangs: bool
     registers: int | None
-    refused: Refused
+    rejections: RejectionMonitor
     reporter: Reporter | None
-    console: Console | None = None
-    respawn: Respawn | None = None
-    keeper: Keeper | None = None
+    control_server: ControlServer | None = None
+    respawner: Respawner | None = None
+    checkpointer: Checkpointer | None = None
     process: PlantProcess | None = None
 
-    def observe(self, record: TickRecord) -> None:
+    def after_tick(self, record: TickRecord) -> None:
         """A tick is over.
 
         Raises:
             Interrupted: A signal has come.
         """
-        self.ledger.tick(record)
-        if record.losses and self.respawn is not None:
-            self.respawn.lost(record.losses)
+        self.log.tick(record)
+        if record.losses and self.respawner is not None:
+            self.respawner.on_lost(record.losses)
         if self.hangs:
-            self.ledger.hung(self.host.take_hung())
-        for shown in self.host.take_registers():
+            self.log.on_hung(self.coordinator.drain_hung())
+        for shown in self.coordinator.drain_registers():
             if self.registers is not None and shown.tick % self.registers == 0:
-                self.ledger.registers(shown)
+                self.log.registers(shown)
             if self.reporter is not None:
                 self.reporter.take(shown)
-        self.refused.look(self.host.counts)
+        self.rejections.poll(self.coordinator.counters)
         if self.reporter is not None:
-            self.reporter.take_drive(record.tick, record.drives, self.host.live(record.tick))
-        if self.keeper is not None:
-            self.keeper.look()
+            self.reporter.take_drive(record.tick, record.drives, self.coordinator.live(record.tick))
+        if self.checkpointer is not None:
+            self.checkpointer.poll()
         if self.interruption.requested:
             raise Interrupted
 
     @property
-    def attends(self) -> bool:
+    def has_before(self) -> bool:
         """Whether anything may happen between two ticks."""
-        return any(one is not None for one in (self.console, self.respawn, self.keeper))
+        return any(one is not None for one in (self.control_server, self.respawner, self.checkpointer))
 
-    def attend(self, tick: int) -> None:
+    def before_tick(self, tick: int) -> None:
         """``tick`` is the next: workers come back, somebody asks for something."""
         assert self.process is not None, "this is a bug: no plant to conduct"
-        if self.keeper is not None:
-            self.keeper.attend(self.process)
-        if self.respawn is not None and (cells := self.respawn.admitted(tick)):
+        if self.checkpointer is not None:
+            self.checkpointer.before_tick(self.process)
+        if self.respawner is not None and (cells := self.respawner.poll_rejoined(tick)):
             self.process.revive(cells)
-            self.ledger.rejoined(tick, cells)
-            if self.console is not None:
-                self.console.retell(cells, tick)
-        if self.console is not None:
-            self.console.attend(tick)
+            self.log.on_rejoin(tick, cells)
+            if self.control_server is not None:
+                self.control_server.resend_faults(cells, tick)
+        if self.control_server is not None:
+            self.control_server.before_tick(tick)

@@ -23,7 +23,7 @@ from deploy.util.signals import Interrupted, Interruption
 
 if TYPE_CHECKING:
     from deploy.recordings.reader import Recording
-    from deploy.recordings.trace import Track
+    from deploy.recordings.trace import RunTrace
     from deploy.scenes.scene import Scene
     from plant.array import CellArray
     from plant.plant import Plant
@@ -35,7 +35,9 @@ def run_name(scene: Scene, suffix: str) -> str:
     return f"{stem[:40] or 'scene'}-{suffix}"
 
 
-def header(run: str, scene: Scene, array: CellArray, footprints_m: Sequence[NDArray[np.float64]]) -> Header:
+def recording_header(
+    run: str, scene: Scene, array: CellArray, footprints_m: Sequence[NDArray[np.float64]]
+) -> Header:
     """What the recording says of its run.
 
     Args:
@@ -92,7 +94,7 @@ def validity(plant: Plant, scene: Scene) -> dict[str, Any]:
     }
 
 
-def left(
+def write_or_fail(
     summary: Summary,
     folder: Path,
     leave: Callable[[Summary, Path], Summary],
@@ -111,8 +113,8 @@ def left(
     return summary
 
 
-def illustrate(
-    summary: Summary, run: Callable[[], Recording | Track], folder: Path, interruption: Interruption
+def draw_run_overview(
+    summary: Summary, run: Callable[[], Recording | RunTrace], folder: Path, interruption: Interruption
 ) -> Summary:
     """Draw the overview of a run into its folder.
 
@@ -128,13 +130,15 @@ def illustrate(
     Raises:
         DeployError: It can't be written.
     """
-    return drawn(summary, lambda: draw_overview(run(), folder / PICTURE), folder, interruption)
+    return draw_or_interrupt(summary, lambda: draw_overview(run(), folder / PICTURE), folder, interruption)
 
 
-def drawn(summary: Summary, draw: Callable[[], None], folder: Path, interruption: Interruption) -> Summary:
+def draw_or_interrupt(
+    summary: Summary, draw: Callable[[], None], folder: Path, interruption: Interruption
+) -> Summary:
     """Draw a picture of a run; see ``illustrate``, which has one of what to draw."""
     try:
-        with interruption.allowed():
+        with interruption.interruptible():
             draw()
     except Interrupted:
         summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.checkpoints.store import Store
+from deploy.checkpoints.store import CheckpointStore
 from deploy.errors import InputError
 from deploy.plots.overview import FILE_NAME as PICTURE
 from deploy.protocol_report.report import CSV as PROTOCOL_CSV
@@ -42,7 +42,7 @@ def output_folder(
     folder = new_folder(run_name(scene, time.strftime("%Y%m%d-%H%M%S"))) if wanted is None else wanted
     with locked_folder(folder, warn):
         # The checkpoints go first: whenever this is cut short, those that are left have their recording.
-        Store(folder).clear()
+        CheckpointStore(folder).clear()
         remove_results(folder)
         if not recorded:
             _remove(folder, RECORDING)

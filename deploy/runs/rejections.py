@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, final
 
 if TYPE_CHECKING:
-    from bus.lockstep.counters import Counts
-    from bus.transports.zenoh.access_log import Watch
+    from bus.lockstep.counters import MessageCounters
+    from bus.transports.zenoh.access_log import AccessLogMonitor
 
 MALFORMED = "malformed"
 DENIED = "denied"
@@ -16,7 +16,7 @@ MESSAGE = "message"
 
 
 @final
-class Refused:
+class RejectionMonitor:
     """Watches what the plant refuses: payloads that it can't read, and what Zenoh turns away where there are keys.
 
     Args:
@@ -24,13 +24,13 @@ class Refused:
         warn: Told of each new peer and kind, one line.
     """
 
-    def __init__(self, watch: Watch | None, warn: Callable[[str], None]) -> None:
+    def __init__(self, watch: AccessLogMonitor | None, warn: Callable[[str], None]) -> None:
         self._watch = watch
         self._warn = warn
         self._told: set[tuple[str, str]] = set()
         self._read = 0
 
-    def look(self, counts: Counts) -> None:
+    def poll(self, counts: MessageCounters) -> None:
         """Tells what is new; cheap, call it every tick.
 
         Args:
@@ -44,7 +44,7 @@ class Refused:
             for whose, what in self._watch.counted():
                 self._tell(whose, what, DENIED)
 
-    def rows(self, counts: Counts) -> list[Mapping[str, Any]]:
+    def summary_rows(self, counts: MessageCounters) -> list[Mapping[str, Any]]:
         """Everything that was refused: ``why``, ``whose``, ``what`` and ``number``.
 
         Args:

@@ -7,25 +7,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
-from bus.lockstep.counters import Counts
+from bus.lockstep.counters import MessageCounters
 from deploy.recordings.losses import failure, lines, nobody
 from deploy.runs.output import parcel_outcomes, validity
-from deploy.runs.rejections import DENIED, MALFORMED, MESSAGE, Refused, total
+from deploy.runs.rejections import DENIED, MALFORMED, MESSAGE, RejectionMonitor, total
 from deploy.runs.summary import Messages, ProtocolMessages, Summary
 from deploy.scenes.fault_schedule import crash_aborts
 
 if TYPE_CHECKING:
     from deploy.protocol_report.report import ProtocolReport
-    from deploy.recordings.run_log import Ledger
+    from deploy.recordings.run_log import RunLog
     from deploy.scenes.scene import Scene
     from deploy.workers.plan import Plan
     from plant.plant import Plant
-    from plant.process import Ended
+    from plant.process import LoopResult
 
 
 @final
 @dataclass(slots=True, eq=False)
-class Ending:
+class RunResult:
     """What is known of a run's end, as far as it has come.
 
     Attributes:
@@ -40,42 +40,42 @@ class Ending:
     status: str = "ok"
     reason: str | None = None
     detail: str = ""
-    counts: Counts = field(default_factory=Counts)
+    counts: MessageCounters = field(default_factory=MessageCounters)
     startup_s: float = 0.0
     wall_s: float = 0.0
 
-    def by(self, status: str, reason: str) -> None:
+    def end(self, status: str, reason: str) -> None:
         """It ended so, for this reason."""
         self.status, self.reason = status, reason
 
-    def take(self, ended: Ended, ledger: Ledger) -> None:
+    def from_loop(self, ended: LoopResult, ledger: RunLog) -> None:
         """Tell what ended the run before its time, or that nobody was left at its end."""
         cells, period_ns = ledger.cells, ledger.period_ns
         if ended.failed:
             ledger.note(ended.losses)
-            self.by("failed", failure(ended.failed, cells, period_ns))
+            self.end("failed", failure(ended.failed, cells, period_ns))
             self.detail = ended.failed[0].detail
         elif ended.nobody:
-            self.by("failed", nobody(ledger.found, cells, period_ns))
+            self.end("failed", nobody(ledger.found, cells, period_ns))
             self.detail = next((loss.detail for loss in ledger.found if loss.detail), "")
         elif ended.died:
-            ledger.died(ledger.ticks, ended.died)
+            ledger.on_died(ledger.ticks, ended.died)
             cell = ledger.cells_lost[-len(ended.died)]
-            self.by("failed", crash_aborts(cell, ledger.time_ns * 1e-9))
+            self.end("failed", crash_aborts(cell, ledger.time_ns * 1e-9))
         elif ended.losses:
-            ledger.lost(ended.losses)
+            ledger.on_lost(ended.losses)
             told = "; ".join(lines(ended.losses, cells, period_ns))
-            self.by(ended.status, f"{told}; stall.policy is abort")
+            self.end(ended.status, f"{told}; stall.policy is abort")
             self.detail = next((loss.detail for loss in ended.losses if loss.detail), "")
 
 
 def summary_of(
     scene: Scene,
     plan: Plan,
-    ending: Ending,
+    ending: RunResult,
     plant: Plant,
-    ledger: Ledger,
-    refused: Refused,
+    ledger: RunLog,
+    refused: RejectionMonitor,
     folder: Path,
     *,
     cautions: tuple[str, ...],
@@ -98,7 +98,7 @@ def summary_of(
     """
     counts = ending.counts
     firmware = _firmware(scene)
-    rows = refused.rows(counts)
+    rows = refused.summary_rows(counts)
     messages = Messages(
         sent=counts.sent,
         delivered=counts.delivered,
@@ -106,7 +106,7 @@ def summary_of(
         late=counts.late,
         denied=total(rows, DENIED, MESSAGE),
         malformed=total(rows, MALFORMED),
-        protocol=_protocol_messages(firmware, counts.tally),
+        protocol=_protocol_messages(firmware, counts.cell_counters),
     )
     return Summary(
         status=ending.status,
@@ -132,7 +132,7 @@ def summary_of(
         cells_lost=ledger.cells_lost,
         feeders=plant.traffic(),
         cautions=cautions,
-        effects=_of_effects(counts.tally),
+        effects=_of_effects(counts.cell_counters),
         protocol=protocol,
         digest=ledger.digest,
         resumed=resumed,

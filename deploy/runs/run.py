@@ -9,19 +9,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
-from deploy.checkpoints.checkpointer import about_run
-from deploy.checkpoints.store import Store
-from deploy.control.client import announced
+from deploy.checkpoints.checkpointer import checkpoint_metadata
+from deploy.checkpoints.store import CheckpointStore
+from deploy.control.client import advertise
 from deploy.errors import DeployError
 from deploy.recordings.digest import Digest
-from deploy.recordings.run_log import Ledger
+from deploy.recordings.run_log import RunLog
 from deploy.recordings.writer import Recorder
-from deploy.runs.output import drawn, header, illustrate, left
+from deploy.runs.output import draw_or_interrupt, draw_run_overview, recording_header, write_or_fail
 from deploy.runs.output_folder import output_folder, remove_results
-from deploy.runs.rejections import Refused
-from deploy.runs.result import Ending, summary_of
-from deploy.runs.setup import Prepared, load_plant, prepared
-from deploy.runs.simulation import Execution
+from deploy.runs.rejections import RejectionMonitor
+from deploy.runs.result import RunResult, summary_of
+from deploy.runs.setup import RunSetup, load_plant, prepare_run
+from deploy.runs.simulation import RecordedRun
 from deploy.runs.summary import Outcome, Summary
 from deploy.util.output_lock import OutputLock
 from deploy.util.progress import Progress
@@ -31,7 +31,7 @@ from deploy.workers.system import System
 
 if TYPE_CHECKING:
     from deploy.checkpoints.checkpoint import Checkpoint
-    from deploy.checkpoints.checkpointer import About
+    from deploy.checkpoints.checkpointer import CheckpointMetadata
     from deploy.protocol_report.report import ProtocolReport
     from deploy.scenes.scene import Scene
     from plant.plant import Plant
@@ -66,9 +66,9 @@ def run(
     """
     begun = time.monotonic()
     interruption = interruption or Interruption()
-    with interruption.watching():
-        with interruption.allowed():
-            asked = prepared(scene, options or RunOptions(), resumed)
+    with interruption.handling():
+        with interruption.interruptible():
+            asked = prepare_run(scene, options or RunOptions(), resumed)
         with ExitStack() as locked:
             return _Run(asked, interruption, begun, lock, locked, quiet=quiet).go()
 
@@ -79,7 +79,7 @@ class _Run:
 
     def __init__(
         self,
-        asked: Prepared,
+        asked: RunSetup,
         interruption: Interruption,
         begun: float,
         lock: OutputLock | None,
@@ -87,67 +87,72 @@ class _Run:
         *,
         quiet: bool,
     ) -> None:
-        self.asked = asked
+        self.setup = asked
         self.interruption = interruption
         self.begun = begun
         self.lock = lock
         self.locked = locked
         self.quiet = quiet
-        self.about: About | None = None
-        self.ending = Ending()
+        self.about: CheckpointMetadata | None = None
+        self.result = RunResult()
 
     def go(self) -> Outcome:
         """Everything; see `run`."""
-        asked = self.asked
-        for line in asked.cautions:
+        asked = self.setup
+        for line in asked.warnings:
             self._warn(f"caution: {line}")
         with System(asked.plan, asked.scene, asked.options) as system:
-            with self.interruption.allowed():
+            with self.interruption.interruptible():
                 plant = load_plant(asked.scene, self._warn)
-                self.about = about_run(
-                    asked.scene, asked.plan, asked.options, plant, asked.resumed, live=asked.live
+                self.about = checkpoint_metadata(
+                    asked.scene,
+                    asked.plan,
+                    asked.options,
+                    plant,
+                    asked.resumed,
+                    live=asked.byte_accurate_links,
                 )
             system.open()
             if asked.options.listen is not None and system.locator:
                 self._warn(f"listeners and operators connect to {system.locator}")
-            self.interruption.check()
+            self.interruption.raise_if_requested()
             folder = self._folder()
             ledger, refused = self._record(system, plant, folder)
         self._compare(ledger.digest)
         summary = summary_of(
             asked.scene,
             asked.plan,
-            self.ending,
+            self.result,
             plant,
             ledger,
             refused,
             folder,
-            cautions=asked.cautions,
+            cautions=asked.warnings,
             protocol=self._report(ledger),
             resumed=() if self.about is None else self.about.resumed,
         )
         for leave in (self._write, self._write_report, self._illustrate):
-            summary = left(summary, folder, leave, self._warn)
-        return Outcome(summary, self.ending.detail)
+            summary = write_or_fail(summary, folder, leave, self._warn)
+        return Outcome(summary, self.result.detail)
 
     def _folder(self) -> Path:
         """The output folder, locked until the run is over."""
-        scene, wanted = self.asked.scene, self.asked.options.output
-        if self.asked.resumed is None:
+        scene, wanted = self.setup.scene, self.setup.options.output
+        if self.setup.resumed is None:
             return self.locked.enter_context(output_folder(scene, wanted, self._warn))
         assert wanted is not None, "this is a bug: a run goes on in no folder"
         if self.lock is None:
             self.locked.enter_context(OutputLock(wanted, self._warn))
         return wanted
 
-    def _record(self, system: System, plant: Plant, folder: Path) -> tuple[Ledger, Refused]:
+    def _record(self, system: System, plant: Plant, folder: Path) -> tuple[RunLog, RejectionMonitor]:
         """The run itself, recorded."""
-        scene, resumed = self.asked.scene, self.asked.resumed
-        run = self.asked.plan.run
+        scene, resumed = self.setup.scene, self.setup.resumed
+        run = self.setup.plan.run
         with (
             Recorder(
                 folder,
-                header(run, scene, plant.array, plant.footprints_m),
+                recording_header(run, scene, plant.array, plant.footprints_m),
                 kept=None if resumed is None else resumed.recorded,
             ) as recorder,
             Progress(scene.duration_ns, quiet=self.quiet) as progress,
@@ -155,7 +160,7 @@ class _Run:
             if resumed is not None:  # not before its recording is whole: a full disk is to cost nothing
                 remove_results(folder)
             warn = partial(self._warn, progress=progress)
-            ledger = Ledger(
+            ledger = RunLog(
                 plant.array.lattice.cells,
                 scene.tick_ns,
                 digest=Digest(scene.canonical()),
@@ -163,11 +168,11 @@ class _Run:
                 progress=progress,
                 policy=scene.stall.policy,
                 warn=warn,
-                injected=self.asked.lasting,
+                injected=self.setup.in_run_faults,
             )
-            refused = Refused(system.refusals, warn)
-            execution = Execution(
-                self.asked,
+            refused = RejectionMonitor(system.refusals, warn)
+            execution = RecordedRun(
+                self.setup,
                 self.about,
                 system,
                 plant,
@@ -175,9 +180,9 @@ class _Run:
                 recorder,
                 refused,
                 self.interruption,
-                self.ending,
+                self.result,
             )
-            with announced(run, system.locator, folder):
+            with advertise(run, system.locator, folder):
                 execution.run(self.begun)
             self._close(recorder, ledger.digest)
         return ledger, refused
@@ -185,49 +190,51 @@ class _Run:
     def _close(self, recorder: Recorder, digest: str) -> None:
         """End the recording; what can't be written of it fails the run."""
         try:
-            recorder.close(self.ending.status, digest)
+            recorder.close(self.result.status, digest)
         except DeployError as error:
-            if self.ending.status == "ok":
-                self.ending.by("failed", str(error))
-            elif str(error) != self.ending.reason:
+            if self.result.status == "ok":
+                self.result.end("failed", str(error))
+            elif str(error) != self.result.reason:
                 self._warn(str(error))
 
     def _compare(self, digest: str) -> None:
         """Say whether a run that was to repeat another came to the same."""
-        replayed, path = self.asked.replayed, self.asked.options.replay
-        if replayed is None or self.ending.status != replayed.status:
+        replayed, path = self.setup.replayed, self.setup.options.replay
+        if replayed is None or self.result.status != replayed.status:
             return
         if digest == replayed.digest:
             self._warn(f"the digest is that of {path}")
         else:
-            self.ending.by("failed", f"the digest differs from that of {path}, {replayed.digest}")
+            self.result.end("failed", f"the digest differs from that of {path}, {replayed.digest}")
 
     # --- what it leaves ---------------------------------------------------------------------------
 
     def _write(self, summary: Summary, folder: Path) -> Summary:
         summary.write(folder)
-        if self.about is not None and self.ending.status == "ok":
-            Store(folder).clear()
+        if self.about is not None and self.result.status == "ok":
+            CheckpointStore(folder).clear()
         return summary
 
     def _illustrate(self, summary: Summary, folder: Path) -> Summary:
-        if not self.asked.options.picture or summary.status == "interrupted":
+        if not self.setup.options.picture or summary.status == "interrupted":
             return summary
         from deploy.recordings.reader import load
 
-        return illustrate(summary, lambda: load(folder), folder, self.interruption)
+        return draw_run_overview(summary, lambda: load(folder), folder, self.interruption)
 
-    def _report(self, ledger: Ledger) -> ProtocolReport | None:
+    def _report(self, ledger: RunLog) -> ProtocolReport | None:
         """What the protocol did, where that is asked for."""
-        if self.asked.reporter is None:
+        if self.setup.reporter is None:
             return None
         from deploy.protocol_report.reporter import deaths_of
 
-        return self.asked.reporter.report(ledger.ticks, deaths_of(ledger.faults), self.ending.counts.tally)
+        return self.setup.reporter.report(
+            ledger.ticks, deaths_of(ledger.faults), self.result.counts.cell_counters
+        )
 
     def _write_report(self, summary: Summary, folder: Path) -> Summary:
         """The report's table, and its picture unless there are to be none; nothing where none was asked for."""
-        reporter = self.asked.reporter
+        reporter = self.setup.reporter
         if reporter is None or summary.protocol is None:
             return summary
         from deploy.protocol_report.output import write_csv
@@ -236,10 +243,12 @@ class _Run:
 
         report = summary.protocol
         write_csv(reporter.residuals, folder / CSV)
-        if not self.asked.options.picture or self.ending.status == "interrupted":
+        if not self.setup.options.picture or self.result.status == "interrupted":
             return summary
         path = folder / PICTURE
-        return drawn(summary, lambda: draw_protocol(reporter, report, path), folder, self.interruption)
+        return draw_or_interrupt(
+            summary, lambda: draw_protocol(reporter, report, path), folder, self.interruption
+        )
 
     def _warn(self, line: str, progress: Progress | None = None) -> None:
         if progress is not None:

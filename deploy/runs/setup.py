@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from bus.sensors import Readings
-from bus.state import Remembers
-from cell_firmware.clocks import NEVER
+from bus.sensors import SensorSchema
+from bus.state import StateFields
+from cell_firmware.clocks import NOT_IN_WINDOW
 from deploy.errors import InputError
 from deploy.runs.output import run_name
-from deploy.scenes.fault_schedule import active, deaths, lasting, rests
-from deploy.scenes.warnings import scene_cautions
+from deploy.scenes.fault_schedule import active, crash_wheel_policies, in_run_faults, permanent_crashes
+from deploy.scenes.warnings import scene_warnings
 from deploy.workers.plan import plan
 from plant.errors import PlantError, PlantStopped, PlantUnstable
 from plant.sampling import Timing
 
 if TYPE_CHECKING:
-    from bus.fault import FaultSpec, Injected
+    from bus.fault import FaultInstance, FaultSpec
     from bus.lattice import Lattice
-    from cell_firmware.clocks import Clocks, Ints
+    from cell_firmware.clocks import CellClocks, Ints
     from cell_firmware.firmware import Cells
     from deploy.checkpoints.checkpoint import Checkpoint
     from deploy.protocol_report.reporter import Reporter
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from plant.effects.camera.camera import Camera
     from plant.observations import Sense
     from plant.plant import Plant
-    from plant.process import LockstepHost, PlantProcess, TickRecord
+    from plant.process import LockstepPort, PlantProcess, TickRecord
 
 
-def cautions_of(scene: Scene) -> tuple[str, ...]:
+def warnings_of(scene: Scene) -> tuple[str, ...]:
     """Return a line for each thing that looks mistaken, or will go wrong, though nothing forbids it.
 
     Raises:
@@ -46,8 +46,8 @@ def cautions_of(scene: Scene) -> tuple[str, ...]:
     from cell_firmware.loader import load
 
     firmware = load(scene.cells)
-    of_firmware = tuple(firmware.cautions(scene.lattice()))
-    return (*scene_cautions(scene), *of_firmware, *_processor(scene, talks=firmware.message is not None))
+    of_firmware = tuple(firmware.warnings(scene.lattice()))
+    return (*scene_warnings(scene), *of_firmware, *_processor(scene, talks=firmware.message is not None))
 
 
 def tell_cautions(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
@@ -56,7 +56,7 @@ def tell_cautions(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
     Raises:
         FirmwareError: The firmware raised when it was asked; with its traceback.
     """
-    cautions = cautions_of(scene)
+    cautions = warnings_of(scene)
     for line in cautions:
         tell(f"caution: {line}")
     return cautions
@@ -65,11 +65,11 @@ def tell_cautions(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
 def _processor(scene: Scene, *, talks: bool) -> tuple[str, ...]:
     """A line where the scene's boards would need more time than their processor has."""
     from cell_firmware.processor_time import period_e, shares
-    from deploy.scenes.motor_facts import told
+    from deploy.scenes.motor_facts import motor_facts
 
     sides = int((scene.lattice().neighbours >= 0).sum(axis=1).max()) if talks else 0
     period_ns = scene.cells.period_ns
-    takes = shares(scene.effects, told(scene.effects.motors), period_ns, sides)
+    takes = shares(scene.effects, motor_facts(scene.effects.motors), period_ns, sides)
     if not takes:
         return ()
     whole = period_e(period_ns)
@@ -91,13 +91,13 @@ def _percent(least: float, most: float) -> str:
     return f"{low} %" if low == high else f"{low} to {high} %"
 
 
-def cautions_of_registers(scene: Scene) -> tuple[str, ...]:
+def register_warnings(scene: Scene) -> tuple[str, ...]:
     """A line where registers are to be recorded and the program's variables can't be, or not all of them."""
-    from cell_firmware.cell import PerCell
+    from cell_firmware.cell import PerCellAdapter
     from cell_firmware.loader import load
 
     firmware = load(scene.cells)
-    if not isinstance(firmware, PerCell):
+    if not isinstance(firmware, PerCellAdapter):
         return ()
     try:
         problem = firmware.unrecorded(_first_cell(scene))
@@ -118,11 +118,11 @@ def _first_cell(scene: Scene) -> Cells:
         scene.array.sensors_m,
         pitch_m=array.pitch_m,
     )
-    return cells.take(np.array([0]))
+    return cells.select(np.array([0]))
 
 
 @final
-class CellTimes:
+class CellTimingSource:
     """The plant's side of ``cell_firmware.effects.clock.wrapper``, by the same clocks.
 
     In tick k cells read at their instants r in window k. They are told in tick k + 1, and what they answer acts
@@ -132,34 +132,34 @@ class CellTimes:
         clocks: Of all cells.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_tick", "_count", "_read_ns")
+    remembers: ClassVar[StateFields] = StateFields("_tick", "_count", "_read_ns")
 
-    def __init__(self, clocks: Clocks) -> None:
+    def __init__(self, clocks: CellClocks) -> None:
         self._clocks = clocks
         self._tick = 0
         self._count: Ints = np.zeros(len(clocks), dtype=np.int64)
-        self._read_ns: Ints = np.full(len(clocks), NEVER)
+        self._read_ns: Ints = np.full(len(clocks), NOT_IN_WINDOW)
 
     def __call__(self, tick: int) -> Timing:
         """When drives act and cells read in a tick, which is one more than the last that was asked for."""
         assert tick == self._tick, "this is a bug: clocks are followed tick by tick"
         read_ns, clocks = self._read_ns, self._clocks
-        acts_ns = np.where(read_ns == NEVER, NEVER, read_ns + clocks.window_ns)
+        acts_ns = np.where(read_ns == NOT_IN_WINDOW, NOT_IN_WINDOW, read_ns + clocks.window_ns)
         self._read_ns = clocks.due(tick, self._count)
-        self._count = self._count + (self._read_ns != NEVER)
+        self._count = self._count + (self._read_ns != NOT_IN_WINDOW)
         self._tick += 1
         return Timing(acts_ns, self._read_ns)
 
 
-def cell_times(scene: Scene) -> CellTimes | None:
+def cell_times(scene: Scene) -> CellTimingSource | None:
     """Those of a scene; None where its cells step at once."""
     clocks = scene.clocks()
-    return None if clocks is None else CellTimes(clocks.all)
+    return None if clocks is None else CellTimingSource(clocks.clocks)
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class RunSetup:
     """What is to be run.
 
     Attributes:
@@ -180,15 +180,15 @@ class Prepared:
     options: RunOptions
     plan: Plan
     resumed: Checkpoint | None
-    lasting: tuple[Injected[FaultSpec], ...]
-    live: bool
-    cautions: tuple[str, ...]
+    in_run_faults: tuple[FaultInstance[FaultSpec], ...]
+    byte_accurate_links: bool
+    warnings: tuple[str, ...]
     reporter: Reporter | None
     replayed: Recording | None
     script: Sequence[Mapping[str, Any]]
 
 
-def prepared(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -> Prepared:
+def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -> RunSetup:
     """Look up what a run needs besides its processes.
 
     Args:
@@ -201,13 +201,13 @@ def prepared(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -> P
     """
     planned = plan(scene, options, run_name(scene, secrets.token_hex(4)))
     live = options.realtime is not None or options.replay is not None
-    cautions = cautions_of(scene)
+    cautions = warnings_of(scene)
     if options.registers is not None:
-        cautions += cautions_of_registers(scene)
+        cautions += register_warnings(scene)
     reporter = _reporter(scene, planned.partition.lattice, options.protocol_report)
     replayed, script = None, ()
     if options.replay is not None:
-        from deploy.control.replay import script_of
+        from deploy.control.replay import commands_of
         from deploy.recordings.reader import load
 
         replayed = load(options.replay)
@@ -215,13 +215,13 @@ def prepared(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -> P
             raise InputError(
                 f"--replay {options.replay}: would be overwritten by --output {options.output}: name another folder"
             )
-        script = script_of(replayed, scene)
-    return Prepared(
+        script = commands_of(replayed, scene)
+    return RunSetup(
         scene,
         options,
         planned,
         resumed,
-        lasting(scene),
+        in_run_faults(scene),
         live if resumed is None else resumed.options["live"],
         cautions,
         reporter,
@@ -238,7 +238,7 @@ def _reporter(scene: Scene, lattice: Lattice, every: int | None) -> Reporter | N
     return Reporter(scene, lattice, every)
 
 
-def readings_of(scene: Scene, sense: Sense) -> Readings:
+def sensor_schema(scene: Scene, sense: Sense) -> SensorSchema:
     """What there is to read, from the scene and from what its cells sense first.
 
     A camera is there for programs that subscribe to it: nobody is shown its pictures otherwise.
@@ -247,8 +247,8 @@ def readings_of(scene: Scene, sense: Sense) -> Readings:
 
     effects = scene.effects
     exits = () if effects.feeders is None else effects.feeders.exits
-    subscribed = effects.camera is not None and load(scene.cells).subscribes()
-    return Readings(
+    subscribed = effects.camera is not None and load(scene.cells).uses_camera()
+    return SensorSchema(
         len(scene.array.sensors_m),
         encoders=sense.encoder_m is not None,
         levels=sense.level is not None,
@@ -257,7 +257,7 @@ def readings_of(scene: Scene, sense: Sense) -> Readings:
     )
 
 
-def camera_of(scene: Scene, readings: Readings) -> Camera | None:
+def camera_of(scene: Scene, readings: SensorSchema) -> Camera | None:
     """What takes the pictures that these cells are shown; None where nothing does."""
     if not readings.camera:
         return None
@@ -289,18 +289,18 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
     except PlantError as error:
         raise InputError(f"scene {scene.name}: {error}") from None
     if divided:
-        plant.make_ready()
+        plant.warm_up()
     return plant
 
 
 def process_of(
     scene: Scene,
     plant: Plant,
-    host: LockstepHost,
-    readings: Readings,
+    host: LockstepPort,
+    readings: SensorSchema,
     observe: Callable[[TickRecord], None],
     *,
-    lasts: Sequence[Injected[FaultSpec]] | None = None,
+    lasts: Sequence[FaultInstance[FaultSpec]] | None = None,
     pace: Callable[[int], None] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> PlantProcess:
@@ -323,13 +323,13 @@ def process_of(
         host,
         tick_ns=scene.tick_ns,
         duration_ns=scene.duration_ns,
-        schedule=deaths(scene),
+        schedule=permanent_crashes(scene),
         stall=scene.stall,
         stops=scene.cells.on_failure == "stop",
         timing=cell_times(scene),
         camera=camera_of(scene, readings),
         faults=active(scene, lasts),
-        rests=rests(scene),
+        rests=crash_wheel_policies(scene),
         observer=observe,
         pace=pace,
         attend=attend,

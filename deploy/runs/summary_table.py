@@ -9,8 +9,8 @@ from math import hypot
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-from deploy.faults.records import lines as lines_of
-from deploy.util.formatting import counted
+from deploy.faults.records import describe_faults as lines_of
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -114,7 +114,7 @@ def _wall(summary: Summary) -> str:
 def _cells(summary: Summary) -> str:
     if summary.transport is None:
         return f"{summary.cells:,}, wheel speeds straight from the field"
-    processes = counted(summary.processes, "process", "processes") if summary.processes else "this process"
+    processes = plural(summary.processes, "process", "processes") if summary.processes else "this process"
     where = f"in {processes}"
     return f"{summary.cells:,} {where} over {summary.transport}"
 
@@ -141,7 +141,7 @@ def _validity(summary: Summary) -> Iterator[tuple[str, str]]:
     if summary.law_not_valid:
         parcel, since_s = (summary.law_not_valid[0][key] for key in ("parcel", "since_s"))
         more = len(summary.law_not_valid) - 1
-        others = f", and {counted(more, 'parcel')} later" if more else ""
+        others = f", and {plural(more, 'parcel')} later" if more else ""
         yield "law", f"not valid since {since_s:.4g} s: parcel {parcel} outruns a wheel{others}"
     if summary.captured is not None:
         numbers = [str(number) for number in summary.captured["parcels"]]

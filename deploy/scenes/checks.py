@@ -69,7 +69,7 @@ def cross_problems(
         if effects is not None:
             problems += _board_problems(cells, effects)
             problems += [
-                Problem(("effects", *path), rule, value) for path, value, rule in effects.unfit(cells)
+                Problem(("effects", *path), rule, value) for path, value, rule in effects.fit_problems(cells)
             ]
         problems += _firmware_problems(array, cells, effects)
         if array is not None:
@@ -95,10 +95,10 @@ def _board_problems(cells: CellsSpec, effects: EffectsSpec) -> list[Problem]:
     if effects.motors is None or not any((effects.encoder, effects.pwm, effects.fixed_point)):
         return []
     from cell_firmware.build import wheels_of
-    from deploy.scenes.motor_facts import told
+    from deploy.scenes.motor_facts import motor_facts
 
     try:
-        wheels_of(cells, effects, told(effects.motors))
+        wheels_of(cells, effects, motor_facts(effects.motors))
     except SettingError as error:
         return [Problem(error.path, error.rule, error.value)]
     return []
@@ -109,7 +109,7 @@ def _fault_problems(array: ArraySpec, faults: Mapping[int, Fault]) -> list[Probl
     return [
         Problem(("faults", number, *path), rule, value)
         for number, fault in faults.items()
-        for path, value, rule in fault.misplaced(lattice)
+        for path, value, rule in fault.problems(lattice)
     ]
 
 
@@ -118,7 +118,7 @@ def _faults_at_odds(effects: EffectsSpec, faults: Mapping[int, FaultSpec]) -> li
         Problem(("faults", number, *path), rule, value)
         for number, fault in faults.items()
         if isinstance(fault, PlantFault)
-        for path, value, rule in fault.at_odds(effects)
+        for path, value, rule in fault.setting_problems(effects)
     ]
 
 
@@ -127,7 +127,7 @@ def _unfit_faults(array: ArraySpec, cells: CellsSpec, faults: Mapping[int, Fault
         Problem(("faults", number, *path), rule, value)
         for number, fault in faults.items()
         if isinstance(fault, CellFault)
-        for path, value, rule in fault.unfit(cells, len(array.sensors_m))
+        for path, value, rule in fault.fit_problems(cells, len(array.sensors_m))
     ]
 
 
@@ -151,9 +151,9 @@ def _firmware_problems(
         if array is not None:
             lattice = array.lattice()
             firmware.check(lattice)
-            firmware.check_places(lattice, CellArray(array).positions_m, array.pitch_m)
-        needed = () if effects is None else firmware.needed()
-        firmware.subscribes()  # nobody needs the answer yet: a refusal belongs before the run
+            firmware.check_geometry(lattice, CellArray(array).positions_m, array.pitch_m)
+        needed = () if effects is None else firmware.required_effects()
+        firmware.uses_camera()  # nobody needs the answer yet: a refusal belongs before the run
     except ParametersError as error:
         return [Problem((*_PARAMETERS, *p.path), p.message, p.value) for p in error.problems]
     except FirmwareError as error:

@@ -13,7 +13,7 @@ from pydantic_core import ErrorDetails
 
 from cell_firmware.errors import dotted
 from deploy.errors import InputError
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 KeyPath = tuple[str | int, ...]
 """Keys, and numbers of list items, from the top of the scene."""
@@ -178,8 +178,8 @@ _RULES: dict[str, Callable[[dict[str, Any]], str]] = {
     "dict_type": lambda _: "must be a table",
     "model_type": lambda _: "must be a table",
     "model_attributes_type": lambda _: "must be a table",
-    "too_short": lambda c: f"must have at least {counted(c['min_length'], 'item')}, not {c['actual_length']}",
-    "too_long": lambda c: f"must have at most {counted(c['max_length'], 'item')}, not {c['actual_length']}",
+    "too_short": lambda c: f"must have at least {plural(c['min_length'], 'item')}, not {c['actual_length']}",
+    "too_long": lambda c: f"must have at most {plural(c['max_length'], 'item')}, not {c['actual_length']}",
     "string_too_short": lambda _: "must not be empty",
     "literal_error": lambda c: f"must be {c['expected']}",
 }

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol, cast
 
-from bus.fault import FaultSpec, Injected
-from bus.lattice import NEVER, Lattice
+from bus.fault import FaultInstance, FaultSpec
+from bus.lattice import NO_TICK_LIMIT, Lattice
 from cell_firmware.faults.base import CellFault
 from deploy.faults.crash import CrashFault
 from plant.faults.base import PlantFault
 
 if TYPE_CHECKING:
     from plant.effects.motors import MotorsSpec
-    from plant.faults.schedule import ActiveFaults
+    from plant.faults.schedule import FaultSchedule
     from plant.wheels import LossPolicy
 
 Deaths = dict[int, tuple[int, ...]]
@@ -42,65 +42,67 @@ class Timetable(Protocol):
         ...
 
 
-def injected(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
+def instances(scene: Timetable) -> tuple[FaultInstance[FaultSpec], ...]:
     """The scene's faults with the cells that they strike and their ticks, in the scene's order."""
     if not scene.faults:
         return ()
     lattice = scene.lattice()
     return tuple(
-        Injected(
+        FaultInstance(
             number,
             fault,
-            fault.struck(lattice, scene.seed, number),
-            *fault.span(scene.tick_at),
+            fault.affected_cells(lattice, scene.seed, number),
+            *fault.tick_range(scene.tick_at),
         )
         for number, fault in enumerate(scene.faults)
     )
 
 
-def deaths(scene: Timetable) -> Deaths:
+def permanent_crashes(scene: Timetable) -> Deaths:
     """When which cells crash for good. A cell that is to crash twice dies the first time."""
     first: dict[int, int] = {}
-    for one in injected(scene):
-        if is_death(one):
+    for one in instances(scene):
+        if is_permanent_crash(one):
             for cell in one.cells.tolist():
-                first[cell] = min(one.first, first.get(cell, one.first))
+                first[cell] = min(one.start_tick, first.get(cell, one.start_tick))
     by_tick: dict[int, list[int]] = {}
     for cell in sorted(first):
         by_tick.setdefault(first[cell], []).append(cell)
     return {tick: tuple(cells) for tick, cells in sorted(by_tick.items())}
 
 
-def rests(scene: Timetable) -> dict[int, LossPolicy]:
+def crash_wheel_policies(scene: Timetable) -> dict[int, LossPolicy]:
     """What the wheels of cells do that crash for good, by cell, where the fault says it."""
     found: dict[int, tuple[int, LossPolicy | None]] = {}
-    for one in injected(scene):
-        if isinstance(one.fault, CrashFault) and is_death(one):
+    for one in instances(scene):
+        if isinstance(one.fault, CrashFault) and is_permanent_crash(one):
             for cell in one.cells.tolist():
-                if cell not in found or one.first < found[cell][0]:
-                    found[cell] = one.first, one.fault.wheels
+                if cell not in found or one.start_tick < found[cell][0]:
+                    found[cell] = one.start_tick, one.fault.wheels
     return {cell: wheels for cell, (_, wheels) in found.items() if wheels is not None}
 
 
-def lasting(scene: Timetable) -> tuple[Injected[FaultSpec], ...]:
+def in_run_faults(scene: Timetable) -> tuple[FaultInstance[FaultSpec], ...]:
     """All but deaths: what happens to cells that stay in the lockstep."""
-    return tuple(one for one in injected(scene) if not is_death(one))
+    return tuple(one for one in instances(scene) if not is_permanent_crash(one))
 
 
-def of_cells(faults: Sequence[Injected[FaultSpec]]) -> tuple[Injected[CellFault], ...]:
+def of_cells(faults: Sequence[FaultInstance[FaultSpec]]) -> tuple[FaultInstance[CellFault], ...]:
     """Those of the lasting ones that the cells carry out."""
-    return tuple(cast("Injected[CellFault]", one) for one in faults if isinstance(one.fault, CellFault))
+    return tuple(cast("FaultInstance[CellFault]", one) for one in faults if isinstance(one.fault, CellFault))
 
 
-def of_plant(faults: Sequence[Injected[FaultSpec]]) -> tuple[Injected[PlantFault], ...]:
+def of_plant(faults: Sequence[FaultInstance[FaultSpec]]) -> tuple[FaultInstance[PlantFault], ...]:
     """Those of the lasting ones that the plant carries out."""
-    return tuple(cast("Injected[PlantFault]", one) for one in faults if isinstance(one.fault, PlantFault))
+    return tuple(
+        cast("FaultInstance[PlantFault]", one) for one in faults if isinstance(one.fault, PlantFault)
+    )
 
 
-def of_cells_alone(scene: Timetable) -> list[str]:
+def cell_only_faults(scene: Timetable) -> list[str]:
     """What a plant without cells leaves out, ``faults[2] (hang)`` each."""
     return [
-        f"faults[{number}] ({fault.called})"
+        f"faults[{number}] ({fault.kind_name})"
         for number, fault in enumerate(scene.faults)
         if not isinstance(fault, PlantFault)
     ]
@@ -113,24 +115,24 @@ def on_ideal_wheels(scene: Timetable, motors: MotorsSpec) -> tuple[FaultSpec, ..
     )
 
 
-def active(scene: Timetable, lasts: Sequence[Injected[FaultSpec]] | None = None) -> ActiveFaults | None:
+def active(scene: Timetable, lasts: Sequence[FaultInstance[FaultSpec]] | None = None) -> FaultSchedule | None:
     """What begins and ends in the plant; None where nothing does.
 
     Args:
         scene: What runs.
         lasts: ``lasting(scene)``, where there is more to do with the same.
     """
-    faults = of_plant(lasting(scene) if lasts is None else lasts)
+    faults = of_plant(in_run_faults(scene) if lasts is None else lasts)
     if not faults:
         return None
-    from plant.faults.schedule import ActiveFaults
+    from plant.faults.schedule import FaultSchedule
 
-    return ActiveFaults(len(scene.lattice()), faults)
+    return FaultSchedule(len(scene.lattice()), faults)
 
 
-def is_death(one: Injected[FaultSpec]) -> bool:
+def is_permanent_crash(one: FaultInstance[FaultSpec]) -> bool:
     """Whether its cells leave the lockstep, never to come back: a scheduled crash that is not repaired."""
-    return isinstance(one.fault, CrashFault) and one.end == NEVER and not one.live
+    return isinstance(one.fault, CrashFault) and one.end_tick == NO_TICK_LIMIT and not one.injected_at_runtime
 
 
 def crash_aborts(cell: tuple[int, int], at_s: float) -> str:

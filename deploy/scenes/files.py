@@ -11,7 +11,7 @@ from typing import Any, cast
 
 from pydantic import TypeAdapter, ValidationError
 
-from cell_firmware.board_presets import with_board
+from cell_firmware.board_presets import expand_preset
 from cell_firmware.specs import CellsSpec
 from deploy.errors import InputError
 from deploy.faults.registry import Fault
@@ -94,7 +94,7 @@ def parse_scene(
         _resolve_firmware(data, folder)
     _change_solver(data, overrides)
     apply(data, overrides)
-    data = with_board(data)
+    data = expand_preset(data)
     try:
         return strictly(Scene, data).named(name)
     except ValidationError as error:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cell_firmware.build import Motors
+from cell_firmware.build import MotorFacts
 
 if TYPE_CHECKING:
     from plant.effects.motors import MotorsSpec
 
 
-def told(motors: MotorsSpec | None) -> Motors | None:
+def motor_facts(motors: MotorsSpec | None) -> MotorFacts | None:
     """What a board must know of a scene's motors; None where there are none."""
     if motors is None:
         return None
     free_speed_m_s = motors.supply_v * motors.first_order.speed_per_volt_m_s
-    return Motors(motors.supply_v, free_speed_m_s, None if motors.dc is None else motors.dc.wheel_radius_m)
+    return MotorFacts(
+        motors.supply_v, free_speed_m_s, None if motors.dc is None else motors.dc.wheel_radius_m
+    )

@@ -12,7 +12,7 @@ from typing import Any, cast, final
 from cell_firmware.errors import dotted
 from deploy.errors import InputError
 from deploy.scenes.errors import KeyPath, shown
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 _BARE_WORD = re.compile(r"[A-Za-z_./~][\w./:~+-]*")
 _KEY = re.compile(r"[\w-]+")
@@ -121,6 +121,6 @@ def _check_item(items: list[Any], override: Override, depth: int) -> None:
         raise InputError(f"{override.option}: {at} is a list: its items are numbered 0..{len(items) - 1}")
     if part > len(items):
         raise InputError(
-            f"{override.option}: {at} has {counted(len(items), 'item')}: the number must be 0..{len(items)} "
+            f"{override.option}: {at} has {plural(len(items), 'item')}: the number must be 0..{len(items)} "
             f"({len(items)} adds one)"
         )

@@ -16,7 +16,7 @@ _LONG_PERIOD_S: Final = 1.0
 """Control period from which it is taken for one in other units."""
 
 
-def scene_cautions(scene: Scene) -> Iterator[str]:
+def scene_warnings(scene: Scene) -> Iterator[str]:
     """Yield a line for each value that looks like a mistake: its key, the value and why."""
     yield from _degrees(scene)
     yield from _large_parcels(scene)

@@ -20,7 +20,7 @@ _EARLIER: Final = timedelta(minutes=5)
 
 @final
 @dataclass(frozen=True, slots=True)
-class Made:
+class CertificatePair:
     """A certificate and its private key, PEM."""
 
     certificate: bytes
@@ -74,7 +74,7 @@ class Authority:
         )
         self.certificate = self._signed(made)
 
-    def server(self, name: str, hosts: Iterable[str]) -> Made:
+    def server(self, name: str, hosts: Iterable[str]) -> CertificatePair:
         """Of whom others connect to, under these names and addresses; it proves nothing when it connects itself."""
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -82,13 +82,13 @@ class Authority:
         names = x509.SubjectAlternativeName([_host(host) for host in hosts])
         return self._made(name, ExtendedKeyUsageOID.SERVER_AUTH, names)
 
-    def client(self, name: str) -> Made:
+    def client(self, name: str) -> CertificatePair:
         """Of one who connects; nobody takes it for whom they connect to."""
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
         return self._made(name, ExtendedKeyUsageOID.CLIENT_AUTH)
 
-    def _made(self, name: str, usage: x509.ObjectIdentifier, *more: x509.ExtensionType) -> Made:
+    def _made(self, name: str, usage: x509.ObjectIdentifier, *more: x509.ExtensionType) -> CertificatePair:
         from cryptography import x509
         from cryptography.hazmat.primitives import serialization
         from cryptography.hazmat.primitives.asymmetric import ec
@@ -106,7 +106,7 @@ class Authority:
             serialization.PrivateFormat.PKCS8,
             serialization.NoEncryption(),
         )
-        return Made(self._signed(made), pem)
+        return CertificatePair(self._signed(made), pem)
 
     def _builder(self, name: x509.Name, key: EllipticCurvePrivateKey) -> x509.CertificateBuilder:
         from cryptography import x509

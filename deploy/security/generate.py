@@ -13,9 +13,19 @@ from pathlib import Path
 from typing import Final
 
 from deploy.errors import DeployError, InputError
-from deploy.security.manifest import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, About, Kind
+from deploy.security.manifest import (
+    ACCESS,
+    AUTHORITY,
+    CERTIFICATE,
+    KEY,
+    KEYS,
+    PASSWORD,
+    USERS,
+    KeyManifest,
+    Kind,
+)
 from deploy.security.policy import access_control
-from deploy.security.roles import PLANT, Cut, Role, roles_of
+from deploy.security.roles import PLANT, ProcessLayout, Role, roles_of
 from deploy.util.formatting import say
 from deploy.util.output_lock import OutputLock
 
@@ -29,17 +39,17 @@ _BYTES: Final = 32
 """Of chance in a password."""
 
 
-def make(
+def generate_keys(
     folder: Path,
     scene: str,
-    cut: Cut,
+    cut: ProcessLayout,
     kind: Kind,
     *,
     hosts: Iterable[str],
     days: int,
     force: bool,
     warn: Callable[[str], None] = say,
-) -> About:
+) -> KeyManifest:
     """Makes the keys of every process of a run, and of operators.
 
     The folder appears whole or not at all. What is in it, only its owner can read.
@@ -111,14 +121,16 @@ def _draft(folder: Path, warn: Callable[[str], None]) -> Generator[Path]:
             place.rmdir()
 
 
-def _fill(draft: Path, scene: str, cut: Cut, kind: Kind, names: tuple[str, ...], days: int) -> About:
+def _fill(
+    draft: Path, scene: str, cut: ProcessLayout, kind: Kind, names: tuple[str, ...], days: int
+) -> KeyManifest:
     """Write the keys of every role, and what they are for."""
     roles = roles_of(cut)
     for role in roles:
         (draft / role.name).mkdir(mode=0o700)
     until = _certificates(draft, roles, names, days) if kind == "certificate" else _passwords(draft, roles)
     cells = {role.name: role.cells for role in roles}
-    about = About(kind=kind, scene=scene, wire=cut.wire, roles=cells, hosts=names, until=until)
+    about = KeyManifest(kind=kind, scene=scene, wire=cut.wire, roles=cells, hosts=names, until=until)
     access = json.dumps(access_control(roles, kind), indent=1)
     _write(draft / ACCESS, f"{_HEAD}{access}\n".encode())
     _write(draft / KEYS, f"{about.model_dump_json(indent=1)}\n".encode())

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, final
 from pydantic import ValidationError
 
 from deploy.errors import InputError
-from deploy.security.manifest import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, About
+from deploy.security.manifest import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, KeyManifest
 from deploy.security.policy import QUESTION_LIMITS, part_of, size_limits
-from deploy.security.roles import OPERATOR, PLANT, Cut, roles_of
-from deploy.util.formatting import counted
+from deploy.security.roles import OPERATOR, PLANT, ProcessLayout, roles_of
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
-    from bus.transports.zenoh import Gate, Identity
+    from bus.transports.zenoh import AccessPolicy, Identity
 
 
 def identity_of(folder: Path, role: str) -> Identity:
@@ -69,7 +69,7 @@ class Keyring:
             )
         self._folder = folder.absolute()
         try:
-            self.about = About.model_validate_json(_sound(folder / KEYS).read_bytes())
+            self.about = KeyManifest.model_validate_json(_sound(folder / KEYS).read_bytes())
         except ValidationError as error:
             raise InputError(
                 f"{folder / KEYS}: {error.errors()[0]['msg']}; mdms keys makes a new one"
@@ -77,7 +77,7 @@ class Keyring:
         except OSError as error:
             raise InputError(f"{folder / KEYS}: can't be read: {error.strerror}") from None
 
-    def check(self, cut: Cut, host: str | None) -> None:
+    def check(self, cut: ProcessLayout, host: str | None) -> None:
         """Whether every process has its keys, and they hold today.
 
         Args:
@@ -103,23 +103,23 @@ class Keyring:
             if role != OPERATOR:
                 _check(identity, role)
 
-    def gate(self, cut: Cut) -> Gate:
+    def gate(self, cut: ProcessLayout) -> AccessPolicy:
         """Gate of the session that cells join, for cells that are cut like this; operators may do nothing there."""
         return self._gate(size_limits(cut), operators=False)
 
-    def outer_gate(self) -> Gate:
+    def outer_gate(self) -> AccessPolicy:
         """Gate of the session for listeners and operators; cells may do nothing there."""
         return self._gate(QUESTION_LIMITS, operators=True)
 
-    def _gate(self, limits: list[dict[str, Any]], *, operators: bool) -> Gate:
-        from bus.transports.zenoh.session import Gate
+    def _gate(self, limits: list[dict[str, Any]], *, operators: bool) -> AccessPolicy:
+        from bus.transports.zenoh.session import AccessPolicy
 
         own = self._folder / PLANT
         users = str(_secret(own / USERS)) if self.about.kind == "password" else None
         access = json.dumps(part_of(self._access(), operators=operators))
-        return Gate(identity_of(own, PLANT), access, json.dumps(limits), users)
+        return AccessPolicy(identity_of(own, PLANT), access, json.dumps(limits), users)
 
-    def of_cells(self, cut: Cut) -> tuple[Path, ...]:
+    def of_cells(self, cut: ProcessLayout) -> tuple[Path, ...]:
         """The folder of each process of cells, by shard."""
         return tuple(self._folder / cut.role(shard) for shard in range(cut.partition.count))
 
@@ -142,7 +142,7 @@ def _told(roles: dict[str, tuple[tuple[int, int], ...]], wire: str) -> str:
     """How an array is cut, in a few words."""
     processes = [cells for role, cells in roles.items() if role not in (PLANT, OPERATOR)]
     cells = sum(map(len, processes))
-    return f"{cells:,} cells in {counted(len(processes), 'process', 'processes')}, wire form {wire}"
+    return f"{cells:,} cells in {plural(len(processes), 'process', 'processes')}, wire form {wire}"
 
 
 def _check(identity: Identity, role: str) -> None:

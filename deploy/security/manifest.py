@@ -26,7 +26,7 @@ Kind = Literal["certificate", "password"]
 
 
 @final
-class About(Spec):
+class KeyManifest(Spec):
     """What a folder of keys is for: ``keys.json``.
 
     Attributes:

@@ -16,8 +16,8 @@ from bus.wire.keys import cell_key, plant_key, shard_key
 from deploy.security.roles import OPERATOR, OPERATORS, PLANT, Role
 
 if TYPE_CHECKING:
-    from bus.transports.zenoh.session import Gate
-    from deploy.security.roles import Cut
+    from bus.transports.zenoh.session import AccessPolicy
+    from deploy.security.roles import ProcessLayout
 
 
 _ENVELOPE: Final = 1 << 10
@@ -29,7 +29,7 @@ _REGISTERS: Final = 1 << 14
 _QUESTION: Final = 1 << 17
 
 
-def size_limits(cut: Cut) -> list[dict[str, Any]]:
+def size_limits(cut: ProcessLayout) -> list[dict[str, Any]]:
     """Zenoh's ``low_pass_filter`` of the session that cells join.
 
     Messages that are longer are dropped as they come in, and counted as denied.
@@ -116,11 +116,11 @@ def part_of(access: dict[str, Any], *, operators: bool) -> dict[str, Any]:
     return {**access, "subjects": subjects, "policies": policies}
 
 
-def open_gate() -> Gate:
+def open_gate() -> AccessPolicy:
     """Let anybody listen to a run and ask for live commands, and do nothing else."""
-    from bus.transports.zenoh.session import Gate
+    from bus.transports.zenoh.session import AccessPolicy
 
-    return Gate(None, json.dumps(access_control([OPERATORS], None)), json.dumps(QUESTION_LIMITS))
+    return AccessPolicy(None, json.dumps(access_control([OPERATORS], None)), json.dumps(QUESTION_LIMITS))
 
 
 _DECLARED: Final = ["declare_subscriber", "declare_queryable", "liveliness_token"]

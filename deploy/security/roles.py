@@ -49,7 +49,7 @@ OPERATORS: Final = Role(
 
 @final
 @dataclass(frozen=True, slots=True)
-class Cut:
+class ProcessLayout:
     """How the cells of a run are cut into processes.
 
     Attributes:
@@ -72,7 +72,7 @@ class Cut:
         return tuple(cells[int(i)] for i in self.partition.cells(shard))
 
 
-def roles_of(cut: Cut) -> tuple[Role, ...]:
+def roles_of(cut: ProcessLayout) -> tuple[Role, ...]:
     """The plant first, then a role for each process of cells, by shard, and operators last.
 
     The plant's own session is where access is controlled: it needs leave for nothing.
@@ -81,7 +81,7 @@ def roles_of(cut: Cut) -> tuple[Role, ...]:
     return Role(PLANT), *cells, OPERATORS
 
 
-def _cells(cut: Cut, shard: int) -> Role:
+def _cells(cut: ProcessLayout, shard: int) -> Role:
     puts, hears, shows = (_packed if cut.wire == "packed" else _by_cell)(cut, shard)
     return Role(
         cut.role(shard),
@@ -96,7 +96,7 @@ def _cells(cut: Cut, shard: int) -> Role:
 _Keys = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
 
-def _packed(cut: Cut, shard: int) -> _Keys:
+def _packed(cut: ProcessLayout, shard: int) -> _Keys:
     """What a shard puts, hears and shows in the packed form."""
     puts = [shard_key(_ANY, shard, "drive")]
     puts += [shard_link_key(_ANY, shard, border.shard) for border in cut.partition.outgoing_borders(shard)]
@@ -105,7 +105,7 @@ def _packed(cut: Cut, shard: int) -> _Keys:
     return tuple(puts), tuple(hears), (shard_key(_ANY, shard, "alive"), shard_key(_ANY, shard, "ready"))
 
 
-def _by_cell(cut: Cut, shard: int) -> _Keys:
+def _by_cell(cut: ProcessLayout, shard: int) -> _Keys:
     """The same in the form with a key a cell and link."""
     partition, own = cut.partition, cut.cells(shard)
     cells = partition.lattice.cells

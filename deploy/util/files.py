@@ -16,7 +16,7 @@ _VERSIONS = ("mdms-emulator", "eclipse-zenoh", "llvmlite", "mcap", "msgpack", "n
 
 
 @contextmanager
-def written_whole(path: Path) -> Generator[Path]:
+def atomic_write(path: Path) -> Generator[Path]:
     """A draft to write to, which becomes the file in the end: it is there whole, or as it was before.
 
     Raises:
@@ -40,7 +40,7 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         DeployError: It can't be written.
     """
-    with written_whole(path) as draft:
+    with atomic_write(path) as draft:
         draft.write_text(text, encoding="utf-8")
 
 

@@ -6,19 +6,19 @@ import sys
 from collections.abc import Iterable
 
 
-def counted(number: int, noun: str, plural: str = "") -> str:
+def plural(number: int, noun: str, plural: str = "") -> str:
     """``1 parcel``, ``3,600 cells``."""
     return f"{number:,} {noun if number == 1 else plural or f'{noun}s'}"
 
 
-def short(value: float) -> str:
+def short_number(value: float) -> str:
     """Four digits; what rounding leaves of nothing, in SI units and about this size, is nothing."""
     return "0" if abs(value) < 1e-12 else f"{value:.4g}"
 
 
-def point(values: Iterable[float]) -> str:
+def format_point(values: Iterable[float]) -> str:
     """``(0.1, -2)``."""
-    return f"({', '.join(short(value) for value in values)})"
+    return f"({', '.join(short_number(value) for value in values)})"
 
 
 def say(line: str) -> None:

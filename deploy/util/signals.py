@@ -42,12 +42,12 @@ class Interruption:
 
     def __init__(self) -> None:
         self.requested = False
-        self.waits: Callable[[], bool] = lambda: False
+        self.is_idle: Callable[[], bool] = lambda: False
         self._allowed = False
         self._raised = False
 
     @contextmanager
-    def watching(self, *, last: bool = False) -> Generator[None]:
+    def handling(self, *, last: bool = False) -> Generator[None]:
         """Handle the two signals in here.
 
         Args:
@@ -80,11 +80,11 @@ class Interruption:
                     signal.signal(number, handler)
 
     @contextmanager
-    def allowed(self) -> Generator[None]:
+    def interruptible(self) -> Generator[None]:
         """Let a signal end what happens in here, in the middle of it."""
         self._allowed = True
         try:
-            self.check()
+            self.raise_if_requested()
             yield
         except Exception:
             if self._raised:  # a C library has made an error of its own of it
@@ -93,7 +93,7 @@ class Interruption:
         finally:
             self._allowed = False
 
-    def check(self) -> None:
+    def raise_if_requested(self) -> None:
         """Raise Interrupted if a signal has come."""
         if self.requested:
             self._raised = True
@@ -103,7 +103,7 @@ class Interruption:
         del number, frame
         self.requested = True
         # One exception is enough: what it unwinds is not to be interrupted again.
-        if not self._raised and (self._allowed or self.waits()):
+        if not self._raised and (self._allowed or self.is_idle()):
             self._raised = True
             raise Interrupted
 

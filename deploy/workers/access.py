@@ -9,13 +9,13 @@ from bus.errors import TransportError
 from bus.wire.keys import message_kinds
 from deploy.errors import InputError
 from deploy.security.policy import open_gate
-from deploy.workers.plan import Option, check_opened, near, socket_in
+from deploy.workers.plan import Option, check_opened, loopback_address, socket_in
 from deploy.workers.socket_folder import SocketFolder
 
 if TYPE_CHECKING:
     from bus.spec import StallSpec
     from bus.transports.zenoh import Mirror, ZenohEndpoint
-    from bus.transports.zenoh.requests import Questions
+    from bus.transports.zenoh.requests import RequestQueue
     from deploy.security.keyring import Keyring
     from deploy.workers.plan import Plan, RunOptions
 
@@ -83,15 +83,15 @@ class Access:
         self._mirror = Mirror(
             hub, outside, {key: _TICKS * number for key, number in kinds.items()}, f"mdms/{plan.run}/**"
         )
-        self.join, self.locator = near(hub.locator), near(outside.locator)
+        self.join, self.locator = loopback_address(hub.locator), loopback_address(outside.locator)
         return hub
 
-    def questions(self, key: str) -> Questions:
+    def questions(self, key: str) -> RequestQueue:
         """Where operators ask while the run goes on."""
-        from bus.transports.zenoh.requests import Questions
+        from bus.transports.zenoh.requests import RequestQueue
 
         assert self._mirror is not None, "this is a bug: not open"
-        return Questions(self._mirror.outside, key)
+        return RequestQueue(self._mirror.outside, key)
 
     def close(self) -> None:
         """Close the endpoint for listeners and operators, and remove the folder of the other's socket."""

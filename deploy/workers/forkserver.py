@@ -45,11 +45,11 @@ def main(channel_fd: int, report_fd: int, preload: Iterable[str]) -> None:
         importlib.import_module(name)
     gc.collect()
     gc.freeze()
-    _Nursery(Connection(channel_fd), report_fd).tend()
+    _ForkServer(Connection(channel_fd), report_fd).serve()
 
 
 @final
-class _Nursery:
+class _ForkServer:
     def __init__(self, channel: Connection, report_fd: int) -> None:
         self._channel = channel
         self._report_fd = report_fd
@@ -62,7 +62,7 @@ class _Nursery:
         signal.signal(signal.SIGCHLD, _noticed)
         signal.set_wakeup_fd(self._wakeup[1], warn_on_full_buffer=False)
 
-    def tend(self) -> None:
+    def serve(self) -> None:
         with selectors.DefaultSelector() as selector:
             selector.register(self._channel, selectors.EVENT_READ)
             selector.register(self._wakeup[0], selectors.EVENT_READ)
@@ -71,11 +71,11 @@ class _Nursery:
                     if key.fd == self._wakeup[0]:
                         os.read(self._wakeup[0], 4096)
                         self._reap()
-                    elif not self._obey():
+                    elif not self._handle():
                         self._end()
                         return
 
-    def _obey(self) -> bool:
+    def _handle(self) -> bool:
         """Handle one message; False once there will be no more."""
         try:
             message: tuple[str, Any] = self._channel.recv()

@@ -9,8 +9,8 @@ from typing import Protocol, final
 from bus.transports.base import Endpoint
 from deploy.workers.forkserver import one_line
 from deploy.workers.plan import Plan
-from deploy.workers.pool import Crew, WorkerError
-from deploy.workers.worker import Order, serve
+from deploy.workers.pool import WorkerError, WorkerPool
+from deploy.workers.worker import WorkerConfig, serve
 
 PRELOAD = (
     "asyncio",
@@ -21,9 +21,9 @@ PRELOAD = (
     "bus.transports.zenoh",
     "cell_firmware.agent",
     "cell_firmware.protocols.heat_diffusion",
-    "cell_firmware.protocols.stumbling_field",
+    "cell_firmware.protocols.hanging_field",
     "cell_firmware.protocols.velocity_field",
-    "cell_firmware.protocols.waking_field",
+    "cell_firmware.protocols.presence_field",
     "deploy.scenes.scene",
     "deploy.workers.worker",
     "plant.array",
@@ -34,14 +34,14 @@ _FILES_A_WORKER = 4
 """Open files that a worker's session costs the plant's process, generously."""
 
 
-class CellsSide(Protocol):
+class WorkerGroup(Protocol):
     """Starts the cells, says what went wrong with them, and ends them."""
 
-    def start(self, order: Order) -> None:
+    def start(self, order: WorkerConfig) -> None:
         """Start every agent; returns before they are ready."""
         ...
 
-    def restart(self, order: Order, shard: int) -> None:
+    def restart(self, order: WorkerConfig, shard: int) -> None:
         """Start the agents of one shard anew, those that were there being ended first."""
         ...
 
@@ -80,14 +80,14 @@ class WorkerProcesses:
 
     def __init__(self, plan: Plan) -> None:
         self._names = [process.name for process in plan.processes if process.role == "cells"]
-        self._crew = Crew(PRELOAD)
+        self._crew = WorkerPool(PRELOAD)
 
-    def start(self, order: Order) -> None:
+    def start(self, order: WorkerConfig) -> None:
         """Fork the workers."""
         _allow_files(_FILES_A_WORKER * len(self._names))
         self._crew.start(order, self._names)
 
-    def restart(self, order: Order, shard: int) -> None:
+    def restart(self, order: WorkerConfig, shard: int) -> None:
         """Fork one worker anew."""
         self._crew.restart(order, shard)
 
@@ -100,7 +100,7 @@ class WorkerProcesses:
     def trouble(self, timeout_s: float) -> bool:
         """Whether a worker has failed or ended."""
         self._crew.poll(timeout_s)
-        return bool(self._crew.failures or self._crew.ended or self._crew.gone)
+        return bool(self._crew.failures or self._crew.ended or self._crew.pipe_closed)
 
     def programs_failed(self) -> bool:
         """Whether programs that failed are all that has gone wrong."""
@@ -115,7 +115,7 @@ class WorkerProcesses:
     def details(self) -> str:
         """Tracebacks of the workers that raised."""
         crew = self._crew
-        return "\n".join(f"{crew.name(failure.worker)}: {failure.detail}" for failure in crew.told())
+        return "\n".join(f"{crew.name(failure.worker)}: {failure.detail}" for failure in crew.messages())
 
     def close(self, grace_s: float) -> None:
         """End every worker and their parent."""
@@ -136,7 +136,7 @@ class WorkerThread:
         self._error: BaseException | None = None
         self._over = threading.Event()
 
-    def start(self, order: Order) -> None:
+    def start(self, order: WorkerConfig) -> None:
         """Start the thread."""
 
         def work() -> None:
@@ -151,7 +151,7 @@ class WorkerThread:
         self._thread = threading.Thread(target=work, name="cells", daemon=True)
         self._thread.start()
 
-    def restart(self, order: Order, shard: int) -> None:  # noqa: ARG002
+    def restart(self, order: WorkerConfig, shard: int) -> None:  # noqa: ARG002
         """A thread can't be killed, and need not be started anew."""
         raise AssertionError("this is a bug: there is no process to start anew")
 

@@ -30,7 +30,7 @@ _LAST: Final = 60
 
 
 @final
-class Overseer:
+class Watchdog:
     """Watches one thread's calls of the cells' programs from a thread of its own.
 
     ``with overseer:`` around a call that steps programs. A call that is still running after ``limit_s`` gets

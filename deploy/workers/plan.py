@@ -16,7 +16,7 @@ from bus.lattice import Lattice
 from bus.partition import Partition
 from deploy.errors import InputError
 from deploy.scenes.memory_limit import too_many_workers
-from deploy.security.roles import Cut
+from deploy.security.roles import ProcessLayout
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
@@ -146,7 +146,7 @@ def host_of(endpoint: str) -> str:
     return address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
 
 
-def near(endpoint: str) -> str:
+def loopback_address(endpoint: str) -> str:
     """How processes of the same host reach who listens there: on every address is on loopback, too."""
     for everywhere, loopback in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
         endpoint = endpoint.replace(everywhere, loopback, 1)
@@ -266,9 +266,9 @@ class Plan:
     processes: tuple[PlannedProcess, ...]
 
     @property
-    def cut(self) -> Cut:
+    def cut(self) -> ProcessLayout:
         """How the cells are cut into processes."""
-        return Cut(self.partition, self.wire, tuple(process.name for process in self.processes[1:]))
+        return ProcessLayout(self.partition, self.wire, tuple(process.name for process in self.processes[1:]))
 
     def as_json(self) -> dict[str, Any]:
         """The plan in JSON's types; cells as ``row,column``."""
@@ -326,7 +326,9 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         transport=options.transport,
         wire=wire,
         partition=partition,
-        processes=tuple(_listed(partition, workers, setting, _endpoints(options, kind), scene.stall.start_s)),
+        processes=tuple(
+            _processes_of(partition, workers, setting, _endpoints(options, kind), scene.stall.start_s)
+        ),
     )
 
 
@@ -385,7 +387,7 @@ def _processes(options: RunOptions, lattice: Lattice) -> Processes:
     return 1 if len(lattice) <= ONE_WORKER_CELLS else min(2, os.cpu_count() or 1)
 
 
-def _listed(
+def _processes_of(
     partition: Partition, workers: int, setting: Processes, endpoints: _Endpoints, start_s: float
 ) -> list[PlannedProcess]:
     listen, join = endpoints

@@ -62,7 +62,7 @@ class Failure:
 
 
 @final
-class Crew:
+class WorkerPool:
     """The worker processes of one run, started through a nursery and ended in `close`.
 
     Args:
@@ -84,7 +84,7 @@ class Crew:
         self._replaced: Counter[int] = Counter()
         """Ends that are still to be told of workers that have been started anew."""
         self._unread = b""
-        self.gone = False
+        self.pipe_closed = False
         ours, theirs = socketpair()
         reading, writing = os.pipe()
         self._channel = Connection(ours.detach())
@@ -125,8 +125,8 @@ class Crew:
             names: Names shown in process lists and messages; a worker's number is its place here.
         """
         self._names = dict(enumerate(names))
-        self._tell("order", order)
-        self._tell("start", list(enumerate(names)))
+        self._send("order", order)
+        self._send("start", list(enumerate(names)))
 
     def add(self, name: str) -> int:
         """Fork one more worker, which does what all do; returns its number.
@@ -136,12 +136,12 @@ class Crew:
         """
         worker = len(self._names)
         self._names[worker] = name
-        self._tell("start", [(worker, name)])
+        self._send("start", [(worker, name)])
         return worker
 
     def signal(self, number: int, workers: Sequence[int]) -> None:
         """Send a signal to workers; those that have ended are left out."""
-        self._tell("signal", (number, list(workers)))
+        self._send("signal", (number, list(workers)))
 
     def restart(self, order: Callable[[int], None], worker: int) -> None:
         """Fork a worker anew, that which has its number being ended first."""
@@ -151,10 +151,10 @@ class Crew:
             if self.ended.pop(worker, None) is None:
                 self.signal(signal.SIGKILL, [worker])
                 self._replaced[worker] += 1
-            self._tell("order", order)
-            self._tell("start", [(worker, self._names[worker])])
+            self._send("order", order)
+            self._send("start", [(worker, self._names[worker])])
 
-    def _tell(self, what: str, content: object) -> None:
+    def _send(self, what: str, content: object) -> None:
         try:
             self._channel.send((what, content))
         except (BrokenPipeError, ConnectionResetError) as error:
@@ -170,16 +170,16 @@ class Crew:
     @property
     def running(self) -> list[int]:
         """Workers that have not ended, those not yet known to be started included."""
-        return [] if self.gone else [worker for worker in self._names if worker not in self.ended]
+        return [] if self.pipe_closed else [worker for worker in self._names if worker not in self.ended]
 
     def poll(self, timeout_s: float = 0.0) -> bool:
         """Take in what has been reported, waiting for something up to ``timeout_s``; False if nothing was."""
-        if self.gone or not _readable(self._reports, timeout_s):
+        if self.pipe_closed or not _readable(self._reports, timeout_s):
             return False
         content = os.read(self._reports, 1 << 20)
         if not content:  # every process that could report has gone
             os.close(self._reports)
-            self.gone = True
+            self.pipe_closed = True
             self.pids.clear()
             return True
         *lines, self._unread = (self._unread + content).split(b"\n")
@@ -209,14 +209,14 @@ class Crew:
         while self.poll():
             pass
         if self.failures:
-            failure = self.told()[0]
+            failure = self.messages()[0]
             raise WorkerError(f"{self.name(failure.worker)}: {failure.error}")
         for worker, status in self.ended.items():
             raise WorkerError(f"{self.name(worker)} ended before the run did: {describe_exit(status)}")
-        if self.gone:
+        if self.pipe_closed:
             raise WorkerError("the process that starts workers ended before the run did")
 
-    def told(self) -> list[Failure]:
+    def messages(self) -> list[Failure]:
         """The failures in the order to tell them: programs that failed first, then by worker.
 
         Workers are numbered as their cells, so the program that is named does not depend on which worker was faster.
@@ -227,7 +227,9 @@ class Crew:
     def programs_failed(self) -> bool:
         """Whether programs that failed are all that has gone wrong, and some have."""
         failed = {failure.worker for failure in self.failures if failure.kind == _PROGRAM}
-        return not self.gone and len(failed) == len(self.failures) > 0 and failed.issuperset(self.ended)
+        return (
+            not self.pipe_closed and len(failed) == len(self.failures) > 0 and failed.issuperset(self.ended)
+        )
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until every worker has ended; False if some still run after ``timeout_s``."""
@@ -255,12 +257,12 @@ class Crew:
         except subprocess.TimeoutExpired:
             self._nursery.kill()
             self._nursery.wait()
-        if not self.gone:
+        if not self.pipe_closed:
             while self.poll():
                 pass
-        if not self.gone:  # a process started by a firmware may hold the pipe open
+        if not self.pipe_closed:  # a process started by a firmware may hold the pipe open
             os.close(self._reports)
-            self.gone = True
+            self.pipe_closed = True
 
 
 def describe_exit(status: int) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol, final
 from bus.partition import Partition
 
 if TYPE_CHECKING:
-    from bus.lockstep import Host
+    from bus.lockstep import Coordinator
     from bus.lockstep.counters import Loss
 
 _PROCESS = ("token lost", "stalled")
@@ -28,7 +28,7 @@ class Workers(Protocol):
 
 
 @final
-class Respawn:
+class Respawner:
     """Starts workers anew that were lost.
 
     Args:
@@ -40,7 +40,12 @@ class Respawn:
     """
 
     def __init__(
-        self, workers: Workers, host: Host, partition: Partition, most: int, warn: Callable[[str], None]
+        self,
+        workers: Workers,
+        host: Coordinator,
+        partition: Partition,
+        most: int,
+        warn: Callable[[str], None],
     ) -> None:
         self._workers = workers
         self._host = host
@@ -51,7 +56,7 @@ class Respawn:
         self._absent: dict[int, int] = {}
         """Of shards that are waited for, a cell's index."""
 
-    def lost(self, losses: Sequence[Loss]) -> None:
+    def on_lost(self, losses: Sequence[Loss]) -> None:
         """Cells were lost: start their processes anew."""
         for loss in losses:
             if loss.reason in _PROCESS:
@@ -59,7 +64,7 @@ class Respawn:
                 if shard not in self._absent:
                     self._start(shard, loss.cell)
 
-    def admitted(self, tick: int) -> list[int]:
+    def poll_rejoined(self, tick: int) -> list[int]:
         """Cells that take part again from ``tick`` on, which is the next."""
         if not self._absent:
             return []

@@ -10,17 +10,17 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
 from bus.errors import BusError
-from deploy.workers.groups import CellsSide, WorkerProcesses, WorkerThread
-from deploy.workers.plan import Plan, RunOptions, host_of, near
-from deploy.workers.worker import Order, Resumed, connected, controller_of, faults_of
+from deploy.workers.groups import WorkerGroup, WorkerProcesses, WorkerThread
+from deploy.workers.plan import Plan, RunOptions, host_of, loopback_address
+from deploy.workers.worker import ResumePoint, WorkerConfig, cell_faults, make_controller, open_session
 
 if TYPE_CHECKING:
-    from bus.lockstep import Counts, Host
-    from bus.lockstep.registers import Wanted
-    from bus.sensors import Readings
+    from bus.lockstep import Coordinator, MessageCounters
+    from bus.lockstep.registers import RegisterRequest
+    from bus.sensors import SensorSchema
     from bus.transports.base import Endpoint
-    from bus.transports.zenoh.access_log import Watch
-    from bus.transports.zenoh.requests import Questions
+    from bus.transports.zenoh.access_log import AccessLogMonitor
+    from bus.transports.zenoh.requests import RequestQueue
     from deploy.scenes.scene import Scene
     from deploy.security.keyring import Keyring
     from deploy.workers.access import Access
@@ -62,14 +62,14 @@ class System:
         self._scene = scene
         self._options = options
         self._keyring = None if options.keys is None else _keyring(options.keys, plan, options)
-        self.refusals: Watch | None = None
+        self.refusals: AccessLogMonitor | None = None
         self._access: Access | None = None
         self._endpoint: Endpoint | None = None
-        self._cells: CellsSide | None = None
+        self._cells: WorkerGroup | None = None
         self.locator = ""
         self.unreported: list[int] = []
-        self._host: Host | None = None
-        self._order: Order | None = None
+        self._host: Coordinator | None = None
+        self._order: WorkerConfig | None = None
         self._running = False
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
@@ -102,7 +102,7 @@ class System:
         hub = self._access.open()
         self._endpoint, self.refusals, self.locator = hub, hub.refusals, self._access.locator
         self._cells = self._processes or WorkerThread(
-            connected(self._access.join, self._keys(), 0, self._scene.stall)
+            open_session(self._access.join, self._keys(), 0, self._scene.stall)
         )
 
     def _keys(self) -> tuple[Path, ...]:
@@ -111,15 +111,15 @@ class System:
     def start(
         self,
         array: CellArray,
-        readings: Readings,
-        wanted: tuple[Wanted, ...] = (),
+        readings: SensorSchema,
+        wanted: tuple[RegisterRequest, ...] = (),
         *,
         metered: bool = False,
         live: bool = False,
         keeps: bool = False,
-        resumed: Resumed | None = None,
-        counted: Counts | None = None,
-    ) -> Host:
+        resumed: ResumePoint | None = None,
+        counted: MessageCounters | None = None,
+    ) -> Coordinator:
         """Start the cells and wait until all of them are ready.
 
         Args:
@@ -136,35 +136,35 @@ class System:
             DeployError: A worker failed on the way; says which and why.
             BusError: Somebody was not ready in time; names who.
         """
-        from bus.lockstep import Host
+        from bus.lockstep import Coordinator
 
         assert self._endpoint is not None
         assert self._cells is not None
         scene, plan = self._scene, self._plan
-        order = Order(
+        order = WorkerConfig(
             scene=scene,
             array=array,
             partition=plan.partition,
             wire=plan.wire,
             run=plan.run,
             connect="" if self._access is None else self._access.join,
-            readings=readings,
-            wanted=wanted,
+            sensors=readings,
+            register_requests=wanted,
             metered=metered,
-            live=live,
-            joins=False,
+            byte_accurate_links=live,
+            joins_running=False,
             keys=self._keys(),
-            alone=plan.workers > 0,
-            keeps=keeps,
+            own_process=plan.workers > 0,
+            snapshots=keeps,
             resumed=resumed,
         )
-        host = self._host = Host(
+        host = self._host = Coordinator(
             self._endpoint,
             plan.partition,
             plan.wire,
             run=plan.run,
             readings=readings,
-            message=controller_of(scene, faults_of(scene), live=live).message,
+            message=make_controller(scene, cell_faults(scene), live=live).link_type,
             wanted=wanted,
             stall=scene.stall,
             keeps=keeps,
@@ -188,11 +188,11 @@ class System:
         assert self._cells is not None
         return self._cells.ended(shard)
 
-    def questions(self, key: str) -> Questions | None:
+    def questions(self, key: str) -> RequestQueue | None:
         """Where others may ask something while the run goes on; None where nobody can."""
         return None if self._access is None else self._access.questions(key)
 
-    def _barrier(self, host: Host, endpoint: Endpoint, cells: CellsSide) -> None:
+    def _barrier(self, host: Coordinator, endpoint: Endpoint, cells: WorkerGroup) -> None:
         """The host's barrier, cut short by a worker that fails."""
         over, trouble = threading.Event(), threading.Event()
 
@@ -236,7 +236,7 @@ class System:
         self._cells.trouble(_WATCH_S)
         return self._cells.details()
 
-    def stop(self, detail: str = "") -> Counts | None:
+    def stop(self, detail: str = "") -> MessageCounters | None:
         """Tell the cells to stop, end those that do not, and close the endpoint; a second call does nothing.
 
         Returns:
@@ -245,7 +245,7 @@ class System:
         if self._stopped:
             return None
         self._stopped = True
-        counts: Counts | None = None
+        counts: MessageCounters | None = None
         # Cells that wait for the start don't listen for the stop.
         deadline = time.monotonic() + (_STOP_S if self._running else 0.0)
         try:
@@ -269,5 +269,5 @@ def _keyring(folder: Path, plan: Plan, options: RunOptions) -> Keyring:
 
     keyring = Keyring(folder)
     for endpoint in (options.listen, options.join):
-        keyring.check(plan.cut, None if endpoint is None else host_of(near(endpoint)))
+        keyring.check(plan.cut, None if endpoint is None else host_of(loopback_address(endpoint)))
     return keyring

@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING, Final, final
 
 from bus.errors import WireError
 from bus.partition import Partition
-from bus.transports.base import Alive, Endpoint, Received
+from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.frames import Control, decode_control
 from bus.wire.keys import plant_key
-from deploy.scenes.fault_schedule import Deaths, deaths, lasting, of_cells
+from deploy.scenes.fault_schedule import Deaths, in_run_faults, of_cells, permanent_crashes
 
 if TYPE_CHECKING:
-    from bus.lockstep import FormName, Member
-    from bus.lockstep.registers import Wanted
-    from bus.sensors import Readings
+    from bus.lockstep import Participant, WireFormat
+    from bus.lockstep.registers import RegisterRequest
+    from bus.sensors import SensorSchema
     from bus.spec import StallSpec
     from cell_firmware.build import CellFaults
     from cell_firmware.controller import Controller
-    from cell_firmware.effects.base import Site
+    from cell_firmware.effects.base import ShardContext
     from cell_firmware.shard import Shard
     from deploy.scenes.scene import Scene
     from plant.array import CellArray
@@ -38,7 +38,7 @@ _BEGIN: Final = 0.6
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Resumed:
+class ResumePoint:
     """Where the cells' side of a run goes on.
 
     Attributes:
@@ -54,7 +54,7 @@ class Resumed:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Order:
+class WorkerConfig:
     """What every worker of a run is told; calling it with a shard's number is that worker's whole life.
 
     Attributes:
@@ -78,29 +78,29 @@ class Order:
     scene: Scene
     array: CellArray
     partition: Partition
-    wire: FormName
+    wire: WireFormat
     run: str
     connect: str
-    readings: Readings
-    wanted: tuple[Wanted, ...]
+    sensors: SensorSchema
+    register_requests: tuple[RegisterRequest, ...]
     metered: bool
-    live: bool
-    joins: bool
+    byte_accurate_links: bool
+    joins_running: bool
     keys: tuple[Path, ...]
-    alone: bool
-    keeps: bool = False
-    resumed: Resumed | None = None
+    own_process: bool
+    snapshots: bool = False
+    resumed: ResumePoint | None = None
 
     def __call__(self, shard: int) -> None:
         """Open a session of one's own, serve, and close it."""
-        endpoint = connected(self.connect, self.keys, shard, self.scene.stall)
+        endpoint = open_session(self.connect, self.keys, shard, self.scene.stall)
         try:
             serve(self, shard, endpoint)
         finally:
             endpoint.close()
 
 
-def connected(connect: str, keys: tuple[Path, ...], shard: int, stall: StallSpec) -> Endpoint:
+def open_session(connect: str, keys: tuple[Path, ...], shard: int, stall: StallSpec) -> Endpoint:
     """A session of a shard's own, which shows its role's keys if there are any."""
     from bus.transports.zenoh import open_client
 
@@ -112,7 +112,7 @@ def connected(connect: str, keys: tuple[Path, ...], shard: int, stall: StallSpec
     return open_client(connect, lease_s=stall.lease_s, timeout_s=stall.start_s, identity=identity)
 
 
-def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
+def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
     """Run the agents of one shard until the plant says stop or all their cells are dead.
 
     Raises:
@@ -121,72 +121,72 @@ def serve(order: Order, shard: int, endpoint: Endpoint) -> None:
     """
     import asyncio
 
-    from bus.lockstep import Member
-    from bus.state import remember
+    from bus.lockstep import Participant
+    from bus.state import save_state
     from cell_firmware import agent
     from cell_firmware.cell import records_of
     from cell_firmware.loader import load
-    from deploy.workers.overrun import Overseer
+    from deploy.workers.overrun import Watchdog
 
     cells, site = _begun(order, shard)
     records = records_of(load(order.scene.cells))
-    if order.keeps:
-        remember(cells, records)  # a program whose memory can't be kept is told of before the run begins
-    member = Member(
+    if order.snapshots:
+        save_state(cells, records)  # a program whose memory can't be kept is told of before the run begins
+    member = Participant(
         endpoint,
         order.partition,
         shard,
         order.wire,
         run=order.run,
-        readings=order.readings,
+        readings=order.sensors,
         message=cells.message,
         stall=order.scene.stall,
-        wanted=order.wanted,
-        tally=cells.counted,
-        keeps=order.keeps,
-        joins=order.joins,
+        wanted=order.register_requests,
+        tally=cells.counters,
+        keeps=order.snapshots,
+        joins=order.joins_running,
     )
-    schedule = deaths(order.scene)
+    schedule = permanent_crashes(order.scene)
     for tick, dead in schedule.items():
-        member.plan(dead, tick)
+        member.schedule_death(dead, tick)
     if order.resumed is not None:
         _recall(order.resumed, shard, cells, records, member)
     member.ready()
     first = _first(order, cells, member)
     if first is not None:
-        cells.begin(first)
+        cells.start_at(first)
         inject = _injector(order, cells, site)
-        watched = partial(Overseer, order.scene.stall.deadline_s, "stall.deadline_s")
+        watched = partial(Watchdog, order.scene.stall.deadline_s, "stall.deadline_s")
         ended = asyncio.run(agent.run(cells, member, endpoint, inject, records, first, watched))
-        doomed = order.alone and _doomed(order, shard, schedule, first + ended.ticks)
+        doomed = order.own_process and _all_dead_by_schedule(order, shard, schedule, first + ended.ticks)
         # Whoever had no cells left from the beginning stays none the less: the start waits for all.
         absent = order.resumed is not None and shard not in order.resumed.states
-        if (doomed or absent) and _next_tick_came(order.run, len(order.array), endpoint):
+        if (doomed or absent) and _wait_for_next_tick(order.run, len(order.array), endpoint):
             os.kill(os.getpid(), signal.SIGKILL)
     member.close()
 
 
-def _begun(order: Order, shard: int) -> tuple[Shard, Site]:
+def _begun(order: WorkerConfig, shard: int) -> tuple[Shard, ShardContext]:
     """Make a shard under the deadline of its programs' ``init``.
 
     Raises:
         FirmwareError: The firmware can't be loaded or initialised, or an ``init`` does not return.
     """
     from cell_firmware.errors import FirmwareFailed
-    from deploy.workers.overrun import Overseer
+    from deploy.workers.overrun import Watchdog
 
-    made: SimpleQueue[tuple[Shard, Site] | BaseException] = SimpleQueue()
+    made: SimpleQueue[tuple[Shard, ShardContext] | BaseException] = SimpleQueue()
 
     def hopeless(cell: tuple[int, int], problem: str, trace: str) -> None:
         made.put(FirmwareFailed(cell, 0, f"init: {problem}", trace))
 
     limit_s, rule = _BEGIN * order.scene.stall.start_s, f"{_BEGIN:g} of stall.start_s"
-    with closing(Overseer(limit_s, rule, hopeless=hopeless)) as watch:
+    with closing(Watchdog(limit_s, rule, hopeless=hopeless)) as watch:
 
         def make() -> None:
             try:
                 with watch:
-                    made.put(make_shard(order, shard))
+                    made.put(build_shard(order, shard))
             except BaseException as error:  # noqa: BLE001 - raised again in the shard's own thread
                 made.put(error)
 
@@ -198,27 +198,29 @@ def _begun(order: Order, shard: int) -> tuple[Shard, Site]:
     return found
 
 
-def _recall(resumed: Resumed, shard: int, cells: Shard, records: tuple[type, ...], member: Member) -> None:
+def _recall(
+    resumed: ResumePoint, shard: int, cells: Shard, records: tuple[type, ...], member: Participant
+) -> None:
     """Let the cells of a shard be what they were."""
-    from bus.state import recall
+    from bus.state import load_state
 
     if shard in resumed.states:
-        recall(cells, resumed.states[shard], records)
+        load_state(cells, resumed.states[shard], records)
     member.resume(resumed.tick, resumed.dead)
 
 
-def _first(order: Order, cells: Shard, member: Member) -> int | None:
+def _first(order: WorkerConfig, cells: Shard, member: Participant) -> int | None:
     """The first tick of a shard that is ready; None where it is stopped before."""
     from bus.wire.frames import LinkFrame
 
     if order.resumed is None:
-        return member.join() if order.joins else 0
-    first, said = order.resumed.tick, cells.border
-    member.repeat(None if said is None else LinkFrame(first - 1, said.sent, said.message))
+        return member.join() if order.joins_running else 0
+    first, said = order.resumed.tick, cells.boundary_links
+    member.resend_links(None if said is None else LinkFrame(first - 1, said.sent, said.message))
     return first
 
 
-def controller_of(
+def make_controller(
     scene: Scene, faults: CellFaults | None = None, *, live: bool = False, metered: bool = False
 ) -> Controller:
     """The controller that a scene gives every cell.
@@ -229,13 +231,13 @@ def controller_of(
         live: Whether more faults may come while it runs.
         metered: Whether it counts the cell's messages.
     """
-    from cell_firmware.build import assemble
+    from cell_firmware.build import build_controller
     from cell_firmware.loader import load
-    from deploy.scenes.motor_facts import told
+    from deploy.scenes.motor_facts import motor_facts
 
-    motors = told(scene.effects.motors)
+    motors = motor_facts(scene.effects.motors)
     firmware = load(scene.cells)
-    return assemble(
+    return build_controller(
         firmware,
         scene.cells,
         scene.effects,
@@ -247,9 +249,9 @@ def controller_of(
     )
 
 
-def faults_of(scene: Scene) -> CellFaults | None:
+def cell_faults(scene: Scene) -> CellFaults | None:
     """The faults that the cells of a scene carry out; None where there are none."""
-    injected = of_cells(lasting(scene))
+    injected = of_cells(in_run_faults(scene))
     if not injected:
         return None
     from cell_firmware.build import CellFaults
@@ -257,27 +259,27 @@ def faults_of(scene: Scene) -> CellFaults | None:
     return CellFaults(scene.lattice(), injected, scene.seed)
 
 
-def make_shard(order: Order, index: int) -> tuple[Shard, Site]:
+def build_shard(order: WorkerConfig, index: int) -> tuple[Shard, ShardContext]:
     """The cells of a shard before tick 0, and where they are."""
-    from cell_firmware.effects.base import Site
+    from cell_firmware.effects.base import ShardContext
     from cell_firmware.firmware import Cells
     from cell_firmware.shard import FAULTS, Shard
 
-    scene, array, readings = order.scene, order.array, order.readings
-    faults = faults_of(scene)
-    controller = controller_of(scene, faults, live=order.live, metered=order.metered)
+    scene, array, readings = order.scene, order.array, order.sensors
+    faults = cell_faults(scene)
+    controller = make_controller(scene, faults, live=order.byte_accurate_links, metered=order.metered)
     cells, clocks = order.partition.cells(index), scene.clocks()
-    site = Site(
+    site = ShardContext(
         cells,
         readings.sensors,
-        controller.message,
+        controller.link_type,
         scene.seed,
         levels=readings.levels,
-        said=controller.said,
+        said=controller.message_type,
         tick_ns=scene.tick_ns,
-        clocks=None if clocks is None else clocks.all.take(cells),
+        clocks=None if clocks is None else clocks.clocks.take(cells),
     )
-    stages = scene.effects.stages(site)
+    stages = scene.effects.input_filters(site)
     if faults is not None:
         stages[FAULTS] = faults.stages(site)
     shard = Shard(
@@ -297,24 +299,24 @@ def make_shard(order: Order, index: int) -> tuple[Shard, Site]:
     return shard, site
 
 
-def _injector(order: Order, shard: Shard, site: Site) -> Callable[[Control], None]:
+def _injector(order: WorkerConfig, shard: Shard, site: ShardContext) -> Callable[[Control], None]:
     """What carries out live faults on a shard."""
 
     def inject(control: Control) -> None:
-        from deploy.control.protocol import carry_out
+        from deploy.control.protocol import apply_to_shard
 
-        carry_out(control, order.scene, shard, site)
+        apply_to_shard(control, order.scene, shard, site)
 
     return inject
 
 
-def _doomed(order: Order, shard: int, schedule: Deaths, ticks: int) -> bool:
+def _all_dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, ticks: int) -> bool:
     """Whether every cell of the shard is dead by the schedule after so many ticks."""
     dead = {cell for tick, cells in schedule.items() if tick <= ticks for cell in cells}
     return dead.issuperset(order.partition.cells(shard).tolist())
 
 
-def _next_tick_came(run: str, cells: int, endpoint: Endpoint) -> bool:
+def _wait_for_next_tick(run: str, cells: int, endpoint: Endpoint) -> bool:
     """Wait until the plant begins the tick of the crash; False if the run ends instead.
 
     Only then has everything that was sent before arrived: a process that killed itself earlier would take its
@@ -328,7 +330,9 @@ def _next_tick_came(run: str, cells: int, endpoint: Endpoint) -> bool:
                 return True
             if event.key == control and _says_stop(event.payload, cells):
                 return False
-        elif isinstance(event, Alive) and event.key == plant_key(run, "alive") and not event.present:
+        elif (
+            isinstance(event, LivelinessChange) and event.key == plant_key(run, "alive") and not event.present
+        ):
             return False
 
 

@@ -17,7 +17,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.analysis.static_supports import Footing, moved
+from plant.analysis.static_supports import StaticSupports, moved
 from plant.array import CellArray
 from plant.errors import PlantError
 from plant.friction.viscous import viscous_of
@@ -73,8 +73,8 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     """
     law = viscous_of(spec.friction, "constants of motion (eqs. 18 and 23)")
     array, parcel = CellArray(spec.array), spec.parcels[index]
-    footing = Footing(array, parcel)
-    cells = footing.carrying()
+    footing = StaticSupports(array, parcel)
+    cells = footing.supports()
     if len(cells) == 0:
         raise PlantError(f"parcels[{index}]: no set of cells carries the parcel at this pose")
     mass = parcel.mass_kg
@@ -99,7 +99,7 @@ def constants_of_motion(spec: PlantSpec, index: int, wheel_speed: Floats) -> Con
     place = _equilibrium(stiffness, offset, natural)
     inside = False
     if place is not None:
-        inside = bool(np.array_equal(Footing(array, moved(parcel, place)).carrying(), cells))
+        inside = bool(np.array_equal(StaticSupports(array, moved(parcel, place)).supports(), cells))
     return ConstantsOfMotion(
         supports=tuple(array.lattice.cells[int(i)] for i in cells.tolist()),
         loads_n=weight * shares,

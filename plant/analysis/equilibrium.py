@@ -117,7 +117,7 @@ _ATTEMPTS = 50
 """Steps from the equilibrium of one support set to that of the next."""
 
 
-def resting_place(spec: PlantSpec, index: int, wheel_speed: Floats) -> Floats:
+def equilibrium_point(spec: PlantSpec, index: int, wheel_speed: Floats) -> Floats:
     """Where the centre of mass of a parcel comes to rest, at the angle it starts with: ``(2,)`` m.
 
     In a linear field that is where the field stands still, at every angle and on all supports. In others it is the

@@ -33,7 +33,7 @@ def moved(parcel: ParcelSpec, place_m: Floats) -> ParcelSpec:
 
 
 @final
-class Footing:
+class StaticSupports:
     """One parcel, alone on the array and at rest, at its start pose until other cells are put below it.
 
     Args:
@@ -51,17 +51,17 @@ class Footing:
         self._driven: Floats = np.ones(len(array))
         self.inertia_kg_m2: float = parcel.mass_kg / float(self._parcel.par[layout.MASS_OVER_INERTIA])
 
-    def cover(self, under: Cells) -> None:
+    def set_cells(self, under: Cells) -> None:
         """Turn the parcel to where the cells ``under``, and no others, are below it: loads depend on no more."""
         count = len(under)
         self._parcel.mem[:count] = 0  # all of them pressed, as ever: what was lifted before is no first guess
         self._parcel.mem[:count, layout.CELL] = under
         self._parcel.ctl[layout.N_MEMBERS] = count
 
-    def carrying(self) -> Cells:
+    def supports(self) -> Cells:
         """The cells that carry the parcel, ascending; none where it doesn't stand."""
         count = self._parcel.ctl[layout.N_MEMBERS]
-        if count == 0 or not self._solver.stand(0, self._driven):
+        if count == 0 or not self._solver.find_supports(0, self._driven):
             return np.zeros(0, dtype=np.intp)
         members = self._parcel.mem[:count]
         return np.sort(members[members[:, layout.MARK] == layout.ACTIVE, layout.CELL]).astype(np.intp)

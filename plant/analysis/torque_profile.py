@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from plant import geometry
 from plant.analysis.crossings import Crossings, crossings
 from plant.analysis.orientations import TorqueProfile
-from plant.analysis.static_supports import Footing, footprint, moved
+from plant.analysis.static_supports import StaticSupports, footprint, moved
 from plant.array import CellArray
 from plant.errors import PlantError
 from plant.friction.viscous import viscous_of
@@ -31,7 +31,7 @@ _LIFTED = 1e-12
 
 
 @final
-class Turntable:
+class TorqueProfiler:
     """A field on which parcels are turned on the spot, one after the other.
 
     Args:
@@ -48,7 +48,7 @@ class Turntable:
         """``mu W`` of a parcel: the force of all its supports together, per speed at which they slip."""
         return self._kappa * parcel.mass_kg
 
-    def turn(self, parcel: ParcelSpec, centre_m: Floats) -> TorqueProfile:
+    def profile(self, parcel: ParcelSpec, centre_m: Floats) -> TorqueProfile:
         """Turn a parcel once round.
 
         Args:
@@ -69,15 +69,15 @@ class Turntable:
         torque, force, count, plane = _all_pressed(offset / pitch, speed, passed)
         farthest = radius / pitch
         pressed = plane[:, 0] - np.hypot(plane[:, 1], plane[:, 2]) * farthest > 0.0
-        footing: Footing | None = None
+        footing: StaticSupports | None = None
         for step in np.flatnonzero(~pressed).tolist():
             under = passed.under_after(step)
             if np.all(_loads(plane[step], offset[under] / pitch) >= -_LIFTED * plane[step, 0]):
                 continue
             if footing is None:
-                footing = Footing(self._array, moved(parcel, centre_m))
-            footing.cover(near[under])
-            cells = footing.carrying()
+                footing = StaticSupports(self._array, moved(parcel, centre_m))
+            footing.set_cells(near[under])
+            cells = footing.supports()
             count[step] = len(cells)
             force[step], torque[step] = _pull(self._array.positions_m[cells] - centre_m, self._speed[cells])
             torque[step] /= pitch

@@ -19,16 +19,16 @@ class ContactWidthSpec(EffectSpec):
     """Wheels that come to be under a parcel by and by."""
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit", "fixed_step", "quasi_static")
-    rung: ClassVar[int | None] = 20
+    fidelity_rank: ClassVar[int | None] = 20
     width_m: Positive
     """Over which a cell comes to be under a parcel, half of it on either side of the edge; at most the pitch."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:
+    def default_settings(cls, pitch_m: float) -> Self:
         """A tenth of the pitch."""
         return cls(width_m=0.1 * pitch_m)
 
-    def misplaced(
+    def problems(
         self,
         lattice: Lattice,  # noqa: ARG002
         pitch_m: float,

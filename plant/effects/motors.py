@@ -15,8 +15,8 @@ from pydantic import model_validator
 
 from bus.effect import EffectSpec
 from bus.spec import NotNegative, Positive, Spec
-from bus.state import Remembers
-from plant.wheels import Changes, Floats, WheelMotion, WheelRun
+from bus.state import StateFields
+from plant.wheels import Floats, WheelChanges, WheelMotion, WheelRun
 
 
 @final
@@ -115,7 +115,7 @@ class MotorsSpec(EffectSpec):
 
     states: ClassVar[tuple[str, ...]] = ("speed and travel of every wheel", "integral of every speed loop")
     messages: ClassVar[tuple[str, ...]] = ("cells are told encoder counts", "drives are volts")
-    rung: ClassVar[int | None] = 30
+    fidelity_rank: ClassVar[int | None] = 30
     time_constant_s: Positive | None = None
     """0.06 unless ``dc`` is given."""
     speed_per_volt_m_s: Positive | None = None
@@ -159,7 +159,7 @@ class MotorsSpec(EffectSpec):
         )
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """The defaults."""
         return cls()
 
@@ -174,7 +174,7 @@ class Motors:
         loaded: Whether they feel what they pull (effect ``wheel_load``).
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_volts", "_speed", "_travel")
+    remembers: ClassVar[StateFields] = StateFields("_volts", "_speed", "_travel")
 
     def __init__(self, spec: MotorsSpec, cells: int, *, loaded: bool = False) -> None:
         self._supply_v = spec.supply_v
@@ -208,7 +208,7 @@ class Motors:
         rows = self._stops(self._speed, steady, first, 0.0, np.minimum(acts_s, span_s))
         speed = WheelRun(motion, _changes(rows)).speed(np.where(np.isfinite(acts_s), acts_s, 0.0))
         steady, decay = self._set_off(speed, volts)
-        rows.append(Changes(acts_s, steady, decay))
+        rows.append(WheelChanges(acts_s, steady, decay))
         rows += self._stops(speed, steady, volts, acts_s, span_s)
         return WheelRun(motion, _changes(rows))
 
@@ -226,7 +226,7 @@ class Motors:
 
     def _stops(
         self, speed: Floats, steady: Floats, volts: Floats, begun_s: Floats | float, end_s: Floats | float
-    ) -> list[Changes]:
+    ) -> list[WheelChanges]:
         """How wheels go on that stop under voltages before ``end_s``: they stand, or turn round.
 
         From V towards s on the other side of zero it takes ``tau ln(1 + |V / s|)``.
@@ -239,7 +239,7 @@ class Motors:
         stops &= after < end_s
         if not stops.any():
             return []
-        return [Changes(np.where(stops, after, np.inf), *self._set_off(np.zeros_like(speed), volts))]
+        return [WheelChanges(np.where(stops, after, np.inf), *self._set_off(np.zeros_like(speed), volts))]
 
     def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> Floats | None:
         """Take speed and travel ``span_s`` seconds along ``run``; see ``plant.wheels.Wheels``."""
@@ -249,11 +249,11 @@ class Motors:
             covered = -math.expm1(-motion.rate * span_s) / motion.rate
             self._travel = begun + motion.steady * span_s + motion.decay * covered
             self._speed = motion.steady + motion.decay * left
-            passed = None if reads_s is None else begun + run.way(reads_s)
+            passed = None if reads_s is None else begun + run.travel(reads_s)
         elif reads_s is None:
-            self._travel, self._speed = begun + run.way(span_s), run.speed(span_s)
+            self._travel, self._speed = begun + run.travel(span_s), run.speed(span_s)
         else:
-            passed, self._travel = begun + run.way(np.stack([reads_s, np.full_like(reads_s, span_s)]))
+            passed, self._travel = begun + run.travel(np.stack([reads_s, np.full_like(reads_s, span_s)]))
             self._speed = run.speed(span_s)
         if motion.slowing is not None:
             self._speed += motion.slowing[:, :2]
@@ -271,8 +271,8 @@ class Motors:
         return self._travel
 
 
-def _changes(rows: list[Changes]) -> Changes | None:
+def _changes(rows: list[WheelChanges]) -> WheelChanges | None:
     """One change after another as one; None of none."""
     if len(rows) == 1:
-        return Changes(*(part[None] for part in rows[0]))
-    return Changes(*(np.stack(parts) for parts in zip(*rows, strict=True))) if rows else None
+        return WheelChanges(*(part[None] for part in rows[0]))
+    return WheelChanges(*(np.stack(parts) for parts in zip(*rows, strict=True))) if rows else None

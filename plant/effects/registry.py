@@ -31,9 +31,9 @@ class PlantEffects(Effects):
     scanners: ScannersSpec | None = None
     camera: CameraSpec | None = None
 
-    def at_odds(self) -> Iterator[tuple[tuple[str, str], object, str]]:
+    def problems(self) -> Iterator[tuple[tuple[str, str], object, str]]:
         """See ``Effects``; and wheels that lack an inertia, or that their load could keep from turning."""
-        yield from super().at_odds()
+        yield from super().problems()
         if self.wheel_load is None or self.motors is None:
             return
         if self.wheel_inertia_kg is None:

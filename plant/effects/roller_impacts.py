@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar, Self, final
 from pydantic import Field
 
 from bus.effect import EffectSpec
-from bus.random_streams import generator
+from bus.random_streams import rng
 from bus.spec import Positive
 from plant.wheels import Floats
 
@@ -26,14 +26,14 @@ class RollerImpactsSpec(EffectSpec):
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
     states: ClassVar[tuple[str, ...]] = ("slip since the last roller, of every wheel and parcel",)
-    rung: ClassVar[int | None] = 50
+    fidelity_rank: ClassVar[int | None] = 50
     spacing_m: Annotated[float, Field(ge=1e-5, le=1.0, allow_inf_nan=False)]
     """Slip at a wheel from one roller to the next."""
     impulse_s: Positive
     """What one roller gives the parcel along the wheel's axis, N s per newton of load on the cell."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """Rollers 4 mm apart that add 0.02 s/m to the scene's friction."""
         return cls(spacing_m=4e-3, impulse_s=8e-5)
 
@@ -45,4 +45,4 @@ def starts(cells: int, seed: int) -> Floats:
         cells: how many, two wheels each.
         seed: of the scene.
     """
-    return generator(seed, "roller_impacts").random((cells, 2))
+    return rng(seed, "roller_impacts").random((cells, 2))

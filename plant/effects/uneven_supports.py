@@ -16,7 +16,7 @@ from pydantic import Field, field_validator
 
 from bus.effect import EffectSpec
 from bus.lattice import Lattice
-from bus.random_streams import generator
+from bus.random_streams import rng
 from bus.spec import CellName, Finite, NotNegative, Positive, Spec
 from plant.wheels import Floats
 
@@ -34,7 +34,7 @@ class UnevenSupportsSpec(EffectSpec):
     """Cells of unequal spring rates and heights."""
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit", "fixed_step", "quasi_static")
-    rung: ClassVar[int | None] = 10
+    fidelity_rank: ClassVar[int | None] = 10
     stiffness_n_per_m: Positive
     """Mean spring rate of a cell."""
     stiffness_spread: Annotated[float, Field(ge=0, le=2, allow_inf_nan=False)] = 0.0
@@ -54,11 +54,11 @@ class UnevenSupportsSpec(EffectSpec):
         return value
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """Springs of 3 N/mm that differ by a fifth, at heights that differ by 0.1 mm."""
         return cls(stiffness_n_per_m=3e3, stiffness_spread=0.2, height_spread_m=1e-4)
 
-    def misplaced(
+    def problems(
         self,
         lattice: Lattice,
         pitch_m: float,  # noqa: ARG002
@@ -95,7 +95,7 @@ def supports(spec: UnevenSupportsSpec, lattice: Lattice, seed: int) -> Supports:
         lattice: which cells exist.
         seed: of the scene.
     """
-    draw = generator(seed, "uneven_supports").standard_normal((len(lattice), 2))
+    draw = rng(seed, "uneven_supports").standard_normal((len(lattice), 2))
     spread = spec.stiffness_spread
     # the mean of exp(s g) is exp(s^2 / 2)
     rate: Floats = np.exp(spread * draw[:, 0] - 0.5 * spread * spread)

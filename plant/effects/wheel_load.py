@@ -20,12 +20,12 @@ class WheelLoadSpec(EffectSpec):
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     excludes: ClassVar[tuple[str, ...]] = ("parcel_contact",)
     states: ClassVar[tuple[str, ...]] = ("what its load took from every wheel's speed and travel",)
-    rung: ClassVar[int | None] = 40
+    fidelity_rank: ClassVar[int | None] = 40
     inertia_kg: Positive | None = None
     """Of a wheel and what turns with it, at the surface: moment of inertia over the wheel's radius squared. None: that
     of ``motors.dc``."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """50 g."""
         return cls(inertia_kg=0.05)

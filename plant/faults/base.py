@@ -23,7 +23,7 @@ Bools = NDArray[np.bool_]
 
 @final
 @dataclass(slots=True)
-class Harm:
+class WheelFaults:
     """What faults do to the plant's parts from one tick on; each fault adds its own.
 
     Attributes:
@@ -43,12 +43,12 @@ class Harm:
     factor: Floats
     most_m_s: Floats
     runs_m_s: Floats
-    rests: dict[int, LossPolicy] = field(default_factory=dict[int, LossPolicy])
+    wheel_policies: dict[int, LossPolicy] = field(default_factory=dict[int, LossPolicy])
 
     @staticmethod
-    def none(cells: int) -> Harm:
+    def healthy(cells: int) -> WheelFaults:
         """All is well."""
-        return Harm(
+        return WheelFaults(
             dead=np.zeros(cells, dtype=np.bool_),
             gone=np.zeros(cells, dtype=np.bool_),
             stuck=np.zeros((cells, 2), dtype=np.bool_),
@@ -61,7 +61,7 @@ class Harm:
 class PlantFault(FaultSpec):
     """A fault of what lives in the plant."""
 
-    def at_odds(self, effects: PlantEffects) -> Iterator[Problem]:  # noqa: ARG002
+    def setting_problems(self, effects: PlantEffects) -> Iterator[Problem]:  # noqa: ARG002
         """What of it does not go with a scene's effects."""
         yield from ()
 
@@ -70,7 +70,7 @@ class PlantFault(FaultSpec):
         return self
 
     @abstractmethod
-    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
         """Say what is the matter while it acts.
 
         Args:

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
-from plant.faults.base import Harm
-from plant.wheels import Changes, Floats, WheelMotion, WheelRun, Wheels
+from bus.state import StateFields
+from plant.faults.base import WheelFaults
+from plant.wheels import Floats, WheelChanges, WheelMotion, WheelRun, Wheels
 
 if TYPE_CHECKING:
     from plant.effects.motors import MotorsSpec
 
 
 @final
-class HarmedWheels:
+class FaultyWheels:
     """Wheels as they are, but for what faults do to their drives, and to those that stand whatever they are told.
 
     A fault acts at once, on the drive that stands as on those that follow. With motors it acts on what reaches them:
@@ -28,15 +28,15 @@ class HarmedWheels:
         cells: Of the array.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_wheels")
+    remembers: ClassVar[StateFields] = StateFields("_wheels")
 
     def __init__(self, wheels: Wheels, motors: MotorsSpec | None, cells: int) -> None:
         self._wheels = wheels
         self._motors = motors
-        self._harm = Harm.none(cells)
+        self._harm = WheelFaults.healthy(cells)
         self._still: NDArray[np.bool_] = np.zeros((cells, 2), dtype=np.bool_)
 
-    def suffer(self, harm: Harm, drives: Floats) -> None:
+    def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
         """Something else is the matter from now on, while ``drives`` ``(n, 2)`` go on until others take effect."""
         self._harm = harm
         self._still = harm.stuck | harm.gone[:, None]
@@ -45,7 +45,7 @@ class HarmedWheels:
     def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
         """What they do from now on; see ``plant.wheels.Wheels``."""
         run = self._wheels.command(self._acting(drives), span_s, acts_s)
-        return _halted(run, self._still) if self._still.any() else run
+        return _with_locked(run, self._still) if self._still.any() else run
 
     def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> Floats | None:
         """Let the wheels turn; see ``plant.wheels.Wheels``."""
@@ -63,14 +63,14 @@ class HarmedWheels:
 
     def _acting(self, drives: Floats) -> Floats:
         """What reaches the wheels of ``drives``: m/s, or volts within the supply's."""
-        harm, supply, most = self._harm, np.inf, harm_limit(self._harm, self._motors)
+        harm, supply, most = self._harm, np.inf, speed_limit(self._harm, self._motors)
         if self._motors is not None:
             supply = self._motors.supply_v
         asked = np.where(np.isnan(harm.runs_m_s), drives, harm.runs_m_s)
         return np.clip(np.clip(asked, -supply, supply) * harm.factor, -most, most)
 
 
-def harm_limit(harm: Harm, motors: MotorsSpec | None) -> Floats:
+def speed_limit(harm: WheelFaults, motors: MotorsSpec | None) -> Floats:
     """The greatest drive ``(n, 2)`` that faults let through: a speed, or the voltage that leads to it without load."""
     if motors is None:
         return harm.most_m_s
@@ -78,7 +78,7 @@ def harm_limit(harm: Harm, motors: MotorsSpec | None) -> Floats:
     return harm.most_m_s / motor.speed_per_volt_m_s + motor.coulomb_v
 
 
-def _halted(run: WheelRun, still: NDArray[np.bool_]) -> WheelRun:
+def _with_locked(run: WheelRun, still: NDArray[np.bool_]) -> WheelRun:
     """The same motion, but that some wheels stand from its start to its end."""
     motion, changes = run.motion, run.changes
     halted = WheelMotion(
@@ -88,4 +88,4 @@ def _halted(run: WheelRun, still: NDArray[np.bool_]) -> WheelRun:
         return WheelRun(halted)
     after_s = np.where(still, np.inf, changes.after_s)
     steady, decay = (np.where(still, 0.0, part) for part in changes[1:])
-    return WheelRun(halted, Changes(after_s, steady, decay))
+    return WheelRun(halted, WheelChanges(after_s, steady, decay))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar, final
 
-from bus.fault import Injected, turns
-from bus.lattice import NEVER
-from bus.state import Remembers
-from plant.faults.base import Harm, PlantFault
+from bus.fault import FaultInstance, transition_ticks
+from bus.lattice import NO_TICK_LIMIT
+from bus.state import StateFields
+from plant.faults.base import PlantFault, WheelFaults
 
 
 @final
-class ActiveFaults:
+class FaultSchedule:
     """Says in which ticks something changes, and what is the matter from there on.
 
     Args:
@@ -21,36 +21,36 @@ class ActiveFaults:
 
     Attributes:
         turns: The ticks in which faults begin or end from now on, ascending.
-        next_turn: The first of them; ``NEVER``: none does.
+        next_turn: The first of them; ``NOT_IN_WINDOW``: none does.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("turns", "next_turn")
+    remembers: ClassVar[StateFields] = StateFields("transitions", "next_transition")
 
-    def __init__(self, cells: int, faults: Sequence[Injected[PlantFault]] = ()) -> None:
+    def __init__(self, cells: int, faults: Sequence[FaultInstance[PlantFault]] = ()) -> None:
         self._cells = cells
         self._faults = list(faults)
-        self.turns: list[int] = []
-        self.next_turn = NEVER
+        self.transitions: list[int] = []
+        self.next_transition = NO_TICK_LIMIT
         self.plan(0)
 
-    def add(self, fault: Injected[PlantFault]) -> None:
+    def add(self, fault: FaultInstance[PlantFault]) -> None:
         """One more, which begins no earlier than the next tick."""
         self._faults.append(fault)
 
     def plan(self, tick: int) -> None:
         """Look again at when they begin and end; ``tick`` is the next."""
-        self.turns = [turn for turn in turns(self._faults) if turn >= tick]
-        self.next_turn = self.turns[0] if self.turns else NEVER
+        self.transitions = [turn for turn in transition_ticks(self._faults) if turn >= tick]
+        self.next_transition = self.transitions[0] if self.transitions else NO_TICK_LIMIT
 
-    def turn(self, tick: int) -> Harm:
+    def at_transition(self, tick: int) -> WheelFaults:
         """What is the matter from ``tick`` on, which is ``next_turn``."""
         self.plan(tick + 1)
-        return self.harm(tick)
+        return self.state_at(tick)
 
-    def harm(self, tick: int, *, live: bool = True) -> Harm:
+    def state_at(self, tick: int, *, live: bool = True) -> WheelFaults:
         """What is the matter in a tick, because of the scene's faults alone if ``live`` is false."""
-        harm = Harm.none(self._cells)
+        harm = WheelFaults.healthy(self._cells)
         for injected in self._faults:
-            if injected.acts(tick) and (live or not injected.live):
-                injected.fault.harm(injected.cells, harm)
+            if injected.active_at(tick) and (live or not injected.injected_at_runtime):
+                injected.fault.apply(injected.cells, harm)
         return harm

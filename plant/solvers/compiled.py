@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant import stop
 from plant.array import CellArray
 from plant.kernel_data import (
@@ -37,8 +37,8 @@ from plant.kernels.common.parcels import (
 )
 from plant.kernels.common.surface import Surface
 from plant.parcel_spec import ParcelSpec
-from plant.solver_api import Advance, Body, Kept, Leg, SolverEvent
-from plant.solvers.thread_pool import Crew
+from plant.solver_api import AdvanceResult, Body, Segment, SolverEvent, SolverSnapshot
+from plant.solvers.thread_pool import ThreadPool
 from plant.wheels import Floats, WheelMotion
 
 
@@ -58,7 +58,9 @@ class CompiledSolver(ABC):
         bodies: the parcels as the plant sees them.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(shared=("packed.y", "packed.par", "packed.ctl", "packed.mem"))
+    remembers: ClassVar[StateFields] = StateFields(
+        shared=("packed.y", "packed.par", "packed.ctl", "packed.mem")
+    )
 
     def __init__(self, array: CellArray, parcels: tuple[ParcelSpec, ...], rate: float) -> None:
         from plant.kernels.common import select as pick  # loads numba: only where a plant is really built
@@ -67,7 +69,9 @@ class CompiledSolver(ABC):
         self.packed: Parcels = pack([make_parcel(parcel, array) for parcel in parcels])
         self.packed.par[:, layout.RATE] = rate
         kernels: Any = pick
-        self.parcels: list[Parcel] = [kernels.parcel_of.py_func(self.packed, i) for i in range(len(parcels))]
+        self.parcels: list[Parcel] = [
+            kernels.parcel_view.py_func(self.packed, i) for i in range(len(parcels))
+        ]
         self.capacity: int = max((len(parcel.mem) for parcel in self.parcels), default=1)
         self.state: Floats = self.packed.y
         self.bodies: Sequence[Body] = [body_of(parcel) for parcel in self.parcels]
@@ -85,27 +89,27 @@ class CompiledSolver(ABC):
         """``(m,)`` parcels whose chatter was captured so far."""
         return self.packed.ctl[:, layout.N_CAPTURES] > 0
 
-    def under(self, index: int) -> NDArray[np.int64]:
+    def covered_cells(self, index: int) -> NDArray[np.int64]:
         """The cells under a parcel now, in no order, its boundary included."""
         return members(self.parcels[index])
 
-    def stand(self, index: int, grip: Floats) -> bool:
+    def find_supports(self, index: int, grip: Floats) -> bool:
         """Find a parcel's loads where it is. False where its supports can't carry it."""
         still = WheelMotion(self._still, self._still, 0.0)
-        news = self.advance(np.array([index]), Leg.through(still, grip, 0.0, len(self.parcels)))
-        return not news or news[0].ending == "moving"
+        news = self.advance(np.array([index]), Segment.through(still, grip, 0.0, len(self.parcels)))
+        return not news or news[0].termination == "moving"
 
     def _memory(self) -> Sequence[NDArray[Any]]:
         """Arrays with a row a parcel that moving it changes."""
         return self.packed.y, self.packed.par, self.packed.ctl
 
-    def keep(self, indices: NDArray[np.int64]) -> Kept:
+    def snapshot(self, indices: NDArray[np.int64]) -> SolverSnapshot:
         """All that moving these parcels changes, to be able to go back."""
         parcels = [self.parcels[int(i)] for i in indices]
         members = [parcel.mem[: int(parcel.ctl[layout.N_MEMBERS])].copy() for parcel in parcels]
-        return Kept(indices, [rows[indices] for rows in self._memory()], members)
+        return SolverSnapshot(indices, [rows[indices] for rows in self._memory()], members)
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: SolverSnapshot) -> None:
         """Go back to what was kept, bit for bit."""
         for rows, before in zip(self._memory(), kept.rows, strict=True):
             rows[kept.indices] = before
@@ -113,20 +117,20 @@ class CompiledSolver(ABC):
         for parcel, before in zip(parcels, kept.members, strict=True):
             parcel.mem[: len(before)] = before
 
-    def put(self, index: int, state: Floats) -> None:
+    def set_state(self, index: int, state: Floats) -> None:
         """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
         parcel = self.parcels[index]
         parcel.y[:] = state
         self._find_anew(parcel)
 
-    def rebuilt(self, cells: NDArray[np.int64]) -> list[Advance]:
+    def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
         """Look anew at what lies under parcels, where cells have come or gone; see ``plant.solver_api.Solver``."""
-        news: list[Advance] = []
+        news: list[AdvanceResult] = []
         for i, parcel in enumerate(self.parcels):
             changes = cells_changed(parcel, members(parcel), cells, self._array)
             if changes:
                 self._find_anew(parcel)
-                news.append(Advance(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
+                news.append(AdvanceResult(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
         return news
 
     def _find_anew(self, parcel: Parcel) -> None:
@@ -139,17 +143,17 @@ class CompiledSolver(ABC):
         self._cover.mark(self.packed, indices, bits)
 
     @abstractmethod
-    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+    def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
         """Move some parcels; see ``plant.solver_api.Solver``."""
 
     def _surface(self, motion: WheelMotion, grip: Floats) -> Surface:
         """The cells and their wheels for one call of a kernel."""
         return Surface(self._array.positions_m, self._array.grid, motion.steady, motion.decay, grip)
 
-    def _done(self, index: int, moved_s: float, changes: int, events: Sequence[SolverEvent]) -> Advance:
+    def _done(self, index: int, moved_s: float, changes: int, events: Sequence[SolverEvent]) -> AdvanceResult:
         """What a call of a kernel came to for one parcel, ``changes`` being those of its supports."""
         ctl: list[int] = self.packed.ctl[index].tolist()
-        return Advance(
+        return AdvanceResult(
             index,
             moved_s,
             ENDINGS[ctl[layout.STATUS]],
@@ -160,15 +164,15 @@ class CompiledSolver(ABC):
         )
 
 
-Work = TypeVar("Work")
+Workspace = TypeVar("Workspace")
 
-WORTH_WAKING = 32
+MIN_WORK_PER_THREAD = 32
 """Waking a thread costs as much as moving so many parcels by a tick, or one of them by a second."""
 SENSED_WORTH_WAKING = 128
 """... and as much as looking for the sensors under so many."""
 
 
-class Errand(NamedTuple):
+class AdvanceArgs(NamedTuple):
     """What is the same for all parcels of a call."""
 
     surface: Surface
@@ -177,7 +181,7 @@ class Errand(NamedTuple):
     out: Floats
 
 
-class Desk(NamedTuple, Generic[Work]):
+class ThreadWorkspace(NamedTuple, Generic[Workspace]):
     """What one thread works with.
 
     Attributes:
@@ -186,12 +190,12 @@ class Desk(NamedTuple, Generic[Work]):
         report: ``(m, REPORT_SIZE)``: see ``plant.kernels.common.parcels``.
     """
 
-    work: Work
+    work: Workspace
     log: Floats
     report: Floats
 
 
-class ThreadedSolver(CompiledSolver, Generic[Work]):
+class ThreadedSolver(CompiledSolver, Generic[Workspace]):
     """A ``plant.solver_api.Solver`` but for one block of parcels.
 
     What becomes of a parcel depends neither on the other parcels of its block nor on the thread.
@@ -207,38 +211,40 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
 
     def __init__(self, array: CellArray, parcels: tuple[ParcelSpec, ...], rate: float) -> None:
         super().__init__(array, parcels, rate)
-        self.crew = Crew()
-        self._desks: dict[int, Desk[Work]] = {}
+        self.crew = ThreadPool()
+        self._desks: dict[int, ThreadWorkspace[Workspace]] = {}
 
     @abstractmethod
-    def _make_work(self) -> Work:
+    def _make_workspace(self) -> Workspace:
         """Scratch for one thread."""
 
     @abstractmethod
-    def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
+    def _advance_block(
+        self, desk: ThreadWorkspace[Workspace], block: NDArray[np.int64], errand: AdvanceArgs
+    ) -> tuple[int, int]:
         """Move the parcels of a block, as many as ``desk.log`` is sure to have room for.
 
         Returns:
             How many of the block were moved, and how many rows of ``desk.report`` were written.
         """
 
-    def desk(self, thread: int) -> Desk[Work]:
+    def workspace(self, thread: int) -> ThreadWorkspace[Workspace]:
         """What a thread works with, made when it first does."""
         if thread not in self._desks:
             log, report = np.zeros((2 * LOG_CAPACITY, 4)), np.zeros((len(self.parcels), REPORT_SIZE))
-            self._desks[thread] = Desk(self._make_work(), log, report)
+            self._desks[thread] = ThreadWorkspace(self._make_workspace(), log, report)
         return self._desks[thread]
 
-    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+    def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
         """Move some parcels; see ``plant.solver_api.Solver``."""
-        errand = Errand(self._surface(leg.motion, leg.grip), leg.span_s, leg.times_s, leg.out)
+        errand = AdvanceArgs(self._surface(leg.motion, leg.grip), leg.span_s, leg.times_s, leg.out)
 
-        def move(thread: int, share: slice) -> list[Advance]:
-            desk = self.desk(thread)
+        def move(thread: int, share: slice) -> list[AdvanceResult]:
+            desk = self.workspace(thread)
             return self._move(desk, indices[share], lambda block: self._advance_block(desk, block, errand))
 
-        least = max(1, round(WORTH_WAKING / (1.0 + WORTH_WAKING * leg.span_s)))
-        return [news for share in self.crew.share(len(indices), move, least) for news in share]
+        least = max(1, round(MIN_WORK_PER_THREAD / (1.0 + MIN_WORK_PER_THREAD * leg.span_s)))
+        return [news for share in self.crew.map_ranges(len(indices), move, least) for news in share]
 
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under those parcels."""
@@ -246,14 +252,14 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
         def mark(_: int, share: slice) -> None:
             self._cover.mark(self.packed, indices[share], bits)
 
-        self.crew.share(len(indices), mark, SENSED_WORTH_WAKING)
+        self.crew.map_ranges(len(indices), mark, SENSED_WORTH_WAKING)
 
     def _move(
         self,
-        desk: Desk[Work],
+        desk: ThreadWorkspace[Workspace],
         block: NDArray[np.int64],
         advance: Callable[[NDArray[np.int64]], tuple[int, int]],
-    ) -> list[Advance]:
+    ) -> list[AdvanceResult]:
         """Move a block, in as many calls as its events need. Returns the parcels to which something happened.
 
         Args:
@@ -261,7 +267,7 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
             block: which parcels.
             advance: moves the first of those given; see ``_advance_block``.
         """
-        news: list[Advance] = []
+        news: list[AdvanceResult] = []
         while len(block):
             moved, noted = advance(block)
             block = block[moved:]
@@ -274,6 +280,6 @@ class ThreadedSolver(CompiledSolver, Generic[Work]):
                 done = self._done(int(told[WHICH]), told[MOVED], int(told[CHANGES]), events)
                 left_out = int(told[LEFT_OUT])
                 # The last event, by which a parcel tips, is told as the ending.
-                told_else = left_out > 0 and done.ending == "tipped"
+                told_else = left_out > 0 and done.termination == "tipped"
                 news.append(done._replace(left_out=left_out - told_else))
         return news

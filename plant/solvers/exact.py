@@ -17,56 +17,61 @@ from typing import Any, ClassVar, NamedTuple, TypeVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels.common import layout
-from plant.kernels.exact.segments import Hand, Way
+from plant.kernels.exact.segments import CallSchedule, SegmentWorkspace
 from plant.parcel_spec import ParcelSpec
-from plant.solver_api import Advance, Outing
+from plant.solver_api import AdvanceResult, SegmentedCall
 from plant.solver_specs import ExactSpec
-from plant.solvers.compiled import WORTH_WAKING, Desk, Errand, ThreadedSolver
-from plant.wheels import Changes, Floats, WheelMotion
+from plant.solvers.compiled import MIN_WORK_PER_THREAD, AdvanceArgs, ThreadedSolver, ThreadWorkspace
+from plant.wheels import Floats, WheelChanges, WheelMotion
 
-WorkT = TypeVar("WorkT")
+Workspace = TypeVar("Workspace")
 
 LEGS = 8
 """About how many legs a parcel has then: threads are worth waking for as many fewer parcels."""
 
 
-class LeggedSolver(ThreadedSolver[WorkT]):
-    """A ``plant.solver_api.LegSolver`` but for one block of parcels."""
+class SegmentedCompiledSolver(ThreadedSolver[Workspace]):
+    """A ``plant.solver_api.SegmentingSolver`` but for one block of parcels."""
 
     @abstractmethod
-    def _legs_block(
-        self, desk: Desk[WorkT], block: NDArray[np.int64], errand: Errand, way: Way, hand: Hand
+    def _segmented_block(
+        self,
+        desk: ThreadWorkspace[Workspace],
+        block: NDArray[np.int64],
+        errand: AdvanceArgs,
+        way: CallSchedule,
+        hand: SegmentWorkspace,
     ) -> tuple[int, int]:
         """Move the parcels of a block through their legs; see ``_advance_block``."""
 
-    def advance_legs(self, indices: NDArray[np.int64], outing: Outing) -> list[Advance]:
-        """Move some parcels, each through its own legs; see ``plant.solver_api.LegSolver``."""
+    def advance_segmented(self, indices: NDArray[np.int64], outing: SegmentedCall) -> list[AdvanceResult]:
+        """Move some parcels, each through its own legs; see ``plant.solver_api.SegmentingSolver``."""
         motion, changes = outing.run.motion, outing.run.changes
         if changes is None:
             none = np.zeros((0, len(self._array), 2))
-            changes = Changes(none, none, none)
-        way = Way(*changes, outing.reads_s, outing.margin_m, self._array.sensors_m, outing.presence)
+            changes = WheelChanges(none, none, none)
+        way = CallSchedule(*changes, outing.reads_s, outing.margin_m, self._array.sensors_m, outing.presence)
         surface = self._surface(motion, outing.grip)
-        errand = Errand(surface, outing.span_s, np.zeros(0), np.zeros((0, len(self.parcels), 6)))
+        errand = AdvanceArgs(surface, outing.span_s, np.zeros(0), np.zeros((0, len(self.parcels), 6)))
 
-        def move(thread: int, share: slice) -> list[Advance]:
-            desk, hand = self.desk(thread), _hand(motion, changes)
+        def move(thread: int, share: slice) -> list[AdvanceResult]:
+            desk, hand = self.workspace(thread), _hand(motion, changes)
             return self._move(
-                desk, indices[share], lambda block: self._legs_block(desk, block, errand, way, hand)
+                desk, indices[share], lambda block: self._segmented_block(desk, block, errand, way, hand)
             )
 
-        shares = self.crew.share(len(indices), move, WORTH_WAKING // LEGS)
+        shares = self.crew.map_ranges(len(indices), move, MIN_WORK_PER_THREAD // LEGS)
         return [news for share in shares for news in share]
 
 
-def _hand(motion: WheelMotion, changes: Changes) -> Hand:
+def _hand(motion: WheelMotion, changes: WheelChanges) -> SegmentWorkspace:
     """Scratch for one share of the parcels; what isn't written is never touched."""
     n = len(motion.steady)
-    return Hand(
+    return SegmentWorkspace(
         steady=motion.steady.copy(),
         decay=motion.decay.copy(),
         when=np.empty(changes.after_s.size),
@@ -87,7 +92,7 @@ LONGEST_MEMORY_S = 10.0
 """An error in velocity counts as the way it leads in no longer than this."""
 
 
-class Work(NamedTuple):
+class ExactWorkspace(NamedTuple):
     """Scratch of the kernels; one set serves one thread."""
 
     where: NDArray[np.int8]
@@ -117,10 +122,10 @@ class Work(NamedTuple):
     state: Floats
 
 
-def make_work(cells: int, capacity: int) -> Work:
+def make_workspace(cells: int, capacity: int) -> ExactWorkspace:
     """Scratch for an array of ``cells`` cells and parcels that cover at most ``capacity`` of them."""
     found = max(64, 2 * capacity)
-    return Work(
+    return ExactWorkspace(
         where=np.zeros(cells, dtype=np.int8),
         segs=np.zeros((layout.MODES, layout.SEG_SIZE)),
         grp=np.zeros((layout.MAX_GROUPS, layout.GRP_SIZE)),
@@ -150,7 +155,7 @@ def make_work(cells: int, capacity: int) -> Work:
 
 
 @final
-class Exact(LeggedSolver[Work]):
+class Exact(SegmentedCompiledSolver[ExactWorkspace]):
     """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver``.
 
     Args:
@@ -162,7 +167,7 @@ class Exact(LeggedSolver[Work]):
         spec: tolerance and capture.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(shared=("_allowance",))
+    remembers: ClassVar[StateFields] = StateFields(shared=("_allowance",))
 
     def __init__(
         self,
@@ -186,13 +191,15 @@ class Exact(LeggedSolver[Work]):
             allowance[[LEFT, PER_SECOND]] = EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem)
             allowance[[STEPS_LEFT, STEPS_PER_SECOND]] = spec.max_steps_per_s
 
-    def _make_work(self) -> Work:
-        return make_work(len(self._array), self.capacity)
+    def _make_workspace(self) -> ExactWorkspace:
+        return make_workspace(len(self._array), self.capacity)
 
     def _memory(self) -> Sequence[NDArray[Any]]:
         return *super()._memory(), self._allowance
 
-    def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
+    def _advance_block(
+        self, desk: ThreadWorkspace[ExactWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
+    ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
         return self._entry.advance_block(
             surface,
@@ -208,10 +215,15 @@ class Exact(LeggedSolver[Work]):
             desk.report,
         )
 
-    def _legs_block(
-        self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand, way: Way, hand: Hand
+    def _segmented_block(
+        self,
+        desk: ThreadWorkspace[ExactWorkspace],
+        block: NDArray[np.int64],
+        errand: AdvanceArgs,
+        way: CallSchedule,
+        hand: SegmentWorkspace,
     ) -> tuple[int, int]:
-        return self._entry.advance_legs(
+        return self._entry.advance_segmented(
             errand.surface,
             self.packed,
             desk.work,

@@ -12,7 +12,7 @@ import numpy as np
 
 from plant.array import CellArray
 from plant.solver_specs import FixedStepSpec
-from plant.solvers.implicit import Work, make_work
+from plant.solvers.implicit import ImplicitWorkspace, make_workspace
 from plant.solvers.stepped import SteppedSolver
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -32,15 +32,15 @@ class Scheme(NamedTuple):
     slopes: Floats
 
 
-class FixedWork(NamedTuple):
+class FixedStepWorkspace(NamedTuple):
     """Scratch of the kernels, one set a thread: that for loads and pulls, and that for a step."""
 
-    pulls: Work
+    pulls: ImplicitWorkspace
     scheme: Scheme
 
 
 @final
-class FixedStep(SteppedSolver[FixedWork]):
+class FixedStep(SteppedSolver[FixedStepWorkspace]):
     """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for any law.
 
     A set-valued law is taken for the function that is 0 at no slip.
@@ -60,7 +60,7 @@ class FixedStep(SteppedSolver[FixedWork]):
         super().__init__(scene, array, rate, fixed_entry, step_s=spec.step_s)
         self._tableau = TABLEAUS[spec.method]
 
-    def _make_work(self) -> FixedWork:
+    def _make_workspace(self) -> FixedStepWorkspace:
         nodes, weights = self._tableau
         scheme = Scheme(np.array(nodes), np.array(weights), np.zeros((len(nodes), 6)))
-        return FixedWork(make_work(len(self._array), self.capacity), scheme)
+        return FixedStepWorkspace(make_workspace(len(self._array), self.capacity), scheme)

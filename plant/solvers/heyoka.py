@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.errors import PlantError
 from plant.kernels.common import layout
 from plant.loads import NO_LOAD, ON_LINE
-from plant.solver_api import Leg
+from plant.solver_api import Segment
 from plant.solver_specs import HeyokaSpec
-from plant.solvers.restarting import EndedError, Moving, Reached, RestartedSolver
+from plant.solvers.restarting import EndedError, IntegrationStop, ParcelState, RestartingSolver
 
 if TYPE_CHECKING:
     from plant.array import CellArray
@@ -39,7 +39,7 @@ MARGIN = 0.5
 
 
 @final
-class Heyoka(RestartedSolver):
+class Heyoka(RestartingSolver):
     """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for linear laws.
 
     Args:
@@ -53,7 +53,7 @@ class Heyoka(RestartedSolver):
     """
 
     # Courses remember nothing: what heyoka's integrators know is theirs alone, and a run on them can't be kept.
-    remembers: ClassVar[Remembers] = Remembers("_courses")
+    remembers: ClassVar[StateFields] = StateFields("_courses")
 
     def __init__(self, scene: PlantSpec, spec: HeyokaSpec, array: CellArray, rate: float) -> None:
         try:
@@ -64,10 +64,12 @@ class Heyoka(RestartedSolver):
                 "pip install 'mdms-emulator[accuracy]'"
             ) from None
         super().__init__(scene, array, spec.max_steps_per_s)
-        self._courses = [Course(self._hy, self, parcel, rate, spec.tolerance) for parcel in self._parcels]
+        self._courses = [
+            HeyokaIntegrator(self._hy, self, parcel, rate, spec.tolerance) for parcel in self._parcels
+        ]
 
-    def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
-        """See ``RestartedSolver``."""
+    def _integrate(self, parcel: ParcelState, leg: Segment, now_s: float) -> IntegrationStop:
+        """See ``RestartingSolver``."""
         (course,) = (course for course in self._courses if course.parcel is parcel)
         if course.gone:
             course.settle(now_s)
@@ -102,7 +104,7 @@ class Heyoka(RestartedSolver):
         return course.reached(at_s, None if outcome == kinds.time_limit else event)
 
 
-class Course:
+class HeyokaIntegrator:
     """One parcel's integrator, its equations compiled, and what its parameters mean now.
 
     Places are from ``origin_m``, near the parcel: the expressions' x and y.
@@ -122,7 +124,7 @@ class Course:
     """
 
     def __init__(
-        self, hy: Any, solver: RestartedSolver, parcel: Moving, rate: float, tolerance: float
+        self, hy: Any, solver: RestartingSolver, parcel: ParcelState, rate: float, tolerance: float
     ) -> None:
         self.parcel, self._solver = parcel, solver
         self._origin_m: Floats = parcel.shape.y[:2].copy()
@@ -275,7 +277,7 @@ class Course:
         state[:2] += self._origin_m
         return state
 
-    def reached(self, at_s: float, event: int | None) -> Reached:
+    def reached(self, at_s: float, event: int | None) -> IntegrationStop:
         """What an event is: of an edge's line, only what is within the edge is a crossing.
 
         Of all that happen at one instant heyoka names one, and none at the end of a call.
@@ -285,10 +287,10 @@ class Course:
         # the next call has another zero of time
         self.gone = event is None or math.hypot(x, y) >= margin
         if event is None:
-            return Reached(at_s, self._crossed(-1), False)
+            return IntegrationStop(at_s, self._crossed(-1), False)
         edges = self.events - self._loads - 2
         slot = event // (edges // self._slots) if event < edges else -1
-        return Reached(at_s, self._crossed(slot), edges <= event < self.events - 1)
+        return IntegrationStop(at_s, self._crossed(slot), edges <= event < self.events - 1)
 
     def _crossed(self, slot: int) -> Cells:
         """Cells on the footprint's edge that are about to be on its other side.

@@ -13,16 +13,16 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.array import CellArray
 from plant.friction.law import Traction
 from plant.kernels.common import implicit_layout, layout
 from plant.kernels.common.parcels import Parcel
-from plant.solver_api import Advance, Leg
+from plant.solver_api import AdvanceResult, Segment
 from plant.solver_specs import ImplicitSpec, QuasiStaticSpec
-from plant.solvers.compiled import Desk, Errand, ThreadedSolver
+from plant.solvers.compiled import AdvanceArgs, ThreadedSolver, ThreadWorkspace
 from plant.solvers.springs import make_edges, make_rollers, make_springs
-from plant.solvers.wheel_load import Handed, Slowing, load_wheels, make_slowing
+from plant.solvers.wheel_load import WheelLoadSum, WheelLoadWorkspace, load_wheels, make_slowing
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -32,7 +32,7 @@ UNBOUNDED = 1e300
 """More steps than any run has."""
 
 
-class Work(NamedTuple):
+class ImplicitWorkspace(NamedTuple):
     """Scratch of the kernels, one set a thread, with room for one parcel's law and pace."""
 
     law: Floats
@@ -56,12 +56,12 @@ class Work(NamedTuple):
     table: Floats
     kept: NDArray[np.int64]
     where: NDArray[np.int8]
-    slowing: Slowing | None = None
+    slowing: WheelLoadWorkspace | None = None
 
 
-def make_work(cells: int, capacity: int) -> Work:
+def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
     """Scratch for an array of ``cells`` cells and parcels that cover at most ``capacity`` of them."""
-    return Work(
+    return ImplicitWorkspace(
         law=np.zeros(implicit_layout.LAW_SIZE),
         pace=np.zeros(implicit_layout.PACE_SIZE),
         seg=np.zeros(layout.SEG_SIZE),
@@ -117,7 +117,7 @@ def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
 
 
 @final
-class Implicit(ThreadedSolver[Work]):
+class Implicit(ThreadedSolver[ImplicitWorkspace]):
     """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for any law.
 
     Args:
@@ -127,7 +127,7 @@ class Implicit(ThreadedSolver[Work]):
         rate: of the motors, 1/s; 0 without.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(
+    remembers: ClassVar[StateFields] = StateFields(
         shared=("_paces", "_rollers.passed", "_springs.moments", "_edges.share")
     )
 
@@ -144,7 +144,7 @@ class Implicit(ThreadedSolver[Work]):
         self._edges = make_edges(scene, self.capacity)
         self._rollers = make_rollers(scene, array)
         self._loaded = scene.effects.wheel_load is not None
-        self._handed = Handed()
+        self._handed = WheelLoadSum()
         self._laws: Floats = np.zeros((len(masses), implicit_layout.LAW_SIZE))
         self._paces: Floats = np.zeros((len(masses), implicit_layout.PACE_SIZE))
         for i, (mass_kg, parcel) in enumerate(zip(masses, self.parcels, strict=True)):
@@ -152,22 +152,24 @@ class Implicit(ThreadedSolver[Work]):
             load_wheels(scene, self._laws[i], mass_kg)
             self._paces[i] = first_pace(parcel, spec)
 
-    def _make_work(self) -> Work:
+    def _make_workspace(self) -> ImplicitWorkspace:
         cells = len(self._array)
-        work = make_work(cells, self.capacity)
+        work = make_workspace(cells, self.capacity)
         return work._replace(slowing=make_slowing(cells, self.capacity)) if self._loaded else work
 
-    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+    def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
         """Move some parcels; see ``plant.solver_api.Solver``."""
         news = super().advance(indices, leg)
-        self._handed.give(leg.motion.slowing)
+        self._handed.flush(leg.motion.slowing)
         return news
 
     def _memory(self) -> Sequence[NDArray[Any]]:
         passed = () if self._rollers is None else (self._rollers.passed,)
         return *super()._memory(), self._paces, *passed
 
-    def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
+    def _advance_block(
+        self, desk: ThreadWorkspace[ImplicitWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
+    ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
         surface = surface._replace(springs=self._springs, edges=self._edges, rollers=self._rollers)
         laws, paces = self._laws, self._paces
@@ -186,5 +188,5 @@ class Implicit(ThreadedSolver[Work]):
             desk.report,
         )
         if desk.work.slowing is not None:
-            self._handed.take(desk.work.slowing, int(block[0]))
+            self._handed.add(desk.work.slowing, int(block[0]))
         return done

@@ -11,13 +11,13 @@ from typing import final
 
 from plant.array import CellArray
 from plant.solver_specs import QuasiStaticSpec
-from plant.solvers.implicit import Work, make_work, steps_per_s
+from plant.solvers.implicit import ImplicitWorkspace, make_workspace, steps_per_s
 from plant.solvers.stepped import SteppedSolver
 from plant.specs import PlantSpec
 
 
 @final
-class QuasiStatic(SteppedSolver[Work]):
+class QuasiStatic(SteppedSolver[ImplicitWorkspace]):
     """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for laws with a balance.
 
     Velocities that parcels are given at the start are replaced.
@@ -44,5 +44,5 @@ class QuasiStatic(SteppedSolver[Work]):
             steps_per_s=steps_per_s(spec),
         )
 
-    def _make_work(self) -> Work:
-        return make_work(len(self._array), self.capacity)
+    def _make_workspace(self) -> ImplicitWorkspace:
+        return make_workspace(len(self._array), self.capacity)

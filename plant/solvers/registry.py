@@ -22,13 +22,8 @@ from plant.solvers.quasi_static import QuasiStatic
 from plant.solvers.scipy import SciPy
 from plant.specs import PlantSpec
 
-_KERNELS = {
-    "exact": "block",
-    "implicit": "implicit_block",
-    "quasi_static": "quasi_block",
-    "fixed_step": "fixed_block",
-}
-"""The kernel module of each compiled solver's entry point."""
+_KERNELS = {"exact": "exact", "implicit": "implicit", "quasi_static": "quasi", "fixed_step": "fixed"}
+"""Folder of each compiled solver's kernels."""
 
 
 def is_compiled(spec: SolverSpec, *, divided: bool = False) -> bool:
@@ -40,10 +35,11 @@ def is_compiled(spec: SolverSpec, *, divided: bool = False) -> bool:
     """
     if spec.name not in _KERNELS:
         return True
-    names = [f"{_KERNELS[spec.name]}.*.nbi"]
+    # numba keeps each module's kernels in a folder named after the module's own, and a hash of where that lies
+    names = [f"{_KERNELS[spec.name]}_*/block.advance_block-*.nbi"]
     if divided and spec.name == "exact":
-        names.append("block.advance_legs*.nbi")
-    return all(any(cache.folder()[0].rglob(name)) for name in names)
+        names.append("exact_*/block.advance_segmented-*.nbi")
+    return all(any(cache.folder()[0].glob(name)) for name in names)
 
 
 def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:

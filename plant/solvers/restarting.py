@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant import stop
 from plant.array import CellArray
 from plant.friction.law import Traction
@@ -23,7 +23,7 @@ from plant.kernels.common import layout
 from plant.kernels.common.parcels import Parcel
 from plant.loads import Supports, farthest_edge, find_supports
 from plant.parcel_spec import ParcelSpec
-from plant.solver_api import Advance, Body, Ending, Leg, SolverEvent
+from plant.solver_api import AdvanceResult, Body, Ending, Segment, SolverEvent
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -50,7 +50,7 @@ class EndedError(ArithmeticError):
 
 
 @dataclass(slots=True)
-class Moving:
+class ParcelState:
     """One parcel.
 
     Attributes:
@@ -63,7 +63,7 @@ class Moving:
         outrun: whether it outruns a wheel that the law takes to be faster.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(
+    remembers: ClassVar[StateFields] = StateFields(
         "under", "supports", "allowed", "effort_left", "outrun", records=(Supports,)
     )
 
@@ -83,7 +83,7 @@ class Moving:
         return np.min(self.shape.offset - body @ self.shape.normal.T, axis=1)
 
 
-class Reached(NamedTuple):
+class IntegrationStop(NamedTuple):
     """Where an integration ended; the state is the parcel's own.
 
     Attributes:
@@ -99,7 +99,7 @@ class Reached(NamedTuple):
     noted: Sequence[SolverEvent] = ()
 
 
-class RestartedSolver(ABC):
+class RestartingSolver(ABC):
     """A ``plant.solver_api.Solver`` but for the integration between two events.
 
     Args:
@@ -115,7 +115,7 @@ class RestartedSolver(ABC):
         effort: steps, or evaluations of the right-hand side, so far: as its integrator counts.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("effort", "_parcels", shared=("state",))
+    remembers: ClassVar[StateFields] = StateFields("effort", "_parcels", shared=("state",))
 
     def __init__(self, scene: PlantSpec, array: CellArray, effort_per_s: float) -> None:
         self.array = array
@@ -124,12 +124,12 @@ class RestartedSolver(ABC):
         self.effort = 0
         self._gravity = scene.gravity_m_s2
         self.state: Floats = np.zeros((len(scene.parcels), 6))
-        self._parcels: list[Moving] = [
+        self._parcels: list[ParcelState] = [
             _moving(spec, array, self.state[i], effort_per_s) for i, spec in enumerate(scene.parcels)
         ]
         self.bodies: Sequence[Body] = [body_of(parcel.shape) for parcel in self._parcels]
 
-    def weight_n(self, parcel: Moving) -> float:
+    def weight_n(self, parcel: ParcelState) -> float:
         """What its supports carry in all."""
         return parcel.mass_kg * self._gravity
 
@@ -138,7 +138,7 @@ class RestartedSolver(ABC):
         """``(m,)``: these solvers capture no chatter."""
         return np.zeros(len(self._parcels), dtype=np.bool_)
 
-    def spend(self, parcel: Moving, effort: int, at_s: float | None = None) -> None:
+    def spend(self, parcel: ParcelState, effort: int, at_s: float | None = None) -> None:
         """Count what the integrator does for a parcel; called between any two of its steps.
 
         Args:
@@ -156,25 +156,25 @@ class RestartedSolver(ABC):
         if parcel.effort_left < 0.0:
             raise EndedError("endless_steps", at_s)
 
-    def under(self, index: int) -> NDArray[np.int64]:
+    def covered_cells(self, index: int) -> NDArray[np.int64]:
         """The cells under a parcel now, in no order, its boundary included."""
         return self._parcels[index].under
 
-    def stand(self, index: int, grip: Floats) -> bool:
+    def find_supports(self, index: int, grip: Floats) -> bool:
         """Find a parcel's loads at its start. False where its supports can't carry it."""
         del grip  # a wheel that turns freely carries all the same
         parcel = self._parcels[index]
-        return self._settle(parcel)
+        return self._find_supports(parcel)
 
-    def rebuilt(self, cells: NDArray[np.int64]) -> list[Advance]:
+    def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
         """Look anew at what lies under parcels, where cells have come or gone; see ``plant.solver_api.Solver``."""
-        news: list[Advance] = []
+        news: list[AdvanceResult] = []
         for i, parcel in enumerate(self._parcels):
             changes = cells_changed(parcel.shape, parcel.under, cells, self.array)
             if changes:
                 find_members(parcel.shape, self.array)
                 parcel.under, parcel.supports = members(parcel.shape), None
-                news.append(Advance(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
+                news.append(AdvanceResult(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
         return news
 
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
@@ -188,12 +188,12 @@ class RestartedSolver(ABC):
             covered = parcel.depth_m(sensors.reshape(-1, 2)) >= -4.0 * parcel.shape.par[layout.ON_SURFACE]
             bits[near] |= covered.reshape(sensors.shape[:2])
 
-    def advance(self, indices: NDArray[np.int64], leg: Leg) -> list[Advance]:
+    def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
         """Move some parcels, one after another; see ``plant.solver_api.Solver``."""
         done = [self._advance_one(i, leg._replace(out=leg.out[:, i])) for i in indices.tolist()]
-        return [one for one in done if one.ending != "moving" or one.events]
+        return [one for one in done if one.termination != "moving" or one.events]
 
-    def _advance_one(self, index: int, leg: Leg) -> Advance:
+    def _advance_one(self, index: int, leg: Segment) -> AdvanceResult:
         """Move one parcel; ``leg.out`` ``(k, 6)`` are its states."""
         parcel, now = self._parcels[index], 0.0
         ending: Ending = "moving"
@@ -201,7 +201,7 @@ class RestartedSolver(ABC):
         refill = CHANGES_PER_SECOND + CHANGES_PER_MEMBER * len(parcel.shape.mem)
         parcel.allowed = min(parcel.allowed, refill) + refill * leg.span_s
         if parcel.supports is None:
-            self._settle(parcel)
+            self._find_supports(parcel)
         with np.errstate(all="ignore"):  # what overflows is told by its state
             while now < leg.span_s:
                 before = now
@@ -214,10 +214,10 @@ class RestartedSolver(ABC):
         leg.out[leg.times_s > now] = parcel.shape.y
         changes = sum(event.kind != "outrun" for event in events)
         last = events[-1].cell if events else -1
-        return Advance(index, now, ending, self._edge(parcel), last, changes, events)
+        return AdvanceResult(index, now, ending, self._edge(parcel), last, changes, events)
 
     @abstractmethod
-    def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
+    def _integrate(self, parcel: ParcelState, leg: Segment, now_s: float) -> IntegrationStop:
         """Integrate on the present supports from ``now_s`` until an event, or the leg's end.
 
         Takes the parcel's state there and fills the rows of ``leg.out`` ``(k, 6)`` whose ``times_s`` lie in between.
@@ -228,7 +228,7 @@ class RestartedSolver(ABC):
         """
 
     def _next(
-        self, parcel: Moving, leg: Leg, now_s: float, events: list[SolverEvent]
+        self, parcel: ParcelState, leg: Segment, now_s: float, events: list[SolverEvent]
     ) -> tuple[Ending, float]:
         """To the next event, and over it. Returns (how it stands then, when)."""
         if parcel.supports is None:
@@ -243,14 +243,14 @@ class RestartedSolver(ABC):
             self._cross(parcel, cell)
         stands = True
         if len(reached.crossed) or reached.loads:
-            stands = self._settle(parcel)
+            stands = self._find_supports(parcel)
             told = self._changes(parcel, *before, reached.at_s)
             events.extend(told)
             parcel.allowed -= max(len(told), 1)
         ending: Ending = "moving" if stands else "tipped"
         return ("endless_changes" if parcel.allowed < 0.0 else ending), reached.at_s
 
-    def _cross(self, parcel: Moving, cell: int) -> None:
+    def _cross(self, parcel: ParcelState, cell: int) -> None:
         """A cell comes under the parcel, or leaves it."""
         if cell in parcel.under:
             stay = parcel.under != cell
@@ -262,7 +262,7 @@ class RestartedSolver(ABC):
         if parcel.supports is not None and carrying is not None:
             parcel.supports = parcel.supports._replace(carrying=carrying)
 
-    def _settle(self, parcel: Moving) -> bool:
+    def _find_supports(self, parcel: ParcelState) -> bool:
         """Find which of the cells under a parcel carry it. False where none can."""
         carried = parcel.supports
         guess = np.ones(len(parcel.under), dtype=np.bool_) if carried is None else carried.carrying
@@ -274,7 +274,7 @@ class RestartedSolver(ABC):
         return found is not None
 
     def _changes(
-        self, parcel: Moving, under: Cells, carrying: NDArray[np.bool_], at_s: float
+        self, parcel: ParcelState, under: Cells, carrying: NDArray[np.bool_], at_s: float
     ) -> list[SolverEvent]:
         """What is not as it was."""
         now = parcel.under
@@ -288,7 +288,7 @@ class RestartedSolver(ABC):
                 told.append(SolverEvent(at_s, "load_returned" if carries else "load_vanished", cell))
         return told
 
-    def _edge(self, parcel: Moving) -> tuple[int, int]:
+    def _edge(self, parcel: ParcelState) -> tuple[int, int]:
         """The cells about which a parcel tips; -1 where nothing is under it, or it stands."""
         if parcel.supports is not None or not len(parcel.under):
             return -1, -1
@@ -297,9 +297,9 @@ class RestartedSolver(ABC):
         return int(parcel.under[a]), int(parcel.under[b])
 
 
-def _moving(spec: ParcelSpec, array: CellArray, state: Floats, effort: float) -> Moving:
+def _moving(spec: ParcelSpec, array: CellArray, state: Floats, effort: float) -> ParcelState:
     """A parcel at its start, which is put into ``state`` ``(6,)`` and kept there."""
     shape = make_parcel(spec, array)
     state[:] = shape.y
     shape = shape._replace(y=state)
-    return Moving(shape, spec.mass_kg, members(shape), None, float(CHANGES_PER_SECOND), effort)
+    return ParcelState(shape, spec.mass_kg, members(shape), None, float(CHANGES_PER_SECOND), effort)

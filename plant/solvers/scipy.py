@@ -16,9 +16,9 @@ import numpy as np
 from plant.errors import PlantError
 from plant.kernels.common import layout
 from plant.loads import NO_LOAD, ON_LINE
-from plant.solver_api import Leg, SolverEvent
+from plant.solver_api import Segment, SolverEvent
 from plant.solver_specs import SciPySpec
-from plant.solvers.restarting import EndedError, Moving, Reached, RestartedSolver
+from plant.solvers.restarting import EndedError, IntegrationStop, ParcelState, RestartingSolver
 
 if TYPE_CHECKING:
     from plant.array import CellArray
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @final
-class SciPy(RestartedSolver):
+class SciPy(RestartingSolver):
     """Advances parcels that don't touch, each by itself; a ``plant.solver_api.Solver`` for laws without a jump.
 
     Args:
@@ -52,17 +52,17 @@ class SciPy(RestartedSolver):
         super().__init__(scene, array, spec.max_evaluations_per_s)
         self._spec = spec
 
-    def _integrate(self, parcel: Moving, leg: Leg, now_s: float) -> Reached:
-        """See ``RestartedSolver``."""
+    def _integrate(self, parcel: ParcelState, leg: Segment, now_s: float) -> IntegrationStop:
+        """See ``RestartingSolver``."""
         forces, until_s, times_s = Forces(self, parcel, leg.motion, leg.grip), leg.span_s, leg.times_s
-        signs = Signs(self, parcel)
+        signs = EventFunctions(self, parcel)
         y = parcel.shape.y
         reached = signs.reached(now_s, signs(now_s, y))
         if len(reached.crossed) or reached.loads:
             return reached
         wanted = np.flatnonzero(times_s > now_s)
-        lead: list[Any] = [forces.lead] if self.traction.push_per_load else []
-        begun = forces.lead(now_s, y) if lead else 0.0
+        lead: list[Any] = [forces.drive_at] if self.traction.push_per_load else []
+        begun = forces.drive_at(now_s, y) if lead else 0.0
         found = self._solve(
             forces,
             (now_s, until_s),
@@ -88,11 +88,11 @@ class SciPy(RestartedSolver):
         return reached._replace(noted=noted)
 
     @staticmethod
-    def _outrun(parcel: Moving, forces: Forces, since_s: float | None, found: Any) -> list[SolverEvent]:
+    def _outrun(parcel: ParcelState, forces: Forces, since_s: float | None, found: Any) -> list[SolverEvent]:
         """Where the parcel begins to outrun a wheel; ``since_s`` where it did so at the start of the integration."""
         if since_s is None and len(found.t_events[-1]):
             since_s = float(found.t_events[-1][0])
-        began, parcel.outrun = not parcel.outrun, forces.lead(float(found.t[-1]), found.y[:, -1]) < 0.0
+        began, parcel.outrun = not parcel.outrun, forces.drive_at(float(found.t[-1]), found.y[:, -1]) < 0.0
         if since_s is None or not began:
             return []
         return [SolverEvent(since_s, "outrun", forces.outrun)]
@@ -108,7 +108,9 @@ class Forces:
         grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
     """
 
-    def __init__(self, solver: RestartedSolver, parcel: Moving, motion: WheelMotion, grip: Floats) -> None:
+    def __init__(
+        self, solver: RestartingSolver, parcel: ParcelState, motion: WheelMotion, grip: Floats
+    ) -> None:
         supports = parcel.supports
         assert supports is not None
         self._solver, self._parcel = solver, parcel
@@ -122,7 +124,7 @@ class Forces:
         self._cells = cells
         self.outrun = -1
 
-    def lead(self, t: float, y: Floats) -> float:
+    def drive_at(self, t: float, y: Floats) -> float:
         """Event: by how much the wheel that leads least leads the parcel, m/s; ``outrun`` is its cell.
 
         A wheel that stands leads by no more than rounding, and only while the parcel stands on it.
@@ -161,7 +163,7 @@ class Forces:
         return rate
 
 
-class Signs:
+class EventFunctions:
     """All event functions on one support set; each falls through zero where its event is.
 
     In this order: every cell near the edge crosses it; every cell under the parcel loses its load or is touched again;
@@ -172,7 +174,7 @@ class Signs:
         parcel: on its supports.
     """
 
-    def __init__(self, solver: RestartedSolver, parcel: Moving) -> None:
+    def __init__(self, solver: RestartingSolver, parcel: ParcelState) -> None:
         supports = parcel.supports
         assert supports is not None
         shape = parcel.shape
@@ -229,7 +231,7 @@ class Signs:
         told.terminal, told.direction = True, -1.0
         return told
 
-    def reached(self, at_s: float, values: Floats, *fired: int) -> Reached:
+    def reached(self, at_s: float, values: Floats, *fired: int) -> IntegrationStop:
         """What has happened where the functions have these values, and those named have been found at zero.
 
         ``solve_ivp`` names one event: what happens together with it is told by the values.
@@ -240,4 +242,6 @@ class Signs:
         happened[edges : edges + loads] = values[edges : edges + loads] <= 0.1 * self._no_load
         happened[edges + loads] = values[edges + loads] <= 0.0
         happened[list(fired)] = True
-        return Reached(at_s, self.near[happened[:edges]], bool(happened[edges : edges + loads + 1].any()))
+        return IntegrationStop(
+            at_s, self.near[happened[:edges]], bool(happened[edges : edges + loads + 1].any())
+        )

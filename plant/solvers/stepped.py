@@ -7,19 +7,19 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.array import CellArray
 from plant.kernels.common import implicit_layout, layout
-from plant.solvers.compiled import Desk, Errand, ThreadedSolver
+from plant.solvers.compiled import AdvanceArgs, ThreadedSolver, ThreadWorkspace
 from plant.solvers.implicit import FIRST_STEP_S, UNBOUNDED, coefficients
 from plant.solvers.springs import make_edges, make_springs
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
-Work = TypeVar("Work")
+Workspace = TypeVar("Workspace")
 
 
-class SteppedSolver(ThreadedSolver[Work]):
+class SteppedSolver(ThreadedSolver[Workspace]):
     """A ``plant.solver_api.Solver`` but for its kernel and its threads' scratch.
 
     Args:
@@ -32,7 +32,7 @@ class SteppedSolver(ThreadedSolver[Work]):
         steps_per_s: that a parcel may take in a simulated second.
     """
 
-    remembers: ClassVar[Remembers] = Remembers(shared=("_paces", "_springs.moments", "_edges.share"))
+    remembers: ClassVar[StateFields] = StateFields(shared=("_paces", "_springs.moments", "_edges.share"))
 
     def __init__(
         self,
@@ -60,7 +60,9 @@ class SteppedSolver(ThreadedSolver[Work]):
         self._paces[:, implicit_layout.NEXT] = FIRST_STEP_S
         self._paces[:, [implicit_layout.STEPS_LEFT, implicit_layout.STEPS_PER_SECOND]] = steps_per_s
 
-    def _advance_block(self, desk: Desk[Work], block: NDArray[np.int64], errand: Errand) -> tuple[int, int]:
+    def _advance_block(
+        self, desk: ThreadWorkspace[Workspace], block: NDArray[np.int64], errand: AdvanceArgs
+    ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
         surface = surface._replace(springs=self._springs, edges=self._edges)
         laws, paces = self._laws, self._paces

@@ -24,7 +24,7 @@ def processors() -> int:
 
 
 @final
-class Crew:
+class ThreadPool:
     """This thread and its helpers, which start when they are first needed and end with the crew.
 
     What is computed must not depend on who computes it: shares are taken by whoever is free.
@@ -38,7 +38,7 @@ class Crew:
         self._pool: ThreadPoolExecutor | None = None
         self._process = 0
 
-    def share(self, count: int, do: Callable[[int, slice], Done], least: int) -> list[Done]:
+    def map_ranges(self, count: int, do: Callable[[int, slice], Done], least: int) -> list[Done]:
         """Have ``range(count)`` done in shares.
 
         Args:

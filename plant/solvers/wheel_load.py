@@ -14,7 +14,7 @@ from plant.specs import PlantSpec
 from plant.wheels import Floats
 
 
-class Slowing(NamedTuple):
+class WheelLoadWorkspace(NamedTuple):
     """How much slower than without load the wheels run that one parcel has pulled at; scratch of one thread.
 
     Attributes:
@@ -40,14 +40,14 @@ class Slowing(NamedTuple):
     written: Floats
 
 
-def make_slowing(cells: int, capacity: int) -> Slowing:
+def make_slowing(cells: int, capacity: int) -> WheelLoadWorkspace:
     """Scratch for an array of ``cells`` cells and parcels that cover at most ``capacity`` of them.
 
     Kernels compiled from now on know of wheels that feel what they pull.
     """
     import_module("plant.kernels.effects.loaded_wheels")
     columns = implicit_layout.SLOWED
-    return Slowing(
+    return WheelLoadWorkspace(
         place=np.full(cells, -1),
         cell=np.zeros(cells, dtype=np.int64),
         now=np.zeros((cells, columns)),
@@ -70,19 +70,19 @@ def load_wheels(scene: PlantSpec, law: Floats, mass_kg: float) -> None:
         law[implicit_layout.SET_VALUED], law[implicit_layout.STIFFNESS] = 0.0, math.inf
 
 
-class Handed:
+class WheelLoadSum:
     """What the parcels of one call have changed of the wheels, whichever thread moved them."""
 
     def __init__(self) -> None:
         self._blocks: dict[int, tuple[NDArray[np.int64], Floats]] = {}
 
-    def take(self, slowing: Slowing, first: int) -> None:
+    def add(self, slowing: WheelLoadWorkspace, first: int) -> None:
         """Take what a thread has written of the parcels from ``first`` on; each number once a call."""
         rows = int(slowing.ctl[implicit_layout.WRITTEN])
         self._blocks[first] = slowing.which[:rows].copy(), slowing.written[:rows].copy()
         slowing.ctl[implicit_layout.WRITTEN] = 0
 
-    def give(self, total: Floats | None) -> None:
+    def flush(self, total: Floats | None) -> None:
         """Add it all to ``total`` ``(n, SLOWED)``, parcel by parcel: sums don't depend on threads. Then forget it."""
         for _, (cells, slowed) in sorted(self._blocks.items()):
             if total is not None:

@@ -13,8 +13,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from deploy.scenes.files import load_scene
-from deploy.studies.accuracy.report import Row
-from deploy.studies.accuracy.study import Plan, study
+from deploy.studies.accuracy.report import AccuracyRow
+from deploy.studies.accuracy.study import StudyPlan, study
 
 FINE_M, COARSE_M = 1e-10, 1e-4
 METHOD = """\
@@ -24,7 +24,7 @@ from {reference}. exact reaches {fine:g} m, every other solver {coarse:g} m:
 """
 
 
-def cheapest(rows: list[Row], error_m: float) -> Row | None:
+def cheapest(rows: list[AccuracyRow], error_m: float) -> AccuracyRow | None:
     """The row of least wall time that is right to ``error_m``."""
     good = [row for row in rows if row.error_max is not None and row.error_max <= error_m]
     return min(good, key=lambda row: row.wall_s or 0.0, default=None)
@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    report = study(load_scene("elliptic"), Plan(repeats=options.repeats, sampling=False))
+    report = study(load_scene("elliptic"), StudyPlan(repeats=options.repeats, sampling=False))
     best = {
         line: cheapest(
             [row for row in report.rows if row.line == line], FINE_M if line == "exact" else COARSE_M

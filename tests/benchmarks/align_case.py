@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.random_streams import generator
-from bus.sensors import Picture
-from cell_firmware.build import assemble
+from bus.random_streams import rng
+from bus.sensors import CameraFrame
+from cell_firmware.build import build_controller
 from cell_firmware.clocks import ArrayClocks
 from cell_firmware.controller import Controller
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
-from deploy.runs.setup import CellTimes
+from deploy.runs.setup import CellTimingSource
 from plant.effects.camera.camera import Camera
 from plant.effects.camera.spec import CameraSpec
 from plant.plant import Plant
@@ -84,7 +84,7 @@ def run(case: Case) -> tuple[Floats, Floats]:
     plant = Plant(_spec(case, middle, named, columns))
     lattice = plant.array.lattice
     dead = [(r, i * width + c) for i, start in enumerate(case.starts) for r, c in start.dead]
-    plant.lose([lattice.index(cell) for cell in dead], "coast")
+    plant.release_wheels([lattice.index(cell) for cell in dead], "coast")
     groups = _groups(case)
     partition = Partition(
         lattice, [np.flatnonzero(np.isin(lattice.columns // width, group)) for group in groups]
@@ -94,7 +94,7 @@ def run(case: Case) -> tuple[Floats, Floats]:
     if effects.clock is not None:
         clocks = effects.clock.clocks(lattice, PERIOD_NS, 1)
     tick_ns = PERIOD_NS if effects.clock is None else effects.clock.window_ns(PERIOD_NS)
-    times = None if clocks is None else CellTimes(clocks.all)
+    times = None if clocks is None else CellTimingSource(clocks.clocks)
     shards = [_shard(case, group[0], s, partition, effects, clocks, width) for s, group in enumerate(groups)]
     for shard in shards:
         shard.retire(dead)
@@ -107,7 +107,7 @@ def run(case: Case) -> tuple[Floats, Floats]:
     for tick in range(ticks + 1):
         if tick % every == 0 or tick == ticks:
             seen.append(plant.state)
-        shown = None if camera is None else camera.look(tick, plant.state, plant.there)
+        shown = None if camera is None else camera.look(tick, plant.state, plant.on_surface)
         for group, shard in zip(groups, shards, strict=True):
             own = None if shown is None else _own(shown, group[0], middle[group[0]])
             drives[shard.indices] = shard.step(tick, sense.presence[shard.indices], camera=own).drive
@@ -125,10 +125,10 @@ def _groups(case: Case) -> list[list[int]]:
     return [[i for i, size in enumerate(sizes) if size == one] for one in dict.fromkeys(sizes)]
 
 
-def _own(shown: Picture, island: int, middle_m: float) -> Picture:
+def _own(shown: CameraFrame, island: int, middle_m: float) -> CameraFrame:
     """What of a picture concerns an island, as seen from its middle."""
     here = shown.parcel == island
-    return Picture(shown.parcel[here], shown.pose[here] - (middle_m, 0.0, 0.0))
+    return CameraFrame(shown.parcel[here], shown.pose[here] - (middle_m, 0.0, 0.0))
 
 
 def _spec(case: Case, middle: Floats, named: list[tuple[int, int]], columns: int) -> PlantSpec:
@@ -172,16 +172,16 @@ def _shard(
         parameters["size_m"] = case.starts[island].size_m
     spec = CellsSpec(firmware=case.firmware, period_s=PERIOD_NS / 1e9, parameters=parameters)
     firmware = load(spec)
-    controller: Controller = assemble(firmware, spec, effects, None, clocks)
+    controller: Controller = build_controller(firmware, spec, effects, None, clocks)
     place = np.stack((lattice.columns % width, lattice.rows), axis=1) - CELLS // 2
     cells = Cells.of(lattice, place * PITCH_M, spec.period_s, SENSORS_M[case.sensors], pitch_m=PITCH_M)
-    site = Site(partition.cells(shard), case.sensors, controller.message, 1)
-    return Shard(controller, cells, partition, shard, effects.stages(site))
+    site = ShardContext(partition.cells(shard), case.sensors, controller.link_type, 1)
+    return Shard(controller, cells, partition, shard, effects.input_filters(site))
 
 
 def starts(sizes_m: Sequence[tuple[float, float]], seed: int, dead_percent: float = 0.0) -> list[Start]:
     """A start for each size: up to 0.2 m from the middle along x and y, at any angle; some cells dead."""
-    draw = generator(seed, "align.starts")
+    draw = rng(seed, "align.starts")
     found: list[Start] = []
     for size_m in sizes_m:
         x, y = draw.uniform(-0.2, 0.2, 2).tolist()

@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board_presets import BOARDS
-from cell_firmware.build import Motors, assemble
-from cell_firmware.effects.base import Site
+from cell_firmware.build import MotorFacts, build_controller
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
@@ -58,11 +58,11 @@ class Side:
         spec = CellsSpec(firmware="heat_diffusion")
         firmware, partition = load(spec), Partition.even(lattice, 1)
         clocks = None if field.clock is None else field.clock.clocks(lattice, spec.period_ns, 1)
-        motors = Motors(MOTORS.supply_v, MOTORS.supply_v * MOTORS.first_order.speed_per_volt_m_s)
-        controller = assemble(firmware, spec, field, motors, clocks)
-        site = Site(partition.cells(0), 1, controller.message, 1)
+        motors = MotorFacts(MOTORS.supply_v, MOTORS.supply_v * MOTORS.first_order.speed_per_volt_m_s)
+        controller = build_controller(firmware, spec, field, motors, clocks)
+        site = ShardContext(partition.cells(0), 1, controller.link_type, 1)
         cells = Cells.of(lattice, np.zeros((len(lattice), 2)), spec.period_s)
-        self.shard = Shard(controller, cells, partition, 0, field.stages(site))
+        self.shard = Shard(controller, cells, partition, 0, field.input_filters(site))
         self.wheels = PlantMotors(MOTORS, len(lattice))
         self.period_s = spec.period_s
         self.there = np.zeros((len(lattice), 1), dtype=np.bool_)

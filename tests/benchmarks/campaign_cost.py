@@ -20,7 +20,7 @@ from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
 from deploy.studies.campaign.cases import with_seed
-from deploy.studies.campaign.pool import Pool
+from deploy.studies.campaign.pool import ExecutorPool
 from deploy.workers.plan import RunOptions
 from plant.solvers.thread_pool import processors
 
@@ -44,16 +44,16 @@ def alone_s(scenes: list[Scene]) -> float:
 def workers_s(scenes: list[Scene]) -> float:
     """Processor time of a pool with one worker from its start to its end."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    with Pool(1, 600.0, look) as pool:
+    with ExecutorPool(1, 600.0, look) as pool:
         pooled_s(pool, scenes)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def pooled_s(pool: Pool, scenes: list[Scene]) -> float:
+def pooled_s(pool: ExecutorPool, scenes: list[Scene]) -> float:
     """Wall time a run of a pool."""
     begun = time.perf_counter()
-    endings = [ending for _, ending in pool.carry_out(scenes)]
+    endings = [ending for _, ending in pool.map(scenes)]
     assert all(ending.status == "ok" for ending in endings)
     return (time.perf_counter() - begun) / len(scenes)
 
@@ -73,7 +73,7 @@ def main() -> None:
     scene = load_scene("noisy", [Override(("duration_s",), asked.duration, "")])
     scenes = [with_seed(scene, seed) for seed in range(asked.runs)]
     turns: list[tuple[float, float, float, float, float]] = []
-    with Pool(1, 600.0, look) as one, Pool(2, 600.0, look) as two:
+    with ExecutorPool(1, 600.0, look) as one, ExecutorPool(2, 600.0, look) as two:
         for pool in (one, two):
             pooled_s(pool, scenes)
         alone_s(scenes[:1])

@@ -13,7 +13,7 @@ from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from deploy.checkpoints.store import FILE_NAME, Store, found, options_of, scene_of
+from deploy.checkpoints.store import FILE_NAME, CheckpointStore, find_checkpoint, options_of, scene_of
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--every", type=float, default=1.0)
     asked = parser.parse_args()
-    Store.clear = _stay
+    CheckpointStore.clear = _stay
     print(METHOD.format(workers=1, every=asked.every, repeats=asked.repeats))
     print(" cells   without/s      with/s   ratio   bytes     start-up begins, goes on (s)")
     for rows, columns, ticks in SIZES:
@@ -63,7 +63,7 @@ def main() -> None:
         )
 
 
-def _stay(self: Store) -> None:
+def _stay(self: CheckpointStore) -> None:
     """Checkpoints of a run that is over, as though it had been killed."""
 
 
@@ -76,7 +76,7 @@ def _round(wanted: Scene, every_s: float) -> tuple[float, float, float, float, f
         kept = run(wanted, options, quiet=True).summary
         assert bare.digest == kept.digest
         (folder / "summary.json").unlink()
-        checkpoint, size = found(folder), (folder / FILE_NAME).stat().st_size
+        checkpoint, size = find_checkpoint(folder), (folder / FILE_NAME).stat().st_size
         again = RunOptions(output=folder, picture=False)
         gone_on = run(
             scene_of(checkpoint), options_of(checkpoint, again), quiet=True, resumed=checkpoint

@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 from detection_cell import KEY, Cell
 
-from bus.transports.base import Alive, Endpoint
+from bus.transports.base import Endpoint, LivelinessChange
 from bus.transports.zenoh import open_hub
-from deploy.workers.pool import Crew
+from deploy.workers.pool import WorkerPool
 
 _PRELOAD = ("zenoh", "bus.transports.zenoh")
 _QUANTILES = (0.5, 0.9, 0.99, 1.0)
@@ -31,7 +31,7 @@ _QUANTILES = (0.5, 0.9, 0.99, 1.0)
 
 def measure(how: signal.Signals, count: int, lease_s: float, apart_s: float) -> list[float]:
     """Seconds from the signal to the token's going, of each process."""
-    with Crew(_PRELOAD) as crew:
+    with WorkerPool(_PRELOAD) as crew:
         hub = open_hub()
         try:
             hub.watch_alive(KEY.format("*"))
@@ -62,7 +62,7 @@ def _wait(hub: Endpoint, wanted: dict[str, bool]) -> dict[str, float]:
         now = time.monotonic()
         if event is None:
             raise TimeoutError(f"{len(wanted) - len(found)} tokens neither came nor went")
-        if isinstance(event, Alive) and wanted.get(event.key) is event.present:
+        if isinstance(event, LivelinessChange) and wanted.get(event.key) is event.present:
             found[event.key] = now
     return found
 

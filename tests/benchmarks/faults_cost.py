@@ -17,11 +17,11 @@ from pydantic import TypeAdapter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bus.fault import FaultSpec, Injected
+from bus.fault import FaultInstance, FaultSpec
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.build import CellFaults, assemble
-from cell_firmware.effects.base import Site
+from cell_firmware.build import CellFaults, build_controller
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.faults.base import CellFault
 from cell_firmware.firmware import Cells
@@ -68,10 +68,17 @@ class Side:
             adapter: TypeAdapter[FaultSpec] = TypeAdapter(Fault)
             fault = adapter.validate_python(table)
             assert isinstance(fault, CellFault)
-            faults = CellFaults(lattice, (Injected(0, fault, fault.struck(lattice, 1, 0), first),), 1)
-        controller = assemble(load(spec), spec, CellEffects(), None, faults=faults)
-        site = Site(
-            partition.cells(0), 1, controller.message, 1, said=controller.said, tick_ns=spec.period_ns
+            faults = CellFaults(
+                lattice, (FaultInstance(0, fault, fault.affected_cells(lattice, 1, 0), first),), 1
+            )
+        controller = build_controller(load(spec), spec, CellEffects(), None, faults=faults)
+        site = ShardContext(
+            partition.cells(0),
+            1,
+            controller.link_type,
+            1,
+            said=controller.message_type,
+            tick_ns=spec.period_ns,
         )
         stages = {} if faults is None else {FAULTS: faults.stages(site)}
         cells = Cells.of(lattice, np.zeros((len(lattice), 2)), spec.period_s)

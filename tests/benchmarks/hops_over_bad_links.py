@@ -17,18 +17,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.random_streams import generator
+from bus.random_streams import rng
 from cell_firmware.board import Board
 from cell_firmware.controller import Controller
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.clock.mailbox import Mailbox
-from cell_firmware.effects.clock.wrapper import Clocked
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
-from cell_firmware.toolkit.graph import steps_to
+from cell_firmware.toolkit.graph import hop_distance
 
 SIDE, LIMIT, BEFORE, AFTER = 12, 145, 100, 400
 LINKS: dict[str, dict[str, Any]] = {
@@ -48,9 +48,9 @@ Breadth-first search says what is right; where the dead cut cells off, the limit
 """
 
 
-def shard_of(lattice: Lattice, tables: dict[str, Any], patience: int, seed: int) -> Shard:
+def shard_of(lattice: Lattice, tables: dict[str, Any], ttl_periods: int, seed: int) -> Shard:
     """All cells as one shard, with the effects of the tables."""
-    parameters = {"goals": [{"cell": [0, 0]}], "limit": LIMIT, "patience": patience}
+    parameters = {"goals": [{"cell": [0, 0]}], "limit": LIMIT, "ttl_periods": ttl_periods}
     spec = CellsSpec(firmware="hop_gradient", parameters=parameters)
     cells = Cells.of(lattice, np.zeros((len(lattice), 2)), spec.period_s)
     effects, firmware, partition = CellEffects.model_validate(tables), load(spec), Partition.even(lattice, 1)
@@ -58,23 +58,25 @@ def shard_of(lattice: Lattice, tables: dict[str, Any], patience: int, seed: int)
     if effects.clock is not None:
         clocks = effects.clock.clocks(lattice, spec.period_ns, seed)
         assert firmware.message is not None
-        mailbox = Mailbox(firmware.message, clocks.all.window_ns)
-        controller = Clocked(Board(firmware, None, mailbox), clocks)
-    site = Site(partition.cells(0), 1, controller.message, seed)
-    return Shard(controller, cells, partition, 0, effects.stages(site))
+        mailbox = Mailbox(firmware.message, clocks.clocks.window_ns)
+        controller = LocalClockWrapper(Board(firmware, None, mailbox), clocks)
+    site = ShardContext(partition.cells(0), 1, controller.link_type, seed)
+    return Shard(controller, cells, partition, 0, effects.input_filters(site))
 
 
-def course(tables: dict[str, Any], patience: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def course(
+    tables: dict[str, Any], ttl_periods: int, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Living cells' distances in every tick after the deaths, ``(ticks, living)``, and what is right."""
     lattice = Lattice((row, column) for row in range(SIDE) for column in range(SIDE))
-    draw = generator(seed, "benchmark.dead")
+    draw = rng(seed, "benchmark.dead")
     dead = {
         lattice.cells[1 + i]
         for i in draw.choice(len(lattice) - 1, len(lattice) // 10, replace=False).tolist()
     }
     living = Lattice(set(lattice.cells) - dead)
-    right = steps_to(living, np.array([living.index((0, 0))]))
-    shard = shard_of(lattice, tables, patience, seed)
+    right = hop_distance(living, np.array([living.index((0, 0))]))
+    shard = shard_of(lattice, tables, ttl_periods, seed)
     nothing = np.zeros((len(lattice), 1), dtype=np.bool_)
     found: list[NDArray[np.int64]] = []
     for tick in range(BEFORE + AFTER):
@@ -86,12 +88,12 @@ def course(tables: dict[str, Any], patience: int, seed: int) -> tuple[NDArray[np
     return np.array(found), np.where(right < 0, LIMIT, right)
 
 
-def measured(tables: dict[str, Any], patience: int, seeds: int) -> str:
+def measured(tables: dict[str, Any], ttl_periods: int, seeds: int) -> str:
     """A row of the table."""
     healed: list[int] = []
     large = small = seen = 0
     for seed in range(seeds):
-        distance, right = course(tables, patience, seed)
+        distance, right = course(tables, ttl_periods, seed)
         exact = (distance == right).all(axis=1)
         healed += [int(np.argmax(exact))] if exact.any() else []
         late = distance[AFTER // 2 :]
@@ -105,10 +107,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=50)
     seeds = parser.parse_args().seeds
     print(METHOD.format(seeds=seeds))
-    print(f"{'links':28}{'patience':>9}{'healed':>8}{'max':>6}{'of':>5}{'too large':>12}{'too small':>12}")
+    print(f"{'links':28}{'ttl_periods':>9}{'healed':>8}{'max':>6}{'of':>5}{'too large':>12}{'too small':>12}")
     for name, tables in LINKS.items():
-        for patience in (1, 4, 8):
-            print(f"{name:28}{patience:9}{measured(tables, patience, seeds)}", flush=True)
+        for ttl_periods in (1, 4, 8):
+            print(f"{name:28}{ttl_periods:9}{measured(tables, ttl_periods, seeds)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bus.partition import Partition
-from bus.random_streams import generator
+from bus.random_streams import rng
 from cell_firmware.board import Board
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
@@ -78,7 +78,7 @@ def run(gap_s: float, parcels: int, dying: float, seconds: float, seed: int) -> 
         pitch_m=scene.array.pitch_m,
     )
     shard = Shard(Board(load(scene.cells)), cells, Partition.even(lattice, 1), 0)
-    draw = generator(seed, "benchmark.dead")
+    draw = rng(seed, "benchmark.dead")
     doomed = draw.choice(len(lattice), round(dying * len(lattice)), replace=False).tolist()
     span_s = min(seconds, parcels / FEEDERS * gap_s)
     at = dict(zip((draw.uniform(0.0, span_s, len(doomed)) * 1e9 // period_ns).tolist(), doomed, strict=True))
@@ -86,7 +86,7 @@ def run(gap_s: float, parcels: int, dying: float, seconds: float, seed: int) -> 
     for tick in range(int(seconds * 1e9 // period_ns)):
         if tick in at:
             shard.retire([lattice.cells[at[tick]]])
-            plant.lose([at[tick]], "coast")
+            plant.release_wheels([at[tick]], "coast")
             dead += 1
         out = shard.step(tick, sense.presence, label=sense.label)
         sense, events = plant.advance(out.drive, (tick + 1) * period_ns)

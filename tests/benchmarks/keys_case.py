@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.scenes.files import load_scene
-from deploy.security.generate import make
+from deploy.security.generate import generate_keys
 from deploy.security.manifest import Kind
 from deploy.workers.plan import Processes, RunOptions, plan
 from tests.system.small import small_scene
@@ -57,7 +57,7 @@ def write_scene(folder: Path) -> Path:
 def keys_for(scene: Path, processes: Processes, folder: Path, kind: Kind) -> Path:
     """Keys of its runs."""
     made = plan(load_scene(str(scene)), RunOptions(processes), "RUN")
-    make(folder, made.scene, made.cut, kind, hosts=(), days=1, force=False)
+    generate_keys(folder, made.scene, made.cut, kind, hosts=(), days=1, force=False)
     return folder
 
 

@@ -25,8 +25,8 @@ os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
 from lockstep_bare import Bare
 from lockstep_case import MESSAGE, RUN, SENSORS, Case, Side, start_workers
 
-from bus.lockstep import Host
-from bus.sensors import Readings
+from bus.lockstep import Coordinator
+from bus.sensors import SensorSchema
 from bus.transports.zenoh import open_hub
 from bus.wire.frames import Control, SenseFrame
 
@@ -50,17 +50,17 @@ the quartiles; rates are medians.
 
 
 class Lockstep(Side):
-    """The plant's side: a ``Host``."""
+    """The plant's side: a ``Coordinator``."""
 
     def __init__(self, case: Case) -> None:
         partition = case.partition()
         self._hub = open_hub()
-        self._host = Host(
+        self._host = Coordinator(
             self._hub,
             partition,
             case.form,
             run=RUN,
-            readings=Readings(SENSORS, encoders=True),
+            readings=SensorSchema(SENSORS, encoders=True),
             message=MESSAGE,
         )
         self.workers = start_workers("lockstep", case, self._hub.locator)

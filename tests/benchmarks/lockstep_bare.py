@@ -11,7 +11,7 @@ from lockstep_case import SENSORS, Case, Side, start_workers
 from zenoh import handlers
 
 from bus.transports.zenoh import open_hub
-from bus.wire.formats import FORMS
+from bus.wire.formats import FORMATS
 from bus.wire.frames import SenseFrame
 
 CAPACITY = 4096
@@ -30,7 +30,7 @@ class Bare(Side):
     """The plant's side: puts all senses, receives all drives."""
 
     def __init__(self, case: Case) -> None:
-        form = FORMS[case.form].host(case.wiring())
+        form = FORMATS[case.form].coordinator(case.wiring())
         cells = len(case.partition().lattice)
         presence, encoder_m = np.zeros((cells, SENSORS), dtype=np.bool_), np.full((cells, 2), 0.1)
         self._senses = form.sense_payloads(SenseFrame(1000, presence, encoder_m))

@@ -12,9 +12,9 @@ import numpy as np
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.sensors import Readings
-from bus.wire.format import Wiring
-from bus.wire.formats import FormName
+from bus.sensors import SensorSchema
+from bus.wire.format import RunSchema
+from bus.wire.formats import WireFormat
 
 MESSAGE = np.dtype([("u", "<f8")])
 RUN = "benchmark"
@@ -29,7 +29,7 @@ class Case:
     rows: int
     columns: int
     workers: int
-    form: FormName
+    form: WireFormat
     ticks: int
     target: float | None
 
@@ -37,8 +37,8 @@ class Case:
         lattice = Lattice((r, c) for r in range(self.rows) for c in range(self.columns))
         return Partition.even(lattice, self.workers)
 
-    def wiring(self) -> Wiring:
-        return Wiring(RUN, self.partition(), Readings(SENSORS, encoders=True), MESSAGE)
+    def wiring(self) -> RunSchema:
+        return RunSchema(RUN, self.partition(), SensorSchema(SENSORS, encoders=True), MESSAGE)
 
 
 @dataclass(frozen=True)

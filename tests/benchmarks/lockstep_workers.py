@@ -10,16 +10,16 @@ from lockstep_bare import CAPACITY, bare_publisher
 from lockstep_case import MESSAGE, RUN, SENSORS, Case
 from zenoh import handlers
 
-from bus.lockstep import Member
-from bus.sensors import Readings
+from bus.lockstep import Participant
+from bus.sensors import SensorSchema
 from bus.transports.zenoh import open_client
-from bus.wire.formats import FORMS
+from bus.wire.formats import FORMATS
 from bus.wire.frames import Control, DriveFrame, LinkFrame
 
 
 def bare_worker(case: Case, shard: int, locator: str) -> float:
     """Waits for a sense a unit and a payload a link that comes in; answers with as many as the form has."""
-    form = FORMS[case.form].member(case.wiring(), shard)
+    form = FORMATS[case.form].participant(case.wiring(), shard)
     endpoint = open_client(locator)
     session = endpoint.session
     rows, links = len(case.partition().cells(shard)), len(case.partition().outgoing(shard))
@@ -60,13 +60,13 @@ def lockstep_worker(case: Case, shard: int, locator: str) -> float:
     """Cells that compute nothing. Returns the processor seconds that the ticks took, as the other does."""
     endpoint = open_client(locator)
     partition = case.partition()
-    member = Member(
+    member = Participant(
         endpoint,
         partition,
         shard,
         case.form,
         run=RUN,
-        readings=Readings(SENSORS, encoders=True),
+        readings=SensorSchema(SENSORS, encoders=True),
         message=MESSAGE,
     )
     member.ready()

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from plant.friction.viscous import Viscous
 from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.plant import Plant
-from plant.solver_api import Leg
+from plant.solver_api import Segment
 from plant.solver_specs import ExactSpec
 from plant.solvers.compiled import ThreadedSolver
 from plant.specs import PlantSpec
@@ -140,7 +140,7 @@ class Side:
 
     def solve(self, which: NDArray[np.int64], span_s: float, times: int) -> int:
         """Move parcels through the solver, so many times in a row."""
-        leg = Leg.through(self.motion, self.grip, span_s, len(self.everyone))
+        leg = Segment.through(self.motion, self.grip, span_s, len(self.everyone))
         for _ in range(times):
             self.solver.advance(which, leg)
         return len(which) * times
@@ -153,7 +153,7 @@ class Side:
 
     def run_kernel(self, block: NDArray[np.int64]) -> int:
         """Move a block by a tick in one call of the kernel, and parcels that it names again by as many ticks."""
-        solver, desk = self.solver, self.solver.desk(0)
+        solver, desk = self.solver, self.solver.workspace(0)
         surface = solver._surface(self.motion, self.grip)
         moved, _ = solver._entry.advance_block(
             surface, solver.packed, desk.work, solver._allowance, block, PERIOD_NS * 1e-9, self._none, self._out,

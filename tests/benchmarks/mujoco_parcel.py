@@ -27,7 +27,7 @@ from mujoco_tables import cells_table, held_table, loads_table, viscous_table
 from deploy.plots.theme import write_picture
 from deploy.scenes.scene import Scene
 from deploy.studies.accuracy.experiments.markdown import error, milliseconds, power, table
-from deploy.studies.accuracy.experiments.runs import Run, apart_m, scene_with
+from deploy.studies.accuracy.experiments.runs import ExperimentTrace, max_displacement_m, scene_with
 from deploy.studies.accuracy.experiments.runs import run as run_ours
 from deploy.studies.accuracy.page import facts
 
@@ -53,7 +53,7 @@ class Case:
 
     name: str
     scene: Scene
-    known: Run
+    known: ExperimentTrace
     agreement_m: float
 
 
@@ -87,15 +87,17 @@ def cases() -> list[Case]:
     return [*found, _case("elliptic", scene_with("elliptic", *COULOMB, "duration_s=3.0"))]
 
 
-def _case(name: str, scene: Scene, closed: Callable[[Run], Run] | None = None) -> Case:
+def _case(
+    name: str, scene: Scene, closed: Callable[[ExperimentTrace], ExperimentTrace] | None = None
+) -> Case:
     known = run_ours(scene, {"name": "implicit", "tolerance": 1e-9}, sample_s=SAMPLE_S)
     other = run_ours(scene, {"name": "implicit", "tolerance": 1e-8}, sample_s=SAMPLE_S)
     if closed is not None:
         known = closed(known)
-    return Case(name, scene, known, float(apart_m(other, known).max()))
+    return Case(name, scene, known, float(max_displacement_m(other, known).max()))
 
 
-def _on_a_belt(one: Run) -> Run:
+def _on_a_belt(one: ExperimentTrace) -> ExperimentTrace:
     """Set down at rest: ``mu g t^2 / 2`` until ``V / (mu g)``, and from then on with the belt."""
     speed, pull = 0.2, MU * 9.81
     t = one.time_s
@@ -103,7 +105,7 @@ def _on_a_belt(one: Run) -> Run:
     state = np.zeros_like(one.state)
     state[:, :2] = one.state[0, :2]
     state[:, 0] += way
-    return Run(t, state, one.footprint_m, (), 0, 0.0)
+    return ExperimentTrace(t, state, one.footprint_m, (), 0, 0.0)
 
 
 def theirs(case: Case, contact: Contact, step_s: float, repeats: int) -> tuple[float | None, float, float]:
@@ -115,7 +117,11 @@ def theirs(case: Case, contact: Contact, step_s: float, repeats: int) -> tuple[f
     spent = statistics.median(one.spent_s for one in runs)
     state = np.zeros_like(case.known.state)
     state[:, :3] = runs[0].state
-    off = float(apart_m(Run(case.known.time_s, state, case.known.footprint_m, (), 0, 0.0), case.known).max())
+    off = float(
+        max_displacement_m(
+            ExperimentTrace(case.known.time_s, state, case.known.footprint_m, (), 0, 0.0), case.known
+        ).max()
+    )
     return None if runs[0].failed else off, spent, float(np.mean(runs[0].touching < 3))
 
 
@@ -141,7 +147,9 @@ def compare(known: Sequence[Case], repeats: int) -> list[Row]:
             run_ours(case.scene, {"name": "implicit", **settings}, sample_s=SAMPLE_S, repeats=repeats)
             for case in known
         ]
-        errors = [float(apart_m(one, case.known).max()) for one, case in zip(runs, known, strict=True)]
+        errors = [
+            float(max_displacement_m(one, case.known).max()) for one, case in zip(runs, known, strict=True)
+        ]
         (key, value), *_ = settings.items()
         setting = f"{value * 1e3:g} ms" if key == "step_s" else f"tolerance {power(value)}"
         spent = [one.spent_s / case.scene.duration_s for one, case in zip(runs, known, strict=True)]

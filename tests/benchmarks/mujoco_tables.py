@@ -8,7 +8,7 @@ import numpy as np
 from mujoco_model import CONTACTS, COULOMB, MU, SAMPLE_S, Contact, run, speeds_of
 
 from deploy.studies.accuracy.experiments.markdown import error, milliseconds, table
-from deploy.studies.accuracy.experiments.runs import Run, apart_m, scene_with
+from deploy.studies.accuracy.experiments.runs import ExperimentTrace, max_displacement_m, scene_with
 from deploy.studies.accuracy.experiments.runs import run as run_ours
 from plant.analysis.constants import constants_of_motion
 from plant.array import CellArray
@@ -74,7 +74,11 @@ def viscous_table() -> str:
         one = run(scene, speeds_of(scene), 100.0, step, contact, 3.0, cells)
         state = np.zeros_like(known.state)
         state[:, :3] = one.state
-        off = float(apart_m(Run(known.time_s, state, known.footprint_m, (), 0, 0.0), known).max())
+        off = float(
+            max_displacement_m(
+                ExperimentTrace(known.time_s, state, known.footprint_m, (), 0, 0.0), known
+            ).max()
+        )
         lines.append(
             [
                 "MuJoCo, springs and equal dampers",

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.build import assemble
+from cell_firmware.build import build_controller
 from cell_firmware.clocks import ArrayClocks
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
-from deploy.runs.setup import CellTimes
+from deploy.runs.setup import CellTimingSource
 from plant.loads import find_supports
 from plant.plant import Plant
 from plant.specs import PlantSpec
@@ -118,10 +118,10 @@ def run(case: Case) -> Course:
     )
     plant, lattice = Plant(spec), spec.array.lattice()
     lost = np.array([lattice.index(cell) for cell in dead], dtype=np.int64)
-    plant.lose(lost.tolist(), "coast")
+    plant.release_wheels(lost.tolist(), "coast")
     clock = CellEffects.model_validate(case.effects).clock
     clocks = None if clock is None else clock.clocks(lattice, case.period_ns, 1)
-    times = None if clocks is None else CellTimes(clocks.all)
+    times = None if clocks is None else CellTimingSource(clocks.clocks)
     tick_ns = case.period_ns if clock is None else clock.window_ns(case.period_ns)
     shard = _shard(case, lattice, lost, width, clocks)
     ticks = int(case.seconds * 1e9 / tick_ns)
@@ -133,7 +133,7 @@ def run(case: Case) -> Course:
     for tick in range(ticks):
         for cell in dying[round(len(dying) * tick / ticks) : round(len(dying) * (tick + 1) / ticks)]:
             shard.retire([cell])
-            plant.lose([lattice.index(cell)], "coast")
+            plant.release_wheels([lattice.index(cell)], "coast")
         if tick % every == 0:
             time_s.append(tick * tick_ns * 1e-9)
             truths.append(plant.state)
@@ -212,9 +212,9 @@ def _shard(
     living = np.setdiff1d(np.arange(len(lattice)), lost)
     partition = Partition(lattice, [living, np.sort(lost)] if len(lost) else [living])
     effects = CellEffects.model_validate(case.effects)
-    controller = assemble(firmware, spec, effects, None, clocks)
-    site = Site(partition.cells(0), case.sensors, controller.message, 1)
-    return Shard(controller, cells, partition, 0, effects.stages(site))
+    controller = build_controller(firmware, spec, effects, None, clocks)
+    site = ShardContext(partition.cells(0), case.sensors, controller.link_type, 1)
+    return Shard(controller, cells, partition, 0, effects.input_filters(site))
 
 
 def _look(shard: Shard, seeds: int, width: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
 from cell_firmware.controller import Controller
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.clock.mailbox import Mailbox
-from cell_firmware.effects.clock.wrapper import Clocked
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.faults.base import CellFault
 from cell_firmware.faults.kinds.link_loss import LinkLossFault
@@ -99,19 +99,19 @@ def flow(lattice: Lattice, potential: Floats) -> Floats:
 LEFT, RIGHT = {"columns": [0, 0]}, {"columns": [COLUMNS - 1, COLUMNS - 1]}
 SPEEDS = {"held": [{**LEFT, "speed_m_s": [0.3, 0.0]}, {**RIGHT, "speed_m_s": [0.0, 0.0]}]}
 POTENTIALS = {"held": [{**LEFT, "value": 1.0}, {**RIGHT, "value": 0.0}]}
-SPRINGS = {"springs": [{**LEFT, "flow_m2_s": 0.02}, {**RIGHT, "flow_m2_s": -0.02}]}
+SOURCES = {"sources": [{**LEFT, "flow_m2_s": 0.02}, {**RIGHT, "flow_m2_s": -0.02}]}
 VALUES = {"values": [{**LEFT, "value": 1.0}]}
 BUMP = {"initial": [{"columns": [2, 3], "speed_m_s": [0.3, 0.0]}]}
 CASES: dict[str, Case] = {
     "heat_diffusion": Case("heat_diffusion", SPEEDS, edges),
-    "heat_diffusion, patience 20": Case("heat_diffusion", {**SPEEDS, "patience": 20}, edges),
+    "heat_diffusion, ttl_periods 20": Case("heat_diffusion", {**SPEEDS, "ttl_periods": 20}, edges),
     "wave, damping 0": Case("wave", BUMP, nobody),
-    "wave, damping 0.2, patience 20": Case("wave", {**SPEEDS, "damping": 0.2, "patience": 20}, edges),
-    "wave, damping 0.6, patience 20": Case("wave", {**SPEEDS, "damping": 0.6, "patience": 20}, edges),
+    "wave, damping 0.2, ttl_periods 20": Case("wave", {**SPEEDS, "damping": 0.2, "ttl_periods": 20}, edges),
+    "wave, damping 0.6, ttl_periods 20": Case("wave", {**SPEEDS, "damping": 0.6, "ttl_periods": 20}, edges),
     "laplace": Case("laplace", POTENTIALS, edges),
     "laplace, relaxation 1.4": Case("laplace", {**POTENTIALS, "relaxation": 1.4}, edges),
-    "stream": Case("stream", SPRINGS, edges, flow),
-    "stream, relaxation 1.4": Case("stream", {**SPRINGS, "relaxation": 1.4}, edges, flow),
+    "stream": Case("stream", SOURCES, edges, flow),
+    "stream, relaxation 1.4": Case("stream", {**SOURCES, "relaxation": 1.4}, edges, flow),
     "average_consensus": Case("average_consensus", VALUES, nobody),
     "max_consensus": Case("max_consensus", {"lifetime": 100}, nobody),
 }
@@ -155,14 +155,16 @@ def shard_of(
     controller: Controller = Board(firmware)
     if effects.clock is not None:
         clocks = effects.clock.clocks(lattice, spec.period_ns, seed)
-        controller = Clocked(Board(firmware, None, Mailbox(firmware.message, clocks.all.window_ns)), clocks)
-    site = Site(partition.cells(0), 1, controller.message, seed)
-    stages = effects.stages(site)
+        controller = LocalClockWrapper(
+            Board(firmware, None, Mailbox(firmware.message, clocks.clocks.window_ns)), clocks
+        )
+    site = ShardContext(partition.cells(0), 1, controller.link_type, seed)
+    stages = effects.input_filters(site)
     if bursts is None:
         return Shard(controller, cells, partition, 0, stages)
     fault = LinkLossFault.model_validate({"share": 1.0, **bursts})
-    one = Injected[CellFault](0, fault, np.arange(len(lattice)), 0)
-    stages[FAULTS] = tuple(fault.stages(site, lattice, one))
+    one = FaultInstance[CellFault](0, fault, np.arange(len(lattice)), 0)
+    stages[FAULTS] = tuple(fault.input_filters(site, lattice, one))
     return Shard(controller, cells, partition, 0, stages, (one,))
 
 
@@ -192,7 +194,7 @@ def watched(
         drive = shard.step(tick, nothing).drive
         cells, registers = shard.registers()
         rows = lattice.find(cells[:, 0], cells[:, 1])
-        seen = drive[rows] if case.answer else registers[f"firmware.{firmware.observed}"]
+        seen = drive[rows] if case.answer else registers[f"firmware.{firmware.observable}"]
         found[tick, rows] = seen
     found[:, dead] = np.nan
     return found.reshape(ticks, len(lattice), -1), wanted.reshape(len(lattice), -1)

@@ -18,10 +18,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.protocols.heat_diffusion import HeatDiffusion, HeatDiffusionParameters
-from cell_firmware.shard import Links, Shard
+from cell_firmware.shard import BoundaryMessages, Shard
 
 METHOD = """\
 Method. heat_diffusion on {side} x {side} cells, one corner hot; no bus, no plant, one process, processor time, in
@@ -77,7 +77,7 @@ def apart(firmware: Firmware, lattice: Lattice, cells: Cells) -> Callable[[], np
         here = own.index(lattice.cells[i])
         partition = Partition(own, [[here], *([j] for j in range(len(own)) if j != here)])
         rows = np.array([lattice.index(cell) for cell in own.cells])
-        shards.append(Shard(Board(firmware), cells.take(rows), partition, 0))
+        shards.append(Shard(Board(firmware), cells.select(rows), partition, 0))
         out = partition.outgoing(0)
         order.append(out.source_side.tolist())
         into = partition.incoming(0)
@@ -87,7 +87,7 @@ def apart(firmware: Firmware, lattice: Lattice, cells: Cells) -> Callable[[], np
                 for source, side in zip(into.source.tolist(), into.source_side.tolist(), strict=True)
             ]
         )
-    links: list[Links | None] = [None] * n
+    links: list[BoundaryMessages | None] = [None] * n
     nothing, ticks = np.zeros((1, 1), dtype=np.bool_), iter(range(1 << 30))
     slot = [{side: at for at, side in enumerate(sides)} for sides in order]
 
@@ -101,7 +101,7 @@ def apart(firmware: Firmware, lattice: Lattice, cells: Cells) -> Callable[[], np
                 theirs = done[source].links
                 assert theirs is not None
                 sent[at], message[at] = theirs.sent[slot[source][side]], theirs.message[slot[source][side]]
-            links[i] = Links(sent, message)
+            links[i] = BoundaryMessages(sent, message)
         return np.concatenate([one.drive for one in done])
 
     return step
@@ -120,7 +120,7 @@ def main() -> None:
     ways = {
         "arrays": (whole(HeatDiffusion(hot), lattice, cells), 20),
         "cell by cell": (apart(HeatDiffusion(hot), lattice, cells), 1),
-        "plain Python": (whole(PerCell(PlainHeat(hot)), lattice, cells), 1),
+        "plain Python": (whole(PerCellAdapter(PlainHeat(hot)), lattice, cells), 1),
     }
     least = dict.fromkeys(ways, float("inf"))
     drives: dict[str, list[np.ndarray]] = {name: [] for name in ways}

@@ -15,7 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bus.random_streams import generator
+from bus.random_streams import rng
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.protocols.route import Route
 from tests.cell_firmware.protocols.tile_world import World
@@ -56,7 +56,7 @@ class Course:
 
 def course(name: str, seed: int) -> Course:
     """One seed of a case."""
-    draw = generator(seed, "benchmark.sorting")
+    draw = rng(seed, "benchmark.sorting")
     exits = draw.integers(1, 3, PARCELS).tolist()
     queues = {(row, 0): exits[row::2] for row in range(2)}
     firmware = Route(Route.Parameters.model_validate({"lanes": LANES, "exits": EXITS}))

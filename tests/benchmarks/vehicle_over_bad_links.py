@@ -19,16 +19,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.clock.mailbox import Mailbox
-from cell_firmware.effects.clock.wrapper import Clocked
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.protocols.virtual_vehicle import ARRIVED, CARRIES
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
-from deploy.runs.setup import CellTimes
+from deploy.runs.setup import CellTimingSource
 from plant.plant import Plant
 from plant.sampling import Timing
 from plant.specs import PlantSpec
@@ -72,7 +72,7 @@ class Floors:
     plants: list[Plant]
     shard: Shard
     lattice: Lattice
-    times: CellTimes | None
+    times: CellTimingSource | None
     tick_ns: int
 
     @staticmethod
@@ -95,12 +95,16 @@ class Floors:
         else:
             clocks = clock.clocks(lattice, spec.period_ns, 0)
             assert firmware.message is not None
-            box = Mailbox(firmware.message, clocks.all.window_ns)
-            controller = Clocked(Board(firmware, None, box), clocks)
-            times, tick_ns = CellTimes(clocks.all), clocks.all.window_ns
-        site = Site(partition.cells(0), 1, controller.message, 0)
+            box = Mailbox(firmware.message, clocks.clocks.window_ns)
+            controller = LocalClockWrapper(Board(firmware, None, box), clocks)
+            times, tick_ns = CellTimingSource(clocks.clocks), clocks.clocks.window_ns
+        site = ShardContext(partition.cells(0), 1, controller.link_type, 0)
         return Floors(
-            plants, Shard(controller, cells, partition, 0, effects.stages(site)), lattice, times, tick_ns
+            plants,
+            Shard(controller, cells, partition, 0, effects.input_filters(site)),
+            lattice,
+            times,
+            tick_ns,
         )
 
 
@@ -144,7 +148,7 @@ def course(effects: CellEffects, dead: float, seeds: int) -> Course:
         gone = np.flatnonzero(dies == tick)
         floors.shard.retire(floors.lattice.cells[cell] for cell in gone)
         for cell in gone:
-            floors.plants[cell // size].lose([cell % size], "coast")
+            floors.plants[cell // size].release_wheels([cell % size], "coast")
         drive = floors.shard.step(tick, presence).drive
         timing = None if floors.times is None else floors.times(tick)
         for f, plant in enumerate(floors.plants):

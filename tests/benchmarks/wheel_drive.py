@@ -14,8 +14,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from cell_firmware.build import Motors
-from cell_firmware.components import WheelPart
+from cell_firmware.build import MotorFacts
+from cell_firmware.components import WheelDriver
 from cell_firmware.effects.pwm import TIMER_HZ
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop
@@ -35,7 +35,7 @@ STUDY = SpeedLoopSpec(kp_v_per_m_s=6.0, ki_v_per_m=100.0)
 TURNS_PER_S, BEGIN_S, END_S = 2.0, 4.0, 12.0
 COULOMB, STATIC = 0.04, 0.07
 TOP, AFTER, FAST = SUPPLY_V * GAIN, 0.5, 1.1
-ENDLESS = Motors(1e6, 1e5)
+ENDLESS = MotorFacts(1e6, 1e5)
 METHOD = f"""\
 Method. A first-order motor solved exactly: time constant {TAU_S} s, {GAIN} m/s per volt, supply {SUPPLY_V} V,
 wheel radius {RADIUS_M} m, period {PERIOD_S} s.
@@ -75,7 +75,7 @@ def straying(effects: dict[str, Any], wanted: float = TURNS_PER_S) -> tuple[floa
     return float(speeds.std()), float(np.ptp(speeds)), float(speeds.mean()) - wanted
 
 
-def recovery_s(part: WheelPart, before: float) -> float:
+def recovery_s(part: WheelDriver, before: float) -> float:
     """How long until the wheel has come down to ``AFTER``."""
     begin = round(1.5 / PERIOD_S)  # half a second to get there
     speeds, _ = follow(part, [before] * begin + [AFTER] * 600, Wheel())

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from bus.lattice import Lattice
-from bus.lockstep import Gathered, Host, Loss, Member
-from bus.lockstep.registers import Wanted
+from bus.lockstep import Coordinator, Loss, Participant, TickInputs
+from bus.lockstep.registers import RegisterRequest
 from bus.partition import Partition
-from bus.sensors import Picture, Readings
+from bus.sensors import CameraFrame, SensorSchema
 from bus.spec import StallSpec
-from bus.transports.base import Alive, Endpoint, Event, Haste, Publisher, Received
+from bus.transports.base import Endpoint, Event, LivelinessChange, Publisher, Received, Urgency
 from bus.transports.memory import MemoryBus
 from bus.transports.zenoh import open_client, open_hub
-from bus.wire.formats import FormName
+from bus.wire.formats import WireFormat
 from bus.wire.frames import Control, DriveFrame, LinkFrame, SenseFrame
 
 MESSAGE = np.dtype([("u", "<f8"), ("hops", "<u2")])
 SENSORS = 2
-FORMS: list[FormName] = ["packed", "cells"]
+FORMS: list[WireFormat] = ["packed", "cells"]
 both_forms = pytest.mark.parametrize("form", FORMS)
 
 
@@ -72,7 +72,7 @@ class ClockedEndpoint(Endpoint):
         self._inner = inner
         self._clock = clock
 
-    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
         events = self._inner.receive_all(0)
         if not events:
             assert timeout_s is not None, "waits for ever for what never comes"
@@ -85,7 +85,7 @@ class ClockedEndpoint(Endpoint):
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
         self._inner.put_all(puts)
 
-    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
+    def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
         self._inner.subscribe(key_expr, haste)
 
     def declare_alive(self, key: str) -> None:
@@ -104,8 +104,8 @@ class ClockedEndpoint(Endpoint):
         self._inner.close()
 
 
-PRESENCE = Readings(SENSORS)
-EVERYTHING = Readings(SENSORS, encoders=True, levels=True, labels=4, camera=3)
+PRESENCE = SensorSchema(SENSORS)
+EVERYTHING = SensorSchema(SENSORS, encoders=True, levels=True, labels=4, camera=3)
 
 
 @dataclass
@@ -114,19 +114,21 @@ class System:
 
     network: Network
     partition: Partition
-    form: FormName
+    form: WireFormat
     message: np.dtype[Any] | None = None
-    readings: Readings = PRESENCE
+    readings: SensorSchema = PRESENCE
     stall: StallSpec = field(default_factory=StallSpec)
     clock: FakeClock | None = None
-    wanted: Sequence[Wanted] = ()
+    wanted: Sequence[RegisterRequest] = ()
 
     def __post_init__(self) -> None:
         self.endpoint = self._clocked(self.network.endpoint())
-        self.host = Host(self.endpoint, self.partition, self.form, **self._agreed())
+        self.host = Coordinator(self.endpoint, self.partition, self.form, **self._agreed())
         self.member_endpoints = [self._clocked(self.network.endpoint()) for _ in range(self.partition.count)]
         self.members = [
-            Member(endpoint, self.partition, shard, self.form, tally=self._tally(shard), **self._agreed())
+            Participant(
+                endpoint, self.partition, shard, self.form, tally=self._tally(shard), **self._agreed()
+            )
             for shard, endpoint in enumerate(self.member_endpoints)
         ]
 
@@ -166,12 +168,12 @@ class System:
             tick, bits, travel, level if self.readings.levels else None, label, self._picture(tick)
         )
 
-    def _picture(self, tick: int) -> Picture | None:
+    def _picture(self, tick: int) -> CameraFrame | None:
         """In every third tick where there is a camera: of all parcels but one."""
         if not self.readings.camera or tick % 3:
             return None
         parcel = np.flatnonzero(np.arange(self.readings.camera) != tick % self.readings.camera)
-        return Picture(parcel, np.stack([parcel / 3.0, tick - parcel, -parcel / 7.0], axis=1))
+        return CameraFrame(parcel, np.stack([parcel / 3.0, tick - parcel, -parcel / 7.0], axis=1))
 
     def drive(self, shard: int, tick: int) -> DriveFrame:
         cells = self.partition.cells(shard)
@@ -208,7 +210,7 @@ def payloads(events: list[Event]) -> list[bytes]:
 
 
 def tokens(events: list[Event]) -> list[tuple[str, bool]]:
-    return [(event.key, event.present) for event in events if isinstance(event, Alive)]
+    return [(event.key, event.present) for event in events if isinstance(event, LivelinessChange)]
 
 
 def settle(publisher: Publisher, endpoint: Endpoint) -> None:
@@ -217,8 +219,8 @@ def settle(publisher: Publisher, endpoint: Endpoint) -> None:
         assert endpoint.receive(0.005) is None
 
 
-def gathered(result: Gathered | Control) -> Gathered:
-    assert isinstance(result, Gathered), result
+def gathered(result: TickInputs | Control) -> TickInputs:
+    assert isinstance(result, TickInputs), result
     return result
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bus.errors import BarrierError, HostLostError, WokenError
+from bus.errors import BarrierError, CoordinatorLostError, WaitInterrupted
 from bus.partition import Partition
-from bus.wire.formats import FormName
+from bus.wire.formats import WireFormat
 from tests.bus.support import (
     MESSAGE,
     FakeClock,
@@ -20,7 +20,7 @@ from tests.bus.support import (
 
 
 @both_forms
-def test_the_barrier_names_who_never_appeared_and_who_is_not_ready(memory: Network, form: FormName) -> None:
+def test_the_barrier_names_who_never_appeared_and_who_is_not_ready(memory: Network, form: WireFormat) -> None:
     clock = FakeClock()
     system = System(memory, Partition.each(grid(1, 3)), form, clock=clock, message=MESSAGE)
     system.member_endpoints[1].declare_alive(
@@ -63,12 +63,12 @@ def test_a_member_without_a_plant_says_so(memory: Network) -> None:
     system = System(memory, Partition.each(grid(1, 1)), "packed", clock=clock)
     system.endpoint.close()
     member = system.members[0]
-    with pytest.raises((BarrierError, HostLostError), match="plant"):
+    with pytest.raises((BarrierError, CoordinatorLostError), match="plant"):
         member.ready(1.0)
 
 
 @both_forms
-def test_a_run_starts_in_any_order_on_any_transport(network: Network, form: FormName) -> None:
+def test_a_run_starts_in_any_order_on_any_transport(network: Network, form: WireFormat) -> None:
     system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
     drive, losses = step(system, 0)
     assert losses == []
@@ -78,5 +78,5 @@ def test_a_run_starts_in_any_order_on_any_transport(network: Network, form: Form
 def test_waking_the_barrier_ends_it(memory: Network) -> None:
     system = System(memory, Partition.each(grid(1, 2)), "packed")
     system.endpoint.wake()
-    with pytest.raises(WokenError):
+    with pytest.raises(WaitInterrupted):
         system.host.barrier()

@@ -9,8 +9,8 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from bus.errors import HostLostError
-from bus.lockstep import Host, Member
+from bus.errors import CoordinatorLostError
+from bus.lockstep import Coordinator, Participant
 from bus.partition import Partition
 from bus.spec import StallSpec
 from bus.transports.zenoh import open_client, open_hub
@@ -18,7 +18,7 @@ from bus.wire.frames import DriveFrame, SenseFrame
 from tests.bus.cut_link import CutLink
 from tests.bus.support import PRESENCE, SENSORS, gathered, grid
 
-Pair = tuple[Host, Member, CutLink]
+Pair = tuple[Coordinator, Participant, CutLink]
 TWO = Partition.even(grid(1, 2), 1)
 
 
@@ -34,8 +34,10 @@ def apart() -> Iterator[Callable[[float], Pair]]:
             cells = open_client(link.locator, lease_s=lease_s)
             stack.callback(cells.close)
             stall = StallSpec(deadline_s=20.0, lease_s=lease_s)
-            host = Host(hub, TWO, "packed", run="test", readings=PRESENCE, message=None, stall=stall)
-            member = Member(cells, TWO, 0, "packed", run="test", readings=PRESENCE, message=None, stall=stall)
+            host = Coordinator(hub, TWO, "packed", run="test", readings=PRESENCE, message=None, stall=stall)
+            member = Participant(
+                cells, TWO, 0, "packed", run="test", readings=PRESENCE, message=None, stall=stall
+            )
             member.ready(10.0)
             host.barrier(10.0)
             return host, member, link
@@ -59,7 +61,12 @@ def test_a_cut_shorter_than_the_lease_costs_its_time_and_nothing_else(apart: Cal
         drive, losses = host.gather(tick)
         assert (drive.drive.tolist(), losses) == ([[tick, tick]] * 2, [])
     assert time.monotonic() - cut >= 0.4
-    assert (host.counts.lost, host.counts.late, member.counts.lost, member.counts.late) == (0, 0, 0, 0)
+    assert (host.counters.lost, host.counters.late, member.counters.lost, member.counters.late) == (
+        0,
+        0,
+        0,
+        0,
+    )
 
 
 def test_a_cut_longer_than_the_lease_loses_the_cells_behind_it_by_name(
@@ -76,5 +83,5 @@ def test_a_cut_longer_than_the_lease_loses_the_cells_behind_it_by_name(
         (1, 0, "token lost"),
     ]
     assert not drive.drive.any()
-    with pytest.raises(HostLostError, match="the plant left"):
+    with pytest.raises(CoordinatorLostError, match="the plant left"):
         member.gather(1)

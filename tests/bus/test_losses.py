@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from bus.lockstep import Gathered, Loss
+from bus.lockstep import Loss, TickInputs
 from bus.partition import Partition
 from bus.spec import StallSpec
-from bus.wire.formats import FormName
+from bus.wire.formats import WireFormat
 from bus.wire.frames import Control, decode_control
 from tests.bus.support import (
     EVERYTHING,
@@ -31,7 +31,7 @@ from tests.bus.support import (
 
 @both_forms
 def test_cells_whose_token_goes_are_lost_at_the_first_tick_without_their_drive(
-    network: Network, form: FormName
+    network: Network, form: WireFormat
 ) -> None:
     system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
     step(system, 0)
@@ -50,7 +50,7 @@ def test_cells_whose_token_goes_are_lost_at_the_first_tick_without_their_drive(
 
 
 @both_forms
-def test_a_drive_that_came_before_its_token_went_still_counts(memory: Network, form: FormName) -> None:
+def test_a_drive_that_came_before_its_token_went_still_counts(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.each(grid(1, 2)), form).start()
     system.host.publish(system.sense(0))
     for shard, member in enumerate(system.members):
@@ -65,7 +65,7 @@ def test_a_drive_that_came_before_its_token_went_still_counts(memory: Network, f
 
 
 @both_forms
-def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form: FormName) -> None:
+def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form: WireFormat) -> None:
     clock = FakeClock()
     stall = StallSpec(deadline_s=3.0)
     system = System(
@@ -77,7 +77,7 @@ def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form:
     assert clock.now - before == pytest.approx(3.0)
     assert losses == [Loss(1, 1, "stalled")]
     assert drive.drive[1].tolist() == [0.0, 0.0]
-    assert system.host.counts.lost == 1
+    assert system.host.counters.lost == 1
     # Its neighbours don't wait for it, and it is told when it comes back.
     before = clock.now
     assert step(system, 2, [0, 2])[1] == []
@@ -86,7 +86,7 @@ def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form:
 
 
 @both_forms
-def test_what_a_cell_sends_after_it_was_given_up_is_late(memory: Network, form: FormName) -> None:
+def test_what_a_cell_sends_after_it_was_given_up_is_late(memory: Network, form: WireFormat) -> None:
     clock = FakeClock()
     system = System(memory, Partition.each(grid(1, 2)), form, clock=clock).start()
     step(system, 0, [0])
@@ -95,11 +95,11 @@ def test_what_a_cell_sends_after_it_was_given_up_is_late(memory: Network, form: 
     drive, losses = step(system, 1, [0])
     assert losses == []
     assert drive.drive[1].tolist() == [0.0, 0.0]
-    assert system.host.counts.late == 2
+    assert system.host.counters.late == 2
 
 
 @both_forms
-def test_neighbours_are_told_of_a_loss_while_they_wait(network: Network, form: FormName) -> None:
+def test_neighbours_are_told_of_a_loss_while_they_wait(network: Network, form: WireFormat) -> None:
     system = System(network, Partition.each(grid(1, 3)), form, message=MESSAGE).start()
     host, (left, middle, right) = system.host, system.members
     step(system, 0)
@@ -109,7 +109,7 @@ def test_neighbours_are_told_of_a_loss_while_they_wait(network: Network, form: F
     for shard, member in ((0, left), (2, right)):
         gathered(member.gather(1))
         member.publish(system.drive(shard, 1), system.links(shard, 1))
-    results: list[Gathered | Control] = []
+    results: list[TickInputs | Control] = []
     host.publish(system.sense(2))
     threads = [
         threading.Thread(target=lambda m=member: results.append(m.gather(2))) for member in (left, right)
@@ -137,7 +137,7 @@ def test_a_loss_is_broadcast_by_name(memory: Network) -> None:
 
 @both_forms
 def test_a_shard_whose_cells_all_failed_stays_until_the_plant_has_told_so(
-    memory: Network, form: FormName
+    memory: Network, form: WireFormat
 ) -> None:
     """Its token would overtake the report: the plant would take the process for dead, and name another cause."""
     system = System(memory, Partition.even(grid(1, 2), 2), form, message=MESSAGE).start()
@@ -163,11 +163,11 @@ def test_a_shard_whose_cells_all_failed_stays_until_the_plant_has_told_so(
     _, losses = system.host.gather(1)
     shard.join()
     assert losses == [Loss(0, 1, "failed", "ZeroDivisionError")]
-    assert told <= left[0] < told + 0.8  # the answer, not the end of its patience
+    assert told <= left[0] < told + 0.8  # the answer, not the end of its ttl_periods
 
 
 @both_forms
-def test_a_firmware_that_fails_loses_its_cells_alone(memory: Network, form: FormName) -> None:
+def test_a_firmware_that_fails_loses_its_cells_alone(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.even(grid(2, 2), 2), form, message=MESSAGE).start()
     step(system, 0)
     system.host.publish(system.sense(1))
@@ -198,7 +198,7 @@ def test_a_firmware_that_fails_loses_its_cells_alone(memory: Network, form: Form
 @both_forms
 @pytest.mark.parametrize("count", [1, 2, 6])
 def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
-    network: Network, form: FormName, count: int
+    network: Network, form: WireFormat, count: int
 ) -> None:
     """Same senses, same messages, same drives whatever the cut, and no loss."""
     system = System(
@@ -206,7 +206,7 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
     ).start()
     dead, at = [1, 5], 2
     for side in (system.host, *system.members):
-        side.retire(dead, at)
+        side.mark_dead(dead, at)
     gone: set[int] = set()
     for tick in range(5):
         system.host.publish(system.sense(tick))
@@ -239,26 +239,26 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
         whole = expected_drive(system, tick)
         whole[dead if tick >= at else []] = 0.0
         assert drive.drive.tolist() == whole.tolist()
-    assert system.host.counts.lost == 0
+    assert system.host.counters.lost == 0
     # The dead say nothing, and nobody speaks to them.
-    assert [side.counts.late for side in (system.host, *system.members)] == [0] * (1 + count)
+    assert [side.counters.late for side in (system.host, *system.members)] == [0] * (1 + count)
 
 
 @both_forms
 def test_a_shard_whose_cells_all_die_by_schedule_has_told_its_counts_when_the_next_tick_begins(
-    network: Network, form: FormName
+    network: Network, form: WireFormat
 ) -> None:
     """Its process may be killed then, without leaving."""
     system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
     for side in (system.host, *system.members):
-        side.retire([2], 1)
-        side.retire([3], 2)
+        side.mark_dead([2], 1)
+        side.mark_dead([3], 2)
     step(system, 0)
     step(system, 1)
-    assert system.host._reported.counts.keys() == {1}
-    told = system.host._reported.counts[1]
-    assert told.tally == {"shards": 1, "numbers": 1, "nothing": 0}
-    assert told.sent == system.members[1].counts.sent
+    assert system.host._reported.counters.keys() == {1}
+    told = system.host._reported.counters[1]
+    assert told.cell_counters == {"shards": 1, "numbers": 1, "nothing": 0}
+    assert told.sent == system.members[1].counters.sent
 
 
 class Telling(FakeClock):
@@ -280,7 +280,7 @@ class Telling(FakeClock):
 
 @both_forms
 def test_a_shard_that_keeps_saying_that_it_is_busy_gets_ten_deadlines_and_others_one(
-    memory: Network, form: FormName
+    memory: Network, form: WireFormat
 ) -> None:
     lived: list[tuple[float, list[bool]]] = []
 
@@ -292,7 +292,7 @@ def test_a_shard_that_keeps_saying_that_it_is_busy_gets_ten_deadlines_and_others
     stall = StallSpec(deadline_s=3.0)
     system = System(memory, Partition.each(grid(1, 3)), form, clock=clock, stall=stall).start()
     step(system, 0)
-    before, sent = clock.now, system.members[1].counts.sent
+    before, sent = clock.now, system.members[1].counters.sent
     system.members[1].busy(1)
     clock.waited = waited
     drive, losses = step(system, 1, [0])
@@ -302,7 +302,7 @@ def test_a_shard_that_keeps_saying_that_it_is_busy_gets_ten_deadlines_and_others
     assert lived[0] == (3.0, [True, True, True])
     assert (6.0, [True, True, False]) in lived
     assert lived[-1] == (30.0, [True, True, False])
-    assert system.members[1].counts.sent == sent, "what depends on the wall clock is not counted"
+    assert system.members[1].counters.sent == sent, "what depends on the wall clock is not counted"
 
 
 @pytest.mark.parametrize("at", [0, 2])

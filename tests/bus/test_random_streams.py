@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bus.random_streams import Draws, generator
+from bus.random_streams import CounterStream, rng
 
 _MULTIPLIERS = (0xD2E7470EE14C6C93, 0xCA5A826395121157)
 _WEYL = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
@@ -43,7 +43,7 @@ def test_the_generator_written_here_gives_the_authors_known_answer() -> None:
 def test_a_draw_is_philox_at_the_counter_that_tick_and_place_name(
     seed: int, tick: int, places: list[int]
 ) -> None:
-    draws = Draws(seed, "purpose", np.array(places))
+    draws = CounterStream(seed, "purpose", np.array(places))
     a, b = draws._philox.state["state"]["key"].tolist()
     expected = [(philox((p // 4 + 1, tick, 0, 0), (a, b))[p % 4] >> 11) * 2.0**-53 for p in places]
     assert draws.uniform(tick).tolist() == expected
@@ -54,15 +54,15 @@ def test_it_does_not_matter_who_draws_how_many_places_in_which_order(
     places: set[int], ticks: list[int]
 ) -> None:
     some = np.array(sorted(places))
-    few, many = Draws(3, "purpose", some), Draws(3, "purpose", all_of(100))
+    few, many = CounterStream(3, "purpose", some), CounterStream(3, "purpose", all_of(100))
     for tick in ticks:
         assert few.uniform(tick).tobytes() == many.uniform(tick)[some].tobytes()
 
 
 def test_seeds_purposes_and_ticks_draw_different_numbers() -> None:
     drawn = [
-        Draws(seed, purpose, all_of(50)).uniform(tick).tolist()
+        CounterStream(seed, purpose, all_of(50)).uniform(tick).tolist()
         for seed, purpose, tick in ((0, "a", 0), (1, "a", 0), (0, "b", 0), (0, "a", 1))
     ]
     assert len({number for numbers in drawn for number in numbers}) == 200
-    assert generator(0, "a").random() not in drawn[0]
+    assert rng(0, "a").random() not in drawn[0]

@@ -12,12 +12,12 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from bus.errors import HostLostError
-from bus.lockstep import Host, Member
+from bus.errors import CoordinatorLostError
+from bus.lockstep import Coordinator, Participant
 from bus.partition import Partition
 from bus.transports.base import Received
 from bus.transports.zenoh import open_client
-from bus.transports.zenoh.endpoint import _free_port
+from bus.transports.zenoh.endpoint import free_port
 from bus.wire.frames import SenseFrame
 from tests.bus.support import PRESENCE, SENSORS, gathered, grid
 
@@ -49,12 +49,12 @@ def _router(locator: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def test_a_router_that_dies_loses_all_cells_by_name_at_once_and_sessions_are_back_when_it_is() -> None:
-    locator, two = f"tcp/127.0.0.1:{_free_port()}", Partition.even(grid(1, 2), 1)
+    locator, two = f"tcp/127.0.0.1:{free_port()}", Partition.even(grid(1, 2), 1)
     sense = SenseFrame(0, np.ones((2, SENSORS), dtype=np.bool_), None)
     with _router(locator) as router:
         plant, cells = open_client(locator), open_client(locator)
-        host = Host(plant, two, "packed", run="test", readings=PRESENCE, message=None)
-        member = Member(cells, two, 0, "packed", run="test", readings=PRESENCE, message=None)
+        host = Coordinator(plant, two, "packed", run="test", readings=PRESENCE, message=None)
+        member = Participant(cells, two, 0, "packed", run="test", readings=PRESENCE, message=None)
         ready = Thread(target=member.ready, args=(10.0,))
         ready.start()
         host.barrier(10.0)
@@ -69,7 +69,7 @@ def test_a_router_that_dies_loses_all_cells_by_name_at_once_and_sessions_are_bac
             (0, 0, "token lost"),
             (1, 0, "token lost"),
         ]
-        with pytest.raises(HostLostError, match="the plant left"):
+        with pytest.raises(CoordinatorLostError, match="the plant left"):
             member.gather(1)
     with _router(locator):
         cells.subscribe("again")

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.errors import MemoryRefusedError
-from bus.state import Remembers, recall, remember
+from bus.errors import StateError
+from bus.state import StateFields, load_state, save_state
 from bus.state_codec import decode, encode, is_record
 
 packed: Callable[[object], bytes] = cast("Any", msgpack).packb
@@ -33,7 +33,7 @@ class Reading:
 
 
 class Wheel:
-    remembers: ClassVar[Remembers] = Remembers("turns")
+    remembers: ClassVar[StateFields] = StateFields("turns")
 
     def __init__(self) -> None:
         self.turns = 0
@@ -41,7 +41,7 @@ class Wheel:
 
 
 class Motor(Wheel):
-    remembers: ClassVar[Remembers] = Remembers("volts", "last", records=(Pair,))
+    remembers: ClassVar[StateFields] = StateFields("volts", "last", records=(Pair,))
 
     def __init__(self) -> None:
         super().__init__()
@@ -55,7 +55,7 @@ class Packed(NamedTuple):
 
 
 class Car:
-    remembers: ClassVar[Remembers] = Remembers("motors", "luck", shared=("log", "packed.y"))
+    remembers: ClassVar[StateFields] = StateFields("motors", "luck", shared=("log", "packed.y"))
 
     def __init__(self) -> None:
         self.motors = [Motor(), Motor()]
@@ -130,7 +130,7 @@ def test_an_array_of_objects_holds_values() -> None:
     ids=["an object", "a function", "a record", "an array of texts", "a set of several types"],
 )
 def test_what_is_no_value_is_refused_when_it_is_kept(value: Any) -> None:
-    with pytest.raises((MemoryRefusedError, TypeError)):
+    with pytest.raises((StateError, TypeError)):
         encode(value, {})
 
 
@@ -145,15 +145,15 @@ def _driven() -> Car:
 
 def test_an_object_made_anew_remembers_what_another_did() -> None:
     car, other = _driven(), Car()
-    recall(other, remember(car))
-    assert remember(other) == remember(car)
+    load_state(other, save_state(car))
+    assert save_state(other) == save_state(car)
     assert (other.motors[1].turns, other.motors[0].last) == (5, Pair(1, "r"))
     assert other.luck.normal() == car.luck.normal()
 
 
 def test_what_others_hold_too_is_changed_where_it_is() -> None:
     other = Car()
-    recall(other, remember(_driven()))
+    load_state(other, save_state(_driven()))
     assert other.view.tolist() == [1.5, 1.5]
     assert other.readers == ["start"]
 
@@ -170,10 +170,10 @@ def _changed(change: str) -> bytes:
         case "another shape":
             car.packed = Packed(np.zeros(4), np.ones(3))
         case "another name":
-            return remember(car).replace(b"volts", b"watts")
+            return save_state(car).replace(b"volts", b"watts")
         case _:
             raise AssertionError(change)
-    return remember(car)
+    return save_state(car)
 
 
 @pytest.mark.parametrize(
@@ -187,26 +187,26 @@ def _changed(change: str) -> bytes:
     ],
 )
 def test_a_memory_of_something_else_is_refused_by_place(change: str, told: str) -> None:
-    with pytest.raises(MemoryRefusedError, match=told):
-        recall(Car(), _changed(change))
+    with pytest.raises(StateError, match=told):
+        load_state(Car(), _changed(change))
 
 
 class Holder:
-    remembers: ClassVar[Remembers] = Remembers("held")
+    remembers: ClassVar[StateFields] = StateFields("held")
 
     def __init__(self, held: Any) -> None:
         self.held = held
 
 
 class Shares:
-    remembers: ClassVar[Remembers] = Remembers(shared=("held",))
+    remembers: ClassVar[StateFields] = StateFields(shared=("held",))
 
     def __init__(self, held: Any) -> None:
         self.held = held
 
 
 class Leads:
-    remembers: ClassVar[Remembers] = Remembers("way.turns")
+    remembers: ClassVar[StateFields] = StateFields("way.turns")
 
     def __init__(self, way: Any) -> None:
         self.way = way
@@ -222,7 +222,7 @@ def test_objects_in_maps_and_lists_remember_each_at_its_place() -> None:
     held = {"a": _turned(3), "b": [_turned(4), _turned(5)], "c": ()}
     anew = {"a": Wheel(), "b": [Wheel(), Wheel()], "c": ()}
     stay = anew["a"]
-    recall(Holder(anew), remember(Holder(held)))
+    load_state(Holder(anew), save_state(Holder(held)))
     assert anew["a"] is stay
     assert [anew["a"].turns, *(wheel.turns for wheel in anew["b"])] == [3, 4, 5]
 
@@ -232,7 +232,7 @@ def test_objects_in_maps_and_lists_remember_each_at_its_place() -> None:
 )
 def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, anew: Any) -> None:
     holder = Holder(anew)
-    recall(holder, remember(Holder(held)))
+    load_state(holder, save_state(Holder(held)))
     assert (type(holder.held), holder.held) == (type(held), held)
 
 
@@ -252,8 +252,8 @@ def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, ane
     ],
 )
 def test_what_an_object_made_anew_has_no_place_for_is_refused(held: Any, anew: Any, told: str) -> None:
-    with pytest.raises(MemoryRefusedError, match=told):
-        recall(Holder(anew), remember(Holder(held)))
+    with pytest.raises(StateError, match=told):
+        load_state(Holder(anew), save_state(Holder(held)))
 
 
 @pytest.mark.parametrize(
@@ -261,31 +261,31 @@ def test_what_an_object_made_anew_has_no_place_for_is_refused(held: Any, anew: A
 )
 def test_maps_sets_and_lists_that_others_hold_are_filled_anew(held: Any, anew: Any) -> None:
     shares = Shares(anew)
-    recall(shares, remember(Shares(held)))
+    load_state(shares, save_state(Shares(held)))
     assert shares.held is anew
     assert anew == held
 
 
 def test_what_is_shared_keeps_its_kind() -> None:
-    with pytest.raises(MemoryRefusedError, match="must be a set, is a list"):
-        recall(Shares(set[int]()), remember(Shares([1])))
-    with pytest.raises(MemoryRefusedError, match="this is a bug: a int can't be shared"):
-        recall(Shares(1), remember(Shares(2)))
+    with pytest.raises(StateError, match="must be a set, is a list"):
+        load_state(Shares(set[int]()), save_state(Shares([1])))
+    with pytest.raises(StateError, match="this is a bug: a int can't be shared"):
+        load_state(Shares(1), save_state(Shares(2)))
 
 
 def test_a_path_that_breaks_off_leads_to_nothing_and_stays_so() -> None:
     leads = Leads(None)
-    recall(leads, remember(leads))
+    load_state(leads, save_state(leads))
     assert leads.way is None
-    with pytest.raises(MemoryRefusedError, match=r"Leads\.way\.turns: must be nothing, is a int"):
-        recall(leads, remember(Leads(_turned(2))))
+    with pytest.raises(StateError, match=r"Leads\.way\.turns: must be nothing, is a int"):
+        load_state(leads, save_state(Leads(_turned(2))))
 
 
 @given(st.binary(max_size=64))
 def test_any_bytes_are_a_value_that_can_be_kept_or_are_refused(data: bytes) -> None:
     try:
         value = decode(data, RECORDS)
-    except MemoryRefusedError:
+    except StateError:
         return
     kept = encode(value, RECORDS)
     assert encode(decode(kept, RECORDS), RECORDS) == kept
@@ -294,22 +294,22 @@ def test_any_bytes_are_a_value_that_can_be_kept_or_are_refused(data: bytes) -> N
 @settings(max_examples=60)
 @given(st.data())
 def test_changed_bytes_are_a_memory_that_can_be_kept_or_are_refused(data: st.DataObject) -> None:
-    whole = bytearray(remember(_driven()))
+    whole = bytearray(save_state(_driven()))
     for _ in range(data.draw(st.integers(1, 4))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     car, other = Car(), Car()
     try:
-        recall(car, bytes(whole))
-    except MemoryRefusedError:
+        load_state(car, bytes(whole))
+    except StateError:
         return
-    kept = remember(car)
-    recall(other, kept)
-    assert remember(other) == kept
+    kept = save_state(car)
+    load_state(other, kept)
+    assert save_state(other) == kept
 
 
 def test_an_array_that_says_it_is_larger_than_its_bytes_is_refused() -> None:
     told = packed(["<f8", [2**40, 2**40], b""])
-    with pytest.raises(MemoryRefusedError, match="0 bytes for an array"):
+    with pytest.raises(StateError, match="0 bytes for an array"):
         decode(packed(msgpack.ExtType(1, told)), {})
 
 
@@ -317,7 +317,7 @@ def test_nesting_without_end_is_refused() -> None:
     data = packed([])
     for _ in range(3_000):
         data = packed(msgpack.ExtType(4, data))
-    with pytest.raises(MemoryRefusedError, match="not a memory"):
+    with pytest.raises(StateError, match="not a memory"):
         decode(data, {})
 
 
@@ -327,7 +327,7 @@ def test_values_lie_as_deep_as_they_may_and_as_many_side_by_side_as_they_like() 
         deep = (deep,)
     for value in (deep, [(i,) for i in range(100)]):
         assert decode(encode(value, {}), {}) == value
-    with pytest.raises(MemoryRefusedError, match="too deep"):
+    with pytest.raises(StateError, match="too deep"):
         encode((deep,), {})
 
 
@@ -345,12 +345,12 @@ def test_values_lie_as_deep_as_they_may_and_as_many_side_by_side_as_they_like() 
     ids=repr,
 )
 def test_an_array_that_no_array_is_written_as_is_refused(told: list[Any]) -> None:
-    with pytest.raises(MemoryRefusedError, match="not a memory: ValueError"):
+    with pytest.raises(StateError, match="not a memory: ValueError"):
         decode(packed(msgpack.ExtType(1, packed(told))), {})
 
 
 def test_an_array_has_as_many_objects_as_places() -> None:
-    with pytest.raises(MemoryRefusedError, match="1 objects for an array of 2"):
+    with pytest.raises(StateError, match="1 objects for an array of 2"):
         decode(packed(msgpack.ExtType(3, packed([[2], [None]]))), {})
 
 
@@ -361,7 +361,7 @@ def test_an_array_has_so_many_fields_and_no_more(fields: int, read: bool) -> Non
     if read:
         assert len(decode(data, {}).dtype) == fields
         return
-    with pytest.raises(MemoryRefusedError, match="an array of 257 fields"):
+    with pytest.raises(StateError, match="an array of 257 fields"):
         decode(data, {})
 
 

@@ -8,10 +8,10 @@ import msgpack
 import numpy as np
 
 from bus.errors import WireError
-from bus.lockstep.counters import Counts
+from bus.lockstep.counters import MessageCounters
 from bus.partition import Partition
 from bus.transports.base import Publisher
-from bus.wire.formats import FormName
+from bus.wire.formats import WireFormat
 from bus.wire.frames import TALLY_LIMIT, DriveFrame
 from tests.bus.support import (
     MESSAGE,
@@ -26,7 +26,7 @@ from tests.bus.support import (
 
 
 @both_forms
-def test_no_payload_on_any_key_breaks_a_run(network: Network, form: FormName) -> None:
+def test_no_payload_on_any_key_breaks_a_run(network: Network, form: WireFormat) -> None:
     system = System(network, Partition.even(grid(2, 2), 2), form, message=MESSAGE).start()
     stranger = network.endpoint()
     keys = [
@@ -54,7 +54,7 @@ def test_no_payload_on_any_key_breaks_a_run(network: Network, form: FormName) ->
         assert losses == []
         assert drive.drive.tolist() == expected_drive(system, tick).tolist()
     seen: Callable[[str], int] = lambda name: (  # noqa: E731
-        system.host.counts.malformed[name] + sum(m.counts.malformed[name] for m in system.members)
+        system.host.counters.malformed[name] + sum(m.counters.malformed[name] for m in system.members)
     )
     system.host.publish(system.sense(6))
     for member in system.members:
@@ -76,7 +76,7 @@ def test_the_second_payload_of_a_tick_is_refused_and_the_first_stands(memory: Ne
     system.members[1].publish(system.drive(1, 0), None)
     drive, _ = system.host.gather(0)
     assert drive.drive.tolist() == expected_drive(system, 0).tolist()
-    assert system.host.counts.malformed == {"drive: duplicate": 1}
+    assert system.host.counters.malformed == {"drive: duplicate": 1}
 
 
 def test_what_any_side_refuses_is_known_by_whose_it_was_and_the_plant_hears_of_it(memory: Network) -> None:
@@ -98,22 +98,22 @@ def test_what_any_side_refuses_is_known_by_whose_it_was_and_the_plant_hears_of_i
 
 
 def test_a_report_has_as_much_of_what_was_refused_as_there_is_room_for() -> None:
-    counts = Counts(1, 2, 3, 4)
+    counts = MessageCounters(1, 2, 3, 4)
     for i in range(100):
         counts.refuse(WireError("link", "type", ""), f"cell {i},0")
     counts.refuse(WireError("link", "x" * 64, ""), "cell 0,0")
-    tally = counts.tallied({"sensor.bounces": 7, "malformed": 8})
+    tally = counts.to_report({"sensor.bounces": 7, "malformed": 8})
     assert len(tally) == TALLY_LIMIT
     assert max(len(name) for name, _ in tally) <= TALLY_LIMIT
-    again = Counts.reported((1, 2, 3, 4), tally)
+    again = MessageCounters.from_report((1, 2, 3, 4), tally)
     assert (again.sent, again.delivered, again.lost, again.late) == (1, 2, 3, 4)
-    assert again.tally == {"sensor.bounces": 7, "malformed": 8}
+    assert again.cell_counters == {"sensor.bounces": 7, "malformed": 8}
     assert again.refused == {(f"cell {i},0", "link: type"): 1 for i in range(TALLY_LIMIT - 2)}
 
 
 @both_forms
 def test_a_drive_of_a_tick_whose_senses_are_not_out_yet_is_refused_and_booked_against_its_sender(
-    network: Network, form: FormName
+    network: Network, form: WireFormat
 ) -> None:
     system = System(network, Partition.each(grid(1, 2)), form).start()
     thief, honest = system.members
@@ -129,4 +129,4 @@ def test_a_drive_of_a_tick_whose_senses_are_not_out_yet_is_refused_and_booked_ag
         assert losses == []
         assert drive.drive.tolist() == expected_drive(system, tick).tolist()
     whose = "shard 0" if form == "packed" else "cell 0,0"
-    assert system.host.counts.refused == {(whose, "drive: ahead"): 1}
+    assert system.host.counters.refused == {(whose, "drive: ahead"): 1}

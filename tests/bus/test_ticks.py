@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bus.errors import BusError, RunNameError
-from bus.lockstep import Gathered, Host, Member
+from bus.lockstep import Coordinator, Participant, TickInputs
 from bus.partition import Partition
-from bus.sensors import Picture, Readings
-from bus.wire.formats import FormName
+from bus.sensors import CameraFrame, SensorSchema
+from bus.wire.formats import WireFormat
 from bus.wire.frames import Control, DriveFrame, LinkFrame
 from bus.wire.keys import shard_key
 from tests.bus.support import (
@@ -31,7 +31,7 @@ from tests.bus.support import (
 @both_forms
 @pytest.mark.parametrize("count", [1, 2, 6])
 def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
-    network: Network, form: FormName, count: int
+    network: Network, form: WireFormat, count: int
 ) -> None:
     system = System(network, Partition.even(grid(2, 3), count), form, readings=EVERYTHING).start()
     for tick in range(3):
@@ -65,7 +65,7 @@ def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
 
 @both_forms
 @pytest.mark.parametrize("count", [1, 2, 6])
-def test_messages_of_a_tick_are_read_in_the_next(network: Network, form: FormName, count: int) -> None:
+def test_messages_of_a_tick_are_read_in_the_next(network: Network, form: WireFormat, count: int) -> None:
     system = System(network, Partition.even(grid(2, 3), count), form, message=MESSAGE).start()
     partition = system.partition
     for tick in range(4):
@@ -90,9 +90,9 @@ def test_all_sides_counts_come_together_when_the_run_stops(network: Network) -> 
     system = System(network, Partition.even(grid(2, 3), 2), "packed", message=MESSAGE).start()
     for tick in range(5):
         step(system, tick)
-    stopped: list[Gathered | Control] = []
+    stopped: list[TickInputs | Control] = []
 
-    def leave(member: Member) -> None:
+    def leave(member: Participant) -> None:
         stopped.append(member.gather(5))
         member.close()
 
@@ -106,11 +106,11 @@ def test_all_sides_counts_come_together_when_the_run_stops(network: Network) -> 
         ("stop", "done")
     ] * 2
     # Senses, start and stop from the plant; a drive and a link frame a tick from each shard.
-    assert system.host.counts.sent == 5 * 2 + 2 * 2
+    assert system.host.counters.sent == 5 * 2 + 2 * 2
     assert total.sent == 5 * 2 + 2 * 2 + 5 * 2 * 2
     assert total.delivered == total.sent
     assert (total.lost, total.late, sum(total.malformed.values())) == (0, 0, 0)
-    assert total.tally == {"shards": 2, "numbers": 1, "nothing": 0}
+    assert total.cell_counters == {"shards": 2, "numbers": 1, "nothing": 0}
     assert system.host.unreported == []
 
 
@@ -122,7 +122,7 @@ def test_a_member_stays_until_the_plant_has_taken_its_counts(network: Network) -
     leaves.start()
     leaves.join(0.2)
     assert leaves.is_alive()
-    assert system.host.stop("again", 5.0).tally["shards"] == 1
+    assert system.host.stop("again", 5.0).cell_counters["shards"] == 1
     leaves.join(5.0)
     assert not leaves.is_alive()
 
@@ -138,12 +138,12 @@ def test_a_report_may_come_after_the_token_has_gone(memory: Network, reports: bo
     late.start()
     total = system.host.stop("done", 1.0)
     late.join()
-    assert total.tally["shards"] == (2 if reports else 1)
+    assert total.cell_counters["shards"] == (2 if reports else 1)
     assert system.host.unreported == ([] if reports else [3, 4, 5])
 
 
 @both_forms
-def test_a_frame_that_comes_early_is_kept_until_its_tick(memory: Network, form: FormName) -> None:
+def test_a_frame_that_comes_early_is_kept_until_its_tick(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.each(grid(1, 2)), form, message=MESSAGE).start()
     one, other = system.members
     for tick in range(2):
@@ -159,16 +159,16 @@ def test_a_frame_that_comes_early_is_kept_until_its_tick(memory: Network, form: 
     for tick in range(2):
         drive, _ = system.host.gather(tick)
         assert drive.drive.tolist() == expected_drive(system, tick).tolist()
-    assert system.host.counts.late == 0
+    assert system.host.counters.late == 0
 
 
 @both_forms
-def test_a_frame_of_a_tick_that_is_over_is_counted_as_late(memory: Network, form: FormName) -> None:
+def test_a_frame_of_a_tick_that_is_over_is_counted_as_late(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.each(grid(1, 1)), form).start()
     step(system, 0)
     system.members[0].publish(system.drive(0, 0), None)
     step(system, 1)
-    assert system.host.counts.late == 1
+    assert system.host.counters.late == 1
 
 
 def test_publishing_another_shape_than_agreed_is_refused_with_its_place(memory: Network) -> None:
@@ -189,7 +189,7 @@ def test_publishing_another_shape_than_agreed_is_refused_with_its_place(memory: 
         system.host.publish(system.sense(0)._replace(level=level))
     with pytest.raises(BusError, match="'labels'"):
         system.host.publish(system.sense(0)._replace(label=np.zeros(2, np.int64)))
-    nobody = Picture(np.zeros(0, np.int64), np.zeros((0, 3)))
+    nobody = CameraFrame(np.zeros(0, np.int64), np.zeros((0, 3)))
     with pytest.raises(BusError, match="'a picture'"):
         system.host.publish(system.sense(0)._replace(picture=nobody))
 
@@ -197,4 +197,4 @@ def test_publishing_another_shape_than_agreed_is_refused_with_its_place(memory: 
 def test_a_bad_run_name_is_refused(memory: Network) -> None:
     partition = Partition.each(grid(1, 1))
     with pytest.raises(RunNameError):
-        Host(memory.endpoint(), partition, "packed", run="a/b", readings=Readings(1), message=None)
+        Coordinator(memory.endpoint(), partition, "packed", run="a/b", readings=SensorSchema(1), message=None)

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from bus.errors import TransportError
-from bus.transports.base import Alive, Received, Woken
+from bus.transports.base import LivelinessChange, Received, Wakeup
 from tests.bus.support import Network, drain, payloads, settle, tokens
 
 
@@ -156,14 +156,14 @@ def test_wake_ends_a_wait_from_another_thread(network: Network) -> None:
     endpoint = network.endpoint()
     waker = threading.Timer(0.05, endpoint.wake)
     waker.start()
-    assert endpoint.receive(None, enough=100) == Woken()
+    assert endpoint.receive(None, enough=100) == Wakeup()
     waker.join()
 
 
 def test_wake_before_a_wait_is_not_lost(network: Network) -> None:
     endpoint = network.endpoint()
     endpoint.wake()
-    assert endpoint.receive(5.0) == Woken()
+    assert endpoint.receive(5.0) == Wakeup()
 
 
 def test_a_patient_wait_ends_with_enough_payloads_with_a_token_or_with_its_time(network: Network) -> None:
@@ -185,7 +185,7 @@ def test_a_patient_wait_ends_with_enough_payloads_with_a_token_or_with_its_time(
 
     data.put(b"5")
     cell.declare_alive("t/alive")
-    assert plant.receive_all(5.0, enough=100) == [Received("t/data", b"5"), Alive("t/alive", True)]
+    assert plant.receive_all(5.0, enough=100) == [Received("t/data", b"5"), LivelinessChange("t/alive", True)]
 
     data.put(b"6")
     assert plant.receive_all(0.2, enough=100) == [Received("t/data", b"6")]

@@ -20,7 +20,7 @@ from bus.errors import TransportError
 from bus.lockstep import Loss
 from bus.partition import Partition
 from bus.spec import StallSpec
-from bus.transports.base import Alive, Event, Received
+from bus.transports.base import Event, LivelinessChange, Received
 from bus.transports.zenoh import client_config, hub_config, open_client, open_hub
 from bus.transports.zenoh.receive import drain as drain_channels
 from tests.bus.support import Network, System, drain, grid, payloads, settle, tokens
@@ -97,7 +97,7 @@ def test_a_killed_process_loses_its_token_at_once_and_a_stopped_one_with_its_lea
         drain(hub, lambda events: ("t/alive", True) in tokens(events), timeout_s=20.0)
         start = time.monotonic()
         cell.send_signal(how)
-        assert hub.receive(10.0) == Alive("t/alive", False)
+        assert hub.receive(10.0) == LivelinessChange("t/alive", False)
         assert within_s[0] <= time.monotonic() - start <= within_s[1]
     finally:
         cell.kill()
@@ -146,7 +146,7 @@ def test_a_process_that_forgets_to_close_ends_at_once_though_payloads_come_in() 
         start = time.monotonic()
         while cell.poll() is None and time.monotonic() - start < 8.0:
             flood.put(b"x" * 100)
-            assert hub.receive(0.0002) in (None, Alive("t/alive", False))
+            assert hub.receive(0.0002) in (None, LivelinessChange("t/alive", False))
         assert cell.wait(0.1) == 7
         assert time.monotonic() - start < 4.0
     finally:

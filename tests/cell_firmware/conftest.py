@@ -11,24 +11,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
 from cell_firmware.clocks import ArrayClocks
-from cell_firmware.components import LinkPart
+from cell_firmware.components import LinkDriver
 from cell_firmware.controller import Controller
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.clock.mailbox import Mailbox
-from cell_firmware.effects.clock.wrapper import Clocked
-from cell_firmware.effects.cop.wrapper import Watchdog
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
+from cell_firmware.effects.cop.wrapper import WatchdogWrapper
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.serial.lines import SerialLines
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.faults.attach import joined
+from cell_firmware.faults.attach import attach_fault
 from cell_firmware.faults.base import CellFault
 from cell_firmware.firmware import Cells, Firmware
-from cell_firmware.shard import FAULTS, Links, Shard, ShardOutputs
+from cell_firmware.shard import FAULTS, BoundaryMessages, Shard, ShardOutputs
 from cell_firmware.specs import nanoseconds
 from cell_firmware.speed_loop import SpeedLoop
 
@@ -41,7 +41,7 @@ def cells_of(lattice: Lattice, sensors: int = 1) -> Cells:
     return Cells.of(lattice, position, PERIOD_S, ((0.0, 0.0),) * sensors, pitch_m=PITCH_M)
 
 
-def links_of(firmware: Firmware, effects: CellEffects, clocks: ArrayClocks | None) -> LinkPart | None:
+def links_of(firmware: Firmware, effects: CellEffects, clocks: ArrayClocks | None) -> LinkDriver | None:
     """What messages have to pass."""
     if firmware.message is None:
         return None
@@ -49,8 +49,8 @@ def links_of(firmware: Firmware, effects: CellEffects, clocks: ArrayClocks | Non
         settings = effects.serial.settings(nanoseconds(PERIOD_S))
         if clocks is None:
             return SerialLines(settings, firmware.message)
-        return SerialLines(settings, firmware.message, clocks.all.window_ns, clocks.ppb)
-    return None if clocks is None else Mailbox(firmware.message, clocks.all.window_ns)
+        return SerialLines(settings, firmware.message, clocks.clocks.window_ns, clocks.ppb)
+    return None if clocks is None else Mailbox(firmware.message, clocks.clocks.window_ns)
 
 
 @dataclass
@@ -73,7 +73,7 @@ class Lockstep:
         effects: CellEffects | None = None,
         seed: int = 0,
         clocks: ArrayClocks | None = None,
-        faults: Sequence[Injected[CellFault]] = (),
+        faults: Sequence[FaultInstance[CellFault]] = (),
     ) -> None:
         self.partition = partition
         self.lattice = partition.lattice
@@ -81,31 +81,31 @@ class Lockstep:
         board = Board(firmware, loop, links_of(firmware, asked, clocks))
         controller: Controller = board
         if asked.cop is not None:
-            controller = Watchdog(controller, asked.cop, nanoseconds(PERIOD_S))
+            controller = WatchdogWrapper(controller, asked.cop, nanoseconds(PERIOD_S))
         if clocks is not None:
-            controller = Clocked(controller, clocks)
+            controller = LocalClockWrapper(controller, clocks)
         for fault in faults:
-            controller = joined(controller, self.lattice, seed, fault)
-        tick_ns = nanoseconds(PERIOD_S) if clocks is None else clocks.all.window_ns
+            controller = attach_fault(controller, self.lattice, seed, fault)
+        tick_ns = nanoseconds(PERIOD_S) if clocks is None else clocks.clocks.window_ns
         self.shards: list[Shard] = []
-        self.sites: list[Site] = []
+        self.sites: list[ShardContext] = []
         for s in range(partition.count):
-            site = Site(
+            site = ShardContext(
                 partition.cells(s),
                 1,
-                controller.message,
+                controller.link_type,
                 seed,
-                said=controller.said,
+                said=controller.message_type,
                 tick_ns=tick_ns,
-                clocks=None if clocks is None else clocks.all.take(partition.cells(s)),
+                clocks=None if clocks is None else clocks.clocks.take(partition.cells(s)),
             )
             self.sites.append(site)
-            stages = asked.stages(site)
+            stages = asked.input_filters(site)
             stages[FAULTS] = tuple(
-                stage for one in faults for stage in one.fault.stages(site, self.lattice, one)
+                stage for one in faults for stage in one.fault.input_filters(site, self.lattice, one)
             )
             self.shards.append(Shard(controller, cells_of(self.lattice), partition, s, stages, faults))
-        self.links: list[Links | None] = [None] * partition.count
+        self.links: list[BoundaryMessages | None] = [None] * partition.count
         self.tick = 0
         self.failures: list[FirmwareFailed] = []
 
@@ -126,7 +126,7 @@ class Lockstep:
         self.tick += 1
         return drive
 
-    def _incoming(self, shard: int, outputs: list[ShardOutputs]) -> Links | None:
+    def _incoming(self, shard: int, outputs: list[ShardOutputs]) -> BoundaryMessages | None:
         message = self.shards[shard].message
         if message is None:
             return None
@@ -138,7 +138,7 @@ class Lockstep:
             (there,) = [b for b in self.partition.outgoing_borders(border.shard) if b.shard == shard]
             sent[border.start : border.stop] = theirs.sent[there.start : there.stop]
             values[border.start : border.stop] = theirs.message[there.start : there.stop]
-        return Links(sent, values)
+        return BoundaryMessages(sent, values)
 
     def retire(self, cells: Iterable[tuple[int, int]]) -> None:
         gone = list(cells)
@@ -184,7 +184,7 @@ def run() -> Callable[..., Run]:
         effects: CellEffects | None = None,
         seed: int = 0,
         clocks: ArrayClocks | None = None,
-        faults: Sequence[Injected[CellFault]] = (),
+        faults: Sequence[FaultInstance[CellFault]] = (),
     ) -> Run:
         steps = Lockstep(firmware, partition, loop, effects, seed, clocks, faults)
         drives: list[NDArray[np.float64]] = []
@@ -197,7 +197,7 @@ def run() -> Callable[..., Run]:
             )
         counted = Counter[str]()
         for shard in steps.shards:
-            counted.update(shard.counted())
+            counted.update(shard.counters())
         return Run(np.array(drives), steps.failures, counted)
 
     return go
@@ -216,14 +216,14 @@ def watch() -> Callable[..., NDArray[Any]]:
         effects: CellEffects | None = None,
         seed: int = 0,
     ) -> NDArray[Any]:
-        assert firmware.observed is not None
+        assert firmware.observable is not None
         steps = Lockstep(firmware, Partition.even(lattice, 1), None, effects, seed)
         seen: list[NDArray[Any]] = []
         for k in range(ticks):
             steps.retire((dead or {}).get(k, ()))
             steps.step(None if presence is None else presence[k])
             cells, registers = steps.shards[0].registers()
-            values = registers[f"firmware.{firmware.observed}"]
+            values = registers[f"firmware.{firmware.observable}"]
             seen.append(np.zeros((len(lattice), *values.shape[1:]), values.dtype))
             seen[-1][lattice.find(cells[:, 0], cells[:, 1])] = values
         return np.array(seen)

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bus.errors import HostLostError, WireError, WokenError
+from bus.errors import CoordinatorLostError, WaitInterrupted, WireError
 from bus.lattice import Lattice
-from bus.lockstep import Host, Loss, Member
+from bus.lockstep import Coordinator, Loss, Participant
 from bus.partition import Partition
-from bus.sensors import Readings
+from bus.sensors import SensorSchema
 from bus.transports.memory import MemoryBus, MemoryEndpoint
 from bus.wire.frames import Control, SenseFrame
 from cell_firmware import agent
 from cell_firmware.board import Board
-from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.program import NoParameters
 from cell_firmware.protocols.heat_diffusion import HeatDiffusion, HeatDiffusionParameters
@@ -66,17 +66,17 @@ class System:
     def __post_init__(self) -> None:
         self.bus = MemoryBus()
         self.endpoint = self.bus.endpoint()
-        self.host = Host(
+        self.host = Coordinator(
             self.endpoint,
             self.partition,
             self.form,
             run=RUN,
-            readings=Readings(1),
+            readings=SensorSchema(1),
             message=self.firmware.message,
         )
         count = self.partition.count
         self.endpoints: list[MemoryEndpoint] = [self.bus.endpoint() for _ in range(count)]
-        self.ended: list[agent.Ended | BaseException | None] = [None] * count
+        self.ended: list[agent.ShardResult | BaseException | None] = [None] * count
         self.threads = [threading.Thread(target=self._cells, args=(s,)) for s in range(count)]
         self.losses: list[Loss] = []
         self.malformed: Counter[str] = Counter()
@@ -85,20 +85,20 @@ class System:
             thread.start()
         self.host.barrier(10.0)
         for tick, cells in self.deaths.items():
-            self.host.retire(cells, tick)
+            self.host.mark_dead(cells, tick)
 
-    def member(self, s: int) -> Member:
-        member = Member(
+    def member(self, s: int) -> Participant:
+        member = Participant(
             self.endpoints[s],
             self.partition,
             s,
             self.form,
             run=RUN,
-            readings=Readings(1),
+            readings=SensorSchema(1),
             message=self.firmware.message,
         )
         for tick, cells in self.deaths.items():
-            member.retire(cells, tick)
+            member.mark_dead(cells, tick)
         return member
 
     def _cells(self, s: int) -> None:
@@ -109,7 +109,7 @@ class System:
             self.ended[s] = asyncio.run(agent.run(shard, member, self.endpoints[s], self.inject))
         except Exception as error:  # noqa: BLE001 - looked at by the test
             self.ended[s] = error
-        self.malformed += member.counts.malformed
+        self.malformed += member.counters.malformed
         member.close()
 
     def run(self, ticks: int) -> NDArray[np.float64]:
@@ -164,7 +164,7 @@ def test_agents_on_the_bus_give_the_same_bytes_as_one_shard_without_one(
     drives = running.run(20)
     assert drives.tobytes() == run(HEAT, Partition.even(lattice, 1), 20).drives.tobytes()
     running.stop()
-    assert running.ended == [agent.Ended(20, "enough", ())] * shards
+    assert running.ended == [agent.ShardResult(20, "enough", ())] * shards
     assert running.losses == []
 
 
@@ -179,7 +179,7 @@ def test_failed_firmware_reaches_the_plant_with_cell_tick_and_traceback_and_the_
 ):
     """Row 1 fails in tick 3: with six shards whole shards do, with one shard a part of it."""
     lattice = grid(3, 2)
-    firmware = PerCell(Grumpy(NoParameters()))
+    firmware = PerCellAdapter(Grumpy(NoParameters()))
     running = system(firmware, Partition.even(lattice, shards), form=form)
     drives = running.run(8)
     assert drives.tobytes() == run(firmware, Partition.even(lattice, 1), 8).drives.tobytes()
@@ -190,7 +190,7 @@ def test_failed_firmware_reaches_the_plant_with_cell_tick_and_traceback_and_the_
         assert ', in step\n    raise RuntimeError("had enough")' in loss.detail
     assert (drives[3:, row] == 0).all()
     running.stop()
-    failures = [f for ended in running.ended if isinstance(ended, agent.Ended) for f in ended.failures]
+    failures = [f for ended in running.ended if isinstance(ended, agent.ShardResult) for f in ended.failures]
     assert sorted((f.cell, f.tick) for f in failures) == [((1, 0), 3), ((1, 1), 3)]
 
 
@@ -213,7 +213,7 @@ def test_cells_that_die_by_schedule_are_silent_from_their_tick_on(
 def test_a_failure_in_the_last_tick_before_a_scheduled_death_is_still_reported(
     grid: Callable[..., Lattice], system: Callable[..., System]
 ):
-    running = system(PerCell(Grumpy(NoParameters())), Partition.each(grid(2, 1)), deaths={4: [1]})
+    running = system(PerCellAdapter(Grumpy(NoParameters())), Partition.each(grid(2, 1)), deaths={4: [1]})
     running.run(6)
     assert [(loss.cell, loss.tick, loss.reason) for loss in running.losses] == [(1, 3, "failed")]
 
@@ -232,7 +232,7 @@ def test_a_long_traceback_keeps_its_end(grid: Callable[..., Lattice], system: Ca
         def two(self, depth: int) -> tuple[None, CellOutputs]:
             return self.one(depth // (depth > 0) - 1)
 
-    running = system(PerCell(Deep(NoParameters())), Partition.each(grid(1, 1)))
+    running = system(PerCellAdapter(Deep(NoParameters())), Partition.each(grid(1, 1)))
     running.run(1)
     (loss,) = running.losses
     assert len(loss.detail) == 4096
@@ -247,7 +247,7 @@ def test_when_the_plant_goes_away_the_run_says_so(
     running.run(3)
     running.host.close()
     running.join()
-    assert [type(ended) for ended in running.ended] == [HostLostError] * 2
+    assert [type(ended) for ended in running.ended] == [CoordinatorLostError] * 2
 
 
 def test_waking_the_endpoint_ends_a_run_that_nobody_tells_to_stop(
@@ -257,7 +257,7 @@ def test_waking_the_endpoint_ends_a_run_that_nobody_tells_to_stop(
     running.run(2)
     running.endpoints[0].wake()
     running.join()
-    assert [type(ended) for ended in running.ended] == [WokenError]
+    assert [type(ended) for ended in running.ended] == [WaitInterrupted]
 
 
 def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
@@ -267,8 +267,10 @@ def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
     partition = Partition.even(grid(2, 2), 1)
     bus = MemoryBus()
     endpoint, ours = bus.endpoint(), bus.endpoint()
-    Host(endpoint, partition, "packed", run=RUN, readings=Readings(1), message=HEAT.message)
-    member = Member(ours, partition, 0, "packed", run=RUN, readings=Readings(1), message=HEAT.message)
+    Coordinator(endpoint, partition, "packed", run=RUN, readings=SensorSchema(1), message=HEAT.message)
+    member = Participant(
+        ours, partition, 0, "packed", run=RUN, readings=SensorSchema(1), message=HEAT.message
+    )
     member.ready(10.0)
     shard = Shard(Board(HEAT), everything(partition.lattice), partition, 0)
     threads = threading.active_count()
@@ -324,5 +326,5 @@ def test_a_fault_that_can_not_be_read_is_counted_and_the_cells_go_on(
     running.host.control(Control("fault", 0, (), "nonsense"))
     assert running.run(5).tobytes() == run(HEAT, partition, 5).drives.tobytes()
     running.stop()
-    assert running.ended == [agent.Ended(5, "enough", ())] * 3
+    assert running.ended == [agent.ShardResult(5, "enough", ())] * 3
     assert running.malformed == {"control: fault": 3}

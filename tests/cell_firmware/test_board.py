@@ -8,7 +8,7 @@ import pytest
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
@@ -202,7 +202,7 @@ def test_plain_firmware_that_forgets_to_return_is_told_what_a_step_returns(
         def step(self, state: dict[str, Any], inputs: CellInputs) -> Any:
             return None
 
-    (failure,) = run(PerCell(Forgetful(lambda _: None)), Partition.even(grid(1, 1), 1), 1).failures
+    (failure,) = run(PerCellAdapter(Forgetful(lambda _: None)), Partition.even(grid(1, 1), 1), 1).failures
     assert failure.problem == "TypeError: step must return (state, CellOutputs), not NoneType"
 
 
@@ -231,7 +231,7 @@ def test_plain_firmware_steps_each_cell_once_a_tick_even_when_a_neighbour_raises
         if ticks == 3:
             raise RuntimeError("worn out")
 
-    result = run(PerCell(Plain(give)), Partition.even(grid(1, 3), 1), 5)
+    result = run(PerCellAdapter(Plain(give)), Partition.even(grid(1, 3), 1), 5)
     (failure,) = result.failures
     assert (failure.cell, failure.tick, failure.problem) == ((0, 1), 2, "RuntimeError: worn out")
     assert "in give" in failure.trace
@@ -264,7 +264,7 @@ def test_plain_firmware_steps_each_cell_once_a_tick_even_when_a_neighbour_raises
 def test_plain_firmware_that_returns_nonsense_fails_as_that_cell(
     grid: Callable[..., Lattice], run: Callable[..., Any], given: Any, problem: str
 ):
-    (failure,) = run(PerCell(Plain(lambda _: given)), Partition.even(grid(1, 3), 1), 2).failures
+    (failure,) = run(PerCellAdapter(Plain(lambda _: given)), Partition.even(grid(1, 3), 1), 2).failures
     assert (failure.cell, failure.tick, failure.problem) == ((0, 1), 0, problem)
 
 
@@ -281,7 +281,12 @@ def test_plain_firmware_sees_plain_values(grid: Callable[..., Lattice], run: Cal
             seen.append((None, inputs))
             return None, CellOutputs((0, 1), {"north": {"n": -7, "x": 0.5, "b": True}, "south": None})
 
-    run(PerCell(Watch(NONE)), Partition.even(grid(2, 1), 1), 2, presence=np.ones((2, 2, 1), dtype=np.bool_))
+    run(
+        PerCellAdapter(Watch(NONE)),
+        Partition.even(grid(2, 1), 1),
+        2,
+        presence=np.ones((2, 2, 1), dtype=np.bool_),
+    )
     cells = [cell for cell, _ in seen if cell is not None]
     assert cells[1] == Cell(1, 0, (0.0, 0.1), ("south",), 0.004096, ((0.0, 0.0),), 0.1)
     first, _, _, above = [inputs for _, inputs in seen if inputs is not None]

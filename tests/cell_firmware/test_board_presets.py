@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from cell_firmware.board_presets import BOARDS, BoardSpec, with_board
+from cell_firmware.board_presets import BOARDS, BoardSpec, expand_preset
 from cell_firmware.effects.registry import CellEffects
 from deploy.scenes.errors import SceneError
 from deploy.scenes.files import load_scene
@@ -16,7 +16,7 @@ def scene(*changes: str) -> Scene:
 
 
 def asked(found: Scene) -> dict[str, Any]:
-    return {name: effect for name, effect in found.effects.asked() if name != "motors"}
+    return {name: effect for name, effect in found.effects.enabled() if name != "motors"}
 
 
 @pytest.mark.parametrize("name", BOARDS)
@@ -85,7 +85,7 @@ def test_what_a_board_s_effects_need_is_told_by_name() -> None:
 
 def test_data_without_a_board_is_left_as_it_is() -> None:
     for data in ({}, {"cells": {}}, {"cells": 3}, [], {"cells": {"board": "hc11"}, "effects": 4}):
-        assert with_board(data) is data
+        assert expand_preset(data) is data
 
 
 def test_a_board_s_spec_reads_its_own_words() -> None:

@@ -10,24 +10,24 @@ from typing import Any
 import pytest
 
 from bus.lattice import Lattice
-from cell_firmware.build import Motors, assemble, wheels_of
-from cell_firmware.components import LinkPart, WheelPart
-from cell_firmware.controller import Around
+from cell_firmware.build import MotorFacts, build_controller, wheels_of
+from cell_firmware.components import LinkDriver, WheelDriver
+from cell_firmware.controller import ControllerWrapper
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.serial.lines import SerialLines
-from cell_firmware.effects.serial.message_level import WholeMessages
+from cell_firmware.effects.serial.message_level import MessageLevelLines
 from cell_firmware.errors import SettingError
-from cell_firmware.protocols.waking_field import WakingField, WakingFieldParameters
+from cell_firmware.protocols.presence_field import PresenceField, PresenceFieldParameters
 from cell_firmware.specs import CellsSpec
 from cell_firmware.speed_loop import SpeedLoop
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop
 
-MOTORS = Motors(12.0, 1.2)
+MOTORS = MotorFacts(12.0, 1.2)
 
 
 def wheels(
-    motors: Motors | None = MOTORS, cells: CellsSpec | None = None, **effects: Any
-) -> WheelPart | None:
+    motors: MotorFacts | None = MOTORS, cells: CellsSpec | None = None, **effects: Any
+) -> WheelDriver | None:
     return wheels_of(cells or CellsSpec(), CellEffects.model_validate(effects), motors)
 
 
@@ -62,7 +62,7 @@ print(json.dumps([name for name in sys.modules if name.startswith("cell_firmware
     ("motors", "effects", "path", "rule"),
     [
         (
-            Motors(12.0, 1.2, 0.05),
+            MotorFacts(12.0, 1.2, 0.05),
             {"encoder": {"wheel_radius_m": 0.03}},
             "encoder.wheel_radius_m",
             "must be that of effects.motors, 0.05, or be left out",
@@ -80,7 +80,7 @@ print(json.dumps([name for name in sys.modules if name.startswith("cell_firmware
             "the unit of speeds is a count a period where there is effects.encoder: leave it out",
         ),
         (
-            Motors(12.0, 2.4),
+            MotorFacts(12.0, 2.4),
             {"fixed_point": {}},
             "fixed_point.speed_unit_m_s",
             "a 16-bit word tells speeds up to 2.048 m/s, and a wheel without load has 2.4 at supply_v",
@@ -88,7 +88,7 @@ print(json.dumps([name for name in sys.modules if name.startswith("cell_firmware
     ],
 )
 def test_settings_that_do_not_go_together_are_refused(
-    motors: Motors, effects: dict[str, Any], path: str, rule: str
+    motors: MotorFacts, effects: dict[str, Any], path: str, rule: str
 ) -> None:
     with pytest.raises(SettingError) as caught:
         wheels(motors, **effects)
@@ -97,13 +97,13 @@ def test_settings_that_do_not_go_together_are_refused(
 
 
 def test_the_fastest_wheel_that_can_be_counted_is_not_refused() -> None:
-    assert wheels(Motors(12.0, 126.9 * 0.03 * 6.2831853 / 256 / 0.004096), encoder={}) is not None
+    assert wheels(MotorFacts(12.0, 126.9 * 0.03 * 6.2831853 / 256 / 0.004096), encoder={}) is not None
     with pytest.raises(SettingError, match="at most 127 counts"):
-        wheels(Motors(12.0, 127.1 * 0.03 * 6.2831853 / 256 / 0.004096), encoder={})
+        wheels(MotorFacts(12.0, 127.1 * 0.03 * 6.2831853 / 256 / 0.004096), encoder={})
 
 
 def test_a_clock_that_is_slow_counts_more_in_a_period() -> None:
-    nearly = Motors(12.0, 126.0 * 0.03 * 6.2831853 / 256 / 0.004096)
+    nearly = MotorFacts(12.0, 126.0 * 0.03 * 6.2831853 / 256 / 0.004096)
     assert wheels(nearly, encoder={}, clock={"error_ppm": 7_000.0}) is not None
     for clock in ({"error_ppm": 8_500.0}, {"cells": [{"cell": [0, 0], "error_ppm": 8_500.0}]}):
         with pytest.raises(SettingError, match=r"a wheel without load makes 127\.1"):
@@ -126,9 +126,9 @@ SERIAL: dict[str, Any] = {"serial": {}}
 @pytest.mark.parametrize(
     ("effects", "kind"),
     [
-        (SERIAL, WholeMessages),
-        ({**SERIAL, "clock": {"error_ppm": 50.0}}, WholeMessages),
-        ({**SERIAL, "cop": {"timeout_s": 0.016384, "reboot_s": 0.01}}, WholeMessages),
+        (SERIAL, MessageLevelLines),
+        ({**SERIAL, "clock": {"error_ppm": 50.0}}, MessageLevelLines),
+        ({**SERIAL, "cop": {"timeout_s": 0.016384, "reboot_s": 0.01}}, MessageLevelLines),
         ({**SERIAL, "cop": {"timeout_s": 0.016384, "reboot_s": 0.005}}, SerialLines),
         ({**SERIAL, "clock": {"error_ppm": 30_000.0}}, SerialLines),
         ({**SERIAL, "link_loss": {"probability": 0.1}}, SerialLines),
@@ -138,14 +138,14 @@ SERIAL: dict[str, Any] = {"serial": {}}
     ],
 )
 def test_lines_go_byte_by_byte_exactly_where_something_can_happen_to_a_byte(
-    effects: dict[str, Any], kind: type[LinkPart]
+    effects: dict[str, Any], kind: type[LinkDriver]
 ) -> None:
-    asked, spec = CellEffects.model_validate(effects), CellsSpec(firmware="waking_field")
+    asked, spec = CellEffects.model_validate(effects), CellsSpec(firmware="presence_field")
     lattice = Lattice((0, column) for column in range(200))
     clocks = None if asked.clock is None else asked.clock.clocks(lattice, spec.period_ns, 1)
     field = {"kind": "uniform", "velocity_m_s": [0.1, 0.0]}
-    firmware = WakingField(WakingFieldParameters.model_validate({"field": field}))
-    found: Any = assemble(firmware, spec, asked, None, clocks)
-    while isinstance(found, Around):
+    firmware = PresenceField(PresenceFieldParameters.model_validate({"field": field}))
+    found: Any = build_controller(firmware, spec, asked, None, clocks)
+    while isinstance(found, ControllerWrapper):
         found = found.controller
     assert type(found.links) is kind

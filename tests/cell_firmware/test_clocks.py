@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell_firmware.clocks import NEVER, Clocks
+from cell_firmware.clocks import NOT_IN_WINDOW, CellClocks
 
 PERIOD_NS = 4_096_000
 ERRORS = st.integers(-60_000_000, 60_000_000)
@@ -20,8 +20,8 @@ def instant(period_ns: int, ppb: int, phase_ns: int, number: int) -> int:
     return phase_ns + floor(number * period_ns * (1 + Fraction(ppb, 10**9)))
 
 
-def clocks(period_ns: int, window_ns: int, ppb: list[int], phase_ns: list[int]) -> Clocks:
-    return Clocks(period_ns, window_ns, np.array(ppb), np.array(phase_ns))
+def clocks(period_ns: int, window_ns: int, ppb: list[int], phase_ns: list[int]) -> CellClocks:
+    return CellClocks(period_ns, window_ns, np.array(ppb), np.array(phase_ns))
 
 
 @settings(max_examples=300)
@@ -60,7 +60,9 @@ def test_windows_hold_every_instant_once(ppb: list[int], phase_ns: int, window: 
         while (at := instant(PERIOD_NS, error, phase_ns, number)) < end:
             wanted.append(at)
             number += 1
-        found = [(k, int(at[cell])) for k, at in zip(windows, followed, strict=True) if at[cell] != NEVER]
+        found = [
+            (k, int(at[cell])) for k, at in zip(windows, followed, strict=True) if at[cell] != NOT_IN_WINDOW
+        ]
         assert [at for _, at in found] == wanted
         assert [at // window_ns for at in wanted] == [k for k, _ in found]
 
@@ -72,10 +74,10 @@ def test_whoever_follows_the_clocks_finds_the_same(ppb: int, phase_ns: int) -> N
     for window in range(40):
         due = made.due(window, count)
         assert due.tolist() == made.instants(window).tolist()
-        count = count + (due != NEVER)
+        count = count + (due != NOT_IN_WINDOW)
 
 
 def test_there_is_no_instant_before_the_first() -> None:
     made = clocks(PERIOD_NS, PERIOD_NS, [0, 0], [0, 7])
-    assert made.instants(-1).tolist() == [NEVER, NEVER]
+    assert made.instants(-1).tolist() == [NOT_IN_WINDOW, NOT_IN_WINDOW]
     assert made.instants(0).tolist() == [0, 7]

@@ -16,7 +16,7 @@ from cell_firmware import controller
 from cell_firmware.board import Board
 from cell_firmware.board_presets import BOARDS
 from cell_firmware.clocks import ArrayClocks
-from cell_firmware.controller import ControllerState, Instant, frozen
+from cell_firmware.controller import ControllerState, StepTime, read_only
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outputs, State
@@ -30,7 +30,7 @@ CELLS = Cells.of(LATTICE, np.zeros((N, 2)), 0.004096)
 
 
 def state(**arrays: NDArray[Any]) -> ControllerState:
-    return ControllerState(CELLS, {"part": frozen(arrays)})
+    return ControllerState(CELLS, {"part": read_only(arrays)})
 
 
 def test_kept_rows_are_as_before_whichever_arrays_a_step_hands_back() -> None:
@@ -59,7 +59,7 @@ def test_kept_rows_are_as_before_whichever_arrays_a_step_hands_back() -> None:
     copies = {name: array.copy() for name, array in after.parts["part"].items()}
     rows = np.array([0, 3, 14])
     others = np.setdiff1d(np.arange(N), rows)
-    kept = after.keep(rows, before).parts["part"]
+    kept = after.rollback_rows(rows, before).parts["part"]
     untouched = {name: array.copy() for name, array in old.items()}
     for name, array in kept.items():
         np.testing.assert_array_equal(array[rows], old[name][rows], err_msg=name)
@@ -74,8 +74,8 @@ def test_kept_rows_are_as_before_whichever_arrays_a_step_hands_back() -> None:
 
 
 def drives(effects: dict[str, Any], ticks: int) -> tuple[bytes, dict[str, NDArray[Any]]]:
-    from cell_firmware.build import Motors, assemble
-    from cell_firmware.effects.base import Site
+    from cell_firmware.build import MotorFacts, build_controller
+    from cell_firmware.effects.base import ShardContext
     from cell_firmware.loader import load
 
     asked = CellEffects.model_validate(effects)
@@ -85,10 +85,10 @@ def drives(effects: dict[str, Any], ticks: int) -> tuple[bytes, dict[str, NDArra
     firmware = load(spec)
     assert asked.clock is not None
     clocks: ArrayClocks = asked.clock.clocks(LATTICE, spec.period_ns, 3)
-    made = assemble(firmware, spec, asked, Motors(12.0, 1.2), clocks)
+    made = build_controller(firmware, spec, asked, MotorFacts(12.0, 1.2), clocks)
     partition = Partition.even(LATTICE, 1)
-    site = Site(partition.cells(0), 1, made.message, 3)
-    shard = Shard(made, CELLS, partition, 0, asked.stages(site))
+    site = ShardContext(partition.cells(0), 1, made.link_type, 3)
+    shard = Shard(made, CELLS, partition, 0, asked.input_filters(site))
     found = bytearray()
     for tick in range(ticks):
         travel = np.outer(np.arange(N) * 1e-4 * tick, [1.0, -1.0])
@@ -135,8 +135,8 @@ def test_failures_of_cells_that_are_not_due_are_no_failures(due: set[int], bad: 
     board = Board(Raising(bad))
     before = board.init(CELLS)
     rows = np.array(sorted(due))
-    after, outputs = board.act_on(
-        rows, Instant(0, np.array(0)), before, Inputs(np.zeros((N, 1), dtype=np.bool_))
+    after, outputs = board.compute_rows(
+        rows, StepTime(0, np.array(0)), before, Inputs(np.zeros((N, 1), dtype=np.bool_))
     )
     assert set(outputs.failures) == due & bad
     assert all(isinstance(failure, FirmwareFailed) for failure in outputs.failures.values())

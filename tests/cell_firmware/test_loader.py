@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from cell_firmware.cell import PerCell, records_of
+from cell_firmware.cell import PerCellAdapter, records_of
 from cell_firmware.errors import FirmwareError, ParametersError
 from cell_firmware.loader import BUNDLED, find, load
 from cell_firmware.protocols.heat_diffusion import HeatDiffusion
@@ -46,7 +46,7 @@ def test_an_importable_class_is_found_by_its_place():
 def test_a_file_is_found_relative_to_the_folder_and_plain_firmware_is_adapted(tmp_path: Path):
     name = write(tmp_path, PLAIN)
     for asked in (name, f"{name}:Still", str(tmp_path / name)):
-        assert isinstance(load(CellsSpec(firmware=asked), tmp_path), PerCell)
+        assert isinstance(load(CellsSpec(firmware=asked), tmp_path), PerCellAdapter)
 
 
 def test_an_unknown_name_is_answered_with_the_nearest_and_all_known():
@@ -136,7 +136,7 @@ def test_all_bad_parameters_are_told_at_once_with_their_paths():
         "held[0].cell[1]: must be greater than or equal to 0, not -1",
         "held[0].speed_m_s[1]: must be a valid number, unable to parse string as a number, not 'x'",
         "diffusion_number: must be greater than 0, not -0.3",
-        "hold: unknown key; did you mean held? Known: diffusion_number, held, initial, patience, speed_m_s",
+        "hold: unknown key; did you mean held? Known: diffusion_number, held, initial, ttl_periods, speed_m_s",
     ]
 
 

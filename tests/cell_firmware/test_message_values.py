@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 from cell_firmware.shard import Shard, ShardOutputs
@@ -76,7 +76,7 @@ class Array(Firmware):
 
 
 def stepped(firmware: Firmware | CellFirmware, ticks: int = 1) -> tuple[Shard, ShardOutputs]:
-    whole = PerCell(firmware) if isinstance(firmware, CellFirmware) else firmware
+    whole = PerCellAdapter(firmware) if isinstance(firmware, CellFirmware) else firmware
     position = np.stack((0.1 * LATTICE.columns, 0.1 * LATTICE.rows), axis=1)
     shard = Shard(Board(whole), Cells.of(LATTICE, position, 0.004096), Partition.even(LATTICE, 1), 0)
     nothing = np.zeros((N, 1), dtype=np.bool_)

@@ -7,8 +7,8 @@ import pytest
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.build import assemble
-from cell_firmware.effects.base import Site
+from cell_firmware.build import build_controller
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
@@ -40,9 +40,9 @@ def shard(effects: CellEffects) -> Shard:
     lattice = Lattice((row, column) for row in range(2) for column in range(3))
     partition, firmware = Partition.even(lattice, 1), Talks(NoParameters())
     clocks = None if effects.clock is None else effects.clock.clocks(lattice, SPEC.period_ns, 3)
-    controller = assemble(firmware, SPEC, effects, None, clocks, metered=True)
-    site = Site(partition.cells(0), 1, controller.message, seed=5)
-    return Shard(controller, cells_of(lattice), partition, 0, effects.stages(site))
+    controller = build_controller(firmware, SPEC, effects, None, clocks, metered=True)
+    site = ShardContext(partition.cells(0), 1, controller.link_type, seed=5)
+    return Shard(controller, cells_of(lattice), partition, 0, effects.input_filters(site))
 
 
 def run(effects: CellEffects, ticks: int = TICKS) -> Shard:
@@ -53,7 +53,7 @@ def run(effects: CellEffects, ticks: int = TICKS) -> Shard:
 
 
 def test_what_a_program_says_where_nobody_is_does_not_count() -> None:
-    counted = run(CellEffects()).counted()
+    counted = run(CellEffects()).counters()
     assert counted["messages.sent"] == TICKS // 2 * 14
     assert counted["messages.heard"] == TICKS // 2 * 14
     _, registers = run(CellEffects(), ticks=3).registers()
@@ -62,13 +62,13 @@ def test_what_a_program_says_where_nobody_is_does_not_count() -> None:
 
 
 def test_what_links_lose_was_sent_and_not_heard() -> None:
-    counted = run(CellEffects.model_validate({"link_loss": {"probability": 0.3}})).counted()
+    counted = run(CellEffects.model_validate({"link_loss": {"probability": 0.3}})).counters()
     assert counted["messages.sent"] - counted["messages.heard"] == counted["link_loss.lost"] > 0
 
 
 @pytest.mark.parametrize("baud", [9615, 125_000])
 def test_over_lines_whole_messages_count_and_not_bytes(baud: int) -> None:
-    counted = run(CellEffects.model_validate({"serial": {"baud": baud}}), ticks=13).counted()
+    counted = run(CellEffects.model_validate({"serial": {"baud": baud}}), ticks=13).counters()
     assert counted["messages.sent"] == 7 * 14
     assert counted["messages.heard"] == 6 * 14
     assert counted["serial.received"] == 2 * 6 * 14  # bytes: a field and a check
@@ -86,7 +86,7 @@ def test_the_dead_keep_what_they_had_counted() -> None:
     running.retire([(0, 0)])
     running.step(3, np.zeros((6, 1), dtype=np.bool_))
     running.step(4, np.zeros((6, 1), dtype=np.bool_))
-    assert running.counted()["messages.sent"] == 2 * 14 + 12
+    assert running.counters()["messages.sent"] == 2 * 14 + 12
 
 
 def test_a_reset_does_not_touch_the_counts() -> None:
@@ -98,16 +98,16 @@ def test_a_reset_does_not_touch_the_counts() -> None:
 
     lattice = Lattice([(0, 0), (0, 1)])
     effects = CellEffects.model_validate({"cop": {"timeout_s": 0.016384, "reboot_s": 0.05}})
-    controller = assemble(Stumbles(NoParameters()), SPEC, effects, None, metered=True)
+    controller = build_controller(Stumbles(NoParameters()), SPEC, effects, None, metered=True)
     running = Shard(controller, cells_of(lattice), Partition.even(lattice, 1), 0)
     for tick in range(48):
         running.step(tick, np.zeros((2, 1), dtype=np.bool_))
-    counted = running.counted()
+    counted = running.counters()
     assert counted["cop.resets"] > 2
     assert counted["messages.sent"] == 2 * counted["cop.hangs"]  # twice from each start to where it hangs
 
 
 def test_cells_that_nobody_asked_have_no_counts() -> None:
-    controller = assemble(Talks(NoParameters()), SPEC, CellEffects(), None)
+    controller = build_controller(Talks(NoParameters()), SPEC, CellEffects(), None)
     lattice = Lattice([(0, 0)])
     assert "messages.sent" not in controller.registers(controller.init(cells_of(lattice)))

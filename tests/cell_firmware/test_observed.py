@@ -11,7 +11,7 @@ import pytest
 
 from bus.lattice import Lattice
 from cell_firmware.board import Board
-from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outputs, State
 from cell_firmware.program import NoParameters
@@ -32,7 +32,7 @@ class Row(NamedTuple):
 class Plain(CellFirmware):
     """Its state is what a function makes of the cell."""
 
-    observed = "level"
+    observable = "level"
 
     def __init__(self, make: Callable[[Cell], Any]) -> None:
         super().__init__(NoParameters())
@@ -46,7 +46,7 @@ class Plain(CellFirmware):
 
 
 def level(make: Callable[[Cell], Any]) -> Any:
-    board = Board(PerCell(Plain(make)))
+    board = Board(PerCellAdapter(Plain(make)))
     return board.registers(board.init(cells_of(LATTICE)))["firmware.level"].tolist()
 
 
@@ -68,7 +68,7 @@ def test_what_is_no_number_or_not_yet_one_is_nan() -> None:
 
 
 class OnArrays(Firmware):
-    observed = "level"
+    observable = "level"
 
     def init(self, cells: Cells) -> State:
         return {"height": np.zeros(len(cells))}
@@ -77,15 +77,17 @@ class OnArrays(Firmware):
         return state, Outputs(np.zeros((len(state["height"]), 2)))
 
 
-@pytest.mark.parametrize("firmware", [OnArrays(NoParameters()), PerCell(Plain(lambda cell: {"height": 1.0}))])
+@pytest.mark.parametrize(
+    "firmware", [OnArrays(NoParameters()), PerCellAdapter(Plain(lambda cell: {"height": 1.0}))]
+)
 def test_a_program_whose_state_has_no_such_variable_does_not_begin(firmware: Firmware) -> None:
     with pytest.raises(FirmwareFailed, match="observed is 'level', and there is no such variable"):
         Board(firmware).init(cells_of(LATTICE))
 
 
 def shown(make: Callable[[Cell], Any]) -> dict[str, Any]:
-    program = PerCell(Plain(make))
-    program.observed = None  # pyright: ignore[reportAttributeAccessIssue]
+    program = PerCellAdapter(Plain(make))
+    program.observable = None  # pyright: ignore[reportAttributeAccessIssue]
     board = Board(program)
     return {name: array.tolist() for name, array in board.registers(board.init(cells_of(LATTICE))).items()}
 
@@ -139,5 +141,5 @@ def test_a_state_that_is_numbers_itself_is_shown_as_such() -> None:
     ],
 )
 def test_why_a_plain_programs_state_is_not_recorded(state: Any, problem: str | None) -> None:
-    found = PerCell(Plain(lambda _: state)).unrecorded(cells_of(LATTICE))
+    found = PerCellAdapter(Plain(lambda _: state)).unrecorded(cells_of(LATTICE))
     assert found is None if problem is None else found is not None and found.startswith(problem)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
-from cell_firmware.effects.base import Site
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.clock.spec import ClockSpec
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
@@ -63,7 +63,7 @@ class PlainGossip(CellFirmware):
         return [largest, state[1]], CellOutputs((largest / 100, 0.0), outbox)
 
 
-FIRMWARE = {"arrays": Gossip(NoParameters()), "plain": PerCell(PlainGossip(NoParameters()))}
+FIRMWARE = {"arrays": Gossip(NoParameters()), "plain": PerCellAdapter(PlainGossip(NoParameters()))}
 
 EFFECTS = {
     "none": CellEffects(),
@@ -232,8 +232,8 @@ def test_without_effects_nothing_stands_between_the_senses_and_the_firmware(
     grid: Callable[..., Lattice], everything: Callable[..., Cells]
 ):
     lattice = grid(1, 2)
-    assert CellEffects().stages(Site(np.arange(2), 1, Echo.message, 0)) == {}
-    for effects in (None, EFFECTS["ordered"].stages(Site(np.arange(2), 1, None, 0))):
+    assert CellEffects().input_filters(ShardContext(np.arange(2), 1, Echo.message, 0)) == {}
+    for effects in (None, EFFECTS["ordered"].input_filters(ShardContext(np.arange(2), 1, None, 0))):
         firmware, presence = Looking(NoParameters()), np.ones((2, 1), dtype=np.bool_)
         shard = Shard(Board(firmware), everything(lattice), Partition.even(lattice, 1), 0, effects)
         shard.step(0, presence)

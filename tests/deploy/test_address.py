@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bus.errors import TransportError
-from deploy.control.client import FILE_NAME, Address, ask_run, find
+from deploy.control.client import FILE_NAME, Address, ask_run, discover
 from deploy.control.requests import RequestError
 from deploy.errors import DeployError, InputError
 
@@ -22,11 +22,11 @@ NOBODY = 2**22 + 1
 
 def test_a_run_is_found_in_its_folder_as_long_as_its_note_is_there(tmp_path: Path) -> None:
     HERE.write(tmp_path)
-    assert find(tmp_path) == HERE
+    assert discover(tmp_path) == HERE
     Address.remove(tmp_path)
     Address.remove(tmp_path)
     with pytest.raises(InputError, match="no run goes on there"):
-        find(tmp_path)
+        discover(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_a_run_is_found_in_its_folder_as_long_as_its_note_is_there(tmp_path: Pat
 def test_a_note_that_nobody_answers_for_is_none(note: object, tmp_path: Path) -> None:
     (tmp_path / FILE_NAME).write_text("{" if note is None else json.dumps(note))
     with pytest.raises(InputError, match="no run goes on there"):
-        find(tmp_path)
+        discover(tmp_path)
 
 
 def test_without_a_folder_it_is_the_last_run_below_runs_that_still_goes_on(
@@ -51,13 +51,13 @@ def test_without_a_folder_it_is_the_last_run_below_runs_that_still_goes_on(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="no run goes on below runs/"):
-        find(None)
+        discover(None)
     for began, (name, pid) in enumerate([("b", os.getpid()), ("c", os.getpid()), ("a", NOBODY)]):
         folder = tmp_path / "runs" / name
         folder.mkdir(parents=True)
         Address(name, "tcp/x:1", pid).write(folder)
         os.utime(folder / FILE_NAME, (began, began))
-    assert find(None).run == "c"
+    assert discover(None).run == "c"
 
 
 class Plant:

@@ -109,7 +109,7 @@ def test_the_list_as_json_is_one_object_and_nothing_else(capsys: pytest.CaptureF
     listed = json.loads(capsys.readouterr().out)["scenes"]
     assert [row["name"] for row in listed] == list(bundled_names())
     (prototype,) = (row for row in listed if row["name"] == "prototype")
-    assert (prototype["cells"], prototype["parcels"], prototype["firmware"]) == (18, 1, "waking_field")
+    assert (prototype["cells"], prototype["parcels"], prototype["firmware"]) == (18, 1, "presence_field")
 
 
 def test_a_scene_printed_is_the_file_itself(capsys: pytest.CaptureFixture[str]) -> None:

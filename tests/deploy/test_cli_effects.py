@@ -98,8 +98,8 @@ def test_the_ladder_is_printed_and_drawn(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     # each combination of effects on loads is compiled by itself; two rungs less, two kernels less
-    monkeypatch.setattr(ContactWidthSpec, "rung", None)
-    monkeypatch.setattr(UnevenSupportsSpec, "rung", None)
+    monkeypatch.setattr(ContactWidthSpec, "fidelity_rank", None)
+    monkeypatch.setattr(UnevenSupportsSpec, "fidelity_rank", None)
     folder = tmp_path / "made"
     arguments = ("ladder", "--duration", "0.05", "--repeats", "1", "--quiet", "--output", str(folder))
     found = effects(capsys, *arguments)

@@ -9,12 +9,12 @@ from typing import Any, cast
 
 import pytest
 
-from bus.fault import FaultSpec, Injected
+from bus.fault import FaultInstance, FaultSpec
 from bus.wire.frames import Control
 from cell_firmware.faults.kinds.reboot import RebootFault
-from deploy.control.protocol import told
+from deploy.control.protocol import encode_fault
 from deploy.control.requests import RequestError
-from deploy.control.server import Console
+from deploy.control.server import ControlServer
 from deploy.faults.crash import CrashFault
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
@@ -28,13 +28,15 @@ STUCK: dict[str, Any] = {"kind": "wheel_stuck", "cell": [1, 0]}
 class Live:
     """A console, and what it asks of others, which only keep books."""
 
-    def __init__(self, *scheduled: Injected[FaultSpec], script: Any = (), scene: Any = SCENE, **options: Any):
+    def __init__(
+        self, *scheduled: FaultInstance[FaultSpec], script: Any = (), scene: Any = SCENE, **options: Any
+    ):
         self.told: list[Control] = []
         self.asked: deque[bytes | None] = deque()
         self.answers: list[dict[str, Any]] = []
         self.records: list[Any] = []
         self.log: list[Any] = []
-        self.console = Console(
+        self.console = ControlServer(
             scene, "one", scheduled, self.told.append, cast("Any", self), cast("Any", self), script, **options
         )
         process = SimpleNamespace(
@@ -43,7 +45,7 @@ class Live:
         )
         self.console.attach(cast("Any", process))
 
-    def inject(self, one: Injected[FaultSpec]) -> None:
+    def inject(self, one: FaultInstance[FaultSpec]) -> None:
         """Of the ledger."""
         self.log.append(("ledger", one.number))
 
@@ -65,7 +67,7 @@ class Live:
 
     def ask(self, tick: int, **request: Any) -> dict[str, Any]:
         self.asked.append(json.dumps(request).encode())
-        self.console.attend(tick)
+        self.console.before_tick(tick)
         return self.answers[-1]
 
     def details(self) -> list[Any]:
@@ -106,7 +108,7 @@ def test_a_fault_lasts_as_many_ticks_as_it_is_given(ticks: int) -> None:
 
 
 def test_numbers_go_on_from_those_of_the_scene() -> None:
-    scheduled = Injected(4, CrashFault(cell=(0, 0)), SCENE.lattice().rows[:1], 50)
+    scheduled = FaultInstance(4, CrashFault(cell=(0, 0)), SCENE.lattice().rows[:1], 50)
     live = Live(cast("Any", scheduled))
     assert live.ask(10, do="inject", fault=HANG)["number"] == 5
     live.ask(12, do="inject", fault=STUCK, for_s=TICK_S)
@@ -136,9 +138,9 @@ def test_a_repair_ends_a_fault_for_all_and_is_recorded() -> None:
 
 def test_what_can_not_be_repaired_is_said() -> None:
     scheduled = [
-        Injected(0, CrashFault(cell=(0, 0)), SCENE.lattice().rows[:1], 5),
-        Injected(1, RebootFault(cell=(0, 0)), SCENE.lattice().rows[:1], 5, 50),
-        Injected(2, CrashFault(cell=(0, 1), at_s=9.0, until_s=10.0), SCENE.lattice().rows[:1], 40, 50),
+        FaultInstance(0, CrashFault(cell=(0, 0)), SCENE.lattice().rows[:1], 5),
+        FaultInstance(1, RebootFault(cell=(0, 0)), SCENE.lattice().rows[:1], 5, 50),
+        FaultInstance(2, CrashFault(cell=(0, 1), at_s=9.0, until_s=10.0), SCENE.lattice().rows[:1], 40, 50),
     ]
     live = Live(*cast("Any", scheduled))
     for number, told_ in [
@@ -193,8 +195,8 @@ def test_cells_are_named_up_to_sixty_four_and_too_many_to_tell_are_refused() -> 
     answer = live.ask(10, do="inject", fault={"kind": "hang", "rectangle": [[0, 0], [99, 0]]})
     assert (answer["struck"], len(answer["cells"])) == (100, 64)
     cells = [[row, column] for row in range(100) for column in range(40)]
-    one = Injected(1, CrashFault.model_validate({"cells": cells}), scene.lattice().rows, 10)
-    assert len(json.dumps(told(cast("Any", one)))) > 30_000
+    one = FaultInstance(1, CrashFault.model_validate({"cells": cells}), scene.lattice().rows, 10)
+    assert len(json.dumps(encode_fault(cast("Any", one)))) > 30_000
     assert live.ask(10, do="inject", fault={"kind": "hang", "cells": cells})["problems"] == [
         "fault.cells: are too many to be told at once: use rectangle or share"
     ]
@@ -203,21 +205,21 @@ def test_cells_are_named_up_to_sixty_four_and_too_many_to_tell_are_refused() -> 
 def test_eight_questions_are_answered_a_tick_and_the_others_wait() -> None:
     live = Live()
     live.asked.extend([b'{"do": "list"}'] * 9 + [None])
-    live.console.attend(10)
+    live.console.before_tick(10)
     assert (len(live.answers), len(live.asked)) == (8, 2)
-    live.console.attend(11)
+    live.console.before_tick(11)
     assert (len(live.answers), len(live.asked)) == (10, 0)
     assert [answer["ok"] for answer in live.answers] == [True] * 9 + [False]
 
 
 def test_cells_that_come_anew_are_told_what_was_done_to_them_and_no_more() -> None:
-    scheduled = Injected(0, CrashFault(cell=(0, 0), until_s=9.0), SCENE.lattice().rows[:1], 0, 90)
+    scheduled = FaultInstance(0, CrashFault(cell=(0, 0), until_s=9.0), SCENE.lattice().rows[:1], 0, 90)
     live = Live(cast("Any", scheduled))
     live.ask(10, do="inject", fault=HANG)
     live.ask(10, do="inject", fault=STUCK)
     live.ask(12, do="repair", number=0)
     live.told.clear()
-    live.console.retell([0, 2], 20)
+    live.console.resend_faults([0, 2], 20)
     names = (SCENE.lattice().cells[0], SCENE.lattice().cells[2])
     assert live.details() == [
         (20, names, {"number": 1, "fault": HANG, "first": 10, "end": None}),
@@ -233,18 +235,18 @@ def test_what_was_done_to_a_recorded_run_is_done_again_at_its_ticks() -> None:
     ]
     live = Live(script=script)
     for tick in range(12):
-        live.console.attend(tick)
+        live.console.before_tick(tick)
     assert live.details() == [(5, (), fault), (9, (), {"number": 7, "end": 9})]
     assert [record["tick"] for record in live.records] == [5, 9]
     with pytest.raises(RequestError, match="there is no fault 7; there are: none"):
-        Live(script=script[:1]).console.attend(9)
+        Live(script=script[:1]).console.before_tick(9)
 
 
 def test_where_nobody_can_ask_what_was_recorded_is_done_all_the_same() -> None:
     told: list[Control] = []
     record = {"kind": "fault", "tick": 3, "detail": {"number": 7, "fault": HANG, "first": 3, "end": None}}
     books = SimpleNamespace(inject=lambda _: None, control=lambda _: None)
-    console = Console(SCENE, "one", (), told.append, cast("Any", books), script=[record])
+    console = ControlServer(SCENE, "one", (), told.append, cast("Any", books), script=[record])
     for tick in range(5):
-        console.attend(tick)
+        console.before_tick(tick)
     assert [control.tick for control in told] == [3]

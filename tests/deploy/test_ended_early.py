@@ -152,7 +152,7 @@ def test_captured_chatter_is_said_with_what_governs_then(tmp_path: Path) -> None
 def test_a_watch_for_signals_leaves_no_thread_and_no_request_behind() -> None:
     threads = threading.active_count()
     interruption = Interruption()
-    with interruption.watching():
+    with interruption.handling():
         os.kill(os.getpid(), signal.SIGTERM)
         deadline = time.monotonic() + 5.0
         while not stop.requested() and time.monotonic() < deadline:

@@ -9,27 +9,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus.fault import Injected
-from cell_firmware.faults.base import Pause
+from bus.fault import FaultInstance
+from cell_firmware.faults.base import ExecutionFaults
 from cell_firmware.faults.kinds.reboot import RebootFault
 from deploy.errors import InputError
 from deploy.faults.crash import CrashFault
-from deploy.faults.modules import AbsentModules, AddFault, RemoveFault
+from deploy.faults.modules import AbsentModuleFault, AddFault, RemoveFault
 from deploy.scenes.fault_schedule import (
     active,
-    deaths,
-    injected,
-    is_death,
-    lasting,
+    cell_only_faults,
+    crash_wheel_policies,
+    in_run_faults,
+    instances,
+    is_permanent_crash,
     of_cells,
-    of_cells_alone,
     of_plant,
-    rests,
+    permanent_crashes,
 )
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
-from plant.faults.base import Harm
+from plant.faults.base import WheelFaults
 
 
 def _scene(*crashes: tuple[float, tuple[int, int]]) -> Scene:
@@ -46,15 +46,15 @@ def _with(*faults: dict[str, Any]) -> Scene:
 def test_a_crash_acts_at_the_first_tick_that_does_not_begin_before_it() -> None:
     period_s = 0.004096
     scene = _scene((0.0, (0, 0)), (period_s, (0, 1)), (period_s + 1e-9, (0, 3)), (1e-9, (1, 0)))
-    assert deaths(scene) == {0: (0,), 1: (1, 3), 2: (2,)}
+    assert permanent_crashes(scene) == {0: (0,), 1: (1, 3), 2: (2,)}
 
 
 def test_a_cell_that_is_to_crash_twice_dies_the_first_time() -> None:
-    assert deaths(_scene((2.0, (0, 0)), (1.0, (0, 0)), (3.0, (0, 0)))) == {245: (0,)}
+    assert permanent_crashes(_scene((2.0, (0, 0)), (1.0, (0, 0)), (3.0, (0, 0)))) == {245: (0,)}
 
 
 def test_a_scene_without_faults_schedules_nothing() -> None:
-    assert deaths(load_scene("motors")) == {}
+    assert permanent_crashes(load_scene("motors")) == {}
 
 
 def test_a_fault_of_an_unknown_kind_is_bad_input() -> None:
@@ -74,29 +74,31 @@ MIXED: tuple[dict[str, Any], ...] = (
 
 def test_only_crashes_that_are_scheduled_and_not_repaired_are_deaths() -> None:
     scene = _with(*MIXED)
-    assert deaths(scene) == {25: (4,), 245: (0, 1)}
-    assert [one.number for one in lasting(scene)] == [1, 3, 4]
-    assert is_death(Injected(0, CrashFault(cell=(0, 0)), np.array([0]), 5))
-    assert not is_death(Injected(0, CrashFault(cell=(0, 0)), np.array([0]), 5, 9))
-    assert not is_death(Injected(0, CrashFault(cell=(0, 0)), np.array([0]), 5, live=True))
+    assert permanent_crashes(scene) == {25: (4,), 245: (0, 1)}
+    assert [one.number for one in in_run_faults(scene)] == [1, 3, 4]
+    assert is_permanent_crash(FaultInstance(0, CrashFault(cell=(0, 0)), np.array([0]), 5))
+    assert not is_permanent_crash(FaultInstance(0, CrashFault(cell=(0, 0)), np.array([0]), 5, 9))
+    assert not is_permanent_crash(
+        FaultInstance(0, CrashFault(cell=(0, 0)), np.array([0]), 5, injected_at_runtime=True)
+    )
 
 
 def test_cells_die_in_the_order_of_their_ticks_and_of_the_array() -> None:
     scene = _scene((2.0, (0, 0)), (1.0, (1, 0)), (1.0, (0, 1)))
-    assert list(deaths(scene).items()) == [(245, (1, 3)), (489, (0,))]
+    assert list(permanent_crashes(scene).items()) == [(245, (1, 3)), (489, (0,))]
 
 
 def test_wheels_of_the_dead_do_what_the_fault_says_that_killed_them() -> None:
-    assert rests(_with(*MIXED)) == {0: "brake", 1: "brake"}
+    assert crash_wheel_policies(_with(*MIXED)) == {0: "brake", 1: "brake"}
     both = [{"at_s": 1.0, "cell": [0, 0], "wheels": wheels} for wheels in ("hold", "brake")]
-    assert rests(_with(*both)) == {0: "hold"}
+    assert crash_wheel_policies(_with(*both)) == {0: "hold"}
 
 
 def test_each_side_carries_out_its_own() -> None:
-    lasts = lasting(_with(*MIXED))
+    lasts = in_run_faults(_with(*MIXED))
     assert [one.number for one in of_cells(lasts)] == [1, 3]
     assert [one.number for one in of_plant(lasts)] == [3, 4]
-    assert of_cells_alone(_with(*MIXED)) == ["faults[1] (hang)"]
+    assert cell_only_faults(_with(*MIXED)) == ["faults[1] (hang)"]
 
 
 def test_a_plant_in_which_nothing_turns_has_no_faults_to_look_at() -> None:
@@ -104,20 +106,20 @@ def test_a_plant_in_which_nothing_turns_has_no_faults_to_look_at() -> None:
     assert active(scene) is None
     faults = active(_with(*MIXED))
     assert faults is not None
-    assert faults.turns == [123, 147, 245]
-    assert active(_with(*MIXED), lasting(scene)) is None
+    assert faults.transitions == [123, 147, 245]
+    assert active(_with(*MIXED), in_run_faults(scene)) is None
 
 
 def test_what_is_added_is_away_from_the_first_tick_to_its_own() -> None:
-    (one,) = injected(_with({"kind": "add", "at_s": 1.0, "cell": [0, 1]}))
-    assert (one.first, one.end, one.cells.tolist()) == (0, 245, [1])
+    (one,) = instances(_with({"kind": "add", "at_s": 1.0, "cell": [0, 1]}))
+    assert (one.start_tick, one.end_tick, one.cells.tolist()) == (0, 245, [1])
 
 
 def test_a_reboot_lasts_as_its_decimals_say() -> None:
-    (one,) = injected(_with({"kind": "reboot", "at_s": 0.1, "delay_s": 0.2, "cell": [0, 1]}))
-    assert (one.first, one.end) == (25, 74)
+    (one,) = instances(_with({"kind": "reboot", "at_s": 0.1, "delay_s": 0.2, "cell": [0, 1]}))
+    assert (one.start_tick, one.end_tick) == (25, 74)
     fault = RebootFault(at_s=0.1, delay_s=0.2, cell=(0, 1))
-    assert fault.span(lambda at_s: math.ceil(Fraction(repr(at_s)) * 1_000)) == (100, 300)
+    assert fault.tick_range(lambda at_s: math.ceil(Fraction(repr(at_s)) * 1_000)) == (100, 300)
 
 
 ABSENT = [RemoveFault(kind="remove", cell=(0, 1)), AddFault(kind="add", at_s=1.0, cell=(0, 1))]
@@ -125,31 +127,31 @@ ABSENT = [RemoveFault(kind="remove", cell=(0, 1)), AddFault(kind="add", at_s=1.0
 
 @pytest.mark.parametrize("fault", [CrashFault(cell=(0, 1)), *ABSENT], ids=lambda fault: fault.called)
 def test_programs_of_cells_that_are_away_stand_and_begin_anew_when_they_are_back(
-    fault: CrashFault | AbsentModules,
+    fault: CrashFault | AbsentModuleFault,
 ) -> None:
-    one = Injected(0, fault, np.array([1]), 5, 7)
+    one = FaultInstance(0, fault, np.array([1]), 5, 7)
     seen: list[tuple[list[bool], ...]] = []
     for tick in (4, 5, 6, 7, 8):
-        pause = Pause.none(3)
-        fault.pause(tick, one, pause)
-        assert not pause.keeps.any()
-        assert not pause.unserved.any()
-        seen.append((pause.stopped.tolist(), pause.reset.tolist()))
+        pause = ExecutionFaults.none(3)
+        fault.execution(tick, one, pause)
+        assert not pause.outputs_held.any()
+        assert not pause.watchdog_unserved.any()
+        seen.append((pause.halted.tolist(), pause.reset.tolist()))
     none, struck = [False] * 3, [False, True, False]
     assert seen == [(none, none), (struck, none), (struck, none), (none, struck), (none, none)]
-    pause = Pause.none(3)
+    pause = ExecutionFaults.none(3)
     pause.reset[:] = True
-    fault.pause(4, one, pause)
+    fault.execution(4, one, pause)
     assert pause.reset.all()
 
 
 def test_who_is_pulled_is_gone_and_who_crashed_is_dead() -> None:
     for fault in ABSENT:
-        harm = Harm.none(3)
+        harm = WheelFaults.healthy(3)
         fault.harm(np.array([1]), harm)
         assert (harm.gone.tolist(), harm.dead.any()) == ([False, True, False], False)
-    harm = Harm.none(3)
-    CrashFault(cell=(0, 1)).harm(np.array([1]), harm)
-    CrashFault(cell=(0, 2), wheels="hold").harm(np.array([2]), harm)
+    harm = WheelFaults.healthy(3)
+    CrashFault(cell=(0, 1)).apply(np.array([1]), harm)
+    CrashFault(cell=(0, 2), wheels="hold").apply(np.array([2]), harm)
     assert (harm.dead.tolist(), harm.gone.any()) == ([False, True, True], False)
-    assert harm.rests == {2: "hold"}
+    assert harm.wheel_policies == {2: "hold"}

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from cell_firmware.faults.kinds.reboot import RebootFault
 from deploy.faults.crash import CrashFault
-from deploy.faults.records import lines, lost_for_good, marks, out_of_array, turned
+from deploy.faults.records import describe_faults, lost_for_good, out_of_array, plot_marks, transition_record
 
 
 def fault(kind: str, phase: str, time_s: float, *cells: tuple[int, int], number: int = 0) -> dict[str, Any]:
@@ -38,7 +38,7 @@ RUN = [
 
 
 def test_each_fault_is_a_line_with_its_repair() -> None:
-    assert lines(RUN) == [
+    assert describe_faults(RUN) == [
         "1,1 plugged in at 1.7 s",
         "crash of 3 cells at 1.2 s, repaired at 2 s",
         "3,4 crashed at 0.5 s",
@@ -46,7 +46,7 @@ def test_each_fault_is_a_line_with_its_repair() -> None:
         "2 cells pulled at 1.6 s, plugged in again at 2.5 s",
         "6,6 pulled at 3 s",
     ]
-    assert lines(RUN[:1]) == ["1,1 not there yet"]
+    assert describe_faults(RUN[:1]) == ["1,1 not there yet"]
 
 
 def test_cells_out_of_the_array_are_told_with_when_they_came_back() -> None:
@@ -56,7 +56,7 @@ def test_cells_out_of_the_array_are_told_with_when_they_came_back() -> None:
 
 
 def test_marks_are_those_of_faults_that_begin_or_end_and_of_cells_that_are_lost() -> None:
-    assert marks(RUN) == [
+    assert plot_marks(RUN) == [
         (1.2, "3 cells: crash"),
         (0.5, "cell 3,4 lost"),
         (1.5, "cell 2,2: wheel stuck"),
@@ -72,17 +72,21 @@ def test_cells_that_are_lost_together_share_a_line_and_are_not_lost_for_good_whe
     gone = [{"kind": "token_lost", "time_s": 0.7, "cell": [row, 0], "detail": ""} for row in range(3)]
     back = {"kind": "respawn", "phase": "happens", "time_s": 0.9, "cell": None, "cells": [[0, 0], [2, 0]]}
     told = [LOST, *gone, back]
-    assert lines(told) == ["3,4 crashed at 0.5 s", "3 cells went away at 0.7 s", "2 cells came back at 0.9 s"]
-    assert marks(told) == [(0.5, "cell 3,4 lost"), (0.7, "3 cells lost"), (0.9, "2 cells back")]
+    assert describe_faults(told) == [
+        "3,4 crashed at 0.5 s",
+        "3 cells went away at 0.7 s",
+        "2 cells came back at 0.9 s",
+    ]
+    assert plot_marks(told) == [(0.5, "cell 3,4 lost"), (0.7, "3 cells lost"), (0.9, "2 cells back")]
     assert lost_for_good(told) == {(3, 4): 0.5, (1, 0): 0.7}
     assert lost_for_good([*told, {**gone[0], "time_s": 1.0}]) == {(3, 4): 0.5, (1, 0): 0.7, (0, 0): 1.0}
 
 
 def test_a_fault_that_turns_is_told_with_its_time_and_whom_it_strikes() -> None:
     fault = CrashFault(cells=((0, 1), (2, 3)), at_s=0.01)
-    one = Injected(7, fault, np.array([0, 2]), 5, 9)
+    one = FaultInstance(7, fault, np.array([0, 2]), 5, 9)
     names = [(0, 1), (1, 1), (2, 3)]
-    assert turned(one, 5, 4_000_000, names) == {
+    assert transition_record(one, 5, 4_000_000, names) == {
         "time_s": 0.02,
         "kind": "crash",
         "phase": "begins",
@@ -93,7 +97,7 @@ def test_a_fault_that_turns_is_told_with_its_time_and_whom_it_strikes() -> None:
         "fault": {"kind": "crash", "at_s": 0.01, "cells": [[0, 1], [2, 3]]},
         "number": 7,
     }
-    assert turned(one, 9, 4_000_000, names)["phase"] == "ends"
-    once = Injected(8, RebootFault(cell=(1, 1)), np.array([1]), 5, 9, live=True)
-    told = turned(once, 5, 4_000_000, names)
+    assert transition_record(one, 9, 4_000_000, names)["phase"] == "ends"
+    once = FaultInstance(8, RebootFault(cell=(1, 1)), np.array([1]), 5, 9, injected_at_runtime=True)
+    told = transition_record(once, 5, 4_000_000, names)
     assert (told["phase"], told["cell"], told["detail"]) == ("happens", [1, 1], "live")

@@ -52,7 +52,7 @@ def test_a_run_and_a_simulation_feed_and_let_out_the_same_parcels_at_the_same_ti
 def test_the_recording_shows_who_is_there_and_the_cells_sense_nobody_else(tmp_path: Path) -> None:
     _run(_scene(), tmp_path)
     recording = load(tmp_path)
-    track = recording.track()
+    track = recording.run_trace()
     assert [name for name, _ in track.exits] == ["north", "south"]
     states = track.parcels.copy()
     for event in recording.events:

@@ -42,8 +42,8 @@ class Hooked(Firmware):
     def {hook}(self, *arguments):
         {body}
 """
-ARGUMENTS = {"check": 1, "check_places": 3, "cautions": 1, "theory": 1}
-BEFORE = [hook for hook in HOOKS if hook != "plausible"]
+ARGUMENTS = {"check": 1, "check_geometry": 3, "warnings": 1, "theory": 1}
+BEFORE = [hook for hook in HOOKS if hook != "value_ranges"]
 """Of no use to a run before messages come."""
 
 
@@ -92,16 +92,16 @@ def test_problems_of_parameters_keep_their_paths(tmp_path: Path) -> None:
         "from cell_firmware.errors import ParametersError, Problem; "
         "raise ParametersError('it', (Problem(('gain',), 'is odd', 3),))"
     )
-    program = load(CellsSpec(firmware=str(written(tmp_path, "needed", body))))
+    program = load(CellsSpec(firmware=str(written(tmp_path, "required_effects", body))))
     with pytest.raises(ParametersError) as refused:
-        program.needed()
+        program.required_effects()
     assert refused.value.problems == (Problem(("gain",), "is odd", 3),)
 
 
 def test_the_cause_is_kept(tmp_path: Path) -> None:
     program = load(
-        CellsSpec(firmware=str(written(tmp_path, "plausible", "raise ModuleNotFoundError('scipy')")))
+        CellsSpec(firmware=str(written(tmp_path, "value_ranges", "raise ModuleNotFoundError('scipy')")))
     )
     with pytest.raises(FirmwareError, match=r"plausible\(\) raised ModuleNotFoundError: scipy") as refused:
-        program.plausible()
+        program.value_ranges()
     assert isinstance(refused.value.__cause__, ModuleNotFoundError)

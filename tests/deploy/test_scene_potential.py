@@ -25,5 +25,5 @@ def test_a_parcel_goes_round_the_wall_if_there_is_one_and_comes_to_the_sink(
     (parcel,) = run(scene, options, quiet=True).summary.parcels
     assert parcel.state == "moving"
     assert np.hypot(parcel.position_m[0] - SINK_M[0], parcel.position_m[1] - SINK_M[1]) < 0.05
-    above = load(tmp_path).track().parcels[:, 0, 1].max() > 0.15
+    above = load(tmp_path).run_trace().parcels[:, 0, 1].max() > 0.15
     assert above == over_the_wall

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import pytest
 
-from deploy.control.replay import script_of
+from deploy.control.replay import commands_of
 from deploy.errors import InputError
 from deploy.scenes.files import load_scene
 
@@ -18,7 +18,7 @@ FAULT = {"number": 1, "fault": {"kind": "crash", "cell": [1, 1]}, "first": 5, "e
 def _script(*control: dict[str, Any], faults: tuple[dict[str, Any], ...] = (), **changes: Any) -> Any:
     scene = {**SCENE.model_dump(mode="json"), **changes}
     recording = SimpleNamespace(header={"scene": scene}, control=control, faults=faults)
-    return script_of(cast("Any", recording), SCENE)
+    return commands_of(cast("Any", recording), SCENE)
 
 
 def test_commands_that_can_be_repeated_are_the_script() -> None:

@@ -62,7 +62,7 @@ def use(path: Path) -> Recording | None:
         return None
     found = (recording.presence, recording.drives, recording.wheel_speeds, recording.time_s)
     assert all(len(values) == len(recording.tick) for values in found)
-    recording.track()
+    recording.run_trace()
     return recording
 
 

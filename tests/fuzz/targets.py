@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from bus.errors import WireError
-from bus.lattice import NEVER
-from bus.lockstep.registers import NAMES_LIMIT, RegisterFrame, decode_registers, encode_registers, shown
-from bus.lockstep.snapshots import Kept, decode_kept, encode_kept
+from bus.lattice import NO_TICK_LIMIT
+from bus.lockstep.registers import NAMES_LIMIT, RegisterFrame, decode_registers, encodable, encode_registers
+from bus.lockstep.snapshots import ShardSnapshot, decode_snapshot, encode_snapshot
 from bus.partition import Partition
-from bus.sensors import Readings
+from bus.sensors import SensorSchema
 from bus.wire.format import Senses
-from bus.wire.formats import FormName
+from bus.wire.formats import WireFormat
 from bus.wire.frames import (
     TALLY_LIMIT,
     TEXT_LIMIT,
@@ -28,7 +28,7 @@ from bus.wire.frames import (
     encode_report,
 )
 from bus.wire.msgpack_codec import TICK_LIMIT
-from deploy.control.protocol import read
+from deploy.control.protocol import decode_fault_control
 from deploy.control.requests import InjectRequest, ListRequest, RepairRequest, RequestError, read_request
 from deploy.scenes.files import load_scene
 from tests.bus.support import EVERYTHING, FORMS, PRESENCE, Network, System, grid
@@ -73,12 +73,12 @@ def targets() -> list[Target]:
     return found
 
 
-def _system(form: FormName, readings: Readings = PRESENCE) -> System:
+def _system(form: WireFormat, readings: SensorSchema = PRESENCE) -> System:
     partition = Partition.even(grid(3, 4), 2)
     return System(Network("memory"), partition, form, message=MESSAGE, readings=readings)
 
 
-def _sense(form: FormName, what: str, readings: Readings) -> Target:
+def _sense(form: WireFormat, what: str, readings: SensorSchema) -> Target:
     system = _system(form, readings)
     member, host = system.members[0]._form, system.host._form
     cells = 1 if form == "cells" else len(system.partition.cells(0))
@@ -92,7 +92,7 @@ def _sense(form: FormName, what: str, readings: Readings) -> Target:
     return Target(f"sense, {form}, {what}", frames, lambda payload: member.decode_sense(0, payload), check)
 
 
-def _check_senses(senses: Senses, readings: Readings, cells: int) -> None:
+def _check_senses(senses: Senses, readings: SensorSchema, cells: int) -> None:
     each = (cells, readings.sensors)
     assert (senses.presence.dtype, senses.presence.shape) == (np.bool_, each)
     assert set(senses.presence.tobytes()) <= {0, 1}
@@ -112,7 +112,7 @@ def _check_senses(senses: Senses, readings: Readings, cells: int) -> None:
         assert np.isfinite(pose).all()
 
 
-def _drive(form: FormName) -> Target:
+def _drive(form: WireFormat) -> Target:
     system = _system(form)
     host = system.host._form
     cells = 1 if form == "cells" else len(system.partition.cells(0))
@@ -126,7 +126,7 @@ def _drive(form: FormName) -> Target:
     return Target(f"drive, {form}", frames, lambda payload: host.decode_drive(0, payload), check)
 
 
-def _link(form: FormName) -> Target:
+def _link(form: WireFormat) -> Target:
     system = _system(form)
     sender, hearer = system.members[0]._form, system.members[1]._form
     count = 1 if form == "cells" else len(system.partition.incoming(1))
@@ -185,7 +185,7 @@ def _check_words(cells: Any, detail: Any) -> None:
 def _report() -> Target:
     reports = [
         Report("failed", 3, ((0, 1), (2, 3)), "ZeroDivisionError: on purpose\nTraceback ..."),
-        Report("hung", 200, ((1, 1),), "StumblingField: no answer within a tick"),
+        Report("hung", 200, ((1, 1),), "HangingField: no answer within a tick"),
         Report("counts", 70_000, (), "", (1, 2, 3, 2**40), (("messages.sent", 7), ("cop.resets", 0))),
     ]
 
@@ -211,9 +211,9 @@ def _registers() -> Target:
         "led": cells[:, 0] > 0,
     }
     frames = [
-        RegisterFrame(0, cells, shown(ordinary)),
+        RegisterFrame(0, cells, encodable(ordinary)),
         RegisterFrame(TICK_LIMIT - 1, cells[:0], {}),
-        RegisterFrame(200, cells[:1], shown({f"r{i}": np.ones((1, 2, 3), np.int8) for i in range(20)})),
+        RegisterFrame(200, cells[:1], encodable({f"r{i}": np.ones((1, 2, 3), np.int8) for i in range(20)})),
     ]
 
     def decode(payload: bytes) -> tuple[int, RegisterFrame]:
@@ -233,17 +233,17 @@ def _registers() -> Target:
 
 
 def _kept() -> Target:
-    records = [Kept(1, (0, 0, 0, 0), b""), Kept(TICK_LIMIT - 1, (5, 4, 3, 2), bytes(300))]
+    records = [ShardSnapshot(1, (0, 0, 0, 0), b""), ShardSnapshot(TICK_LIMIT - 1, (5, 4, 3, 2), bytes(300))]
 
-    def decode(payload: bytes) -> tuple[int, Kept]:
-        kept = decode_kept(payload, 3)
+    def decode(payload: bytes) -> tuple[int, ShardSnapshot]:
+        kept = decode_snapshot(payload, 3)
         return kept.tick, kept
 
-    def check(kept: Kept) -> None:
+    def check(kept: ShardSnapshot) -> None:
         assert isinstance(kept.state, bytes)
         assert all(0 <= number < TICK_LIMIT for number in kept.counts)
 
-    return Target("memory", tuple(map(encode_kept, records)), decode, check)
+    return Target("memory", tuple(map(encode_snapshot, records)), decode, check)
 
 
 def _request() -> Target:
@@ -287,7 +287,7 @@ def _live_fault() -> Target:
 
     def decode(payload: bytes) -> tuple[int, Any]:
         control = Control("fault", 7, (), payload.decode("utf-8", "replace"))
-        return 7, read(control, scene)
+        return 7, decode_fault_control(control, scene)
 
     def check(found: Any) -> None:
         if isinstance(found, tuple):
@@ -295,6 +295,6 @@ def _live_fault() -> Target:
         else:
             assert ((found.cells >= 0) & (found.cells < len(scene.lattice()))).all()
             assert 0 <= found.first < TICK_LIMIT
-            assert 0 <= found.end <= NEVER
+            assert 0 <= found.end <= NO_TICK_LIMIT
 
     return Target("live fault", tuple(map(JSON.pack, details)), decode, check, JSON)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus.errors import HostLostError, WireError
-from bus.lockstep.registers import RegisterFrame, Wanted, decode_registers, encode_registers
+from bus.errors import CoordinatorLostError, WireError
+from bus.lockstep.registers import RegisterFrame, RegisterRequest, decode_registers, encode_registers
 from bus.partition import Partition
 from bus.transports.base import Endpoint, Received
-from bus.wire.formats import FormName
+from bus.wire.formats import WireFormat
 from bus.wire.frames import Control, Report, decode_control, decode_report, encode_control, encode_report
 from tests.bus.support import EVERYTHING, MESSAGE, FakeClock, Network, System, both_forms, gathered, grid
 from tests.fuzz.mutator import MESSAGEPACK, Mutator
@@ -24,14 +24,14 @@ TICKS, SPOILT = 5, 12
 Taken = list[Any]
 
 
-def _system(form: FormName, clock: FakeClock | None = None) -> System:
+def _system(form: WireFormat, clock: FakeClock | None = None) -> System:
     system = System(
         Network("memory"),
         Partition.even(grid(2, 3), 2),
         form,
         message=MESSAGE,
         readings=EVERYTHING,
-        wanted=(Wanted(1),),
+        wanted=(RegisterRequest(1),),
         clock=clock,
     )
     return system.start()
@@ -47,10 +47,10 @@ def _step(system: System, tick: int) -> Taken:
         taken.append(None if links is None else [part.tolist() for part in links[1:]])
         lattice, cells = system.partition.lattice, system.partition.cells(shard)
         places = np.stack((lattice.rows[cells], lattice.columns[cells]), axis=1)
-        member.show(tick, lambda places=places: (places, {"u": places * 0.5}))
+        member.publish_registers(tick, lambda places=places: (places, {"u": places * 0.5}))
         member.publish(system.drive(shard, tick), system.links(shard, tick))
     drive, losses = system.host.gather(tick)
-    shown = [(one.tick, one.registers["u"].tolist()) for one in system.host.take_registers()]
+    shown = [(one.tick, one.registers["u"].tolist()) for one in system.host.drain_registers()]
     return [*taken, drive.drive.tolist(), losses, shown]
 
 
@@ -86,7 +86,7 @@ def _heard(ear: Endpoint, traffic: dict[str, list[bytes]]) -> None:
 
 
 @both_forms
-def test_spoilt_and_old_frames_on_every_key_change_nothing_and_are_all_counted(form: FormName) -> None:
+def test_spoilt_and_old_frames_on_every_key_change_nothing_and_are_all_counted(form: WireFormat) -> None:
     quiet, system = _system(form), _system(form)
     stranger, ear, traffic = (
         system.network.endpoint(),
@@ -117,7 +117,7 @@ def test_spoilt_and_old_frames_on_every_key_change_nothing_and_are_all_counted(f
                 put(traffic[key][0])
                 old += 1
         assert _step(system, tick) == expected
-    sides = [system.host.counts, *(member.counts for member in system.members)]
+    sides = [system.host.counters, *(member.counters for member in system.members)]
     assert sum((side.malformed for side in sides), Counter[str]()) == refused
     assert sum(side.late for side in sides) == old
     assert refused.total() > 40 * TICKS
@@ -130,7 +130,7 @@ def test_spoilt_and_old_frames_on_every_key_change_nothing_and_are_all_counted(f
         "registers",
     }
     assert [side.delivered for side in sides] == [
-        side.delivered for side in (quiet.host.counts, *(member.counts for member in quiet.members))
+        side.delivered for side in (quiet.host.counters, *(member.counters for member in quiet.members))
     ]
 
 
@@ -147,7 +147,7 @@ REPORTS = [
 @both_forms
 @pytest.mark.parametrize("seed", range(6))
 def test_well_formed_frames_of_a_stranger_can_drive_a_run_but_end_it_in_declared_errors_alone(
-    form: FormName, seed: int
+    form: WireFormat, seed: int
 ) -> None:
     """Frames that a mutator made and a decoder took; the clock is one that obeys, so that silence costs nothing."""
     system = _system(form, FakeClock())
@@ -179,8 +179,8 @@ def test_well_formed_frames_of_a_stranger_can_drive_a_run_but_end_it_in_declared
             system.host.admit(tick)
             _step(system, tick)
             for member in system.members:
-                member.take_faults()
-        except HostLostError:
+                member.drain_faults()
+        except CoordinatorLostError:
             break
         except AssertionError as stopped:
             assert "kind='stop'" in str(stopped)  # noqa: PT017 - what a member answers to a stop of the stranger's
@@ -203,7 +203,7 @@ def test_reports_and_registers_without_end_fill_no_memory() -> None:
             report(encode_report(Report("failed", 2**60 + number, ((0, 0),), "far")))
             show(shown)
             if number % 200 == 199:
-                system.host._inbox.read(0)
+                system.host._inbox.poll(0)
         gc.collect()
         return tracemalloc.get_traced_memory()[0]
 
@@ -212,8 +212,8 @@ def test_reports_and_registers_without_end_fill_no_memory() -> None:
     grown = flood(3) - before
     tracemalloc.stop()
     assert grown < 20_000
-    assert system.host.counts.malformed == {"report: ahead": 800, "registers: duplicate": 799}
-    assert [one.detail for one in system.host.take_hung()] == ["reason 0"]
+    assert system.host.counters.malformed == {"report: ahead": 800, "registers: duplicate": 799}
+    assert [one.detail for one in system.host.drain_hung()] == ["reason 0"]
 
 
 def test_a_report_that_names_nobody_or_registers_of_a_tick_to_come_are_refused() -> None:
@@ -221,9 +221,9 @@ def test_a_report_that_names_nobody_or_registers_of_a_tick_to_come_are_refused()
     report = system.member_endpoints[0].publisher("mdms/test/shard/0/report").put
     for kind in ("hung", "failed"):
         report(encode_report(Report(kind, 0, (), "")))
-    show = system.members[0].show
+    show = system.members[0].publish_registers
     for tick in (0, 1, 2**61):
         show(tick, lambda: (np.array([[0, 0]]), {"u": np.zeros(1)}))
-    system.host._inbox.read(0)
-    assert system.host.counts.malformed == {"report: cells": 2, "registers: ahead": 2}
-    assert [one.tick for one in system.host.take_registers()] == [0]
+    system.host._inbox.poll(0)
+    assert system.host.counters.malformed == {"report: cells": 2, "registers: ahead": 2}
+    assert [one.tick for one in system.host.drain_registers()] == [0]

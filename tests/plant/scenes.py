@@ -15,7 +15,7 @@ from plant.kernels.common import layout
 from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.plant import Plant
 from plant.solver_specs import ExactSpec
-from plant.solvers.restarting import RestartedSolver
+from plant.solvers.restarting import RestartingSolver
 from plant.specs import PlantSpec
 from tests.plant.reference import Bench
 
@@ -80,13 +80,13 @@ def bench(plant: Plant, drives: Floats, index: int = 0, mu: float = MU, **settin
 
 def members(plant: Plant, index: int = 0) -> NDArray[np.int64]:
     """Cells that the plant takes to lie under a parcel."""
-    return np.sort(plant._solver.under(index))
+    return np.sort(plant._solver.covered_cells(index))
 
 
 def loads(plant: Plant) -> tuple[NDArray[np.int64], Floats]:
     """Cells under the parcel of a plant of one parcel, and the share of its weight on each, as the solver has them."""
     solver, place = plant._solver, plant.state[0, :2]
-    if isinstance(solver, RestartedSolver):
+    if isinstance(solver, RestartingSolver):
         (moving,) = solver._parcels
         supports = moving.supports
         assert supports is not None

@@ -86,7 +86,7 @@ def test_lifted_supports_and_holes_are_those_of_the_plain_plant() -> None:
 def test_coasting_wheels_carry_and_pull_nothing() -> None:
     plant = Plant(spec(parcel(position_m=(0.3, 0.2), velocity_m_s=(-0.3, 0.2)), capture_m=1e-12))
     dead = np.random.default_rng(6).choice(400, 150, replace=False)
-    plant.lose([int(i) for i in dead], "coast")
+    plant.release_wheels([int(i) for i in dead], "coast")
     grip = np.ones(400)
     grip[dead] = 0.0
     drives = FIELDS["vortex"](plant.array.positions_m)
@@ -100,7 +100,7 @@ def test_coasting_wheels_carry_and_pull_nothing() -> None:
 def test_on_coasting_wheels_alone_a_parcel_keeps_its_velocity_and_turns_steadily() -> None:
     body = parcel(position_m=(-0.4, 0.0), velocity_m_s=(0.2, 0.05), angular_velocity_rad_s=2.0)
     plant = Plant(spec(body))
-    plant.lose(range(400), "coast")
+    plant.release_wheels(range(400), "coast")
     reference = bench(plant, np.zeros((400, 2)), grip=np.zeros(400))
     expected = reference.run(plant.state[0], 4.0)
     _, events = plant.advance(np.ones((400, 2)), 4 * SECOND)

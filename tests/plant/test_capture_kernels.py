@@ -35,7 +35,7 @@ def _square(x: float) -> tuple[Plant, Surface]:
     body = parcel(size_m=(0.5, 0.5), position_m=(x, 0.0), angle_rad=0.0)
     plant = Plant(spec(body, capture_m=CAPTURE_M))
     still = np.zeros((len(plant.array), 2))
-    return plant, Surface(plant.array.positions_m, plant.array.grid, still, still, plant._moves.grip)
+    return plant, Surface(plant.array.positions_m, plant.array.grid, still, still, plant._moves.driven)
 
 
 def _edge(plant: Plant, nx: float) -> int:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plant.dead_cells import Undriven
-from plant.faults.base import Harm
+from plant.dead_cells import DeadCells
+from plant.faults.base import WheelFaults
 from plant.wheels import Floats, LossPolicy
 
 DRIVES = np.arange(1.0, 9.0).reshape(4, 2)
@@ -28,15 +28,15 @@ class BookPlant:
     def regain(self, cells: Sequence[int]) -> None:
         self.log.append(("regain", tuple(cells)))
 
-    def suffer(self, harm: Harm, drives: Floats) -> None:
+    def suffer(self, harm: WheelFaults, drives: Floats) -> None:
         self.log.append(("suffer", drives[:, 0].tolist()))
 
 
-def harm(*dead: int, gone: Sequence[int] = (), **rests: LossPolicy) -> Harm:
-    made = Harm.none(4)
+def harm(*dead: int, gone: Sequence[int] = (), **rests: LossPolicy) -> WheelFaults:
+    made = WheelFaults.healthy(4)
     made.dead[list(dead)] = True
     made.gone[list(gone)] = True
-    made.rests = {int(cell[1:]): policy for cell, policy in rests.items()}
+    made.wheel_policies = {int(cell[1:]): policy for cell, policy in rests.items()}
     return made
 
 
@@ -45,20 +45,20 @@ def plant() -> BookPlant:
     return BookPlant()
 
 
-def given(undriven: Undriven) -> list[float]:
+def given(undriven: DeadCells) -> list[float]:
     """Drives along x where all cells drive 9."""
-    return undriven.instead(np.full((4, 2), 9.0))[:, 0].tolist()
+    return undriven.override_drives(np.full((4, 2), 9.0))[:, 0].tolist()
 
 
 def test_drives_are_the_cells_own_where_nobody_ever_went(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "hold")
-    assert undriven.instead(DRIVES) is DRIVES
+    undriven = DeadCells(plant, 4, "hold")
+    assert undriven.override_drives(DRIVES) is DRIVES
 
 
 def test_a_fault_s_own_word_on_dead_wheels_goes_before_the_policy(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "coast", {2: "hold"})
-    undriven.turn(harm(0, 1, c1="brake"), DRIVES)
-    assert undriven.bury([2, 3], DRIVES) == (2, 3)
+    undriven = DeadCells(plant, 4, "coast", {2: "hold"})
+    undriven.on_transition(harm(0, 1, c1="brake"), DRIVES)
+    assert undriven.mark_dead([2, 3], DRIVES) == (2, 3)
     assert [entry for entry in plant.log if entry[0] != "suffer"] == [
         ("brake", (1,)), ("coast", (0,)), ("coast", (3,)), ("hold", (2,)),
     ]  # fmt: skip
@@ -66,12 +66,12 @@ def test_a_fault_s_own_word_on_dead_wheels_goes_before_the_policy(plant: BookPla
 
 
 def test_a_cell_struck_twice_does_what_the_fault_that_is_left_says(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "coast")
-    undriven.turn(harm(1, c1="hold"), DRIVES)
+    undriven = DeadCells(plant, 4, "coast")
+    undriven.on_transition(harm(1, c1="hold"), DRIVES)
     assert given(undriven) == [9.0, 3.0, 9.0, 9.0]
-    undriven.turn(harm(1, c1="brake"), DRIVES)
+    undriven.on_transition(harm(1, c1="brake"), DRIVES)
     assert given(undriven) == [9.0, 0.0, 9.0, 9.0]
-    undriven.turn(harm(), DRIVES)
+    undriven.on_transition(harm(), DRIVES)
     assert given(undriven) == [9.0] * 4
     assert [entry for entry in plant.log if entry[0] != "suffer"] == [
         ("hold", (1,)), ("regain", (1,)), ("brake", (1,)), ("regain", (1,)),
@@ -79,21 +79,21 @@ def test_a_cell_struck_twice_does_what_the_fault_that_is_left_says(plant: BookPl
 
 
 def test_cells_that_are_gone_get_no_drive_and_are_not_dead(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "hold")
-    assert undriven.turn(harm(gone=[0, 3]), DRIVES)
-    assert not undriven.turn(harm(gone=[0, 3]), DRIVES)
+    undriven = DeadCells(plant, 4, "hold")
+    assert undriven.on_transition(harm(gone=[0, 3]), DRIVES)
+    assert not undriven.on_transition(harm(gone=[0, 3]), DRIVES)
     assert given(undriven) == [0.0, 9.0, 9.0, 0.0]
     assert not undriven.lost.any()
-    assert undriven.turn(harm(), DRIVES)
+    assert undriven.on_transition(harm(), DRIVES)
     assert given(undriven) == [9.0] * 4
     assert {entry[0] for entry in plant.log} == {"suffer"}
 
 
 def test_a_held_wheel_forgets_its_drive_when_its_cell_is_pulled(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "hold")
-    undriven.turn(harm(2), DRIVES)
-    undriven.turn(harm(2, gone=[2]), DRIVES)
-    undriven.turn(harm(2), DRIVES)
+    undriven = DeadCells(plant, 4, "hold")
+    undriven.on_transition(harm(2), DRIVES)
+    undriven.on_transition(harm(2, gone=[2]), DRIVES)
+    undriven.on_transition(harm(2), DRIVES)
     assert given(undriven) == [9.0, 9.0, 0.0, 9.0]
     assert [entry[1] for entry in plant.log if entry[0] == "suffer"] == [
         [1.0, 3.0, 5.0, 7.0], [1.0, 3.0, 0.0, 7.0], [1.0, 3.0, 0.0, 7.0],
@@ -101,51 +101,51 @@ def test_a_held_wheel_forgets_its_drive_when_its_cell_is_pulled(plant: BookPlant
 
 
 def test_the_dead_for_good_stay_dead_whatever_faults_end(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "brake")
-    undriven.turn(harm(0), DRIVES)
-    undriven.bury([0], DRIVES)
-    assert undriven.dying(harm(0, 1)) == [1]
-    undriven.turn(harm(), DRIVES)
+    undriven = DeadCells(plant, 4, "brake")
+    undriven.on_transition(harm(0), DRIVES)
+    undriven.mark_dead([0], DRIVES)
+    assert undriven.about_to_die(harm(0, 1)) == [1]
+    undriven.on_transition(harm(), DRIVES)
     assert given(undriven)[0] == 0.0
     assert ("regain", (0,)) not in plant.log
 
 
 def test_a_cell_that_comes_back_is_driven_again_unless_a_fault_kills_it(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "hold")
-    undriven.bury([0, 1], DRIVES)
-    undriven.turn(harm(1, gone=[2]), DRIVES)
+    undriven = DeadCells(plant, 4, "hold")
+    undriven.mark_dead([0, 1], DRIVES)
+    undriven.on_transition(harm(1, gone=[2]), DRIVES)
     undriven.revive([0, 1])
     assert not undriven.lost.any()
     assert given(undriven) == [9.0, 3.0, 0.0, 9.0]
     assert plant.log[-1] == ("regain", (0,))
-    undriven.turn(harm(), DRIVES)
+    undriven.on_transition(harm(), DRIVES)
     assert given(undriven) == [9.0] * 4
 
 
 def test_who_is_dead_already_does_not_die_again(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "coast", {0: "hold"})
-    assert undriven.bury([], DRIVES) == ()
+    undriven = DeadCells(plant, 4, "coast", {0: "hold"})
+    assert undriven.mark_dead([], DRIVES) == ()
     assert undriven.mask is None
-    assert undriven.bury([0], DRIVES) == (0,)
-    assert undriven.bury([0], DRIVES * 2.0) == ()
-    assert undriven.dying(harm(0, 2)) == [2]
-    undriven.turn(harm(0, 1), DRIVES)
-    assert undriven.dying(harm(0, 1, 2)) == [2]
+    assert undriven.mark_dead([0], DRIVES) == (0,)
+    assert undriven.mark_dead([0], DRIVES * 2.0) == ()
+    assert undriven.about_to_die(harm(0, 2)) == [2]
+    undriven.on_transition(harm(0, 1), DRIVES)
+    assert undriven.about_to_die(harm(0, 1, 2)) == [2]
     assert [entry for entry in plant.log if entry[0] != "suffer"] == [("hold", (0,)), ("coast", (1,))]
     assert given(undriven) == [1.0, 0.0, 9.0, 9.0]
 
 
 def test_a_cell_that_came_back_and_dies_again_holds_nothing_of_its_first_death(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "coast", {0: "hold"})
-    undriven.bury([0], DRIVES)
+    undriven = DeadCells(plant, 4, "coast", {0: "hold"})
+    undriven.mark_dead([0], DRIVES)
     undriven.revive([0])
-    undriven.turn(harm(0), DRIVES)
+    undriven.on_transition(harm(0), DRIVES)
     assert given(undriven)[0] == 0.0
 
 
 def test_a_cell_whose_fault_goes_on_knows_nothing_of_those_that_turn(plant: BookPlant) -> None:
-    undriven = Undriven(plant, 4, "hold")
-    undriven.turn(harm(0), DRIVES)
-    undriven.turn(harm(0, 1), DRIVES * 2.0)
+    undriven = DeadCells(plant, 4, "hold")
+    undriven.on_transition(harm(0), DRIVES)
+    undriven.on_transition(harm(0, 1), DRIVES * 2.0)
     assert given(undriven) == [1.0, 6.0, 9.0, 9.0]
     assert [entry for entry in plant.log if entry[0] != "suffer"] == [("hold", (0,)), ("hold", (1,))]

@@ -61,9 +61,9 @@ def test_events_of_a_call_in_legs_are_counted_though_each_leg_has_room_for_its_o
 
 
 def test_the_number_is_remembered() -> None:
-    from bus.state import recall, remember
+    from bus.state import load_state, save_state
 
     plant, again = _plant("exact"), _plant("exact")
     _gone(plant, 1)
-    recall(again, remember(plant))
+    load_state(again, save_state(plant))
     assert again.events_left_out == plant.events_left_out > 0

@@ -131,7 +131,7 @@ def test_drives_that_change_every_tick_and_coasting_wheels_are_followed(name: st
     )
     draw, grip = np.random.default_rng(9), np.ones(400)
     dead = draw.choice(400, 100, replace=False)
-    plant.lose(dead.tolist(), "coast")
+    plant.release_wheels(dead.tolist(), "coast")
     grip[dead] = 0.0
     y = plant.state[0]
     for tick in range(1, 25):
@@ -215,7 +215,7 @@ def test_rolling_on_a_belt_follows_its_closed_form_while_its_supports_stand() ->
     plant.advance(np.tile([0.05, -0.03], (400, 1)), SECOND // 5)
     assert plant.support_changes == 0
     assert np.all(loads(plant)[1] > 0.0)
-    rate, free = len(plant._solver.under(0)) * B / MASS, FREE * np.array([0.05, -0.03])
+    rate, free = len(plant._solver.covered_cells(0)) * B / MASS, FREE * np.array([0.05, -0.03])
     off = start[3:5] - free
     assert plant.state[0, 3:5] == pytest.approx(free + off * np.exp(-rate * 0.2), abs=1e-13)
     moved = free * 0.2 - off * np.expm1(-rate * 0.2) / rate

@@ -70,7 +70,7 @@ def test_motors_and_coasting_cells_are_those_of_the_exact_solver() -> None:
     motors = MotorsSpec(time_constant_s=0.05)
     ends = []
     for plant in (Plant(spec(BODY, motors=motors)), lawful(VISCOUS, BODY, motors=motors, tolerance=1e-8)):
-        plant.lose(cells_of(plant, [(9, 9), (10, 11)]), "coast")
+        plant.release_wheels(cells_of(plant, [(9, 9), (10, 11)]), "coast")
         volts = 10.0 * elliptic(plant)
         for tick in range(1, 101):
             plant.advance(volts if tick < 50 else -volts, tick * TICK_NS)
@@ -304,7 +304,7 @@ def test_a_blow_up_ends_the_run_and_says_where_and_when(steps: dict[str, float])
     plant = lawful(VISCOUS, **steps)
     wheels = elliptic(plant)
     plant.advance(wheels, SECOND // 4)
-    wheels[plant._solver.under(0)[3]] = np.nan
+    wheels[plant._solver.covered_cells(0)[3]] = np.nan
     with pytest.raises(
         PlantUnstable, match=r"parcel 0 at t = 0\.25 s, x = \S+ m, y = \S+ m: the motion is no longer finite"
     ):

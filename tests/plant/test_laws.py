@@ -146,7 +146,7 @@ def test_rolling_follows_equations_27_and_28_integrated_by_scipy() -> None:
     plant = lawful(ROLLING, body, tolerance=1e-10)
     rng = np.random.default_rng(7)
     wheels = 0.02 * rng.standard_normal((len(plant.array), 2))
-    cells = plant._solver.under(0)
+    cells = plant._solver.covered_cells(0)
     place, push = plant.array.positions_m[cells], (2.0 * 10.0 / 4.0) * wheels[cells]
     inertia = 2.0 / (12.0 / (0.54**2 + 0.32**2))
 

@@ -7,14 +7,14 @@ import pytest
 
 from plant.errors import PlantError
 from plant.geometry import rectangle
-from plant.overlap import OverlapWatch
+from plant.overlap import OverlapDetector
 from plant.plant import Plant
 from tests.plant.scenes import SECOND, TICK_NS, parcel, spec
 
 
-def _watch(count: int = 3) -> OverlapWatch:
+def _watch(count: int = 3) -> OverlapDetector:
     box = np.array(rectangle(0.4, 0.2))
-    return OverlapWatch([box] * count, np.full(count, float(np.hypot(0.2, 0.1))))
+    return OverlapDetector([box] * count, np.full(count, float(np.hypot(0.2, 0.1))))
 
 
 def _all(count: int) -> np.ndarray:
@@ -45,13 +45,13 @@ def test_in_the_way_is_the_first_of_those_that_are_there_that_would_be_overlappe
     watch = _watch(4)
     # at the end of its length but not of its circle; across; a little aside; far
     state = _state((0, 0, 0), (0.399, 0, 0), (0.19, 0.09, 0), (3, 0, 0))
-    assert watch.in_the_way(0, state, np.array([1, 2, 3])) == 1
-    assert watch.in_the_way(0, state, np.array([2, 3])) == 2
-    assert watch.in_the_way(0, state, np.array([3])) is None
-    assert watch.in_the_way(0, state, np.zeros(0, dtype=np.int64)) is None
+    assert watch.first_blocker(0, state, np.array([1, 2, 3])) == 1
+    assert watch.first_blocker(0, state, np.array([2, 3])) == 2
+    assert watch.first_blocker(0, state, np.array([3])) is None
+    assert watch.first_blocker(0, state, np.zeros(0, dtype=np.int64)) is None
     touching = _state((0, 0, 0), (0.4, 0, 0), (0, 0.2, 0), (0.41, 0, np.pi / 4))
-    assert watch.in_the_way(0, touching, np.array([1, 2])) is None
-    assert watch.in_the_way(0, touching, np.array([1, 2, 3])) == 3
+    assert watch.first_blocker(0, touching, np.array([1, 2])) is None
+    assert watch.first_blocker(0, touching, np.array([1, 2, 3])) == 3
 
 
 def test_an_overlap_is_told_when_it_begins_and_when_it_ends() -> None:
@@ -68,7 +68,7 @@ def test_close_calls_cover_every_instant_of_an_overlap_and_the_one_after() -> No
     watch = _watch(2)
     distance = [1.0, 0.6, 0.3, 0.1, 0.3, 0.6, 1.0, 1.0]
     states = np.array([_state((0, 0, 0), (d, 0, 0)) for d in distance])
-    looked = set(watch.close_calls(states))
+    looked = set(watch.candidate_instants(states))
     overlapping = {k for k, d in enumerate(distance) if d < 0.4}
     assert overlapping | {max(overlapping) + 1} <= looked
 
@@ -77,7 +77,7 @@ def test_one_parcel_alone_meets_nobody() -> None:
     watch = _watch(1)
     assert list(watch.pairs(_state((0, 0, 0)), _all(1))) == []
     assert watch.changes(_state((0, 0, 0)), _all(1)) == []
-    assert list(watch.close_calls(np.zeros((4, 1, 6)))) == []
+    assert list(watch.candidate_instants(np.zeros((4, 1, 6)))) == []
 
 
 def _pair() -> Plant:

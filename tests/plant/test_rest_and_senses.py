@@ -186,7 +186,7 @@ def test_ideal_wheels_run_as_they_are_told() -> None:
 @pytest.mark.parametrize("policy", ["brake", "hold"])
 def test_braked_and_held_wheels_act_as_they_are_driven(policy: str) -> None:
     plain, lost = study(), study()
-    lost.lose(range(200, 300), policy)  # type: ignore[arg-type]
+    lost.release_wheels(range(200, 300), policy)  # type: ignore[arg-type]
     for plant in (plain, lost):
         plant.advance(elliptic(plant), SECOND)
     assert np.array_equal(plain.state, lost.state)
@@ -194,10 +194,10 @@ def test_braked_and_held_wheels_act_as_they_are_driven(policy: str) -> None:
 
 def test_wheels_lost_one_after_the_other_all_coast() -> None:
     one, two = study(), study()
-    one.lose([200, 201, 256], "coast")
-    two.lose([200], "coast")
-    two.lose([256, 201], "coast")
-    two.lose([7], "hold")
+    one.release_wheels([200, 201, 256], "coast")
+    two.release_wheels([200], "coast")
+    two.release_wheels([256, 201], "coast")
+    two.release_wheels([7], "hold")
     for plant in (one, two):
         plant.advance(elliptic(plant), SECOND)
     assert np.array_equal(one.state, two.state)

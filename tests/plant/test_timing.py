@@ -191,7 +191,7 @@ def test_a_parcel_on_wheels_that_change_on_the_way_moves_as_in_the_plain_plant()
     draw, first = np.random.default_rng(8), elliptic(plant)
     second, until = first + draw.normal(scale=0.5, size=first.shape), 40_000_000
     acts = np.full(400, -1)
-    late = draw.choice(plant._solver.under(0), 4, replace=False)
+    late = draw.choice(plant._solver.covered_cells(0), 4, replace=False)
     acts[late] = until + np.sort(draw.integers(1, until, 4))
     plant.advance(first, until)
     y = plant.state[0]
@@ -337,7 +337,7 @@ def test_what_timing_needs_is_compiled_before_and_changes_nothing() -> None:
         plant = solved({"name": "exact"}, parcel())
         if ready:
             before = plant.state.tobytes()
-            plant.make_ready()
+            plant.warm_up()
             assert (plant.state.tobytes(), plant.time_ns, plant.support_changes) == (before, 0, 0)
             assert is_compiled(ExactSpec(), divided=True)
         drives = elliptic(plant)

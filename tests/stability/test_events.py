@@ -88,7 +88,7 @@ def _sweep(solver: Solver, depth_m: float) -> tuple[list[Event], tuple[int, int]
     half = np.sqrt((np.hypot(0.25, 0.15) + depth_m) ** 2 - 0.27**2)
     body = parcel(size_m=(0.54, 2.0 * half), position_m=(0.0, 0.0), angle_rad=0.0, angular_velocity_rad_s=1.0)
     plant = solver.plant(body)
-    plant.lose(range(len(plant.array)), "coast")
+    plant.release_wheels(range(len(plant.array)), "coast")
     _, events = plant.advance(np.zeros((len(plant.array), 2)), 300_000_000)
     assert plant.state[0, 5] == pytest.approx(1.0, abs=1e-14)
     return events, (11, 12)

@@ -170,7 +170,7 @@ def test_the_equilibrium_between_opposed_wheels_does_not_move_with_their_speeds_
 ) -> None:
     """The paper's second model: what counts is which way a wheel turns. Nothing damps the swing about the middle."""
     plant = _between(solver, law, 0.01, 0.0, 2.0)
-    x = np.abs(plant.array.positions_m[plant._solver.under(0), 0])
+    x = np.abs(plant.array.positions_m[plant._solver.covered_cells(0), 0])
     w = np.sqrt(COULOMB_MU * G * x.sum() / (x**2).sum())
     for second in (1, 2, 3):
         plant.advance(_opposed(plant, left, right), second * SECOND)

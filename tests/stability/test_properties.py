@@ -257,7 +257,7 @@ def test_mass_does_not_move_the_centre_otherwise_nor_inertia_where_it_scales_too
 def test_kinetic_energy_never_rises_on_stopped_wheels(solver: Solver, drawn: Drawn, dead: int) -> None:
     plant = built(solver, drawn.body(), missing=tuple(sorted(drawn.holes)))
     coasting = np.flatnonzero(np.random.default_rng(dead).random(len(plant.array)) < 0.3)
-    plant.lose([int(i) for i in coasting], "coast")
+    plant.release_wheels([int(i) for i in coasting], "coast")
     state = plant.trajectory(np.zeros((len(plant.array), 2)), SECOND, 2_000_000).state[:, 0]
     energy = state[:, 3] ** 2 + state[:, 4] ** 2 + 0.5 * drawn.inertia * state[:, 5] ** 2
     assert np.all(np.diff(energy) <= 1e-15)

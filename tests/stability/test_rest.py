@@ -175,7 +175,9 @@ def test_with_stopped_wheels_kinetic_energy_never_rises(solver: Solver, coasting
         inertia_kg_m2=0.09,
     )
     plant = solver.plant(body)
-    plant.lose([int(i) for i in np.random.default_rng(1).choice(400, coasting, replace=False)], "coast")
+    plant.release_wheels(
+        [int(i) for i in np.random.default_rng(1).choice(400, coasting, replace=False)], "coast"
+    )
     state = plant.trajectory(np.zeros((400, 2)), 2 * SECOND, 1_000_000).state[:, 0]
     energy = state[:, 3] ** 2 + state[:, 4] ** 2 + 0.045 * state[:, 5] ** 2
     assert np.all(np.diff(energy) <= 1e-15)

@@ -100,7 +100,7 @@ def test_wheels_that_turn_round_pull_by_their_motors_up_to_what_each_cell_carrie
     """H7 where slip sticks to a slope, not to zero: each cell leaves its limit when its own load says so."""
     body = parcel(size_m=(0.58, 0.38), position_m=(0.01, 0.0), angle_rad=0.0)
     plant = solver.plant(body, law=LAWS[law])
-    cells = plant.array.positions_m[plant._solver.under(0)]
+    cells = plant.array.positions_m[plant._solver.covered_cells(0)]
     spread = float(np.sum(cells[:, 0] ** 2))
 
     def rates(t: float, y: Floats, command: float) -> list[float]:
@@ -148,7 +148,7 @@ def test_the_same_wheels_move_a_parcel_once_those_that_hold_let_go(solver: Solve
     plant = _five_by_five(solver, law, 0.01, 0.0)
     drives = _uniform(plant, 0.0)
     drives[:, 0] = -0.5 * np.sign(np.round(plant.array.positions_m[:, 0], 3))
-    plant.lose([int(i) for i in np.flatnonzero(drives[:, 0] == 0.0)], "coast")
+    plant.release_wheels([int(i) for i in np.flatnonzero(drives[:, 0] == 0.0)], "coast")
     plant.advance(drives, 20 * MILLI)
     # x'' = -w^2 x: the push grows with the distance from the middle
     w = np.sqrt(PULL * 5.0 * 0.6 / 0.5)

@@ -68,7 +68,7 @@ def test_a_step_of_a_nanosecond_moves_a_parcel_by_its_share_however_late_it_is(s
     body = parcel(position_m=(0.0, 0.0), velocity_m_s=(1.0, 0.0))
     plant = solver.plant(body)
     wait = 1_000_000 * SECOND
-    plant.lose(range(400), "coast")
+    plant.release_wheels(range(400), "coast")
     drives = np.zeros((400, 2))
     plant.advance(drives, 1)
     start = plant.state[0, 0]

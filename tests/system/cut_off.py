@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from deploy import cli
-from deploy.checkpoints.checkpointer import Keeper
+from deploy.checkpoints.checkpointer import Checkpointer
 from deploy.checkpoints.store import NAMES
 
 STEP_S = 0.01
@@ -166,9 +166,9 @@ class Sweep:
     """
 
     def __init__(self, scene: Path, scratch: Path) -> None:
-        assert Keeper.__init__.__kwdefaults__ is not None
+        assert Checkpointer.__init__.__kwdefaults__ is not None
         ticks = itertools.count()
-        Keeper.__init__.__kwdefaults__["clock"] = lambda: next(ticks) * STEP_S
+        Checkpointer.__init__.__kwdefaults__["clock"] = lambda: next(ticks) * STEP_S
         self._scratch, self._folder = scratch, scratch / "out"
         self._new = [
             *("run", str(scene), "--processes", "0", "--transport", "memory", *_STILL),

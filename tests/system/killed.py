@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deploy.checkpoints.store import BEFORE, FILE_NAME, Store
+from deploy.checkpoints.store import FILE_NAME, PREVIOUS, CheckpointStore
 from deploy.errors import InputError
 from deploy.recordings.reader import load
 from tests.system.running import Mdms, summary_of
@@ -63,7 +63,7 @@ def kill_after(mdms: Mdms, tick: int, delay_s: float) -> Kill | None:
         return None
     # it may have been killed between two renames
     written = max(
-        path.stat().st_mtime for path in map(mdms.output.joinpath, (FILE_NAME, BEFORE)) if path.exists()
+        path.stat().st_mtime for path in map(mdms.output.joinpath, (FILE_NAME, PREVIOUS)) if path.exists()
     )
     return Kill(reached(mdms.output), killed - written)
 
@@ -87,7 +87,7 @@ def refusal(output: Path) -> str:
 def reached(output: Path) -> int:
     """Before which tick the last checkpoint in a folder is; 0 where there is none."""
     try:
-        return Store(output).read().tick
+        return CheckpointStore(output).read().tick
     except InputError:
         return 0
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from bus.random_streams import generator
+from bus.random_streams import rng
 from deploy.cli import main
 from deploy.recordings.reader import load
 from tests.system.small import small_scene
@@ -159,7 +159,7 @@ class Planted:
     @staticmethod
     def drawn(seed: int) -> Planted:
         """The program of a seed; kinds take turns."""
-        draw = generator(seed, "planted faults")
+        draw = rng(seed, "planted faults")
         every = [(row, column) for row in range(ROWS) for column in range(COLUMNS)]
         count = int(draw.choice([1, 2, 5, len(every)]))
         cells = sorted(draw.choice(len(every), count, replace=False).tolist())

@@ -18,7 +18,7 @@ from unittest.mock import patch
 import numpy as np
 from rich.console import Console
 
-from bus.random_streams import generator
+from bus.random_streams import rng
 from deploy.recordings.reader import load
 from deploy.runs.run import run
 from deploy.runs.summary import Outcome
@@ -70,7 +70,7 @@ class Schedule:
     @classmethod
     def drawn(cls, seed: int) -> Schedule:
         """The schedule of a seed."""
-        draw = generator(seed, "tests.schedules")
+        draw = rng(seed, "tests.schedules")
         policy = str(draw.choice(["coast", "brake", "hold", "abort"], p=[0.3, 0.3, 0.3, 0.1]))
         blows = [
             Blow(

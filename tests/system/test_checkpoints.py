@@ -10,7 +10,14 @@ from typing import Any
 
 import pytest
 
-from deploy.checkpoints.store import BEFORE, FILE_NAME, Store, found, options_of, scene_of
+from deploy.checkpoints.store import (
+    FILE_NAME,
+    PREVIOUS,
+    CheckpointStore,
+    find_checkpoint,
+    options_of,
+    scene_of,
+)
 from deploy.runs.run import run
 from deploy.runs.summary import Outcome
 from deploy.scenes.files import load_scene
@@ -35,7 +42,7 @@ cell = [2, 3]
 
 def _left(folder: Path, scene: Path, monkeypatch: pytest.MonkeyPatch, **options: Any) -> Outcome:
     """A run whose checkpoints stay, as though it had been killed at its end."""
-    monkeypatch.setattr(Store, "clear", lambda _: None)
+    monkeypatch.setattr(CheckpointStore, "clear", lambda _: None)
     how = RunOptions(output=folder, picture=False, checkpoint_s=1e-3, **options)
     outcome = run(load_scene(str(scene)), how, quiet=True)
     assert outcome.summary.status == "ok"
@@ -44,7 +51,7 @@ def _left(folder: Path, scene: Path, monkeypatch: pytest.MonkeyPatch, **options:
 
 
 def _gone_on(folder: Path) -> Outcome:
-    checkpoint = found(folder)
+    checkpoint = find_checkpoint(folder)
     options = options_of(checkpoint, RunOptions(output=folder, picture=False))
     return run(scene_of(checkpoint), options, quiet=True, resumed=checkpoint)
 
@@ -87,7 +94,7 @@ def test_a_torn_checkpoint_makes_it_go_on_from_the_one_before(
 ) -> None:
     whole = _left(tmp_path / "out", small(), monkeypatch, transport="memory", realtime=0.5)
     path = tmp_path / "out" / FILE_NAME
-    last = found(tmp_path / "out").tick
+    last = find_checkpoint(tmp_path / "out").tick
     path.write_bytes(path.read_bytes()[:-100])
     outcome = _gone_on(tmp_path / "out")
     assert outcome.summary.resumed[0] < last
@@ -97,7 +104,7 @@ def test_a_torn_checkpoint_makes_it_go_on_from_the_one_before(
 def test_one_that_is_over_leaves_no_checkpoint(small: Small, tmp_path: Path) -> None:
     options = RunOptions(transport="memory", output=tmp_path, picture=False, checkpoint_s=1e-3)
     assert run(load_scene(str(small())), options, quiet=True).summary.status == "ok"
-    assert not {FILE_NAME, BEFORE} & {path.name for path in tmp_path.iterdir()}
+    assert not {FILE_NAME, PREVIOUS} & {path.name for path in tmp_path.iterdir()}
 
 
 @pytest.mark.slow
@@ -137,9 +144,9 @@ def test_what_it_can_not_go_on_from_is_refused_before_anything_is_lost(
 
     _left(tmp_path, small(), monkeypatch, transport="memory")
     recording = (tmp_path / "recording.mcap").read_bytes()
-    checkpoint = found(tmp_path)
+    checkpoint = find_checkpoint(tmp_path)
     options = options_of(checkpoint, RunOptions(output=tmp_path, picture=False))
     with pytest.raises(InputError, match=told):
         run(scene_of(checkpoint), options, quiet=True, resumed=replace(checkpoint, **change))
     assert (tmp_path / "recording.mcap").read_bytes() == recording
-    assert found(tmp_path) == checkpoint
+    assert find_checkpoint(tmp_path) == checkpoint

@@ -16,10 +16,10 @@ from bus.transports.base import Received
 from bus.transports.zenoh import Certificate, Identity, Password, client_config, open_client
 from bus.wire.frames import Control, encode_control
 from deploy.control.client import ask_run
-from deploy.control.registers import look
+from deploy.control.registers import read_registers
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
-from deploy.security.generate import make
+from deploy.security.generate import generate_keys
 from deploy.security.keyring import identity_of
 from deploy.security.manifest import Kind
 from deploy.workers.plan import RunOptions, plan
@@ -41,7 +41,7 @@ def free_port() -> int:
 
 def keys_for(scene: Path, folder: Path, kind: Kind = "certificate") -> Path:
     made = plan(load_scene(str(scene)), RunOptions(2), "RUN")
-    make(folder, made.scene, made.cut, kind, hosts=(), days=1, force=False)
+    generate_keys(folder, made.scene, made.cut, kind, hosts=(), days=1, force=False)
     return folder
 
 
@@ -113,7 +113,7 @@ def test_strangers_and_insiders_are_refused_counted_and_shown_and_the_digest_sta
     insider = Insider(join, identity_of(mine / "cells-0", "cells-0"))
     insider.act()
     assert ask_run(listen, {"do": "list"}, 5.0, mine)["ok"]
-    assert (0, 0) in look(listen, [(0, 0)], 5.0, mine / "operator").cells
+    assert (0, 0) in read_registers(listen, [(0, 0)], 5.0, mine / "operator").cells
     for endpoint in (listen, join):
         assert refused(endpoint.replace("tls", "tcp"), None)
         assert refused(endpoint, None, transport__link__tls=json.dumps({"root_ca_certificate": authority}))

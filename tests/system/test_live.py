@@ -11,9 +11,9 @@ import pytest
 
 from bus.errors import TransportError
 from bus.transports.zenoh import open_client
-from bus.transports.zenoh.requests import QUESTION_LIMIT, ask
+from bus.transports.zenoh.requests import REQUEST_LIMIT, send_request
 from bus.wire.keys import plant_key
-from deploy.control.client import Address, ask_run, find
+from deploy.control.client import Address, ask_run, discover
 from deploy.control.requests import RequestError, read_request
 from deploy.errors import DeployError, InputError
 from deploy.runs.run import run
@@ -54,7 +54,7 @@ class Running:
         """As soon as it can answer."""
         while True:
             try:
-                return ask_run(find(self.folder).connect, request, 10.0)
+                return ask_run(discover(self.folder).connect, request, 10.0)
             except (InputError, DeployError) as error:
                 if isinstance(error, RequestError) or not self.thread.is_alive():
                     raise
@@ -115,20 +115,20 @@ def test_bad_requests_are_refused_in_words_and_change_nothing(tmp_path: Path) ->
         with pytest.raises(RequestError) as refused:
             running.ask(**request)
         assert words in str(refused.value)
-    endpoint = open_client(find(running.folder).connect)
+    endpoint = open_client(discover(running.folder).connect)
     try:
-        for payload in (b"", b"\xff", b"[" * 10_000, b"{}", b"1", b"x" * (QUESTION_LIMIT + 1)):
-            answer = json.loads(ask(endpoint, plant_key("*", "operator"), payload, 10.0))
+        for payload in (b"", b"\xff", b"[" * 10_000, b"{}", b"1", b"x" * (REQUEST_LIMIT + 1)):
+            answer = json.loads(send_request(endpoint, plant_key("*", "operator"), payload, 10.0))
             assert not answer["ok"]
             assert answer["problems"]
         with pytest.raises(TransportError, match="no run answers"):
-            ask(endpoint, plant_key("another-run", "operator"), b"{}", 10.0)
+            send_request(endpoint, plant_key("another-run", "operator"), b"{}", 10.0)
     finally:
         endpoint.close()
     live = running.end()
     assert live.summary.digest == run(scene(), _memory(tmp_path / "undisturbed")).summary.digest
     with pytest.raises(InputError, match="no run goes on there"):
-        find(running.folder)
+        discover(running.folder)
 
 
 def test_requests_are_read_or_refused_whatever_they_are() -> None:
@@ -144,7 +144,7 @@ def test_a_note_of_a_run_that_is_over_is_none(tmp_path: Path, monkeypatch: pytes
     folder.mkdir(parents=True)
     Address("one", "tcp/127.0.0.1:1", 2**22 + 1).write(folder)
     with pytest.raises(InputError, match="no run goes on below runs/"):
-        find(None)
+        discover(None)
 
 
 def _memory(folder: Path, replay: Path | None = None) -> RunOptions:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.checkpoints.store import Store, found, options_of, scene_of
+from deploy.checkpoints.store import CheckpointStore, find_checkpoint, options_of, scene_of
 from deploy.cli import main
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
@@ -131,11 +131,11 @@ def test_a_run_with_isolated_failures_is_taken_up_again_to_the_digest(
     scene, folder = _isolated(tmp_path, at), tmp_path / "out"
     whole = run(scene, RunOptions(processes, output=tmp_path / "whole", picture=False), quiet=True).summary
     with monkeypatch.context() as patched:
-        patched.setattr(Store, "clear", lambda _: None)
+        patched.setattr(CheckpointStore, "clear", lambda _: None)
         options = RunOptions(processes, output=folder, picture=False, checkpoint_s=1e-3, realtime=0.3)
         assert run(scene, options, quiet=True).summary.digest == whole.digest
     (folder / "summary.json").unlink()
-    checkpoint = found(folder)
+    checkpoint = find_checkpoint(folder)
     assert at < checkpoint.tick < whole.ticks
     assert (len(checkpoint.dead) == len(FAILED)) == (at == 5)
     options = options_of(checkpoint, RunOptions(output=folder, picture=False))

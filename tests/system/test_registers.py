@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus.transports.zenoh.endpoint import _free_port  # pyright: ignore[reportPrivateUsage]
+from bus.transports.zenoh.endpoint import free_port  # pyright: ignore[reportPrivateUsage]
 from deploy.recordings.reader import load
 from tests.system.running import Mdms
 
@@ -51,7 +51,7 @@ def test_the_recorded_integral_is_the_one_that_made_the_drives(mdms: Callable[..
 
 @pytest.mark.slow
 def test_a_running_system_shows_its_cells(mdms: Callable[..., Mdms], tmp_path: Path) -> None:
-    listen = f"tcp/127.0.0.1:{_free_port()}"
+    listen = f"tcp/127.0.0.1:{free_port()}"
     running = mdms(
         "run",
         "motors",

@@ -116,7 +116,7 @@ EVERYTHING = (
 def test_boards_act_alike_however_the_scene_is_cut(more: tuple[str, ...], tmp_path: Path) -> None:
     scene = load_scene("prototype", [Override.parse(change) for change in ("duration_s=0.15", *more)])
     if more:
-        assert {name for name, _ in scene.effects.asked()} >= set(CellEffects.model_fields)
+        assert {name for name, _ in scene.effects.enabled()} >= set(CellEffects.model_fields)
     summaries = {way: _run(scene, way, tmp_path) for way in [*WAYS, EACH[0]]}
     assert {summary.status for summary in summaries.values()} == {"ok"}
     assert len({summary.digest for summary in summaries.values()}) == 1

@@ -18,7 +18,7 @@ PLAIN = """
 from cell_firmware.cell import CellFirmware, CellOutputs
 
 class Watcher(CellFirmware):
-    def subscribes(self):
+    def uses_camera(self):
         return True
 
     def init(self, cell):
@@ -36,7 +36,7 @@ import numpy as np
 from cell_firmware.firmware import Firmware, Outputs
 
 class Watcher(Firmware):
-    def subscribes(self):
+    def uses_camera(self):
         return True
 
     def init(self, cells):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus.lockstep.participant import Member
+from bus.lockstep.participant import Participant
 from deploy.recordings.reader import load
 from deploy.runs.run import run
 from deploy.scenes.errors import SceneError
@@ -21,7 +21,7 @@ from tests.system.test_same_digest import EACH, WAYS, Way
 
 FIELD = {"kind": "uniform", "velocity_m_s": [0.1, 0.05]}
 STUMBLING: dict[str, Any] = {
-    "firmware": "stumbling_field",
+    "firmware": "hanging_field",
     "parameters": {"field": FIELD, "cells": [[1, 1], [0, 3]], "after_periods": 10},
 }
 COP = {"cop": {"timeout_s": 0.016384, "reboot_s": 0.01}}
@@ -113,20 +113,20 @@ def test_why_a_program_hangs_is_told_once(
     said = capfd.readouterr().err
     assert said.count("hangs from tick 10 (0.04096 s)") == 1
     assert "not told): OverflowError: the counter of periods has run over" in said
-    assert "stumbling_field.py" in said
+    assert "hanging_field.py" in said
 
 
 def test_a_shard_reports_a_reason_to_hang_once(
     small: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[tuple[int, int]] = []
-    hang = Member.hang
+    hang = Participant.hang
 
-    def counting(member: Member, cell: int, tick: int, detail: str) -> None:
+    def counting(member: Participant, cell: int, tick: int, detail: str) -> None:
         told.append((cell, tick))
         hang(member, cell, tick, detail)
 
-    monkeypatch.setattr(Member, "hang", counting)
+    monkeypatch.setattr(Participant, "hang", counting)
     assert _go(_scene(small(), **COP), WAYS[0], tmp_path).effects["cop.hangs"] == 6
     assert told == [(3, 10)]
 

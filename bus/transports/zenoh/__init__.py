@@ -9,11 +9,18 @@ from __future__ import annotations
 
 from bus.transports.zenoh.endpoint import ZenohEndpoint, open_client, open_hub, open_outside
 from bus.transports.zenoh.mirror import Mirror
-from bus.transports.zenoh.session import Certificate, Gate, Identity, Password, client_config, hub_config
+from bus.transports.zenoh.session import (
+    AccessPolicy,
+    Certificate,
+    Identity,
+    Password,
+    client_config,
+    hub_config,
+)
 
 __all__ = [
+    "AccessPolicy",
     "Certificate",
-    "Gate",
     "Identity",
     "Mirror",
     "Password",

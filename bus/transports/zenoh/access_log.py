@@ -20,7 +20,7 @@ from typing import Any, Final, cast, final
 
 import zenoh
 
-Refusal = tuple[str, str]
+Denial = tuple[str, str]
 """Whose it was, and what was refused."""
 
 STRANGER: Final = "a stranger"
@@ -62,7 +62,7 @@ _logging = False
 
 
 @final
-class Watch:
+class AccessLogMonitor:
     """Counts what Zenoh refuses in this process, whichever session does, from now until ``close``; one at a time.
 
     Attributes:
@@ -74,7 +74,7 @@ class Watch:
         self.names: list[Callable[[str], str | None]] = []
         self.fresh = False
         self._names: dict[str, str] = {}
-        self._counts: Counter[Refusal] = Counter()
+        self._counts: Counter[Denial] = Counter()
         self._lock = threading.Lock()
         self._asked = "RUST_LOG" in os.environ
         self._before = os.dup(1)
@@ -86,7 +86,7 @@ class Watch:
         self._reader.start()
         _log()
 
-    def counted(self) -> dict[Refusal, int]:
+    def counted(self) -> dict[Denial, int]:
         """How often each was refused so far."""
         self.fresh = False
         with self._lock:
@@ -112,7 +112,7 @@ class Watch:
             self._take([unread], before)
 
     def _take(self, lines: list[bytes], before: int) -> None:
-        found: Counter[Refusal] = Counter()
+        found: Counter[Denial] = Counter()
         for line in lines:
             plain = _COLOUR.sub(b"", line) if b"\x1b" in line else line
             match = _LINE.search(plain)
@@ -134,7 +134,7 @@ class Watch:
         with contextlib.suppress(OSError):  # whoever listened there has gone
             os.write(2 if of_zenoh else before, line + b"\n")
 
-    def _refusal(self, match: re.Match[bytes]) -> Refusal:
+    def _refusal(self, match: re.Match[bytes]) -> Denial:
         what, text = str(match.lastgroup), match[str(match.lastgroup)].decode(errors="replace")
         if what in ("dropped", "unknown"):
             return self._named(text), DROPPED if what == "dropped" else NO_ROLE

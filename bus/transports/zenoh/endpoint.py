@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, Final, cast, final
 import zenoh
 
 from bus.errors import TransportError
-from bus.transports.base import Alive, Endpoint, Event, Haste, Publisher, Woken
+from bus.transports.base import Endpoint, Event, LivelinessChange, Publisher, Urgency, Wakeup
 from bus.transports.memory import check_overlap
-from bus.transports.zenoh.receive import Mail
+from bus.transports.zenoh.receive import ReceiveQueue
 from bus.transports.zenoh.session import (
     LEASE_S,
     PROTOCOL,
-    Gate,
+    AccessPolicy,
     Identity,
     client_config,
     first_line,
@@ -31,7 +31,7 @@ from bus.transports.zenoh.session import (
 )
 
 if TYPE_CHECKING:
-    from bus.transports.zenoh.access_log import Watch
+    from bus.transports.zenoh.access_log import AccessLogMonitor
 
 
 CLOSE_S: Final = 2.0
@@ -56,8 +56,8 @@ os.register_at_fork(after_in_child=_count_fork)
 atexit.register(_close_all)
 
 
-def _token(sample: zenoh.Sample) -> Alive:
-    return Alive(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+def _token(sample: zenoh.Sample) -> LivelinessChange:
+    return LivelinessChange(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
 
 @final
@@ -101,7 +101,7 @@ class ZenohEndpoint(Endpoint):
         self,
         session: zenoh.Session,
         locator: str,
-        refusals: Watch | None = None,
+        refusals: AccessLogMonitor | None = None,
         listening: tuple[str, ...] = (),
     ) -> None:
         super().__init__()
@@ -114,7 +114,7 @@ class ZenohEndpoint(Endpoint):
         self._pid = os.getpid()
         self._forks = _forks
         self.closed = False
-        self._mail = Mail(session)
+        self._mail = ReceiveQueue(session)
         _open_endpoints.add(self)
         self._subscribed: list[str] = []
         self._watchers: list[object] = []
@@ -143,7 +143,7 @@ class ZenohEndpoint(Endpoint):
         except zenoh.ZError as error:
             raise TransportError(f"put: {first_line(error)}") from None
 
-    def subscribe(self, key_expr: str, haste: Haste = "wake") -> None:
+    def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
         """Lets everything put on matching keys into the inbox."""
         self.check_usable()
         if key_expr in self._subscribed:
@@ -171,19 +171,19 @@ class ZenohEndpoint(Endpoint):
         """Lets the coming and going of matching tokens into the inbox."""
         self.check_usable()
         watcher = self.session.liveliness().declare_subscriber(
-            key_expr, self._mail.teller(_token), history=True
+            key_expr, self._mail.enqueuer(_token), history=True
         )
         self._watchers.append(watcher)
 
-    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
         """All events; a wait of more than a tenth of a second may end as much later."""
         if self.closed or self._forks != _forks:
             self.check_usable()
-        return self._mail.take(timeout_s, enough)
+        return self._mail.poll_all(timeout_s, enough)
 
     def wake(self) -> None:
-        """Puts one ``Woken`` in the inbox."""
-        self._mail.tell(Woken())
+        """Puts one ``Wakeup`` in the inbox."""
+        self._mail.enqueue(Wakeup())
 
     def role(self, session: str) -> str | None:
         """What the certificate says of the session whose identifier begins like this, if it is connected."""
@@ -237,7 +237,7 @@ _NO_PORT: Final = ":0"
 
 
 def open_hub(
-    listen: str | None = None, *, lease_s: float = LEASE_S, gate: Gate | None = None
+    listen: str | None = None, *, lease_s: float = LEASE_S, gate: AccessPolicy | None = None
 ) -> ZenohEndpoint:
     """Opens the plant's session, which cells join.
 
@@ -254,9 +254,9 @@ def open_hub(
     """
     refusals = None
     if gate is not None:
-        from bus.transports.zenoh.access_log import Watch
+        from bus.transports.zenoh.access_log import AccessLogMonitor
 
-        refusals = Watch()
+        refusals = AccessLogMonitor()
     try:
         session, locator, listening = _listening(listen, gate, lambda where: hub_config(where, lease_s, gate))
     except BaseException:
@@ -266,7 +266,7 @@ def open_hub(
     return ZenohEndpoint(session, locator, refusals, listening)
 
 
-def open_outside(listen: str | None, *, lease_s: float = LEASE_S, gate: Gate) -> ZenohEndpoint:
+def open_outside(listen: str | None, *, lease_s: float = LEASE_S, gate: AccessPolicy) -> ZenohEndpoint:
     """Opens the session of a run's mirror, which listeners and operators connect to.
 
     Args:
@@ -285,14 +285,16 @@ _Opened = tuple[zenoh.Session, str, tuple[str, ...]]
 """A session, what to connect to, and the addresses that it listens on."""
 
 
-def _listening(listen: str | None, gate: Gate | None, config: Callable[[str], zenoh.Config]) -> _Opened:
+def _listening(
+    listen: str | None, gate: AccessPolicy | None, config: Callable[[str], zenoh.Config]
+) -> _Opened:
     if listen is not None:
         session = _open(config(listen), f"listen on {listen}")
         addresses = _addresses(session)
         return session, _with_port(listen, addresses), addresses
     protocol = "tcp" if gate is None or gate.identity is None else PROTOCOL[gate.identity.kind]
     for attempt in range(1, _PORT_ATTEMPTS + 1):
-        locator = f"{protocol}/127.0.0.1:{_free_port()}"
+        locator = f"{protocol}/127.0.0.1:{free_port()}"
         try:
             session = _open(config(locator), f"listen on {locator}")
         except TransportError:
@@ -352,7 +354,8 @@ def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
         raise TransportError(f"{attempted}: {first_line(error)}") from None
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """Find a loopback TCP port that nobody listens on."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return cast("int", probe.getsockname()[1])

@@ -21,13 +21,13 @@ import zenoh
 from zenoh import handlers  # pyright: ignore[reportMissingModuleSource] - its source is the binary
 
 from bus.errors import TransportError
-from bus.transports.base import Event, Haste, Received
+from bus.transports.base import Event, Received, Urgency
 
 PRECISION_S: Final = 0.1
 
 
 @final
-class Alarm:
+class WakeupTimer:
     """Rings when its time has come, at most ``PRECISION_S`` late, and again until it is put off.
 
     Args:
@@ -127,7 +127,7 @@ os.register_at_fork(after_in_child=_held.clear)  # those threads are not in the 
 
 
 @final
-class Mail:
+class ReceiveQueue:
     """The payloads of one session, and its *news*: whatever ends a wait at once.
 
     Args:
@@ -141,18 +141,18 @@ class Mail:
         self._waking: list[Channel] = []
         self._quiet: list[Channel] = []
         self._subscribers: list[object] = []
-        self._alarm = Alarm(self._ring)
+        self._alarm = WakeupTimer(self._ring)
 
-    def tell(self, event: Event) -> None:
+    def enqueue(self, event: Event) -> None:
         """Adds news. From any thread, or a signal handler."""
         self._news.put(event)
         self._ring()
 
-    def teller(self, take: Callable[[zenoh.Sample], Event]) -> handlers.Callback[zenoh.Sample]:
+    def enqueuer(self, take: Callable[[zenoh.Sample], Event]) -> handlers.Callback[zenoh.Sample]:
         """A handler that makes news of each sample."""
-        return handlers.Callback(_keep_state(lambda sample: self.tell(take(sample))), indirect=False)
+        return handlers.Callback(_keep_state(lambda sample: self.enqueue(take(sample))), indirect=False)
 
-    def subscribe(self, key_expr: str, haste: Haste) -> None:
+    def subscribe(self, key_expr: str, haste: Urgency) -> None:
         """Subscribes. The reader sleeps in the first channel that is to wake it; what any other brings is news."""
         if haste == "quiet":
             self._quiet.append(Channel(self._session, key_expr))
@@ -160,9 +160,9 @@ class Mail:
             self._main = Channel(self._session, key_expr)
             self._waking.append(self._main)
         else:
-            self._subscribers.append(self._session.declare_subscriber(key_expr, self.teller(_payload)))
+            self._subscribers.append(self._session.declare_subscriber(key_expr, self.enqueuer(_payload)))
 
-    def take(self, timeout_s: float | None, enough: int) -> list[Event]:
+    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
         """All that is there, once it is enough or there is news; see ``Endpoint``."""
         until = None if timeout_s is None else time.monotonic() + timeout_s
         left = timeout_s

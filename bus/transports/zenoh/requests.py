@@ -11,25 +11,25 @@ from bus.errors import TransportError
 from bus.transports.zenoh.endpoint import ZenohEndpoint
 from bus.transports.zenoh.session import first_line
 
-QUESTION_LIMIT: Final = 65_536
+REQUEST_LIMIT: Final = 65_536
 """Longest question and answer, bytes."""
 _WAITING: Final = 64
 """Questions that may wait for the next tick; of more the oldest get no answer."""
 
 
 @final
-class Question:
+class IncomingRequest:
     """One question.
 
     Attributes:
-        payload: What is asked, at most ``QUESTION_LIMIT`` bytes; None: it was longer.
+        payload: What is asked, at most ``REQUEST_LIMIT`` bytes; None: it was longer.
     """
 
     def __init__(self, query: zenoh.Query) -> None:
         self._query = query
         payload = query.payload
         self.payload: bytes | None = b"" if payload is None else None
-        if payload is not None and len(payload) <= QUESTION_LIMIT:
+        if payload is not None and len(payload) <= REQUEST_LIMIT:
             self.payload = payload.to_bytes()
 
     def answer(self, payload: bytes) -> None:
@@ -42,7 +42,7 @@ class Question:
 
 
 @final
-class Questions:
+class RequestQueue:
     """The questions that come in on a key.
 
     They wait in a ring, so that nobody who asks too much makes the run's own messages wait.
@@ -57,17 +57,17 @@ class Questions:
         ring = cast("Any", handlers.RingChannel)(_WAITING)
         self._queryable = cast("Any", endpoint.session).declare_queryable(key, ring)
 
-    def take(self) -> Question | None:
+    def drain(self) -> IncomingRequest | None:
         """The oldest that waits; None where none does."""
         query = self._queryable.try_recv()
-        return None if query is None else Question(query)
+        return None if query is None else IncomingRequest(query)
 
     def close(self) -> None:
         """Take no more; those that wait get no answer."""
         self._queryable.undeclare()
 
 
-def ask(endpoint: ZenohEndpoint, key: str, payload: bytes, timeout_s: float) -> bytes:
+def send_request(endpoint: ZenohEndpoint, key: str, payload: bytes, timeout_s: float) -> bytes:
     """Ask, and wait for the answer.
 
     Raises:

@@ -63,7 +63,7 @@ Identity = Certificate | Password
 
 @final
 @dataclass(frozen=True, slots=True)
-class Gate:
+class AccessPolicy:
     """Whom a session that listens lets in, and what each may do.
 
     Attributes:
@@ -100,7 +100,7 @@ LEASE_S: Final = 2.0
 """Silence after which the other side takes a process for gone; each session's own lease governs its token."""
 
 
-def hub_config(listen: str, lease_s: float = LEASE_S, gate: Gate | None = None) -> zenoh.Config:
+def hub_config(listen: str, lease_s: float = LEASE_S, gate: AccessPolicy | None = None) -> zenoh.Config:
     """Settings of a session that listens: the one which cells join, or the mirror.
 
     Args:
@@ -123,7 +123,7 @@ def hub_config(listen: str, lease_s: float = LEASE_S, gate: Gate | None = None) 
     return config
 
 
-def mirror_config(listen: str, lease_s: float, gate: Gate) -> zenoh.Config:
+def mirror_config(listen: str, lease_s: float, gate: AccessPolicy) -> zenoh.Config:
     """Settings of the session that listeners and operators connect to; arguments as those of ``hub_config``."""
     config = hub_config(listen, lease_s, gate)
     # Nothing that comes in is longer than a question.

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import SIDES
-from cell_firmware.components import LinkPart
-from cell_firmware.controller import Instant
-from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State, solid
+from cell_firmware.components import LinkDriver
+from cell_firmware.controller import StepTime
+from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State, opaque_view
 
 
 @final
-class Mailbox(LinkPart):
+class Mailbox(LinkDriver):
     """Hands over whole messages, each a window after it was sent.
 
     One that is sent at r is there for its receiver from r + W on, W being the window; the receiver reads it at its
@@ -49,11 +49,11 @@ class Mailbox(LinkPart):
             "overwritten": np.zeros(shape, dtype=np.int64),
         }
 
-    def after_reset(self, cells: Cells, state: State) -> State:
+    def reset(self, cells: Cells, state: State) -> State:
         """All is forgotten; what was counted is the observer's, not the cell's."""
         return {**self.init(cells), "overwritten": state["overwritten"]}
 
-    def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
+    def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
         """What waited, or has come just in time, for the cells that are stepped."""
         steps, into_ns = (now.at_ns >= 0)[:, None], (now.at_ns % self._window_ns)[:, None]
         came, waits = lines.received, state["waits"]
@@ -70,7 +70,7 @@ class Mailbox(LinkPart):
         }
         return after, Inbox(received, _either(in_time, message, received, state["message"]))
 
-    def send(self, now: Instant, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
+    def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
         """The messages, and when in the window they were sent."""
         n = len(now.at_ns)
         if outbox is None:
@@ -85,7 +85,7 @@ class Mailbox(LinkPart):
         """Which sides have a message waiting, and how many were replaced."""
         return {"waits": state["waits"], "overwritten": state["overwritten"]}
 
-    def counted(self, state: State) -> dict[str, int]:
+    def counters(self, state: State) -> dict[str, int]:
         """Messages that a newer one replaced before they were read."""
         return {"overwritten": int(state["overwritten"].sum())}
 
@@ -93,6 +93,6 @@ class Mailbox(LinkPart):
 def _either(first: Bools, message: Messages, second: Bools, other: Messages) -> Messages:
     """Where ``first`` is true a ``message``, else where ``second`` is the ``other``; zeros elsewhere."""
     found = np.where(first, message, other)
-    whole = solid(found)
+    whole = opaque_view(found)
     whole[~(first | second)] = np.zeros((), dtype=whole.dtype)
     return found

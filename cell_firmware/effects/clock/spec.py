@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from bus.lattice import Lattice
-from bus.random_streams import Draws
+from bus.random_streams import CounterStream
 from bus.spec import CellName, NotNegative, Spec
-from cell_firmware.clocks import BILLION, ArrayClocks, Clocks
+from cell_firmware.clocks import BILLION, ArrayClocks, CellClocks
 from cell_firmware.effects.base import CellEffectSpec
 from cell_firmware.specs import CellsSpec
 
@@ -65,7 +65,7 @@ class ClockSpec(CellEffectSpec):
         "an exchange serves a window",
         "messages between neighbours carry their place in it",
     )
-    rung: ClassVar[int | None] = 55
+    fidelity_rank: ClassVar[int | None] = 55
     error_ppm: Annotated[float, Field(ge=0, le=WORST_PPM, allow_inf_nan=False)] = 50.0
     """Cells' periods are off by up to so much, either way, evenly by the seed."""
     phase: Literal["random", "aligned"] = "random"
@@ -92,11 +92,11 @@ class ClockSpec(CellEffectSpec):
         return value
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """Crystals of 50 ppm, at any phase."""
         return cls()
 
-    def misplaced(
+    def problems(
         self,
         lattice: Lattice,
         pitch_m: float,  # noqa: ARG002
@@ -106,7 +106,7 @@ class ClockSpec(CellEffectSpec):
             if one.cell not in lattice:
                 yield ("cells", number, "cell"), list(one.cell), "the array has no cell there"
 
-    def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+    def fit_problems(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
         """Phases that are not within the period, and more windows than it has nanoseconds."""
         for number, one in enumerate(self.cells):
             if one.phase_s is not None and _ns(one.phase_s) >= cells.period_ns:
@@ -137,7 +137,7 @@ class ClockSpec(CellEffectSpec):
             period_ns: Nominal, of control.
             seed: The scene's.
         """
-        draws = Draws(seed, "clock", np.arange(len(lattice)))
+        draws = CounterStream(seed, "clock", np.arange(len(lattice)))
         most = parts_per_billion(self.error_ppm)
         ppb = np.minimum((draws.uniform(0) * (2 * most + 1)).astype(np.int64) - most, most)
         phase_ns = (draws.uniform(1) * (period_ns if self.phase == "random" else 0)).astype(np.int64)
@@ -147,7 +147,7 @@ class ClockSpec(CellEffectSpec):
                 ppb[cell] = parts_per_billion(one.error_ppm)
             if one.phase_s is not None:
                 phase_ns[cell] = _ns(one.phase_s)
-        return ArrayClocks(lattice, Clocks(period_ns, self.window_ns(period_ns), ppb, phase_ns))
+        return ArrayClocks(lattice, CellClocks(period_ns, self.window_ns(period_ns), ppb, phase_ns))
 
 
 def _ns(seconds: float) -> int:

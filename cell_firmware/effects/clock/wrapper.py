@@ -7,14 +7,20 @@ from typing import final
 
 import numpy as np
 
-from cell_firmware.clocks import NEVER, ArrayClocks, Clocks
-from cell_firmware.controller import Around, Controller, ControllerOutputs, ControllerState, Instant
+from cell_firmware.clocks import NOT_IN_WINDOW, ArrayClocks, CellClocks
+from cell_firmware.controller import (
+    Controller,
+    ControllerOutputs,
+    ControllerState,
+    ControllerWrapper,
+    StepTime,
+)
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Inputs
 
 
 @final
-class Clocked(Around):
+class LocalClockWrapper(ControllerWrapper):
     """Lets cells step when their own clocks say so.
 
     Exchange k brings what each cell with an instant r in window k - 1 read at r: those cells are stepped, each with its
@@ -43,23 +49,23 @@ class Clocked(Around):
             "count": np.zeros(len(cells), dtype=np.int64),
             "drive": np.zeros((len(cells), 2)),
         }
-        return self.outer(inner, clock)
+        return self.wrap_state(inner, clock)
 
-    def act(
-        self, now: Instant, state: ControllerState, inputs: Inputs
+    def compute(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One exchange: a control period of the cells that have an instant in the window before it."""
         clock = state.parts[self.part]
-        whole, window = self._clocks.all, now.tick - 1
-        clocks = Clocks(whole.period_ns, whole.window_ns, clock["ppb"], clock["phase_ns"])
-        then = Instant(window, clocks.due(window, clock["count"]))
-        stepped = then.at_ns != NEVER
-        inner, inputs = self.controller.listen(then, self.inner(state), inputs)
-        inner, outputs = self.controller.act_on(np.flatnonzero(stepped), then, inner, inputs)
+        whole, window = self._clocks.clocks, now.tick - 1
+        clocks = CellClocks(whole.period_ns, whole.window_ns, clock["ppb"], clock["phase_ns"])
+        then = StepTime(window, clocks.due(window, clock["count"]))
+        stepped = then.at_ns != NOT_IN_WINDOW
+        inner, inputs = self.controller.receive(then, self.unwrap_state(state), inputs)
+        inner, outputs = self.controller.compute_rows(np.flatnonzero(stepped), then, inner, inputs)
         drive = np.where(stepped[:, None], outputs.drive, clock["drive"])
         after = {**clock, "count": clock["count"] + stepped, "drive": drive}
         return (
-            self.outer(inner, after),
+            self.wrap_state(inner, after),
             ControllerOutputs(
                 drive,
                 outputs.outbox,

@@ -33,7 +33,7 @@ class CopSpec(CellEffectSpec):
     """From the reset until the program starts, wheels at 0."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """65.536 ms."""
         return cls(timeout_s=TIMEOUTS_S[1])
 
@@ -44,7 +44,7 @@ class CopSpec(CellEffectSpec):
             raise ValueError(f"must be one of {', '.join(map(str, TIMEOUTS_S))}")
         return value
 
-    def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+    def fit_problems(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
         """A timeout within which no program can serve."""
         if cells.period_s >= self.timeout_s:
             rule = f"must be longer than cells.period_s, {cells.period_s:g}: programs serve once a period"

@@ -7,7 +7,13 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.controller import Around, Controller, ControllerOutputs, ControllerState, Instant
+from cell_firmware.controller import (
+    Controller,
+    ControllerOutputs,
+    ControllerState,
+    ControllerWrapper,
+    StepTime,
+)
 from cell_firmware.effects.cop.spec import DIVIDER_S, CopSpec
 from cell_firmware.firmware import Bools, Cells, Inputs, State
 from cell_firmware.specs import nanoseconds
@@ -16,7 +22,7 @@ DIVIDER_NS: Final = nanoseconds(DIVIDER_S)
 
 
 @final
-class Watchdog(Around):
+class WatchdogWrapper(ControllerWrapper):
     """Resets cells whose program does not serve its watchdog in time.
 
     The control interrupt and the watchdog's counter divide the same crystal, from the same instant on: with both in the
@@ -57,25 +63,27 @@ class Watchdog(Around):
             "hangs": np.zeros(n, dtype=np.int64),
             "resets": np.zeros(n, dtype=np.int64),
         }
-        return self.outer(self.controller.init(cells), watch)
+        return self.wrap_state(self.controller.init(cells), watch)
 
-    def listen(self, now: Instant, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+    def receive(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
+    ) -> tuple[ControllerState, Inputs]:
         """What came over the lines, which listen whether a program hangs or not."""
-        inner, inputs = self.controller.listen(now, self.inner(state), inputs)
-        return self.outer(inner, state.parts[self.part]), inputs
+        inner, inputs = self.controller.receive(now, self.unwrap_state(state), inputs)
+        return self.wrap_state(inner, state.parts[self.part]), inputs
 
-    def act(
-        self, now: Instant, state: ControllerState, inputs: Inputs
+    def compute(
+        self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period: resets, and a step of the programs that run."""
         watch = state.parts[self.part]
         at_ns = watch["instants"] * self._period_ns
-        inner, watch = self._reset(at_ns, self.inner(state), watch)
+        inner, watch = self._reset(at_ns, self.unwrap_state(state), watch)
         runs = ~watch["hung"] & (at_ns >= watch["starts_ns"])
         waits = np.flatnonzero(~runs)
         if len(waits):
-            inner = inner.put(waits, self.controller.idle(now.take(waits), inner.take(waits)))
-        inner, outputs = self.controller.act_on(np.flatnonzero(runs), now, inner, inputs)
+            inner = inner.replace_rows(waits, self.controller.idle(now.select(waits), inner.select(waits)))
+        inner, outputs = self.controller.compute_rows(np.flatnonzero(runs), now, inner, inputs)
         after: dict[str, NDArray[Any]] = {**watch, "instants": watch["instants"] + 1}
         if len(waits) or outputs.failures:
             raised = np.zeros(len(runs), dtype=np.bool_)
@@ -88,7 +96,7 @@ class Watchdog(Around):
         served = runs if outputs.served is None else runs & outputs.served
         after["served_ns"] = np.where(served, at_ns, watch["served_ns"])
         return (
-            self.outer(inner, after),
+            self.wrap_state(inner, after),
             ControllerOutputs(after["drive"], outputs.outbox, hung=outputs.failures),
         )
 
@@ -112,10 +120,10 @@ class Watchdog(Around):
             "drive": np.where(over[:, None], 0.0, watch["drive"]),
             "resets": watch["resets"] + over,
         }
-        return inner.put(rows, self.controller.after_reset(inner.take(rows), warm=True)), after
+        return inner.replace_rows(rows, self.controller.reset(inner.select(rows), warm=True)), after
 
-    def counted(self, state: ControllerState) -> dict[str, int]:
+    def counters(self, state: ControllerState) -> dict[str, int]:
         """Programs that hung and cells that were reset; and what the cells' controller has counted."""
         watch = state.parts[self.part]
         own = {f"{self.part}.{name}": int(watch[name].sum()) for name in ("hangs", "resets")}
-        return {**own, **super().counted(state)}
+        return {**own, **super().counters(state)}

@@ -7,11 +7,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.components import LinkPart
-from cell_firmware.controller import Instant
+from cell_firmware.components import LinkDriver
+from cell_firmware.controller import StepTime
 from cell_firmware.effects.serial.bursts import BurstType
 from cell_firmware.effects.serial.framing import Bytes, Frame
-from cell_firmware.effects.serial.mux import PLACE, Scan
+from cell_firmware.effects.serial.mux import PLACE, LineMultiplexer
 from cell_firmware.effects.serial.receiver import COUNTERS, ErrorsOf, Receiver
 from cell_firmware.effects.serial.sender import Sender
 from cell_firmware.effects.serial.timing import LineSettings
@@ -22,7 +22,7 @@ _COUNTERS = ("sent", *COUNTERS, "replaced")
 
 
 @final
-class SerialLines(LinkPart):
+class SerialLines(LinkDriver):
     """A UART a side, or one that is led from side to side, and the driver that makes messages of bytes.
 
     Args:
@@ -56,7 +56,7 @@ class SerialLines(LinkPart):
         self._errors_of = errors_of
         self._sender = Sender(settings, frame, burst, window)
         self._receiver = Receiver(settings, frame, burst, window, errors_of)
-        self._scan = None if settings.dwell_periods is None else Scan(settings.dwell_periods)
+        self._scan = None if settings.dwell_periods is None else LineMultiplexer(settings.dwell_periods)
 
     def init(self, cells: Cells) -> State:
         """Nothing under way, nothing counted."""
@@ -67,28 +67,28 @@ class SerialLines(LinkPart):
             state["ppb"] = self._errors_of(cells.row, cells.column)
         return state
 
-    def after_reset(self, cells: Cells, state: State) -> State:
+    def reset(self, cells: Cells, state: State) -> State:
         """All is forgotten; what was counted is the observer's, not the cell's, and the switch turns by itself."""
         kept = _COUNTERS if self._scan is None else (*_COUNTERS, *PLACE)
         return {**self.init(cells), **{name: state[name] for name in kept}}
 
-    def idle(self, now: Instant, state: State) -> State:
+    def idle(self, now: StepTime, state: State) -> State:
         """The switch turns; bytes that are not out yet stay where they are."""
-        return state if self._scan is None else self._scan.turn(now.at_ns[..., None], state)[0]
+        return state if self._scan is None else self._scan.advance(now.at_ns[..., None], state)[0]
 
-    def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
+    def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
         """Messages that have come since the cells last looked; of two on a side the later one."""
         at_ns = now.at_ns[..., None]
         state = self._receiver.hear(self._window(now), state, lines)
         if self._scan is None:
             return self._receiver.look(at_ns, state)
-        return self._receiver.look(at_ns, state, *self._scan.hears(state))
+        return self._receiver.look(at_ns, state, *self._scan.selected(state))
 
-    def send(self, now: Instant, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
+    def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
         """Bytes that start before the cells' next step."""
         at_ns, left = now.at_ns[..., None], None
         if self._scan is not None:
-            state, left = self._scan.turn(at_ns, state)
+            state, left = self._scan.advance(at_ns, state)
         ppb = state["ppb"][:, None] if "ppb" in state else None
         return self._sender.step(self._window(now), at_ns, ppb, state, outbox, left)
 
@@ -97,7 +97,7 @@ class SerialLines(LinkPart):
         """Bytes that fit on a line from one step of the cells' to the next, one right after another."""
         return min(self.settings.period_ns // self.settings.byte_ns, self._slots)
 
-    def raw(self, now: Instant, data: Bytes) -> Messages:
+    def raw(self, now: StepTime, data: Bytes) -> Messages:
         """What lines carry on which nothing but bytes goes out, from the cells' step on, that no driver has framed.
 
         Args:
@@ -110,7 +110,7 @@ class SerialLines(LinkPart):
         burst["byte"][..., : data.shape[2]] = data
         return self._burst.to_wire(burst)
 
-    def _window(self, now: Instant) -> int:
+    def _window(self, now: StepTime) -> int:
         """In which window the cells' instants lie: with clocks of their own that which the exchange follows."""
         return now.tick if self._errors_of is None else now.tick - 1
 
@@ -118,6 +118,6 @@ class SerialLines(LinkPart):
         """What was counted on each side: ``(n, 4)``."""
         return {name: state[name] for name in _COUNTERS}
 
-    def counted(self, state: State) -> dict[str, int]:
+    def counters(self, state: State) -> dict[str, int]:
         """The same, of all sides of all cells."""
         return {name: int(state[name].sum()) for name in _COUNTERS}

@@ -7,8 +7,8 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.components import LinkPart
-from cell_firmware.controller import Instant
+from cell_firmware.components import LinkDriver
+from cell_firmware.controller import StepTime
 from cell_firmware.effects.serial.framing import bytes_of
 from cell_firmware.effects.serial.receiver import COUNTERS, ErrorsOf, neighbours_errors
 from cell_firmware.effects.serial.timing import LONGEST_PERIOD_NS, Ints, LineSettings, LineTimes, by_clock
@@ -20,7 +20,7 @@ _MOST_WINDOWS: Final = 8
 _BILLION: Final = 1_000_000_000
 
 
-def undisturbed(settings: LineSettings, window_ns: int, worst_ppb: int) -> bool:
+def is_exact_for(settings: LineSettings, window_ns: int, worst_ppb: int) -> bool:
     """Whether every byte that is sent comes, and is read as it was sent.
 
     That is so where interrupts fill a ring that holds all that can come between two looks, every side has a UART, and
@@ -40,7 +40,7 @@ def undisturbed(settings: LineSettings, window_ns: int, worst_ppb: int) -> bool:
         and not settings.polled
         and settings.dwell_periods is None
         and in_bit
-        and between_looks <= settings.room
+        and between_looks <= settings.buffer_bytes
         and _windows(settings, window_ns) <= _MOST_WINDOWS
     )
 
@@ -51,7 +51,7 @@ def _windows(settings: LineSettings, window_ns: int) -> int:
 
 
 @final
-class WholeMessages(LinkPart):
+class MessageLevelLines(LinkDriver):
     """What ``SerialLines`` does where ``undisturbed`` holds, at the price of a message instead of that of its bytes.
 
     A sender keeps a message until the step from which its last byte goes, so that one that is cut short by its cell's
@@ -111,12 +111,12 @@ class WholeMessages(LinkPart):
             state["ppb"] = own
         return state
 
-    def after_reset(self, cells: Cells, state: State) -> State:
+    def reset(self, cells: Cells, state: State) -> State:
         """All is forgotten, and what has begun on the lines; what was counted is the observer's, not the cell's."""
         since = np.full_like(state["since"], -1)  # until the next exchange tells when that is
         return {**self.init(cells), "since": since, **{name: state[name] for name in _COUNTED}}
 
-    def receive(self, now: Instant, state: State, lines: Inbox) -> tuple[State, Inbox]:
+    def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
         """Messages that have come since the cells last looked; of two on a side the later one."""
         sent_in = now.tick - 1
         since = np.where(state["since"] < 0, sent_in, state["since"])
@@ -153,7 +153,7 @@ class WholeMessages(LinkPart):
         for name in self._names:
             message[name].reshape(-1)[row] = source[name][row]
 
-    def send(self, now: Instant, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
+    def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
         """Messages whose last byte starts before the cells' next step."""
         after = dict(state)
         at_ns, ppb = now.at_ns[..., None], state.get("ppb")
@@ -200,7 +200,7 @@ class WholeMessages(LinkPart):
         nothing = np.zeros_like(state["sent"])
         return {name: state.get(name, nothing) for name in ("sent", *COUNTERS, "replaced")}
 
-    def counted(self, state: State) -> dict[str, int]:
+    def counters(self, state: State) -> dict[str, int]:
         """The same, of all sides of all cells."""
         return {name: int(value.sum()) for name, value in self.registers(state).items()}
 

@@ -14,7 +14,7 @@ PLACE: Final = ("periods", "since_ns")
 
 
 @final
-class Scan:
+class LineMultiplexer:
     """Leads the lines of one SCI to one side at a time, by a count of the cell's own periods that is kept in hardware.
 
     Cells with an even sum of row and column go round north, east, south, west; the others south, west, north, east:
@@ -35,11 +35,11 @@ class Scan:
             "since_ns": np.zeros(len(cells), dtype=np.int64),
         }
 
-    def hears(self, state: State) -> tuple[Bools, Ints]:
+    def selected(self, state: State) -> tuple[Bools, Ints]:
         """``(n, 4)``: the side whose bytes got through since the last step; ``(n, 1)``: since when they have, ns."""
         return self._selected(state, state["periods"] - 1), state["since_ns"][:, None]
 
-    def turn(self, at_ns: Ints, state: State) -> tuple[State, Ints]:
+    def advance(self, at_ns: Ints, state: State) -> tuple[State, Ints]:
         """The next period begins.
 
         Args:

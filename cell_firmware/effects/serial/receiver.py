@@ -19,7 +19,7 @@ COUNTERS: Final = ("received", "overruns", "framing", "damaged", "unheard")
 
 
 @final
-class Look:
+class UartReader:
     """One look at the lines of n cells; arrays are ``(n, 4)`` where nothing else is said.
 
     Args:
@@ -49,7 +49,7 @@ class Look:
         self._settings, self._frame, self._times, self._runs = settings, frame, times, runs
         self._at_ns = at_ns
         self._skewed: Bools | None = times.skewed
-        self._room = np.full(shape, settings.room)
+        self._room = np.full(shape, settings.buffer_bytes)
         self._silent: Bools = np.broadcast_to(at_ns >= 0, shape)
         self.after: dict[str, Any] = {**state, "heard": state["heard"].copy()}
         self.whole = np.zeros(shape, dtype=np.bool_)
@@ -304,7 +304,7 @@ class Receiver:
             The next state, and whole messages.
         """
         times = self._times if self._errors_of is None else LineTimes.from_state(self._late_ns, state)
-        look = Look(self._settings, self._frame, times, 2 * self._bursts, state, at_ns)
+        look = UartReader(self._settings, self._frame, times, 2 * self._bursts, state, at_ns)
         for run in range(2 * self._bursts):
             look.take(run, connected, since_ns)
         look.end()

@@ -26,7 +26,7 @@ class SerialSpec(CellEffectSpec):
         "bytes under way, messages half sent and half received, of every link",
     )
     messages: ClassVar[tuple[str, ...]] = ("links carry the bytes of a tick instead of messages",)
-    rung: ClassVar[int | None] = 75
+    fidelity_rank: ClassVar[int | None] = 75
     baud: int = 9615
     """Rate: 125,000 / {1, 3, 4, 13} / 2^n, to the nearest whole number."""
     ring_bytes: Literal[0, 16] = 16
@@ -39,7 +39,7 @@ class SerialSpec(CellEffectSpec):
     """How many periods the switch stays on a side, 8 unless given."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """9,615 baud, a UART a side."""
         return cls()
 
@@ -62,7 +62,7 @@ class SerialSpec(CellEffectSpec):
         dwell = (self.dwell_periods or _DWELL_PERIODS) if self.sharing == "mux" else None
         return LineSettings(bit_ns(self.baud), period_ns, self.ring_bytes, self.bytes_per_period or 1, dwell)
 
-    def unfit(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
+    def fit_problems(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
         """Settings with which no message of the firmware's would ever arrive."""
         from cell_firmware.effects.serial.framing import bytes_of
         from cell_firmware.errors import FirmwareError

@@ -78,7 +78,7 @@ class LineSettings:
         return BITS_A_BYTE * self.bit_ns
 
     @property
-    def room(self) -> int:
+    def buffer_bytes(self) -> int:
         """Bytes that can wait for the receiving cell: in its ring, or in the register."""
         return self.ring_bytes or 1
 

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import CellTarget, Injected
+from bus.fault import CellTarget, FaultInstance
 from bus.lattice import SIDES
-from bus.random_streams import Draws
-from cell_firmware.effects.base import places
-from cell_firmware.faults.base import CellFault, purpose
-from cell_firmware.faults.message_fault import Talk, Tamper
+from bus.random_streams import CounterStream
+from cell_firmware.effects.base import stream_ids
+from cell_firmware.faults.base import CellFault, stream_name
+from cell_firmware.faults.message_fault import MessageContext, MessageFault
 from cell_firmware.firmware import Bools, Messages, Outbox
 
 if TYPE_CHECKING:
-    from cell_firmware.controller import Instant
+    from cell_firmware.controller import StepTime
 
 Ints = NDArray[np.int64]
 
@@ -29,38 +29,42 @@ class BabbleFault(CellTarget, CellFault):
     without a pause, so that no message ever ends there.
     """
 
-    called: ClassVar[str] = "babble"
-    damages: ClassVar[bool] = True
+    kind_name: ClassVar[str] = "babble"
+    corrupts_messages: ClassVar[bool] = True
     kind: Literal["babble"] = "babble"
 
-    def tampers(self, talk: Talk, injected: Injected[CellFault]) -> Tamper:
+    def message_faults(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> MessageFault:
         """Noise instead of what programs say."""
         return _Noise(talk, injected)
 
 
 @final
-class _Noise(Tamper):
+class _Noise(MessageFault):
     counts = "messages"
 
-    def __init__(self, talk: Talk, injected: Injected[CellFault]) -> None:
+    def __init__(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> None:
         from cell_firmware.effects.serial.lines import SerialLines
-        from cell_firmware.faults.payload_bytes import Whole, drawn_each
+        from cell_firmware.faults.payload_bytes import MessageBytes, random_bytes_each
 
         super().__init__(injected)
         lattice, links = talk.lattice, talk.links
         self._line: np.dtype[Any] = talk.message if links is None else links.line
-        self._whole = Whole(talk.message)
+        self._whole = MessageBytes(talk.message)
         self._raw = links if isinstance(links, SerialLines) else None
         self._width = self._whole.width if self._raw is None else self._raw.most_bytes
         self._number = np.full(len(lattice), -1)
         self._number[injected.cells] = np.arange(len(injected.cells))
         self._sides: Bools = lattice.neighbours >= 0
-        sides = places(injected.cells, len(SIDES))
-        self._draws = Draws(talk.seed, purpose(injected), places(sides, drawn_each(self._width)))
+        sides = stream_ids(injected.cells, len(SIDES))
+        self._draws = CounterStream(
+            talk.seed, stream_name(injected), stream_ids(sides, random_bytes_each(self._width))
+        )
 
-    def say(self, now: Instant, tick: int, place: Ints, outbox: Outbox | None) -> tuple[Outbox | None, Ints]:
+    def on_send(
+        self, now: StepTime, tick: int, place: Ints, outbox: Outbox | None
+    ) -> tuple[Outbox | None, Ints]:
         """Noise on all sides of those that babble."""
-        from cell_firmware.faults.payload_bytes import drawn
+        from cell_firmware.faults.payload_bytes import random_bytes
 
         rows = np.flatnonzero(self._number[place] >= 0)
         if not len(rows):
@@ -69,15 +73,15 @@ class _Noise(Tamper):
         if outbox is not None:
             told = Outbox(outbox.sent.copy(), np.array(outbox.message))
         sides = len(SIDES)
-        data = drawn(self._draws, tick, sides * len(self.injected.cells), self._width)
+        data = random_bytes(self._draws, tick, sides * len(self.injected.cells), self._width)
         data = data.reshape(-1, sides, self._width)[self._number[place[rows]]]
         told.sent[rows] = self._sides[place[rows]]
-        told.message[rows] = self._carried(now.take(rows), data)
+        told.message[rows] = self._carried(now.select(rows), data)
         noise = np.zeros(len(place), dtype=np.int64)
         noise[rows] = told.sent[rows].sum(axis=1)
         return told, noise
 
-    def _carried(self, now: Instant, data: NDArray[np.uint8]) -> Messages:
+    def _carried(self, now: StepTime, data: NDArray[np.uint8]) -> Messages:
         """What links carry that bring these bytes; a stamp of 0: since the window began."""
         if self._raw is not None:
             return self._raw.raw(now, data)

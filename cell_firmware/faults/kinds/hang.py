@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal, final
 
-from bus.fault import CellTarget, Injected
-from cell_firmware.faults.base import CellFault, Pause
+from bus.fault import CellTarget, FaultInstance
+from cell_firmware.faults.base import CellFault, ExecutionFaults
 
 
 @final
@@ -16,13 +16,13 @@ class HangFault(CellTarget, CellFault):
     Repaired, it is reset too: a loop without an end does not end by itself.
     """
 
-    called: ClassVar[str] = "hang"
-    pauses: ClassVar[bool] = True
+    kind_name: ClassVar[str] = "hang"
+    halts_program: ClassVar[bool] = True
     kind: Literal["hang"] = "hang"
 
-    def pause(self, tick: int, injected: Injected[CellFault], pause: Pause) -> None:
+    def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
         """No program runs; after the repair it begins anew."""
-        if injected.acts(tick):
-            for flags in (pause.stopped, pause.keeps, pause.unserved):
+        if injected.active_at(tick):
+            for flags in (pause.halted, pause.outputs_held, pause.watchdog_unserved):
                 flags[injected.cells] = True
-        pause.reset[injected.cells] |= tick == injected.end
+        pause.reset[injected.cells] |= tick == injected.end_tick

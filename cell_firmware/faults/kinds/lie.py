@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from bus.fault import CellTarget, Injected, Problem, links_of
+from bus.fault import CellTarget, FaultInstance, Problem, links_of
 from bus.lattice import SIDES
-from bus.random_streams import Draws
+from bus.random_streams import CounterStream
 from bus.spec import Finite
 from cell_firmware.errors import FirmwareError
-from cell_firmware.faults.base import CellFault, purpose
-from cell_firmware.faults.message_fault import Talk, Tamper
+from cell_firmware.faults.base import CellFault, stream_name
+from cell_firmware.faults.message_fault import MessageContext, MessageFault
 from cell_firmware.firmware import Bools, Inbox, State
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ class LieFault(CellTarget, CellFault):
     the fault acts, anew for every neighbour and tick. Whole numbers are rounded, and kept in their field's range.
     """
 
-    called: ClassVar[str] = "lie"
-    damages: ClassVar[bool] = True
+    kind_name: ClassVar[str] = "lie"
+    corrupts_messages: ClassVar[bool] = True
     kind: Literal["lie"] = "lie"
     mode: Literal["stuck", "offset", "factor", "random"]
     by: Finite | None = None
@@ -49,7 +49,7 @@ class LieFault(CellTarget, CellFault):
             raise ValueError(f"mode {self.mode} goes {'with' if self.by is None else 'without'} by")
         return self
 
-    def unfit(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:
+    def fit_problems(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:
         """A field that is no number of what the firmware says."""
         del sensors
         from cell_firmware.loader import load
@@ -63,16 +63,16 @@ class LieFault(CellTarget, CellFault):
             told = ", ".join(named) or "none"
             yield ("field",), self.field, f"must be a number that {cells.firmware} says: {told}"
 
-    def tampers(self, talk: Talk, injected: Injected[CellFault]) -> Tamper:
+    def message_faults(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> MessageFault:
         """Lies, at whoever hears them."""
         return _Lies(self, talk, injected)
 
 
 @final
-class _Lies(Tamper):
+class _Lies(MessageFault):
     counts = "messages"
 
-    def __init__(self, fault: LieFault, talk: Talk, injected: Injected[CellFault]) -> None:
+    def __init__(self, fault: LieFault, talk: MessageContext, injected: FaultInstance[CellFault]) -> None:
         super().__init__(injected)
         self._mode, self._by = fault.mode, 0.0 if fault.by is None else fault.by
         self._fields = [name for name in _numbers(talk.message) if fault.field in (None, name)]
@@ -81,10 +81,12 @@ class _Lies(Tamper):
         self._message = talk.message
         self._struck = np.zeros((len(lattice), len(SIDES)), dtype=np.bool_)
         self._struck[heard[:, 0], heard[:, 1]] = True
-        self._draws: Draws | None = None
+        self._draws: CounterStream | None = None
         if fault.mode == "random" and len(heard):
             self._links = heard
-            self._draws = Draws(talk.seed, purpose(injected), len(SIDES) * heard[:, 0] + heard[:, 1])
+            self._draws = CounterStream(
+                talk.seed, stream_name(injected), len(SIDES) * heard[:, 0] + heard[:, 1]
+            )
         self._cells = len(lattice)
 
     def begin(self, cells: int) -> State:
@@ -98,7 +100,7 @@ class _Lies(Tamper):
             "greatest": np.zeros(shape, dtype=self._message),
         }
 
-    def hear(self, tick: int, own: State, place: Ints, inbox: Inbox) -> tuple[State, Inbox, Ints]:
+    def on_receive(self, tick: int, own: State, place: Ints, inbox: Inbox) -> tuple[State, Inbox, Ints]:
         """Other numbers, on links from those that lie."""
         lies = self._struck[place] & inbox.received
         message = np.array(inbox.message)

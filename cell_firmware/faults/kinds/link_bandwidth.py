@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar, Final, Literal, final
 import numpy as np
 from pydantic import Field, field_validator
 
-from bus.fault import Injected, LinkTarget
-from bus.state import Remembers
+from bus.fault import FaultInstance, LinkTarget
+from bus.state import StateFields
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.faults.links import AffectedLinks, Changed, LinkFault, LinkFilter
 from cell_firmware.firmware import Bools, Messages
 
 _PLACES: Final = 1_000
@@ -19,7 +19,7 @@ _BILLION: Final = 1_000_000_000
 
 
 @final
-class LinkBandwidthFault(LinkTarget, OnLinks):
+class LinkBandwidthFault(LinkTarget, LinkFault):
     """A token bucket a link: tokens come at ``messages_per_s``, at most ``burst`` of them wait, each message takes one.
 
     In every tick, in this order: tokens come; a message that comes goes to the end of the queue; if there is a token,
@@ -28,7 +28,7 @@ class LinkBandwidthFault(LinkTarget, OnLinks):
     drifts.
     """
 
-    called: ClassVar[str] = "link_bandwidth"
+    kind_name: ClassVar[str] = "link_bandwidth"
     kind: Literal["link_bandwidth"] = "link_bandwidth"
     messages_per_s: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
     """At most three decimal places."""
@@ -44,18 +44,20 @@ class LinkBandwidthFault(LinkTarget, OnLinks):
             raise ValueError("must have at most three decimal places")
         return value
 
-    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Queues."""
         return _Bucket(self, links, injected)
 
 
 @final
-class _Bucket(LinkStage):
+class _Bucket(LinkFilter):
     """Tokens in parts of one, of which a whole number comes each tick; the queue's oldest message first."""
 
-    remembers: ClassVar[Remembers] = Remembers("_tokens", "_length", "_queue")
+    remembers: ClassVar[StateFields] = StateFields("_tokens", "_length", "_queue")
 
-    def __init__(self, fault: LinkBandwidthFault, links: Links, injected: Injected[CellFault]) -> None:
+    def __init__(
+        self, fault: LinkBandwidthFault, links: AffectedLinks, injected: FaultInstance[CellFault]
+    ) -> None:
         super().__init__(links, injected, "waited", "lost", lingers=1)
         gain = Fraction(repr(fault.messages_per_s)) * links.site.tick_ns / _BILLION
         self._token = gain.denominator
@@ -65,10 +67,10 @@ class _Bucket(LinkStage):
         self._length = np.zeros(len(links), dtype=np.int64)
         self._queue = self.blank(fault.queue + 1)
 
-    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+    def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """The first of each queue, where there is a token for it."""
         waiting = self._length
-        if not self.acts(tick):
+        if not self.active_at(tick):
             return came, words, {"lost": waiting}
         self._queue[waiting[came], np.flatnonzero(came)] = words[came]
         self._tokens = np.minimum(self._tokens + self._gain, self._most)

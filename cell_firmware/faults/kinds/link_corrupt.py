@@ -7,15 +7,15 @@ from typing import Annotated, ClassVar, Literal, final
 import numpy as np
 from pydantic import Field
 
-from bus.fault import Injected, LinkTarget
+from bus.fault import FaultInstance, LinkTarget
 from cell_firmware.effects.sensor import Probability
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.faults.links import AffectedLinks, Changed, LinkFault, LinkFilter
 from cell_firmware.firmware import Bools, Messages
 
 
 @final
-class LinkCorruptFault(LinkTarget, OnLinks):
+class LinkCorruptFault(LinkTarget, LinkFault):
     """Bits of messages are changed, in their bytes as they are on the wire.
 
     On serial lines these are the bytes of a tick, and the check byte finds what happened, but for one in 256. Whole
@@ -23,31 +23,33 @@ class LinkCorruptFault(LinkTarget, OnLinks):
     (``faults.words.refused``); any other value it takes for what was said.
     """
 
-    called: ClassVar[str] = "link_corrupt"
-    damages: ClassVar[bool] = True
+    kind_name: ClassVar[str] = "link_corrupt"
+    corrupts_messages: ClassVar[bool] = True
     kind: Literal["link_corrupt"] = "link_corrupt"
     probability: Probability
     """Of a message, that it is changed."""
     bits: Annotated[int, Field(ge=1, le=64)] = 1
     """How many bits of it: different ones, each as likely."""
 
-    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Changes some."""
         return _Changed(self, links, injected)
 
 
 @final
-class _Changed(LinkStage):
-    def __init__(self, fault: LinkCorruptFault, links: Links, injected: Injected[CellFault]) -> None:
-        from cell_firmware.faults.payload_bytes import OnWire
+class _Changed(LinkFilter):
+    def __init__(
+        self, fault: LinkCorruptFault, links: AffectedLinks, injected: FaultInstance[CellFault]
+    ) -> None:
+        from cell_firmware.faults.payload_bytes import PayloadView
 
         super().__init__(links, injected, "corrupted")
         self._probability, self._bits = fault.probability, fault.bits
         self._draws = links.draws(injected)
         self._which = links.draws(injected, ".bits", self._bits)
-        self._wire = OnWire.of(links.message, links.site.said or links.message)
+        self._wire = PayloadView.of(links.message, links.site.said or links.message)
 
-    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+    def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """Other bytes, where chance has it."""
         from cell_firmware.faults.payload_bytes import flipped
 

@@ -9,39 +9,41 @@ from typing import ClassVar, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import Injected, LinkTarget
+from bus.fault import FaultInstance, LinkTarget
 from bus.lattice import Lattice
-from bus.state import Remembers
-from cell_firmware.effects.base import Site, Stage
+from bus.state import StateFields
+from cell_firmware.effects.base import InputFilter, ShardContext
 from cell_firmware.effects.link_delay import Delays
-from cell_firmware.faults.base import CellFault, FaultStage, purpose
-from cell_firmware.faults.links import Links, OnLinks
-from cell_firmware.firmware import Inbox, Inputs, solid
+from cell_firmware.faults.base import CellFault, FaultFilter, stream_name
+from cell_firmware.faults.links import AffectedLinks, LinkFault
+from cell_firmware.firmware import Inbox, Inputs, opaque_view
 
 
 @final
-class LinkDelayFault(Delays, LinkTarget, OnLinks):
+class LinkDelayFault(Delays, LinkTarget, LinkFault):
     """Messages wait at their receiver, as with the effect of that name.
 
     What is under way when the fault ends still comes when it is due, unless a newer message comes in that tick.
     """
 
-    called: ClassVar[str] = "link_delay"
+    kind_name: ClassVar[str] = "link_delay"
     kind: Literal["link_delay"] = "link_delay"
 
-    def stages(self, site: Site, lattice: Lattice, injected: Injected[CellFault]) -> Iterator[FaultStage]:
+    def input_filters(
+        self, site: ShardContext, lattice: Lattice, injected: FaultInstance[CellFault]
+    ) -> Iterator[FaultFilter]:
         """One, where the delay is more than none."""
         if self.bounds_ticks[1]:
-            yield from super().stages(site, lattice, injected)
+            yield from super().input_filters(site, lattice, injected)
 
-    def acting(self, links: Links, injected: Injected[CellFault]) -> FaultStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> FaultFilter:
         """Delays."""
-        (waiting,) = self.delaying(links.site, purpose(injected))
+        (waiting,) = self.delaying(links.site, stream_name(injected))
         return _Delayed(waiting, self.bounds_ticks[1], links, injected)
 
 
 @final
-class _Delayed(FaultStage):
+class _Delayed(FaultFilter):
     """Hands the messages of its links to the effect's stage, and takes from there what is due.
 
     Args:
@@ -51,19 +53,21 @@ class _Delayed(FaultStage):
         injected: The fault.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_waiting", "_struck")
+    remembers: ClassVar[StateFields] = StateFields("_waiting", "_struck")
 
-    def __init__(self, waiting: Stage, greatest: int, links: Links, injected: Injected[CellFault]) -> None:
+    def __init__(
+        self, waiting: InputFilter, greatest: int, links: AffectedLinks, injected: FaultInstance[CellFault]
+    ) -> None:
         super().__init__(injected, "delayed", "overtaken", lingers=greatest)
         self._waiting = waiting
         self._struck = np.zeros(4 * len(links.site.cells), dtype=np.bool_)
         self._struck[links.slot] = True
 
-    def strike(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
+    def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells hear instead, while the fault acts or messages are under way."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: no inbox, but messages to delay"
-        delayed = inbox.received & self._struck.reshape(-1, 4) & self._injected.acts(tick)
+        delayed = inbox.received & self._struck.reshape(-1, 4) & self._injected.active_at(tick)
         direct = inbox.received & ~delayed
         waits = replace(inputs, inbox=Inbox(delayed, inbox.message.copy()))
         due = self._waiting.apply(tick, waits, alive).inbox
@@ -71,9 +75,9 @@ class _Delayed(FaultStage):
         overtaken, heard = due.received & direct, due.received & ~direct
         self.count("delayed", delayed, alive)
         self.count("overtaken", overtaken, alive)
-        self.counted[self._named("overtaken")] += self._waiting.counted.pop("overtaken", 0)
+        self.counters[self._named("overtaken")] += self._waiting.counters.pop("overtaken", 0)
         message = np.zeros(heard.shape, dtype=inbox.message.dtype)
-        whole = solid(message)
-        whole[direct] = solid(np.ascontiguousarray(inbox.message))[direct]
-        whole[heard] = solid(np.ascontiguousarray(due.message))[heard]
+        whole = opaque_view(message)
+        whole[direct] = opaque_view(np.ascontiguousarray(inbox.message))[direct]
+        whole[heard] = opaque_view(np.ascontiguousarray(due.message))[heard]
         return replace(inputs, inbox=Inbox(direct | heard, message))

@@ -6,32 +6,32 @@ from typing import ClassVar, Literal, final
 
 import numpy as np
 
-from bus.fault import Injected, LinkTarget
+from bus.fault import FaultInstance, LinkTarget
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.faults.links import AffectedLinks, Changed, LinkFault, LinkFilter
 from cell_firmware.firmware import Bools, Messages
 
 
 @final
-class LinkDownFault(LinkTarget, OnLinks):
+class LinkDownFault(LinkTarget, LinkFault):
     """Links that are cut: what is said on them is lost."""
 
-    called: ClassVar[str] = "link_down"
+    kind_name: ClassVar[str] = "link_down"
     kind: Literal["link_down"] = "link_down"
 
-    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Loses all."""
         return Cut(links, injected)
 
 
 @final
-class Cut(LinkStage):
+class Cut(LinkFilter):
     """Loses every message."""
 
-    def __init__(self, links: Links, injected: Injected[CellFault]) -> None:
+    def __init__(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> None:
         super().__init__(links, injected, "lost")
 
-    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+    def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """Nothing comes."""
         del tick
         return np.zeros_like(came), words, {"lost": came}

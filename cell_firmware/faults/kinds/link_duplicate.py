@@ -6,48 +6,48 @@ from typing import ClassVar, Literal, final
 
 import numpy as np
 
-from bus.fault import Injected, LinkTarget
-from bus.state import Remembers
+from bus.fault import FaultInstance, LinkTarget
+from bus.state import StateFields
 from cell_firmware.effects.sensor import Probability
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.faults.links import AffectedLinks, Changed, LinkFault, LinkFilter
 from cell_firmware.firmware import Bools, Messages
 
 
 @final
-class LinkDuplicateFault(LinkTarget, OnLinks):
+class LinkDuplicateFault(LinkTarget, LinkFault):
     """A message comes again in the tick after, where none comes then that is newer.
 
     A cell reads one message a side and tick, so that of a program that speaks in every tick no duplicate is ever heard:
     it is overtaken. With silence between, the word counts as said twice.
     """
 
-    called: ClassVar[str] = "link_duplicate"
+    kind_name: ClassVar[str] = "link_duplicate"
     kind: Literal["link_duplicate"] = "link_duplicate"
     probability: Probability
     """Of a message, that it comes twice."""
 
-    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Repeats some."""
-        return _Twice(self.probability, links, injected)
+        return _Duplicate(self.probability, links, injected)
 
 
 @final
-class _Twice(LinkStage):
-    remembers: ClassVar[Remembers] = Remembers("_again", "_words")
+class _Duplicate(LinkFilter):
+    remembers: ClassVar[StateFields] = StateFields("_again", "_words")
 
-    def __init__(self, probability: float, links: Links, injected: Injected[CellFault]) -> None:
+    def __init__(self, probability: float, links: AffectedLinks, injected: FaultInstance[CellFault]) -> None:
         super().__init__(links, injected, "duplicated", "overtaken", lingers=1)
         self._probability = probability
         self._draws = links.draws(injected)
         self._again = np.zeros(len(links), dtype=np.bool_)
         self._words = self.blank()
 
-    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+    def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """What comes, or came a tick ago and comes again."""
         again, overtaken = self._again & ~came, self._again & came
         heard = words.copy()
         heard[again] = self._words[again]
-        if self.acts(tick):
+        if self.active_at(tick):
             self._again, self._words = came & (self._draws.uniform(tick) < self._probability), words
         return came | again, heard, {"duplicated": again, "overtaken": overtaken}

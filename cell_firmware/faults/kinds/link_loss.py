@@ -7,16 +7,16 @@ from typing import Annotated, ClassVar, Literal, Self, final
 import numpy as np
 from pydantic import Field, model_validator
 
-from bus.fault import Injected, LinkTarget
-from bus.state import Remembers
+from bus.fault import FaultInstance, LinkTarget
+from bus.state import StateFields
 from cell_firmware.effects.sensor import Probability
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.faults.links import AffectedLinks, Changed, LinkFault, LinkFilter
 from cell_firmware.firmware import Bools, Messages
 
 
 @final
-class LinkLossFault(LinkTarget, OnLinks):
+class LinkLossFault(LinkTarget, LinkFault):
     """Messages are lost independently, or in bursts by Gilbert's model.
 
     In it each link is good or bad, by itself: a good one loses nothing, a bad one everything. From tick to tick a bad
@@ -27,7 +27,7 @@ class LinkLossFault(LinkTarget, OnLinks):
     Source: Gilbert, "Capacity of a burst-noise channel", Bell System Technical Journal 39 (1960), with h = 0.
     """
 
-    called: ClassVar[str] = "link_loss"
+    kind_name: ClassVar[str] = "link_loss"
     kind: Literal["link_loss"] = "link_loss"
     probability: Probability
     """Share of the messages that are lost."""
@@ -55,33 +55,35 @@ class LinkLossFault(LinkTarget, OnLinks):
         assert self.burst_ticks is not None
         return self.probability / ((1.0 - self.probability) * self.burst_ticks)
 
-    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Loses some."""
         if self.burst_ticks is None:
-            return _EachByItself(self.probability, links, injected)
+            return _Independent(self.probability, links, injected)
         return _Bursts(self, links, injected)
 
 
 @final
-class _EachByItself(LinkStage):
-    def __init__(self, probability: float, links: Links, injected: Injected[CellFault]) -> None:
+class _Independent(LinkFilter):
+    def __init__(self, probability: float, links: AffectedLinks, injected: FaultInstance[CellFault]) -> None:
         super().__init__(links, injected, "lost")
         self._probability = probability
         self._draws = links.draws(injected)
 
-    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+    def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """What chance leaves."""
         lost = came & (self._draws.uniform(tick) < self._probability)
         return came & ~lost, words, {"lost": lost}
 
 
 @final
-class _Bursts(LinkStage):
+class _Bursts(LinkFilter):
     """Keeps whether each link is bad: one number a tick and link says what becomes of it."""
 
-    remembers: ClassVar[Remembers] = Remembers("_bad")
+    remembers: ClassVar[StateFields] = StateFields("_bad")
 
-    def __init__(self, fault: LinkLossFault, links: Links, injected: Injected[CellFault]) -> None:
+    def __init__(
+        self, fault: LinkLossFault, links: AffectedLinks, injected: FaultInstance[CellFault]
+    ) -> None:
         super().__init__(links, injected, "lost")
         assert fault.burst_ticks is not None
         self._share, self._turns_bad, self._stays_bad = (
@@ -92,7 +94,7 @@ class _Bursts(LinkStage):
         self._draws = links.draws(injected)
         self._bad: Bools | None = None
 
-    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+    def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """What good links bring."""
         chance = self._draws.uniform(tick)
         if self._bad is None:

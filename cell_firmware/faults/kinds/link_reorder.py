@@ -7,17 +7,17 @@ from typing import Annotated, ClassVar, Literal, final
 import numpy as np
 from pydantic import Field
 
-from bus.fault import Injected, LinkTarget
-from bus.state import Remembers
+from bus.fault import FaultInstance, LinkTarget
+from bus.state import StateFields
 from cell_firmware.effects.link_delay import LONGEST_TICKS
 from cell_firmware.effects.sensor import Probability
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.links import Changed, Links, LinkStage, OnLinks
+from cell_firmware.faults.links import AffectedLinks, Changed, LinkFault, LinkFilter
 from cell_firmware.firmware import Bools, Messages
 
 
 @final
-class LinkReorderFault(LinkTarget, OnLinks):
+class LinkReorderFault(LinkTarget, LinkFault):
     """A message is held back, and comes when later ones have come: the newest that a cell has heard is not the latest.
 
     A cell reads one message a side and tick. One that was held back takes the place of that which comes in its tick, if
@@ -25,35 +25,37 @@ class LinkReorderFault(LinkTarget, OnLinks):
     comes.
     """
 
-    called: ClassVar[str] = "link_reorder"
+    kind_name: ClassVar[str] = "link_reorder"
     kind: Literal["link_reorder"] = "link_reorder"
     probability: Probability
     """Of a message, that it is held back."""
     ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)] = 1
     """For how long."""
 
-    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Holds some back."""
-        return _HeldBack(self, links, injected)
+        return _Reorder(self, links, injected)
 
 
 @final
-class _HeldBack(LinkStage):
-    remembers: ClassVar[Remembers] = Remembers("_held", "_words")
+class _Reorder(LinkFilter):
+    remembers: ClassVar[StateFields] = StateFields("_held", "_words")
 
-    def __init__(self, fault: LinkReorderFault, links: Links, injected: Injected[CellFault]) -> None:
+    def __init__(
+        self, fault: LinkReorderFault, links: AffectedLinks, injected: FaultInstance[CellFault]
+    ) -> None:
         super().__init__(links, injected, "reordered", "replaced", lingers=fault.ticks)
         self._probability, self._ticks = fault.probability, fault.ticks
         self._draws = links.draws(injected)
         self._held = np.zeros((fault.ticks, len(links)), dtype=np.bool_)
         self._words = self.blank(fault.ticks)
 
-    def change(self, tick: int, came: Bools, words: Messages) -> Changed:
+    def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """What is due of what was held back, and what comes and is not held back."""
         slot = tick % self._ticks
         due, late = self._held[slot].copy(), self._words[slot].copy()
         held = np.zeros_like(came)
-        if self.acts(tick):
+        if self.active_at(tick):
             held = came & (self._draws.uniform(tick) < self._probability)
         self._held[slot], self._words[slot] = held, words
         direct = came & ~held

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from bus.fault import Injected, Problem, links_of
+from bus.fault import FaultInstance, Problem, links_of
 from bus.lattice import SIDES, Lattice
 from cell_firmware.faults.base import CellFault
 from cell_firmware.faults.kinds.link_down import Cut
-from cell_firmware.faults.links import Links, LinkStage, OnLinks
+from cell_firmware.faults.links import AffectedLinks, LinkFault, LinkFilter
 
 Line = Annotated[int, Field(ge=0)]
 
 
 @final
-class PartitionFault(OnLinks):
+class PartitionFault(LinkFault):
     """All links across a line are cut, both ways: that between a row and the next, or a column and the next."""
 
-    called: ClassVar[str] = "partition"
+    kind_name: ClassVar[str] = "partition"
     kind: Literal["partition"] = "partition"
     row: Line | None = None
     """The line is north of this row."""
@@ -35,9 +35,9 @@ class PartitionFault(OnLinks):
             raise ValueError("give row or column, one of the two")
         return self
 
-    def misplaced(self, lattice: Lattice) -> Iterator[Problem]:
+    def problems(self, lattice: Lattice) -> Iterator[Problem]:
         """A line that no link crosses."""
-        if not len(self.struck(lattice, 0, 0)):
+        if not len(self.affected_cells(lattice, 0, 0)):
             name = "row" if self.column is None else "column"
             yield (
                 (name,),
@@ -45,17 +45,17 @@ class PartitionFault(OnLinks):
                 f"no two cells are neighbours across the line behind this {name}",
             )
 
-    def struck(self, lattice: Lattice, seed: int, number: int) -> NDArray[np.int64]:
+    def affected_cells(self, lattice: Lattice, seed: int, number: int) -> NDArray[np.int64]:
         """The cells on both sides of the line, ascending."""
-        return np.unique(self.heard(lattice, seed, number)[:, 0])
+        return np.unique(self.affected_links(lattice, seed, number)[:, 0])
 
-    def heard(self, lattice: Lattice, seed: int, number: int) -> NDArray[np.int64]:
-        """The links across the line, as ``OnLinks.heard`` has it."""
+    def affected_links(self, lattice: Lattice, seed: int, number: int) -> NDArray[np.int64]:
+        """The links across the line, as ``LinkFault.heard`` has it."""
         del seed, number
         side = "north" if self.column is None else "east"
         near = lattice.rows == self.row if self.column is None else lattice.columns == self.column
         return links_of(lattice, np.flatnonzero(near), (SIDES.index(side),), heard=True, told=True)
 
-    def acting(self, links: Links, injected: Injected[CellFault]) -> LinkStage:
+    def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Loses all."""
         return Cut(links, injected)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import ClassVar, Literal, final
 
-from bus.fault import CellTarget, Injected, Time
-from cell_firmware.faults.base import CellFault, Pause
+from bus.fault import CellTarget, FaultInstance, Time
+from cell_firmware.faults.base import CellFault, ExecutionFaults
 
 
 @final
@@ -18,21 +18,21 @@ class RebootFault(CellTarget, CellFault):
     nothing is sent, and start-up code serves the watchdog, as after a reset by it.
     """
 
-    called: ClassVar[str] = "reboot"
-    lasts: ClassVar[bool] = False
-    pauses: ClassVar[bool] = True
+    kind_name: ClassVar[str] = "reboot"
+    repairable: ClassVar[bool] = False
+    halts_program: ClassVar[bool] = True
     kind: Literal["reboot"] = "reboot"
     delay_s: Time = 0.05
     """How long it takes until the program starts."""
 
-    def span(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
+    def tick_range(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
         """Until programs start."""
         # of the decimals as they are given: 0.1 and 0.2 are 0.3, and no tick more
         starts_s = Fraction(repr(self.at_s)) + Fraction(repr(self.delay_s))
         return tick_at(self.at_s), tick_at(float(starts_s))
 
-    def pause(self, tick: int, injected: Injected[CellFault], pause: Pause) -> None:
+    def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
         """All is forgotten; what came over the lines meanwhile nobody has heard."""
-        if injected.acts(tick):
-            pause.stopped[injected.cells] = True
-        pause.reset[injected.cells] |= tick in (injected.first, injected.end)
+        if injected.active_at(tick):
+            pause.halted[injected.cells] = True
+        pause.reset[injected.cells] |= tick in (injected.start_tick, injected.end_tick)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bus.fault import Injected
-from bus.state import Remembers
+from bus.fault import FaultInstance
+from bus.state import StateFields
 from cell_firmware.effects.sensor import LONGEST_TICKS
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.sensors import SensorFault, SensorStage, Struck
+from cell_firmware.faults.sensors import AffectedSensors, SensorFault, SensorFilter
 from cell_firmware.firmware import Floats, Inputs
 
 
@@ -20,22 +20,22 @@ from cell_firmware.firmware import Floats, Inputs
 class SensorDelayFault(SensorFault):
     """Sensors that lag: they say in every tick what they said so many before, in a younger run what they said first."""
 
-    called: ClassVar[str] = "sensor_delay"
+    kind_name: ClassVar[str] = "sensor_delay"
     kind: Literal["sensor_delay"] = "sensor_delay"
     ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)]
 
-    def acting(self, struck: Struck, injected: Injected[CellFault]) -> SensorStage:
+    def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
         """Delays."""
         return _Delay(self.ticks, struck, injected)
 
 
 @final
-class _Delay(SensorStage):
+class _Delay(SensorFilter):
     """Writes down what sensors say from as many ticks before the fault begins as it delays them."""
 
-    remembers: ClassVar[Remembers] = Remembers("_begun", "_bits", "_levels")
+    remembers: ClassVar[StateFields] = StateFields("_begun", "_bits", "_levels")
 
-    def __init__(self, ticks: int, struck: Struck, injected: Injected[CellFault]) -> None:
+    def __init__(self, ticks: int, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
         super().__init__(struck, injected)
         self._ticks = ticks
         self._begun = False
@@ -44,12 +44,12 @@ class _Delay(SensorStage):
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """What the cells see instead, while the fault acts."""
-        if self._injected.first - self._ticks <= tick < self._injected.first:
+        if self._injected.start_tick - self._ticks <= tick < self._injected.start_tick:
             at = self._struck.at
-            self.say(tick, inputs.presence[at], None if inputs.level is None else inputs.level[at])
+            self.override(tick, inputs.presence[at], None if inputs.level is None else inputs.level[at])
         return super().apply(tick, inputs, alive)
 
-    def say(
+    def override(
         self, tick: int, bit: NDArray[np.bool_], level: Floats | None
     ) -> tuple[NDArray[np.bool_], Floats | None]:
         """What was said then; what is said now takes its place."""

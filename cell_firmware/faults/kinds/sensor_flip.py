@@ -7,10 +7,10 @@ from typing import ClassVar, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from cell_firmware.effects.sensor import Probability
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.sensors import SensorFault, SensorStage, Struck
+from cell_firmware.faults.sensors import AffectedSensors, SensorFault, SensorFilter
 from cell_firmware.firmware import Floats
 
 
@@ -18,24 +18,24 @@ from cell_firmware.firmware import Floats
 class SensorFlipFault(SensorFault):
     """Readings that are the wrong way round, each by itself; of an analogue sensor one less the level."""
 
-    called: ClassVar[str] = "sensor_flip"
+    kind_name: ClassVar[str] = "sensor_flip"
     kind: Literal["sensor_flip"] = "sensor_flip"
     rate: Probability
     """Probability, a reading and tick."""
 
-    def acting(self, struck: Struck, injected: Injected[CellFault]) -> SensorStage:
+    def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
         """Flips."""
         return _Flip(self.rate, struck, injected)
 
 
 @final
-class _Flip(SensorStage):
-    def __init__(self, rate: float, struck: Struck, injected: Injected[CellFault]) -> None:
+class _Flip(SensorFilter):
+    def __init__(self, rate: float, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
         super().__init__(struck, injected)
         self._rate = rate
         self._draws = struck.draws(injected)
 
-    def say(
+    def override(
         self, tick: int, bit: NDArray[np.bool_], level: Floats | None
     ) -> tuple[NDArray[np.bool_], Floats | None]:
         """The opposite, where chance has it."""

@@ -7,9 +7,9 @@ from typing import ClassVar, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from cell_firmware.faults.base import CellFault
-from cell_firmware.faults.sensors import SensorFault, SensorStage, Struck
+from cell_firmware.faults.sensors import AffectedSensors, SensorFault, SensorFilter
 from cell_firmware.firmware import Floats
 
 
@@ -17,23 +17,23 @@ from cell_firmware.firmware import Floats
 class SensorStuckFault(SensorFault):
     """Sensors whose bit is stuck, at 0 or 1; an analogue one is told as quite uncovered or quite covered."""
 
-    called: ClassVar[str] = "sensor_stuck"
+    kind_name: ClassVar[str] = "sensor_stuck"
     kind: Literal["sensor_stuck"] = "sensor_stuck"
     value: Literal[0, 1]
     """What they say."""
 
-    def acting(self, struck: Struck, injected: Injected[CellFault]) -> SensorStage:
+    def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
         """Says it."""
         return _Stuck(bool(self.value), struck, injected)
 
 
 @final
-class _Stuck(SensorStage):
-    def __init__(self, value: bool, struck: Struck, injected: Injected[CellFault]) -> None:
+class _Stuck(SensorFilter):
+    def __init__(self, value: bool, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
         super().__init__(struck, injected)
         self._value = value
 
-    def say(self, tick: int, bit: NDArray[np.bool_], level: Floats | None) -> tuple[bool, float]:
+    def override(self, tick: int, bit: NDArray[np.bool_], level: Floats | None) -> tuple[bool, float]:
         """Always the same."""
         del tick, bit, level
         return self._value, float(self._value)

@@ -25,8 +25,8 @@ class SlowClockFault(CellTarget, CellFault):
     they had, nothing is sent, and the watchdog does not count either: it is as slow.
     """
 
-    called: ClassVar[str] = "slow_clock"
-    slows: ClassVar[bool] = True
+    kind_name: ClassVar[str] = "slow_clock"
+    skips_periods: ClassVar[bool] = True
     kind: Literal["slow_clock"] = "slow_clock"
     factor: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)]
     """Of its control periods, those in which it runs; at most six decimal places."""
@@ -38,7 +38,7 @@ class SlowClockFault(CellTarget, CellFault):
             raise ValueError("must have at most six decimal places")
         return value
 
-    def runs(self, period: NDArray[np.int64]) -> Bools:
+    def running_periods(self, period: NDArray[np.int64]) -> Bools:
         """Where the whole part of ``m factor`` goes on."""
         share = Fraction(repr(self.factor))
         over = period % share.denominator * share.numerator % share.denominator

@@ -37,7 +37,7 @@ def closed_form(scene: Scene, speeds_m_s: Floats, starts: Floats, times_s: Float
     Returns:
         None where there is none: for another law or field, with an effect, or where cells crash.
     """
-    if not isinstance(scene.friction, Viscous) or scene.faults or list(scene.effects.asked()):
+    if not isinstance(scene.friction, Viscous) or scene.faults or list(scene.effects.enabled()):
         return None
     field = linear_field(CellArray(scene.array).positions_m, speeds_m_s)
     if field is None:

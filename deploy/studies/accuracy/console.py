@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
-    from deploy.studies.accuracy.report import Report, Row, Sampling
+    from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow, Sampling
 
 _WIDTH = 148
 """Columns that the table needs."""
@@ -20,7 +20,7 @@ _KEY = (
 )
 
 
-def print_report(report: Report) -> None:
+def print_report(report: AccuracyReport) -> None:
     """Print the reference, every row, what was left out and why, and the price of sampling."""
     console = Console(highlight=False)
     if console.width < _WIDTH:
@@ -40,13 +40,13 @@ def print_report(report: Report) -> None:
         console.print(_sampling(sampling))
 
 
-def heading(report: Report) -> list[str]:
+def heading(report: AccuracyReport) -> list[str]:
     """What was studied, and what by."""
     reference = report.reference
     found = [
         (
-            f"scene {report.scene}: {report.duration_s:g} s, {counted(report.cells, 'cell')}, "
-            f"{counted(report.parcels, 'parcel')}, looked at every {report.period_s * 1e3:g} ms"
+            f"scene {report.scene}: {report.duration_s:g} s, {plural(report.cells, 'cell')}, "
+            f"{plural(report.parcels, 'parcel')}, looked at every {report.period_s * 1e3:g} ms"
         ),
         f"reference: {reference.method}",
     ]
@@ -76,7 +76,7 @@ def _milliseconds(value: float | None) -> str:
     return f"{value * 1e3:.3g}" if value < 0.9995 else f"{value * 1e3:,.0f}"
 
 
-def events(row: Row) -> str:
+def events(row: AccuracyRow) -> str:
     """``86``, ``84 −2 +3``: found, missed and invented."""
     if row.events_found is None:
         return "–"
@@ -85,7 +85,7 @@ def events(row: Row) -> str:
     return f"{row.events_found}{missed}{invented}"
 
 
-def _table(report: Report) -> Table:
+def _table(report: AccuracyReport) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("solver", style="cyan", no_wrap=True)
     table.add_column("", no_wrap=True)
@@ -118,7 +118,7 @@ def _table(report: Report) -> Table:
     return table
 
 
-def remarks(report: Report) -> list[str]:
+def remarks(report: AccuracyReport) -> list[str]:
     """What the table can't show: omissions, failures, and where the order of events parts."""
     found = ["", _KEY]
     found += list(
@@ -144,7 +144,7 @@ def remarks(report: Report) -> list[str]:
     return [*found, *_left_out(report)]
 
 
-def _left_out(report: Report) -> list[str]:
+def _left_out(report: AccuracyReport) -> list[str]:
     """Rows without figures and why, those of a line that have one reason together."""
     settings: dict[tuple[str, str], list[str]] = {}
     for row in report.rows:
@@ -168,7 +168,7 @@ def _sampling(sampling: Sampling) -> Table:
     return table
 
 
-def answer(report: Report, target_m: float) -> str:
+def answer(report: AccuracyReport, target_m: float) -> str:
     """The cheapest solver and setting that reaches a target, in one line."""
     row = report.cheapest(target_m)
     if row is not None:

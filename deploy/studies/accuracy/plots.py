@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from deploy.plots.map_view import COLOURS
 from deploy.plots.theme import DPI, draw_heading, write_picture
 from deploy.util.files import write_text
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from deploy.studies.accuracy.report import Report, Row
+    from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow
 
 
 _WIDTH, _HEIGHT = 9.6, 6.0
@@ -29,22 +29,22 @@ _FLOOR_M = 1e-16
 _GUIDE = "#8b95a1"
 
 
-def draw_work_precision(report: Report, path: Path) -> None:
+def draw_work_precision(report: AccuracyReport, path: Path) -> None:
     """Error against wall time, a line a solver, both logarithmic."""
     write_picture(lambda: _work_precision(report), path)
 
 
-def draw_tolerance(report: Report, path: Path) -> None:
+def draw_tolerance(report: AccuracyReport, path: Path) -> None:
     """Error got against tolerance asked, both logarithmic; the line of slope 1 is what was asked for."""
     write_picture(lambda: _tolerance(report), path)
 
 
-def draw_sampling(report: Report, path: Path) -> None:
+def draw_sampling(report: AccuracyReport, path: Path) -> None:
     """Error of the whole system against its wall time, a point a control period."""
     write_picture(lambda: _sampling(report), path)
 
 
-def _page(report: Report, title: str, facts: Sequence[str]) -> tuple[Figure, Axes]:
+def _page(report: AccuracyReport, title: str, facts: Sequence[str]) -> tuple[Figure, Axes]:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")
@@ -58,15 +58,15 @@ def _page(report: Report, title: str, facts: Sequence[str]) -> tuple[Figure, Axe
     return figure, axes
 
 
-def _of(report: Report, line: str) -> list[Row]:
+def _of(report: AccuracyReport, line: str) -> list[AccuracyRow]:
     return [row for row in report.rows if row.line == line and row.error_max is not None]
 
 
-def _errors(rows: Sequence[Row]) -> list[float]:
+def _errors(rows: Sequence[AccuracyRow]) -> list[float]:
     return [max(row.error_max or 0.0, _FLOOR_M) for row in rows]
 
 
-def _look(report: Report, line: str) -> dict[str, Any]:
+def _look(report: AccuracyReport, line: str) -> dict[str, Any]:
     """Colour by solver, stroke and mark by line, the same in every picture."""
     names = report.lines
     solvers = list(dict.fromkeys(row.solver for row in report.rows))
@@ -83,12 +83,12 @@ def _look(report: Report, line: str) -> dict[str, Any]:
     }
 
 
-def _legend(axes: Axes, report: Report) -> None:
+def _legend(axes: Axes, report: AccuracyReport) -> None:
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, borderaxespad=0.0)
     _list(axes, [f"{row.line}: {row.status}" for row in report.rows if row.error_max is None])
 
 
-def _work_precision(report: Report) -> Figure:
+def _work_precision(report: AccuracyReport) -> Figure:
     figure, axes = _page(
         report, "Work and precision", [f"{report.duration_s:g} s", f"reference: {report.reference.method}"]
     )
@@ -108,7 +108,7 @@ def _work_precision(report: Report) -> Figure:
     return figure
 
 
-def _tolerance(report: Report) -> Figure:
+def _tolerance(report: AccuracyReport) -> Figure:
     figure, axes = _page(
         report,
         "Tolerance asked, error got",
@@ -132,11 +132,11 @@ def _tolerance(report: Report) -> Figure:
     return figure
 
 
-def _sampling(report: Report) -> Figure:
+def _sampling(report: AccuracyReport) -> Figure:
     figure, axes = _page(
         report,
         "The price of sampling",
-        [counted(report.cells, "cell"), "cells, bus and plant in one process"],
+        [plural(report.cells, "cell"), "cells, bus and plant in one process"],
     )
     lowest, highest = 1.0, _FLOOR_M
     for number, sampling in enumerate(report.sampling):
@@ -189,7 +189,7 @@ TOLERANCE = "tolerance.png"
 SAMPLING = "sampling.png"
 
 
-def write_report(report: Report, folder: Path) -> None:
+def write_report(report: AccuracyReport, folder: Path) -> None:
     """Write all files, each whole or not at all.
 
     Raises:

@@ -18,7 +18,7 @@ from deploy.runs.field_simulation import field_speeds
 from deploy.studies.accuracy.closed_form import closed_form
 from deploy.studies.accuracy.errors import displacement_m
 from deploy.studies.accuracy.sweep import Settings, refusal, with_solver
-from deploy.studies.accuracy.trace import Course, follow
+from deploy.studies.accuracy.trace import AccuracyTrace, run_trace
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
@@ -72,13 +72,13 @@ class Reference:
 
     method: str
     solver: str
-    course: Course
-    second: tuple[str, Course] | None
+    course: AccuracyTrace
+    second: tuple[str, AccuracyTrace] | None
     agreement: Sequence[Agreement]
     chatter_s: float | None
     notes: Sequence[str]
 
-    def judge(self, solver: str) -> tuple[str, Course]:
+    def judge(self, solver: str) -> tuple[str, AccuracyTrace]:
         """Whose course judges a solver, and it."""
         if solver == self.solver and self.second is not None:
             return self.second
@@ -90,14 +90,14 @@ class Reference:
         return float(self.course.time_s[-1]) if self.chatter_s is None else self.chatter_s
 
 
-def spoken(settings: Settings) -> str:
+def describe_method(settings: Settings) -> str:
     """``heyoka, tolerance 1e-14``."""
     rest = ", ".join(f"{key} {value}" for key, value in settings.items() if key != "name")
     return f"{settings['name']}, {rest}"
 
 
 @final
-class Referee:
+class ReferenceSolver:
     """Finds the reference of a scene.
 
     Args:
@@ -122,11 +122,11 @@ class Referee:
         self._scene, self._limit_s, self._thorough, self._look = scene, limit_s, thorough, look
         self._methods = list(methods)
         self._notes: list[str] = []
-        self._exact: Course | None = None
-        self._located: Course | None = None
+        self._exact: AccuracyTrace | None = None
+        self._located: AccuracyTrace | None = None
         self._over_s = time.process_time() + budget_s
 
-    def find(self) -> Reference:
+    def solve(self) -> Reference:
         """Compute it, and check it.
 
         Raises:
@@ -151,7 +151,7 @@ class Referee:
 
     # --- courses --------------------------------------------------------------------------------------------------
 
-    def _try(self, settings: Settings, until_s: float | None = None) -> Course | None:
+    def _try(self, settings: Settings, until_s: float | None = None) -> AccuracyTrace | None:
         """A course, or None and a note where it is not to be had."""
         why = refusal(self._scene, settings)
         left_s = min(self._limit_s, self._over_s - time.process_time())
@@ -159,14 +159,14 @@ class Referee:
             why = "not begun, for lack of time"
         if why is None:
             try:
-                course = follow(with_solver(self._scene, settings, until_s), left_s, self._look)
+                course = run_trace(with_solver(self._scene, settings, until_s), left_s, self._look)
             except PlantError as error:
                 why = str(error)
             else:
                 if course.status == "ok":
                     return course
                 why = course.reason
-        self._notes.append(f"{spoken(settings)}: {(why or 'no reason is known').rstrip('.')}.")
+        self._notes.append(f"{describe_method(settings)}: {(why or 'no reason is known').rstrip('.')}.")
         return None
 
     def _onset(self) -> float | None:
@@ -179,7 +179,7 @@ class Referee:
         before = self._exact.samples_until(first) - 2
         return float(self._exact.time_s[max(before, 0)])
 
-    def _first(self, onset_s: float | None) -> tuple[tuple[Settings, Course] | None, list[Settings]]:
+    def _first(self, onset_s: float | None) -> tuple[tuple[Settings, AccuracyTrace] | None, list[Settings]]:
         """The first method that gets to the end, or else to the onset of chatter; and those that are left."""
         left = list(self._methods)
         while left:
@@ -192,7 +192,7 @@ class Referee:
                 return (settings, course), left
         return None, left
 
-    def _through_chatter(self, settings: Settings, course: Course, onset_s: float) -> Course:
+    def _through_chatter(self, settings: Settings, course: AccuracyTrace, onset_s: float) -> AccuracyTrace:
         """A course up to the onset of chatter, and from there on that of ``exact``, every crossing located."""
         after = self._located or self._exact
         assert after is not None, "this is a bug: chatter without a course of exact"
@@ -210,38 +210,40 @@ class Referee:
     # --- checks ---------------------------------------------------------------------------------------------------
 
     def _checked(
-        self, settings: Settings, course: Course, others: Sequence[Settings], onset: float | None
+        self, settings: Settings, course: AccuracyTrace, others: Sequence[Settings], onset: float | None
     ) -> Reference:
         until = float(course.time_s[-1]) if onset is None else onset
         agreement: list[Agreement] = [*self._closed(course)]
-        second: tuple[str, Course] | None = None
+        second: tuple[str, AccuracyTrace] | None = None
         finest = self._located or self._exact
         if finest is not None and settings["name"] != "exact":
             second = "exact", finest
-            agreement.append(_apart(spoken(FINEST), course, finest, until))
+            agreement.append(_apart(describe_method(FINEST), course, finest, until))
             if self._located is not None:
-                located = spoken({**FINEST, "capture_m": LOCATED_M})
+                located = describe_method({**FINEST, "capture_m": LOCATED_M})
                 agreement.append(_apart(located, course, finest, float(course.time_s[-1])))
         if others and (self._thorough or not agreement or second is None):
             third = next(
                 ((one, found) for one in others if (found := self._try(one, onset)) is not None), None
             )
             if third is not None:
-                agreement.append(_apart(spoken(third[0]), course, third[1], until))
+                agreement.append(_apart(describe_method(third[0]), course, third[1], until))
                 if second is None:
                     second = str(third[0]["name"]), third[1]
         if not agreement:
             crude = self._try(CRUDE, onset)
             if crude is not None:
-                agreement.append(_apart(spoken(CRUDE), course, crude, until))
+                agreement.append(_apart(describe_method(CRUDE), course, crude, until))
         name = str(settings["name"])
         if second is None and name != "exact":
             self._notes.append(
                 f"No other method of its digits solves the scene: {name} is judged against itself, finer."
             )
-        return Reference(spoken(settings), name, course, second, agreement, onset, tuple(self._notes))
+        return Reference(
+            describe_method(settings), name, course, second, agreement, onset, tuple(self._notes)
+        )
 
-    def _closed(self, course: Course) -> Sequence[Agreement]:
+    def _closed(self, course: AccuracyTrace) -> Sequence[Agreement]:
         """How far centres of mass are from the closed form, where there is one and every parcel stands to the end."""
         fallen = min(
             (event.time_s for event in course.events if event.kind in ("tipped", "off_array")), default=np.inf
@@ -259,7 +261,7 @@ class Referee:
         return (Agreement("closed form", "centre of mass", apart, float(times[-1])),)
 
 
-def _apart(method: str, course: Course, other: Course, until_s: float) -> Agreement:
+def _apart(method: str, course: AccuracyTrace, other: AccuracyTrace, until_s: float) -> Agreement:
     count = min(course.samples_until(until_s), other.samples_until(until_s))
     off = displacement_m(course.state[:count], other.state[:count], course.footprints_m)
     return Agreement(method, "corners", float(off.max(initial=0.0)), until_s)

@@ -19,7 +19,7 @@ _PACKAGES = ("mdms-emulator", "numpy", "numba", "scipy", "heyoka")
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class AccuracyRow:
     """A solver at one setting; what there is none of is None.
 
     Attributes:
@@ -113,7 +113,7 @@ class Sampling:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Report:
+class AccuracyReport:
     """All of a study.
 
     Attributes:
@@ -137,7 +137,7 @@ class Report:
     period_s: float
     quick: bool
     reference: Reference
-    rows: Sequence[Row]
+    rows: Sequence[AccuracyRow]
     sampling: Sequence[Sampling]
 
     @property
@@ -145,12 +145,12 @@ class Report:
         """The lines that rows belong to, each once, in their order."""
         return list(dict.fromkeys(row.line for row in self.rows))
 
-    def cheapest(self, target_m: float) -> Row | None:
+    def cheapest(self, target_m: float) -> AccuracyRow | None:
         """The row of least wall time whose error over the run is no larger than a target."""
         good = [row for row in self.rows if row.error_max is not None and row.error_max <= target_m]
         return min(good, key=lambda row: row.wall_s or 0.0, default=None)
 
-    def most_accurate(self) -> Row | None:
+    def most_accurate(self) -> AccuracyRow | None:
         """The row of least error."""
         judged = [row for row in self.rows if row.error_max is not None]
         return min(judged, key=lambda row: row.error_max or 0.0, default=None)
@@ -177,7 +177,7 @@ class Report:
     def to_csv(self) -> str:
         """The rows as CSV, a header first; what there is none of is empty."""
         text = io.StringIO()
-        names = [field.name for field in fields(Row)]
+        names = [field.name for field in fields(AccuracyRow)]
         table = csv.DictWriter(text, names, lineterminator="\n")
         table.writeheader()
         table.writerows(asdict(row) for row in self.rows)

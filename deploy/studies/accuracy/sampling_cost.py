@@ -23,7 +23,7 @@ from deploy.workers.plan import RunOptions
 from plant.effects.motors import MotorsSpec
 
 if TYPE_CHECKING:
-    from deploy.studies.accuracy.trace import Course
+    from deploy.studies.accuracy.trace import AccuracyTrace
 
 Floats = NDArray[np.float64]
 
@@ -35,8 +35,8 @@ FEW_HALVINGS = 3
 """... so many."""
 
 
-def price_of_sampling(
-    scene: Scene, reference: Course, *, quick: bool, limit_s: float, look: Callable[[], None]
+def sampling_cost(
+    scene: Scene, reference: AccuracyTrace, *, quick: bool, limit_s: float, look: Callable[[], None]
 ) -> list[Sampling]:
     """Run the whole system in this process, over the memory transport, at periods that halve.
 
@@ -75,7 +75,13 @@ def price_of_sampling(
 
 
 def _series(
-    scene: Scene, wheels: str, reference: Course, *, quick: bool, limit_s: float, look: Callable[[], None]
+    scene: Scene,
+    wheels: str,
+    reference: AccuracyTrace,
+    *,
+    quick: bool,
+    limit_s: float,
+    look: Callable[[], None],
 ) -> Sampling:
     """All periods, the longest first."""
     periods = [COARSEST * scene.cells.period_ns]
@@ -103,7 +109,7 @@ def _series(
     return Sampling(wheels, against, [_judged(row, states, known, reference) for row, states in found])
 
 
-def _judged(row: Sampled, states: Floats | None, known: Floats, reference: Course) -> Sampled:
+def _judged(row: Sampled, states: Floats | None, known: Floats, reference: AccuracyTrace) -> Sampled:
     if states is None:
         return row
     count = min(len(states), len(known))
@@ -111,7 +117,7 @@ def _judged(row: Sampled, states: Floats | None, known: Floats, reference: Cours
     return replace(row, error_max=float(off.max()))
 
 
-def _common(course: Course, every_ns: int) -> Floats:
+def _common(course: AccuracyTrace, every_ns: int) -> Floats:
     """States at the instants that are whole multiples of the longest period."""
     time_ns = np.rint(course.time_s * 1e9).astype(np.int64)
     return course.state[time_ns % every_ns == 0]
@@ -125,7 +131,7 @@ def _whole(scene: Scene, period_ns: int, every_ns: int) -> tuple[Sampled, Floats
         options = RunOptions(processes=0, transport="memory", output=Path(folder) / "run", picture=False)
         try:
             summary = run(changed, options, quiet=True).summary
-            track = load(Path(folder) / "run").track()
+            track = load(Path(folder) / "run").run_trace()
         except DeployError as error:
             return Sampled(period_s, None, None, "failed", str(error)), None
     if summary.status == "interrupted":  # the run has taken the signal for itself

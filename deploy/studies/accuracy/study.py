@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from deploy.errors import InputError
-from deploy.runs.field_simulation import field_speeds, ideal
+from deploy.runs.field_simulation import field_speeds, without_cells
 from deploy.runs.setup import load_plant
-from deploy.scenes.fault_schedule import of_cells_alone
+from deploy.scenes.fault_schedule import cell_only_faults
 from deploy.studies.accuracy.errors import (
     compare_events,
     corner_speeds,
     displacement_m,
     distribution_distance,
 )
-from deploy.studies.accuracy.reference import METHODS, Referee, Reference
-from deploy.studies.accuracy.report import Report, Row, Sampling
-from deploy.studies.accuracy.sampling_cost import price_of_sampling
+from deploy.studies.accuracy.reference import METHODS, Reference, ReferenceSolver
+from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow, Sampling
+from deploy.studies.accuracy.sampling_cost import sampling_cost
 from deploy.studies.accuracy.sweep import Trial, lines, refusal, with_solver
-from deploy.studies.accuracy.trace import Course, follow, timed
+from deploy.studies.accuracy.trace import AccuracyTrace, run_trace, time_run
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ FEWEST = 5
 
 @final
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StudyPlan:
     """How a study is made.
 
     Attributes:
@@ -67,7 +67,7 @@ class Plan:
     sampling: bool = True
 
     @classmethod
-    def of(cls, *, quick: bool, repeats: int | None = None) -> Plan:
+    def of(cls, *, quick: bool, repeats: int | None = None) -> StudyPlan:
         """The usual ones; where repeats are asked for, all of them are made."""
         if quick:
             return cls(True, repeats or 3, limit_s=3.0, timing_s=np.inf if repeats else 1.0)
@@ -76,11 +76,11 @@ class Plan:
 
 def study(
     scene: Scene,
-    plan: Plan | None = None,
+    plan: StudyPlan | None = None,
     *,
     say: Callable[[str], None] | None = None,
     look: Callable[[], None] = lambda: None,
-) -> Report:
+) -> AccuracyReport:
     """Run every solver on a scene and judge it.
 
     Args:
@@ -92,7 +92,7 @@ def study(
     Raises:
         InputError: The scene has no field or no parcels, the plant refuses it, or nobody gets through it.
     """
-    return _Study(scene, plan or Plan(), say or (lambda _: None), look).report()
+    return _Study(scene, plan or StudyPlan(), say or (lambda _: None), look).report()
 
 
 @final
@@ -100,18 +100,18 @@ class _Study:
     """One study."""
 
     def __init__(
-        self, scene: Scene, plan: Plan, say: Callable[[str], None], look: Callable[[], None]
+        self, scene: Scene, plan: StudyPlan, say: Callable[[str], None], look: Callable[[], None]
     ) -> None:
         self._named, self._plan, self._say, self._look = scene, plan, say, look
-        self._scene = ideal(scene)
+        self._scene = without_cells(scene)
         self._over_s = np.inf
 
-    def report(self) -> Report:
+    def report(self) -> AccuracyReport:
         plan, scene = self._plan, self._scene
         plant = load_plant(scene, self._say)
         self._say("loading every solver (seconds each where a version's kernels are compiled first) ...")
         field_speeds(scene, plant.array.positions_m)
-        for fault in of_cells_alone(self._named):
+        for fault in cell_only_faults(self._named):
             self._say(
                 f"{fault} is left out of all but the price of sampling: solvers move parcels without cells"
             )
@@ -119,7 +119,7 @@ class _Study:
             raise InputError(f"scene {scene.name}: has no parcels: there is nothing to be accurate about")
         self._say("the reference ...")
         many, begun_s = plan.quick and len(plant.state) > QUICK_PARCELS, time.process_time()
-        referee = Referee(
+        referee = ReferenceSolver(
             scene,
             limit_s=2.0 * plan.limit_s,
             budget_s=QUICK_REFERENCE_S if plan.quick else np.inf,
@@ -127,19 +127,19 @@ class _Study:
             look=self._look,
             methods=[one for one in METHODS if not (many and one["name"] in ("heyoka", "scipy"))],
         )
-        reference = referee.find()
+        reference = referee.solve()
         rows = self._rows(reference, time.process_time() - begun_s)
         sampling: list[Sampling] = []
         if plan.sampling:
             self._say("the whole system, at several control periods ...")
-            sampling += price_of_sampling(
+            sampling += sampling_cost(
                 self._named,
                 reference.course,
                 quick=plan.quick,
                 limit_s=QUICK_SAMPLING_S if plan.quick else plan.limit_s,
                 look=self._look,
             )
-        return Report(
+        return AccuracyReport(
             scene=self._named.name,
             title=scene.title or scene.name,
             duration_s=scene.duration_s,
@@ -152,7 +152,7 @@ class _Study:
             sampling=sampling,
         )
 
-    def _rows(self, reference: Reference, spent_s: float) -> list[Row]:
+    def _rows(self, reference: Reference, spent_s: float) -> list[AccuracyRow]:
         """All rows, line by line; coarse settings of every line are run before finer ones of any.
 
         ``spent_s`` is what the reference took.
@@ -161,7 +161,7 @@ class _Study:
             tuple(trial for trial in line if trial.quick or not self._plan.quick)
             for line in lines(self._scene)
         ]
-        done: dict[tuple[int, int], Row] = {}
+        done: dict[tuple[int, int], AccuracyRow] = {}
         first = [line[0] for line in lines(self._scene)]
         refused = {number: why for number, trial in enumerate(first) if (why := self._refusal(trial))}
         if self._plan.quick:  # all that had to be compiled is
@@ -170,7 +170,7 @@ class _Study:
             for number, line in enumerate(swept):
                 if number not in refused and level < len(line):
                     done[number, level] = self._row(line[level], reference)
-        rows: list[Row] = []
+        rows: list[AccuracyRow] = []
         for number, line in enumerate(swept):
             if number in refused:
                 rows.append(_bare(first[number], "omitted", refused[number], whole=True))
@@ -193,20 +193,20 @@ class _Study:
             return str(error)
         return None
 
-    def _row(self, trial: Trial, reference: Reference) -> Row:
+    def _row(self, trial: Trial, reference: Reference) -> AccuracyRow:
         """One solver at one setting, judged and timed."""
         if time.process_time() > self._over_s:
             return _bare(trial, "omitted", "not begun, for lack of time: the study is quick")
         self._say(f"{trial.solver} {trial.setting}")
         scene = with_solver(self._scene, trial.settings)
         judge, known = reference.judge(trial.solver)
-        course = follow(scene, self._plan.limit_s, self._look)
+        course = run_trace(scene, self._plan.limit_s, self._look)
         row = replace(_bare(trial, course.status, course.reason), judged_by=judge, effort=course.effort)
         if course.status != "ok":
             return replace(row, **_before(course, known, reference))
         walls = [course.wall_s] if course.wall_s > LONG_S else []
         while len(walls) < self._plan.repeats and sum(walls) < self._plan.timing_s:
-            walls.append(timed(scene, self._look))
+            walls.append(time_run(scene, self._look))
         median = statistics.median(walls)
         return replace(
             row,
@@ -219,9 +219,9 @@ class _Study:
         )
 
 
-def _bare(trial: Trial, status: str, reason: str | None, *, whole: bool = False) -> Row:
+def _bare(trial: Trial, status: str, reason: str | None, *, whole: bool = False) -> AccuracyRow:
     """A row without figures; of a whole line where none of its settings was tried."""
-    return Row(
+    return AccuracyRow(
         solver=trial.solver,
         line=trial.line,
         setting="all" if whole else trial.setting,
@@ -233,7 +233,7 @@ def _bare(trial: Trial, status: str, reason: str | None, *, whole: bool = False)
     )
 
 
-def _judged(course: Course, known: Course, reference: Reference) -> dict[str, Any]:
+def _judged(course: AccuracyTrace, known: AccuracyTrace, reference: Reference) -> dict[str, Any]:
     """Errors of a whole course."""
     off = displacement_m(course.state, known.state, known.footprints_m)
     events = compare_events(course.events, known.events, reference.duration_s)
@@ -258,7 +258,7 @@ def _judged(course: Course, known: Course, reference: Reference) -> dict[str, An
     return found
 
 
-def _before(course: Course, known: Course, reference: Reference) -> dict[str, Any]:
+def _before(course: AccuracyTrace, known: AccuracyTrace, reference: Reference) -> dict[str, Any]:
     """Error before chatter of a course that got that far, and no farther than into it."""
     if reference.chatter_s is None or course.time_s[-1] < reference.chatter_s:
         return {}

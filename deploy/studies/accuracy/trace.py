@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.runs.field_simulation import field_speeds, in_parts
+from deploy.runs.field_simulation import field_speeds, iterate_field_motion
 from deploy.runs.setup import status_of
 from plant.errors import PlantError
 
@@ -31,7 +31,7 @@ class _OutOfTimeError(Exception):
 
 @final
 @dataclass(frozen=True, slots=True)
-class Course:
+class AccuracyTrace:
     """How a scene went.
 
     Attributes:
@@ -59,7 +59,7 @@ class Course:
         return int(np.searchsorted(self.time_s, until_s + 1e-12, side="right"))
 
 
-def follow(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | None = None) -> Course:
+def run_trace(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | None = None) -> AccuracyTrace:
     """Simulate a scene as ``mdms simulate`` does, from a plant built for it.
 
     Args:
@@ -87,7 +87,7 @@ def follow(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | Non
 
     status, reason = "ok", None
     try:
-        for part in in_parts(scene, plant, speeds, check=check, samples=SAMPLES):
+        for part in iterate_field_motion(scene, plant, speeds, check=check, samples=SAMPLES):
             times.append(part.time_ns[1:].astype(np.float64) * 1e-9)
             states.append(part.state[1:])
             events += part.events
@@ -99,7 +99,7 @@ def follow(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | Non
     except PlantError as error:
         status, reason = status_of(error), str(error)
     wall_s = time.perf_counter() - begun
-    return Course(
+    return AccuracyTrace(
         np.concatenate(times),
         np.concatenate(states),
         events,
@@ -111,7 +111,7 @@ def follow(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | Non
     )
 
 
-def timed(scene: Scene, look: Callable[[], None] | None = None) -> float:
+def time_run(scene: Scene, look: Callable[[], None] | None = None) -> float:
     """Wall time of one more run, s: the same calls of the plant, and nothing kept."""
     from plant.plant import Plant
 
@@ -122,6 +122,6 @@ def timed(scene: Scene, look: Callable[[], None] | None = None) -> float:
 
 def _spent(scene: Scene, plant: Plant, speeds: Floats, look: Callable[[], None]) -> float:
     begun = time.perf_counter()
-    for _ in in_parts(scene, plant, speeds, check=look, samples=SAMPLES):
+    for _ in iterate_field_motion(scene, plant, speeds, check=look, samples=SAMPLES):
         pass
     return time.perf_counter() - begun

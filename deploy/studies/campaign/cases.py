@@ -20,11 +20,11 @@ from deploy.scenes.errors import KeyPath
 from deploy.scenes.files import parse_scene
 from deploy.scenes.overrides import Override
 from deploy.studies.campaign.criterion import Criterion, criterion_of
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
-    from deploy.studies.campaign.spec import Asked
+    from deploy.studies.campaign.spec import CampaignSpec
 
 
 FAULT = "fault"
@@ -158,7 +158,7 @@ def check_size(axes: Sequence[Axis], seeds: Sequence[int], most: int) -> None:
     """
     runs = math.prod(len(axis.values) for axis in axes) * len(seeds)
     if runs > most:
-        raise InputError(f"campaign: {counted(runs, 'run')}; at most {most:,}")
+        raise InputError(f"campaign: {plural(runs, 'run')}; at most {most:,}")
 
 
 _TARGETS = CellTarget.model_fields.keys() - FaultSpec.model_fields.keys()
@@ -186,13 +186,13 @@ class Case:
     number: int
     values: dict[str, Any]
     scene: Scene
-    undisturbed: Scene | None
+    baseline: Scene | None
     criterion: Criterion
-    beside: str = ""
+    baseline_result: str = ""
 
-    def undisturbed_key(self, seed: int) -> str:
+    def baseline_id(self, seed: int) -> str:
         """Names the run that the one with this seed is compared with; empty where there is none."""
-        return f"{self.beside}-{seed}" if self.beside else ""
+        return f"{self.baseline_result}-{seed}" if self.baseline_result else ""
 
 
 @final
@@ -218,9 +218,9 @@ class Cases:
         return len(self.cases) * len(self.seeds)
 
     @property
-    def undisturbed_runs(self) -> int:
+    def baseline_runs(self) -> int:
         """How many of those, each once for all cases that share it."""
-        return len({case.beside for case in self.cases} - {""}) * len(self.seeds)
+        return len({case.baseline_result for case in self.cases} - {""}) * len(self.seeds)
 
 
 def with_seed(scene: Scene, seed: int) -> Scene:
@@ -228,7 +228,7 @@ def with_seed(scene: Scene, seed: int) -> Scene:
     return scene.model_copy(update={"seed": seed})
 
 
-def cases_of(asked: Asked, text: str) -> Cases:
+def cases_of(asked: CampaignSpec, text: str) -> Cases:
     """Make and validate the scenes of all cases.
 
     Args:
@@ -270,7 +270,7 @@ def cases_of(asked: Asked, text: str) -> Cases:
     return Cases(plain, axes, seeds, tuple(case(*one) for one in enumerate(combinations(axes))))
 
 
-def _sets(asked: Asked) -> tuple[list[Override], list[Override]]:
+def _sets(asked: CampaignSpec) -> tuple[list[Override], list[Override]]:
     """What ``--set`` changes in the scene, and in the campaign's fault."""
     sets = [Override.parse(text) for text in asked.set]
     if asked.duration_s is not None:
@@ -282,7 +282,7 @@ def _sets(asked: Asked) -> tuple[list[Override], list[Override]]:
     return everywhere, of_fault
 
 
-def _axes(asked: Asked) -> tuple[Axis, ...]:
+def _axes(asked: CampaignSpec) -> tuple[Axis, ...]:
     options = [] if asked.share is None else [(f"{FAULT}.share={asked.share}", f"--share {asked.share}")]
     options += [(one, f"--vary {one}") for one in asked.vary]
     axes = tuple(Axis.parse(text, option) for text, option in options)
@@ -293,7 +293,7 @@ def _axes(asked: Asked) -> tuple[Axis, ...]:
     return axes
 
 
-def _check_fault(asked: Asked, path: Sequence[str | int], option: str) -> None:
+def _check_fault(asked: CampaignSpec, path: Sequence[str | int], option: str) -> None:
     if path[0] != FAULT:
         return
     if len(path) < 2:
@@ -302,7 +302,7 @@ def _check_fault(asked: Asked, path: Sequence[str | int], option: str) -> None:
         raise InputError(f"{option}: of which fault? --fault KIND adds one")
 
 
-def _fault(asked: Asked, more: Sequence[Override], axes: Sequence[Axis]) -> list[Override]:
+def _fault(asked: CampaignSpec, more: Sequence[Override], axes: Sequence[Axis]) -> list[Override]:
     """The campaign's fault, without what is varied of it; empty where there is none.
 
     One that strikes cells, and of which nothing says which, strikes all of them.

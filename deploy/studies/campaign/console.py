@@ -9,18 +9,18 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.studies.campaign.report import criterion_words
-from deploy.util.formatting import counted, short
+from deploy.util.formatting import plural, short_number
 from deploy.util.progress import LINE_S, Display
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
     from deploy.studies.campaign.cases import Axis
-    from deploy.studies.campaign.report import Mean, Report, Share
+    from deploy.studies.campaign.report import CampaignReport, Mean, Share
 
 
 @final
-class Progress(Display):
+class CampaignProgress(Display):
     """A bar with the runs that are over, those that failed, and the time left; lines now and then in a log.
 
     Args:
@@ -76,7 +76,7 @@ _FAILED = 5
 """Failed runs that are told; the others are in ``runs.jsonl``."""
 
 
-def print_report(report: Report) -> None:
+def print_report(report: CampaignReport) -> None:
     """Print a row a case, and the first runs that failed."""
     console, table = Console(highlight=False), _table(report)
     needed = console.measure(table, options=console.options.update(max_width=_WIDEST)).maximum
@@ -88,7 +88,7 @@ def print_report(report: Report) -> None:
     console.print(table)
     failed = list(report.failed())
     if failed:
-        console.print(f"\n{counted(len(failed), 'run')} failed:")
+        console.print(f"\n{plural(len(failed), 'run')} failed:")
     for values, seed, outcome in failed[:_FAILED]:
         said = ", ".join([*(f"{key} {value_of(value)}" for key, value in values.items()), f"seed {seed}"])
         console.print(f"  {said}: {outcome.status}: {outcome.reason}", markup=False, soft_wrap=True)
@@ -97,24 +97,24 @@ def print_report(report: Report) -> None:
     lost = sum(row.cells_lost for row in report.rows)
     if lost:
         console.print(
-            f"\n{counted(lost, 'cell')} were lost though no fault struck them: programs that raised, or did not answer "
+            f"\n{plural(lost, 'cell')} were lost though no fault struck them: programs that raised, or did not answer "
             "in time."
         )
 
 
-def heading(report: Report) -> str:
+def heading(report: CampaignReport) -> str:
     """What was run, in one line."""
     asked, cases = report.asked, report.cases
     facts = [f"scene {asked.scene}"]
     if asked.fault:
         until = "" if asked.until_s is None else f" to {asked.until_s:g} s"
         facts.append(f"fault {asked.fault} from {asked.at_s:g} s{until}")
-    beside = f" and {cases.undisturbed_runs:,} undisturbed" if cases.undisturbed_runs else ""
-    facts += [counted(len(cases.seeds), "seed"), counted(len(report.outcomes), "run") + beside]
+    beside = f" and {cases.baseline_runs:,} undisturbed" if cases.baseline_runs else ""
+    facts += [plural(len(cases.seeds), "seed"), plural(len(report.outcomes), "run") + beside]
     return f"{', '.join(facts)}; in brackets {100 * asked.confidence:g} % confidence intervals"
 
 
-def _table(report: Report) -> Table:
+def _table(report: CampaignReport) -> Table:
     table = Table(box=None, pad_edge=False)
     for axis in report.cases.axes:
         table.add_column(_heading(axis, report), style="cyan", justify="right", no_wrap=True)
@@ -132,7 +132,7 @@ def _table(report: Report) -> Table:
     return table
 
 
-def _heading(axis: Axis, report: Report) -> str:
+def _heading(axis: Axis, report: CampaignReport) -> str:
     """The last part of a key, where that tells which it is."""
     name = str(axis.path[-1])
     alike = [other for other in report.cases.axes if other.path[-1] == axis.path[-1]]
@@ -141,7 +141,7 @@ def _heading(axis: Axis, report: Report) -> str:
 
 def value_of(value: Any) -> str:
     """A varied value as short as it can be."""
-    return short(value) if isinstance(value, float) else str(value)
+    return short_number(value) if isinstance(value, float) else str(value)
 
 
 def share_text(share: Share) -> str:
@@ -160,7 +160,7 @@ def mean_text(mean: Mean, runs: int) -> str:
     """``0.12 (0.1–0.14)``; of how many, where that isn't of all runs."""
     if mean.mean is None:
         return "–"
-    text = short(mean.mean)
+    text = short_number(mean.mean)
     if mean.low is not None and mean.high is not None:
-        text += f" ({short(mean.low)}–{short(mean.high)})"
+        text += f" ({short_number(mean.low)}–{short_number(mean.high)})"
     return text if mean.runs == runs else f"{text} of {mean.runs}"

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 from deploy.errors import InputError
-from deploy.util.formatting import point
+from deploy.util.formatting import format_point
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
-    from deploy.studies.campaign.spec import Asked
+    from deploy.studies.campaign.spec import CampaignSpec
 
 
 @final
@@ -50,10 +50,10 @@ class Criterion:
         """Words for what errors are measured from."""
         if self.compared or self.place_m is None:
             return "where the undisturbed run ends"
-        return f"{point(self.place_m)} m"
+        return f"{format_point(self.place_m)} m"
 
 
-def criterion_of(asked: Asked, scene: Scene, *, compared: bool) -> Criterion:
+def criterion_of(asked: CampaignSpec, scene: Scene, *, compared: bool) -> Criterion:
     """Return the criterion for the runs of a scene.
 
     Args:
@@ -91,7 +91,7 @@ def criterion_of(asked: Asked, scene: Scene, *, compared: bool) -> Criterion:
     )
 
 
-def _nothing_demanded(asked: Asked, *, compared: bool) -> str:
+def _nothing_demanded(asked: CampaignSpec, *, compared: bool) -> str:
     if compared:
         return (
             f"campaign: nothing says when a run of {asked.scene} has succeeded: give --within METRES, the largest "

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from deploy.plots.map_view import INK
 from deploy.plots.theme import DPI, draw_heading, write_picture
 from deploy.studies.campaign.console import value_of
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from deploy.studies.campaign.cases import Axis
-    from deploy.studies.campaign.report import Mean, Report, Row
+    from deploy.studies.campaign.report import CampaignReport, CampaignRow, Mean
     from plant.wheels import Floats
 
 FILE_NAME = "campaign.png"
@@ -61,7 +61,7 @@ class _Measure:
     limits: tuple[float | None, float | None]
 
 
-def why_none(report: Report) -> str:
+def why_none(report: CampaignReport) -> str:
     """Why there is no picture; empty where there is one."""
     varied = len(_varied(report))
     if varied == 0:
@@ -73,7 +73,7 @@ def why_none(report: Report) -> str:
     )
 
 
-def draw_campaign(report: Report, path: Path) -> None:
+def draw_campaign(report: CampaignReport, path: Path) -> None:
     """Draw a campaign over the one or two values that are varied as a PNG.
 
     Args:
@@ -86,11 +86,11 @@ def draw_campaign(report: Report, path: Path) -> None:
     write_picture(lambda: _figure(report), path)
 
 
-def _varied(report: Report) -> list[Axis]:
+def _varied(report: CampaignReport) -> list[Axis]:
     return [axis for axis in report.cases.axes if len(axis.values) > 1]
 
 
-def _figure(report: Report) -> Figure:
+def _figure(report: CampaignReport) -> Figure:
     from matplotlib.figure import Figure
 
     axes = _varied(report)
@@ -115,9 +115,9 @@ def _figure(report: Report) -> Figure:
     return figure
 
 
-def _facts(report: Report, measures: Sequence[_Measure]) -> str:
+def _facts(report: CampaignReport, measures: Sequence[_Measure]) -> str:
     asked = report.asked
-    facts = [asked.scene, counted(len(report.cases.seeds), "seed"), counted(len(report.outcomes), "run")]
+    facts = [asked.scene, plural(len(report.cases.seeds), "seed"), plural(len(report.outcomes), "run")]
     if asked.fault:
         facts.insert(1, f"fault {asked.fault}")
     failed = sum(row.failed for row in report.rows)
@@ -131,7 +131,7 @@ def _facts(report: Report, measures: Sequence[_Measure]) -> str:
     return "  ·  ".join(facts)
 
 
-def _measures(rows: Sequence[Row]) -> list[_Measure]:
+def _measures(rows: Sequence[CampaignRow]) -> list[_Measure]:
     """Success, and those of error and time that any run has."""
     shares = [(row.success.share, row.success.low, row.success.high) for row in rows]
     found = [
@@ -143,7 +143,7 @@ def _measures(rows: Sequence[Row]) -> list[_Measure]:
 
 
 def _mean(
-    name: str, means: Sequence[Mean], rows: Sequence[Row], limits: tuple[float | None, float | None]
+    name: str, means: Sequence[Mean], rows: Sequence[CampaignRow], limits: tuple[float | None, float | None]
 ) -> _Measure:
     partly = [one.runs < row.runs for one, row in zip(means, rows, strict=True)]
     return _measure(name, [(one.mean, one.low, one.high) for one in means], partly, "cividis", limits)

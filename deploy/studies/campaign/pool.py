@@ -16,8 +16,8 @@ from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self, final
 
-from deploy.studies.campaign.result import Ending, ending_of
-from deploy.workers.pool import Crew, WorkerError, describe_exit
+from deploy.studies.campaign.result import CaseEnd, run_case
+from deploy.workers.pool import WorkerError, WorkerPool, describe_exit
 from deploy.workers.socket_folder import SocketFolder
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ _CELLS = "cells"
 
 @final
 @dataclass(frozen=True, slots=True)
-class Work:
+class WorkerLoop:
     """What a worker does until nobody hands it anything more.
 
     Args:
@@ -75,12 +75,12 @@ class Work:
                     return
 
 
-def _run(scene: Scene) -> Ending:
+def _run(scene: Scene) -> CaseEnd:
     try:
-        return ending_of(scene)
+        return run_case(scene)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is how this run ended, and the others go on
         where = traceback.extract_tb(error.__traceback__)[-1]
-        return Ending(status="failed", reason=f"{error!r} ({where.filename}, line {where.lineno})")
+        return CaseEnd(status="failed", reason=f"{error!r} ({where.filename}, line {where.lineno})")
 
 
 _LOOK_S = 0.02
@@ -96,7 +96,7 @@ _REPORT_S = 2.0
 class Executor(Protocol):
     """Runs scenes, wherever that is."""
 
-    def carry_out(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, Ending]]:
+    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
         """Run scenes; how each ended comes with its place among them, in any order.
 
         A run that fails, hangs or is killed ends as failed, and the others go on.
@@ -124,7 +124,7 @@ class _Job:
 
 @final
 @dataclass(slots=True)
-class _Desk:
+class _WorkerSlot:
     """A worker that has come, and what it is at.
 
     Attributes:
@@ -134,12 +134,12 @@ class _Desk:
     """
 
     worker: int
-    line: Connection
+    connection: Connection
     job: _Job | None = None
 
 
 @final
-class Pool:
+class ExecutorPool:
     """Worker processes, each with one run at a time; leaving the context ends them, whatever they are at.
 
     They are forked by a nursery, which runs nothing itself, and end with this process however that ends.
@@ -154,7 +154,7 @@ class Pool:
         self._jobs = jobs
         self._limit_s = limit_s
         self._look = look
-        self._desks: list[_Desk] = []
+        self._desks: list[_WorkerSlot] = []
         self._coming: set[int] = set()
         """Workers that were started and have not come yet."""
         self._stillborn = 0
@@ -164,8 +164,8 @@ class Pool:
             self._door = stack.enter_context(socket.socket(socket.AF_UNIX))
             self._door.bind(address)
             self._door.listen(jobs)
-            self._crew = stack.enter_context(Crew(PRELOAD))
-            self._crew.start(Work(address), ())
+            self._crew = stack.enter_context(WorkerPool(PRELOAD))
+            self._crew.start(WorkerLoop(address), ())
             stack.callback(self._dismiss)
             self._stack = stack.pop_all()
 
@@ -180,9 +180,9 @@ class Pool:
     def _dismiss(self) -> None:
         """Workers that wait for a scene end by themselves."""
         for desk in self._desks:
-            desk.line.close()
+            desk.connection.close()
 
-    def carry_out(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, Ending]]:
+    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
         """Run scenes; see `Executor`.
 
         Raises:
@@ -192,21 +192,21 @@ class Pool:
         todo = deque(itertools.islice(more, self._jobs))
         while todo or any(desk.job for desk in self._desks):
             self._look()
-            self._staff(len(todo))
+            self._scale_up(len(todo))
             self._hand_out(todo)
-            ready = wait([self._door, *(desk.line for desk in self._desks)], _LOOK_S)
+            ready = wait([self._door, *(desk.connection for desk in self._desks)], _LOOK_S)
             if self._door in ready:
-                self._greet()
-            for desk in [desk for desk in self._desks if desk.line in ready]:
-                yield from self._hear(desk, todo)
+                self._accept()
+            for desk in [desk for desk in self._desks if desk.connection in ready]:
+                yield from self._receive(desk, todo)
             yield from self._overdue()
             todo.extend(itertools.islice(more, max(0, self._jobs - len(todo))))
 
-    def _staff(self, todo: int) -> None:
+    def _scale_up(self, todo: int) -> None:
         """Have as many workers as there is work for, and no more than were asked for."""
         while self._crew.poll():
             pass
-        if self._crew.gone:
+        if self._crew.pipe_closed:
             raise WorkerError("the process that starts workers has ended")
         for worker in [worker for worker in self._coming if worker in self._crew.ended]:
             self._coming.discard(worker)
@@ -222,7 +222,7 @@ class Pool:
         for _ in range(wanted):
             self._coming.add(self._crew.add("mdms campaign"))
 
-    def _greet(self) -> None:
+    def _accept(self) -> None:
         line = Connection(self._door.accept()[0].detach())
         try:
             worker: int = line.recv()
@@ -231,7 +231,7 @@ class Pool:
             return
         self._coming.discard(worker)
         self._stillborn = 0
-        self._desks.append(_Desk(worker, line))
+        self._desks.append(_WorkerSlot(worker, line))
 
     def _hand_out(self, todo: deque[_Job]) -> None:
         for desk in self._desks:
@@ -240,37 +240,37 @@ class Pool:
                 desk.job.since = time.monotonic()
                 # One that has gone is heard of in the next turn.
                 with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-                    desk.line.send(desk.job.scene)
+                    desk.connection.send(desk.job.scene)
 
-    def _hear(self, desk: _Desk, todo: deque[_Job]) -> Iterator[tuple[int, Ending]]:
+    def _receive(self, desk: _WorkerSlot, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
         """What a worker tells, or that it has gone."""
         job, desk.job = desk.job, None
         try:
-            told: tuple[Ending, bool] = desk.line.recv()
+            told: tuple[CaseEnd, bool] = desk.connection.recv()
         except (EOFError, ConnectionResetError):
-            self._part(desk)
+            self._release(desk)
             if job is not None:
                 yield from self._lost(desk.worker, job, todo)
             return
         assert job is not None
         ending, spent = told
         if spent:
-            self._part(desk)
+            self._release(desk)
         yield job.place, ending
 
-    def _lost(self, worker: int, job: _Job, todo: deque[_Job]) -> Iterator[tuple[int, Ending]]:
+    def _lost(self, worker: int, job: _Job, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
         """What becomes of a run whose worker has gone."""
         if job.tried:
             reason = f"its process was lost twice: {self._how(worker)}"
-            yield job.place, Ending(status="failed", reason=reason)
+            yield job.place, CaseEnd(status="failed", reason=reason)
         else:
             job.tried = True
             todo.appendleft(job)
 
-    def _part(self, desk: _Desk) -> None:
+    def _release(self, desk: _WorkerSlot) -> None:
         """Nothing more is handed to a worker, which ends by itself."""
         self._desks.remove(desk)
-        desk.line.close()
+        desk.connection.close()
 
     def _how(self, worker: int) -> str:
         """How a worker ended."""
@@ -279,11 +279,11 @@ class Pool:
             self._crew.poll(left)
         return describe_exit(self._crew.ended[worker]) if worker in self._crew.ended else "nobody knows how"
 
-    def _overdue(self) -> Iterator[tuple[int, Ending]]:
+    def _overdue(self) -> Iterator[tuple[int, CaseEnd]]:
         """End what takes longer than it may."""
         now = time.monotonic()
         for desk in list(self._desks):
             if desk.job is not None and now - desk.job.since > self._limit_s:
                 self._crew.signal(signal.SIGKILL, [desk.worker])
-                self._part(desk)
-                yield desk.job.place, Ending(status="failed", reason=f"not over after {self._limit_s:g} s")
+                self._release(desk)
+                yield desk.job.place, CaseEnd(status="failed", reason=f"not over after {self._limit_s:g} s")

@@ -16,8 +16,8 @@ from deploy.util.files import write_text
 
 if TYPE_CHECKING:
     from deploy.studies.campaign.cases import Case, Cases
-    from deploy.studies.campaign.result import Outcome
-    from deploy.studies.campaign.spec import Asked
+    from deploy.studies.campaign.result import CaseOutcome
+    from deploy.studies.campaign.spec import CampaignSpec
 
 
 _LEAST = 2
@@ -96,7 +96,7 @@ def mean_of(values: Sequence[float], confidence: float) -> Mean:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class CampaignRow:
     """One case.
 
     Attributes:
@@ -124,7 +124,9 @@ class Row:
         return asdict(self)
 
 
-def rows_of(cases: Cases, outcomes: Mapping[tuple[int, int], Outcome], confidence: float) -> Iterator[Row]:
+def aggregate(
+    cases: Cases, outcomes: Mapping[tuple[int, int], CaseOutcome], confidence: float
+) -> Iterator[CampaignRow]:
     """A row a case, in the order of the grid.
 
     Args:
@@ -137,9 +139,9 @@ def rows_of(cases: Cases, outcomes: Mapping[tuple[int, int], Outcome], confidenc
         yield _row(case, found, confidence)
 
 
-def _row(case: Case, outcomes: Sequence[Outcome], confidence: float) -> Row:
+def _row(case: Case, outcomes: Sequence[CaseOutcome], confidence: float) -> CampaignRow:
     succeeded = sum(one.succeeded for one in outcomes)
-    return Row(
+    return CampaignRow(
         values=case.values,
         runs=len(outcomes),
         failed=sum(one.status != "ok" for one in outcomes),
@@ -157,7 +159,7 @@ CSV_NAME = "campaign.csv"
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class CampaignReport:
     """A campaign that is over, or was interrupted.
 
     Attributes:
@@ -172,13 +174,13 @@ class Report:
 
     status: str
     reason: str
-    asked: Asked
+    asked: CampaignSpec
     cases: Cases
-    outcomes: dict[tuple[int, int], Outcome]
-    rows: Sequence[Row]
+    outcomes: dict[tuple[int, int], CaseOutcome]
+    rows: Sequence[CampaignRow]
     folder: Path
 
-    def failed(self) -> Iterator[tuple[dict[str, Any], int, Outcome]]:
+    def failed(self) -> Iterator[tuple[dict[str, Any], int, CaseOutcome]]:
         """Values, seed and outcome of every run whose status isn't ``ok``, in the order of the grid."""
         for case in self.cases.cases:
             for seed in self.cases.seeds:
@@ -248,7 +250,7 @@ def criterion_words(cases: Cases) -> str:
     return told[0] if len(set(told)) == 1 else f"{told[0]}; varied from case to case"
 
 
-def _against(asked: Asked) -> str | None:
+def _against(asked: CampaignSpec) -> str | None:
     """What runs are compared with, in words; None: with nothing."""
     parts = ["without the fault"] if asked.fault else []
     parts += [f"with {one}" for one in asked.against]

@@ -10,7 +10,7 @@ from deploy.errors import DeployError
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
-    from deploy.runs.headless import Course
+    from deploy.runs.headless import HeadlessResult
     from deploy.scenes.scene import Scene
     from deploy.studies.campaign.criterion import Criterion
 
@@ -48,7 +48,7 @@ class ParcelEnd:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ending:
+class CaseEnd:
     """How one run ended.
 
     Attributes:
@@ -71,22 +71,22 @@ class Ending:
     wall_s: float = 0.0
 
 
-def ending_of(scene: Scene) -> Ending:
+def run_case(scene: Scene) -> CaseEnd:
     """Run a scene, the whole system in this process; whatever goes wrong in it is how it ended."""
     from cell_firmware.errors import FirmwareError
     from deploy.recordings.digest import Digest
-    from deploy.runs.headless import follow
+    from deploy.runs.headless import run_headless
 
     digest = Digest(scene.canonical())
     try:
-        course = follow(scene, cells=True, digest=digest)
+        course = run_headless(scene, cells=True, digest=digest)
     except (DeployError, PlantError, FirmwareError) as error:
-        return Ending(status="failed", reason=str(error))
+        return CaseEnd(status="failed", reason=str(error))
     if course.status != "ok":
-        return Ending(
+        return CaseEnd(
             status=course.status, reason=course.reason, cells_lost=course.cells_lost, wall_s=course.wall_s
         )
-    return Ending(
+    return CaseEnd(
         status="ok",
         parcels=_parcels(course),
         misrouted=course.misrouted,
@@ -96,7 +96,7 @@ def ending_of(scene: Scene) -> Ending:
     )
 
 
-def _parcels(course: Course) -> tuple[ParcelEnd, ...]:
+def _parcels(course: HeadlessResult) -> tuple[ParcelEnd, ...]:
     from plant.geometry import placed
 
     return tuple(
@@ -106,13 +106,15 @@ def _parcels(course: Course) -> tuple[ParcelEnd, ...]:
             (float(course.states[number, 0]), float(course.states[number, 1])),
             tuple((float(x), float(y)) for x, y in placed(footprint, course.states[number])),
         )
-        for number, (fate, footprint) in enumerate(zip(course.fates, course.footprints_m, strict=True))
+        for number, (fate, footprint) in enumerate(
+            zip(course.parcel_status, course.footprints_m, strict=True)
+        )
     )
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class CaseOutcome:
     """What one run came to.
 
     Attributes:
@@ -136,7 +138,7 @@ class Outcome:
     wall_s: float
 
 
-def judged(ending: Ending, undisturbed: Ending | None, criterion: Criterion) -> Outcome:
+def evaluate(ending: CaseEnd, undisturbed: CaseEnd | None, criterion: Criterion) -> CaseOutcome:
     """Judge a run.
 
     It has *succeeded* if its status is ``ok``; no parcel tipped, fell off the array (left it other than through an
@@ -157,7 +159,7 @@ def judged(ending: Ending, undisturbed: Ending | None, criterion: Criterion) -> 
     if status == "ok" and undisturbed is not None and undisturbed.status != "ok":
         status, reason = "failed", f"the undisturbed run: {undisturbed.status}: {undisturbed.reason}"
     if status != "ok":
-        return Outcome(
+        return CaseOutcome(
             status=status,
             reason=reason,
             succeeded=False,
@@ -171,8 +173,8 @@ def judged(ending: Ending, undisturbed: Ending | None, criterion: Criterion) -> 
         error_m = error_of(ending, undisturbed)
     else:
         error_m = None if criterion.place_m is None else distance_of(ending, criterion.place_m)
-    flaw = _flaw(ending, undisturbed) or _unmet(ending, error_m, criterion)
-    return Outcome(
+    flaw = _failure_reason(ending, undisturbed) or _unmet(ending, error_m, criterion)
+    return CaseOutcome(
         status=status,
         reason=flaw,
         succeeded=not flaw,
@@ -184,7 +186,7 @@ def judged(ending: Ending, undisturbed: Ending | None, criterion: Criterion) -> 
     )
 
 
-def _flaw(ending: Ending, undisturbed: Ending | None) -> str:
+def _failure_reason(ending: CaseEnd, undisturbed: CaseEnd | None) -> str:
     """Why a run that came to its end did not succeed, as far as its parcels' states tell; empty: it may have."""
     for number, parcel in enumerate(ending.parcels):
         if parcel.state == "tipped":
@@ -201,7 +203,7 @@ def _flaw(ending: Ending, undisturbed: Ending | None) -> str:
     return ""
 
 
-def _unmet(ending: Ending, error_m: float | None, criterion: Criterion) -> str:
+def _unmet(ending: CaseEnd, error_m: float | None, criterion: Criterion) -> str:
     """The criterion's demand that isn't met; empty: all are."""
     for number, parcel in enumerate(ending.parcels):
         if criterion.delivered and not parcel.left and parcel.state != "waiting":
@@ -213,7 +215,7 @@ def _unmet(ending: Ending, error_m: float | None, criterion: Criterion) -> str:
     return ""
 
 
-def _of(ending: Ending | None) -> tuple[ParcelEnd, ...]:
+def _of(ending: CaseEnd | None) -> tuple[ParcelEnd, ...]:
     return () if ending is None else ending.parcels
 
 
@@ -222,7 +224,7 @@ def _done(parcel: ParcelEnd) -> bool:
     return parcel.left or parcel.state == "at_rest"
 
 
-def error_of(ending: Ending, undisturbed: Ending) -> float | None:
+def error_of(ending: CaseEnd, undisturbed: CaseEnd) -> float | None:
     """The largest distance of a corner from where it is in the undisturbed run, m; None where no parcel is in both."""
     pairs = zip(ending.parcels, undisturbed.parcels, strict=False)
     distances = [
@@ -234,12 +236,12 @@ def error_of(ending: Ending, undisturbed: Ending) -> float | None:
     return max(distances, default=None)
 
 
-def distance_of(ending: Ending, place_m: tuple[float, float]) -> float | None:
+def distance_of(ending: CaseEnd, place_m: tuple[float, float]) -> float | None:
     """The largest distance of a parcel's centre of mass from a place, m; None where no parcel is there."""
     return max((math.dist(one.place_m, place_m) for one in ending.parcels if one.there), default=None)
 
 
-def time_of(ending: Ending) -> float | None:
+def time_of(ending: CaseEnd) -> float | None:
     """When the last parcel came to rest or left, s; None unless every parcel did, and where there is none."""
     if not all(_done(parcel) for parcel in ending.parcels):
         return None

@@ -14,22 +14,22 @@ from pydantic import TypeAdapter
 
 from deploy.errors import DeployError, InputError
 from deploy.studies.campaign.cases import with_seed
-from deploy.studies.campaign.console import Progress
-from deploy.studies.campaign.pool import Executor, Pool
-from deploy.studies.campaign.report import Report, rows_of
-from deploy.studies.campaign.result import Ending, Outcome, judged
+from deploy.studies.campaign.console import CampaignProgress
+from deploy.studies.campaign.pool import Executor, ExecutorPool
+from deploy.studies.campaign.report import CampaignReport, aggregate
+from deploy.studies.campaign.result import CaseEnd, CaseOutcome, evaluate
 from deploy.util.formatting import say, silent
 from deploy.util.signals import Interrupted, Interruption
 
 if TYPE_CHECKING:
     from deploy.studies.campaign.cases import Case, Cases
-    from deploy.studies.campaign.spec import Asked
+    from deploy.studies.campaign.spec import CampaignSpec
 
 
 FILE_NAME = "runs.jsonl"
 
-_ENDING = TypeAdapter(Ending)
-_OUTCOME = TypeAdapter(Outcome)
+_ENDING = TypeAdapter(CaseEnd)
+_OUTCOME = TypeAdapter(CaseOutcome)
 
 
 @final
@@ -52,8 +52,8 @@ class Journal:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.runs: dict[tuple[int, int], Outcome] = {}
-        self.undisturbed: dict[str, Ending] = {}
+        self.runs: dict[tuple[int, int], CaseOutcome] = {}
+        self.baselines: dict[str, CaseEnd] = {}
         self._path = folder / FILE_NAME
         try:
             self._file = self._path.open("ab+", buffering=0)
@@ -86,20 +86,20 @@ class Journal:
 
     def _take(self, line: Mapping[str, Any]) -> None:
         if "undisturbed" in line:
-            self.undisturbed[line["undisturbed"]] = _ENDING.validate_python(line["ending"])
+            self.baselines[line["undisturbed"]] = _ENDING.validate_python(line["ending"])
         else:
             self.runs[line["case"], line["seed"]] = _OUTCOME.validate_python(line)
 
-    def add_undisturbed(self, key: str, seed: int, ending: Ending) -> None:
+    def add_baseline(self, key: str, seed: int, ending: CaseEnd) -> None:
         """Keep how an undisturbed run ended.
 
         Raises:
             DeployError: It can't be written.
         """
         self._append({"undisturbed": key, "seed": seed, "ending": asdict(ending)})
-        self.undisturbed[key] = ending
+        self.baselines[key] = ending
 
-    def add_run(self, case: Case, seed: int, outcome: Outcome) -> None:
+    def add_run(self, case: Case, seed: int, outcome: CaseOutcome) -> None:
         """Keep what a run came to.
 
         Raises:
@@ -130,12 +130,12 @@ class Campaign:
         quiet: Show no progress and no warnings on stderr.
     """
 
-    asked: Asked
+    asked: CampaignSpec
     cases: Cases
     folder: Path
     quiet: bool = False
 
-    def run(self, jobs: int, interruption: Interruption) -> Report:
+    def run(self, jobs: int, interruption: Interruption) -> CampaignReport:
         """Do all runs that are missing, in worker processes of this machine.
 
         Args:
@@ -153,7 +153,7 @@ class Campaign:
             status, reason = "ok", ""
             try:
                 if len(journal.runs) < self.cases.runs:
-                    self._work(journal, jobs, interruption)
+                    self._run_parallel(journal, jobs, interruption)
             except Interrupted:
                 over, total = len(journal.runs), self.cases.runs
                 status = "interrupted"
@@ -162,14 +162,14 @@ class Campaign:
                 )
             return self._report(journal, status, reason)
 
-    def _work(self, journal: Journal, jobs: int, interruption: Interruption) -> None:
+    def _run_parallel(self, journal: Journal, jobs: int, interruption: Interruption) -> None:
         # Workers import what they need while this process compiles kernels, or finds them compiled.
-        with Pool(jobs, self.asked.limit_s, interruption.check) as pool:
-            with interruption.allowed():
-                self._make_ready()
-            self.carry_out(pool, journal)
+        with ExecutorPool(jobs, self.asked.limit_s, interruption.raise_if_requested) as pool:
+            with interruption.interruptible():
+                self._warm_up()
+            self.execute(pool, journal)
 
-    def carry_out(self, executor: Executor, journal: Journal) -> None:
+    def execute(self, executor: Executor, journal: Journal) -> None:
         """Do all runs that are missing: first the undisturbed ones, each once, then those that are judged by them.
 
         Args:
@@ -183,31 +183,35 @@ class Campaign:
             if (case.number, seed) not in journal.runs
         ]
         beside = {
-            case.undisturbed_key(seed): with_seed(case.undisturbed, seed)
+            case.baseline_id(seed): with_seed(case.baseline, seed)
             for case, seed in runs
-            if case.undisturbed is not None
+            if case.baseline is not None
         }
-        missing = [(key, scene) for key, scene in beside.items() if key not in journal.undisturbed]
+        missing = [(key, scene) for key, scene in beside.items() if key not in journal.baselines]
         failed = sum(one.status != "ok" for one in journal.runs.values())
         done = len(journal.runs)
-        with Progress(self.cases.runs + len(missing), done, failed, quiet=self.quiet) as progress:
-            for place, ending in executor.carry_out(scene for _, scene in missing):
+        with CampaignProgress(self.cases.runs + len(missing), done, failed, quiet=self.quiet) as progress:
+            for place, ending in executor.map(scene for _, scene in missing):
                 key, scene = missing[place]
-                journal.add_undisturbed(key, scene.seed, ending)
+                journal.add_baseline(key, scene.seed, ending)
                 progress.advance(failed=False)
-            self._judge(executor, journal, runs, progress)
+            self._run_cases(executor, journal, runs, progress)
 
-    def _judge(
-        self, executor: Executor, journal: Journal, runs: Sequence[tuple[Case, int]], progress: Progress
+    def _run_cases(
+        self,
+        executor: Executor,
+        journal: Journal,
+        runs: Sequence[tuple[Case, int]],
+        progress: CampaignProgress,
     ) -> None:
-        for place, ending in executor.carry_out(with_seed(case.scene, seed) for case, seed in runs):
+        for place, ending in executor.map(with_seed(case.scene, seed) for case, seed in runs):
             case, seed = runs[place]
-            undisturbed = journal.undisturbed.get(case.undisturbed_key(seed))
-            outcome = judged(ending, undisturbed, case.criterion)
+            undisturbed = journal.baselines.get(case.baseline_id(seed))
+            outcome = evaluate(ending, undisturbed, case.criterion)
             journal.add_run(case, seed, outcome)
             progress.advance(failed=outcome.status != "ok")
 
-    def _make_ready(self) -> None:
+    def _warm_up(self) -> None:
         """Have kernels on disk before several processes look for them there."""
         from deploy.runs.setup import load_plant
 
@@ -220,13 +224,13 @@ class Campaign:
                 with suppress(InputError):  # every run of it will say so
                     load_plant(case.scene, silent if self.quiet else say)
 
-    def _report(self, journal: Journal, status: str, reason: str) -> Report:
+    def _report(self, journal: Journal, status: str, reason: str) -> CampaignReport:
         outcomes = journal.runs
         if status == "ok" and all(one.status != "ok" for one in outcomes.values()):
             first = outcomes[min(outcomes)]
             status, reason = "failed", f"no run came to its end; the first: {first.status}: {first.reason}"
-        rows = tuple(rows_of(self.cases, outcomes, self.asked.confidence))
-        return Report(
+        rows = tuple(aggregate(self.cases, outcomes, self.asked.confidence))
+        return CampaignReport(
             status=status,
             reason=reason,
             asked=self.asked,

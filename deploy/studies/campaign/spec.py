@@ -19,7 +19,7 @@ SCENE_NAME = "scene.toml"
 
 
 @final
-class Asked(Spec):
+class CampaignSpec(Spec):
     """The arguments of ``mdms campaign`` that decide what its runs are, and what is made of them.
 
     Texts are kept as they were typed.
@@ -54,7 +54,7 @@ OPTIONS = {
 """How fields are told on the command line, where it isn't ``--`` and their name."""
 
 
-def asked_for(given: dict[str, Any]) -> Asked:
+def read_options(given: dict[str, Any]) -> CampaignSpec:
     """What the command line asks for.
 
     Args:
@@ -65,14 +65,14 @@ def asked_for(given: dict[str, Any]) -> Asked:
     """
     data = {name: value for name, value in given.items() if value is not None}
     try:
-        return strictly(Asked, data)
+        return strictly(CampaignSpec, data)
     except ValidationError as error:
-        problems = problems_of(error, data, Asked)
+        problems = problems_of(error, data, CampaignSpec)
         lines = [f"{_option(str(one.path[0]))} {data[str(one.path[0])]}: {one.rule}" for one in problems]
         raise InputError("\n".join(lines)) from None
 
 
-def write(asked: Asked, scene: str, versions: dict[str, str], folder: Path) -> None:
+def write(asked: CampaignSpec, scene: str, versions: dict[str, str], folder: Path) -> None:
     """Keep what was asked for, and the scene's text, in the campaign's folder.
 
     Raises:
@@ -86,7 +86,7 @@ def write(asked: Asked, scene: str, versions: dict[str, str], folder: Path) -> N
     write_text(folder / FILE_NAME, "\n".join(lines) + "\n")
 
 
-def read(folder: Path) -> tuple[Asked, str, dict[str, str]]:
+def read(folder: Path) -> tuple[CampaignSpec, str, dict[str, str]]:
     """What `write` kept: what was asked for, the scene's text, the versions.
 
     Raises:
@@ -101,13 +101,13 @@ def read(folder: Path) -> tuple[Asked, str, dict[str, str]]:
         raise InputError(f"--resume {folder}: {FILE_NAME}: {error}") from None
     versions = data.pop("versions", {})
     try:
-        return strictly(Asked, data), scene, dict(versions)
+        return strictly(CampaignSpec, data), scene, dict(versions)
     except ValidationError as error:
-        lines = [f"--resume {folder}: {FILE_NAME}: {one}" for one in problems_of(error, data, Asked)]
+        lines = [f"--resume {folder}: {FILE_NAME}: {one}" for one in problems_of(error, data, CampaignSpec)]
         raise InputError("\n".join(lines)) from None
 
 
-def check_same(kept: Asked, given: dict[str, Any], folder: Path) -> None:
+def check_same(kept: CampaignSpec, given: dict[str, Any], folder: Path) -> None:
     """Refuse to go on with a campaign under other arguments than it was begun with.
 
     Args:

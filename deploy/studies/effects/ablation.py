@@ -19,7 +19,7 @@ Table = Mapping[str, Any]
 
 
 @final
-class NotPossible(Exception):
+class VariantRejected(Exception):
     """The scene refuses the change; says why."""
 
 
@@ -34,7 +34,11 @@ def effect_types() -> dict[str, type[EffectSpec]]:
         )
         found[name] = kind
     last = len(found) * 1_000
-    return dict(sorted(found.items(), key=lambda item: last if item[1].rung is None else item[1].rung))
+    return dict(
+        sorted(
+            found.items(), key=lambda item: last if item[1].fidelity_rank is None else item[1].fidelity_rank
+        )
+    )
 
 
 def summary(name: str) -> str:
@@ -44,7 +48,7 @@ def summary(name: str) -> str:
 
 def tables(scene: Scene) -> dict[str, Table]:
     """The settings of the effects that a scene asks for, by name."""
-    return {name: effect.model_dump(mode="json") for name, effect in scene.effects.asked()}
+    return {name: effect.model_dump(mode="json") for name, effect in scene.effects.enabled()}
 
 
 def typical(name: str, scene: Scene) -> Table:
@@ -53,9 +57,9 @@ def typical(name: str, scene: Scene) -> Table:
     Raises:
         NotPossible: Only a scene can say.
     """
-    settings = effect_types()[name].typical(scene.array.pitch_m)
+    settings = effect_types()[name].default_settings(scene.array.pitch_m)
     if isinstance(settings, str):
-        raise NotPossible(settings)
+        raise VariantRejected(settings)
     return settings.model_dump(mode="json")
 
 
@@ -88,7 +92,7 @@ def variant(
     except ValidationError as error:
         problems = problems_of(error, data, Scene)
         rules = dict.fromkeys(f"{dotted(problem.path)}: {problem.rule}" for problem in problems)
-        raise NotPossible("; ".join(rules)) from None
+        raise VariantRejected("; ".join(rules)) from None
 
 
 def _fitting_solver(scene: Scene, effects: Mapping[str, Table]) -> Table:
@@ -108,13 +112,13 @@ def refined(scene: Scene, factor: float = 0.1) -> Scene | None:
     solver[key] *= factor
     try:
         return variant(scene, tables(scene), solver=solver)
-    except NotPossible:
+    except VariantRejected:
         return None
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Toggled:
+class AblationPair:
     """An effect, on and off.
 
     Attributes:
@@ -137,7 +141,7 @@ class Toggled:
         return needs_cells(self.on) or needs_cells(self.off)
 
 
-def toggled(scene: Scene, name: str) -> Toggled:
+def ablate(scene: Scene, name: str) -> AblationPair:
     """A scene with and without one effect: its own settings, or where it lacks the effect typical ones.
 
     Raises:
@@ -147,14 +151,14 @@ def toggled(scene: Scene, name: str) -> Toggled:
     return _taken_out(scene, name, own) if name in own else _put_in(scene, name, own)
 
 
-def _taken_out(scene: Scene, name: str, own: dict[str, Table]) -> Toggled:
+def _taken_out(scene: Scene, name: str, own: dict[str, Table]) -> AblationPair:
     gone = dependents(name, own)
     on = variant(scene, own)
     off = variant(scene, {n: table for n, table in own.items() if n not in gone}, solver=_solver_table(on))
-    return Toggled(on=on, off=off, settings=own[name], along=tuple(n for n in own if n in gone - {name}))
+    return AblationPair(on=on, off=off, settings=own[name], along=tuple(n for n in own if n in gone - {name}))
 
 
-def _put_in(scene: Scene, name: str, own: dict[str, Table]) -> Toggled:
+def _put_in(scene: Scene, name: str, own: dict[str, Table]) -> AblationPair:
     settings = typical(name, scene)
     beside = {
         needed: typical(needed, scene)
@@ -163,7 +167,7 @@ def _put_in(scene: Scene, name: str, own: dict[str, Table]) -> Toggled:
     }
     on = variant(scene, {**own, **beside, name: settings})
     off = variant(scene, {**own, **beside}, solver=_solver_table(on))
-    return Toggled(on=on, off=off, settings=settings, beside=tuple(beside))
+    return AblationPair(on=on, off=off, settings=settings, beside=tuple(beside))
 
 
 def _solver_table(scene: Scene) -> Table:
@@ -183,7 +187,7 @@ def _needs(name: str, settings: Table, scene: Scene) -> set[str]:
 
 
 def _needed(name: str, settings: Table) -> tuple[str, ...]:
-    return effect_types()[name].model_validate(settings).needed()
+    return effect_types()[name].model_validate(settings).required()
 
 
 def dependents(name: str, own: Mapping[str, Table]) -> set[str]:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 from deploy.runs.headless import needs_cells
-from deploy.studies.effects.ablation import NotPossible, dependents, tables, variant
-from deploy.studies.effects.sensitivity import Influence, compare
+from deploy.studies.effects.ablation import VariantRejected, dependents, tables, variant
+from deploy.studies.effects.sensitivity import Sensitivity, compare
 
 if TYPE_CHECKING:
-    from deploy.studies.effects.study import Row, Study
+    from deploy.studies.effects.study import AblationRow, EffectStudy
 
 
 @final
@@ -29,12 +29,12 @@ class Advice:
 
     tolerance_m: float
     can_go: tuple[str, ...]
-    together: Influence | None
+    together: Sensitivity | None
     missing: tuple[str, ...]
     unclear: tuple[str, ...]
 
 
-def advise(study: Study, rows: Sequence[Row], tolerance_m: float) -> Advice:
+def advise(study: EffectStudy, rows: Sequence[AblationRow], tolerance_m: float) -> Advice:
     """Sort a scene's effects by whether they change its answer.
 
     Args:
@@ -55,14 +55,14 @@ def advise(study: Study, rows: Sequence[Row], tolerance_m: float) -> Advice:
     )
 
 
-def _off(influence: Influence | None) -> float:
+def _off(influence: Sensitivity | None) -> float:
     """How far the answer is off, m; a parcel that is there on one side only is off without bound."""
     if influence is None:
         return 0.0
     return float("inf") if influence.parcels else influence.displacement_m or 0.0
 
 
-def _together(study: Study, names: Sequence[str]) -> Influence | None:
+def _together(study: EffectStudy, names: Sequence[str]) -> Sensitivity | None:
     """The influence of all of these at once, with those that build on them."""
     scene, own = study.scene, tables(study.scene)
     gone = {other for name in names for other in dependents(name, own)}
@@ -72,7 +72,7 @@ def _together(study: Study, names: Sequence[str]) -> Influence | None:
             {name: table for name, table in own.items() if name not in gone},
             solver=scene.solver.model_dump(mode="json"),
         )
-    except NotPossible:
+    except VariantRejected:
         return None
     cells = needs_cells(scene) or needs_cells(without)
     courses = [study.course(one, cells=cells) for one in (scene, without)]

@@ -8,10 +8,10 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, final
 
 from deploy.errors import InputError
-from deploy.runs.headless import Course, follow, needs_cells
+from deploy.runs.headless import HeadlessResult, needs_cells, run_headless
 from deploy.studies.effects.ablation import (
-    NotPossible,
     Table,
+    VariantRejected,
     dependents,
     effect_types,
     summary,
@@ -19,7 +19,7 @@ from deploy.studies.effects.ablation import (
     typical,
     variant,
 )
-from deploy.studies.effects.sensitivity import Influence, compare
+from deploy.studies.effects.sensitivity import Sensitivity, compare
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
@@ -63,7 +63,7 @@ class Rung:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Climbed:
+class RungResult:
     """A rung, run.
 
     Attributes:
@@ -75,7 +75,7 @@ class Climbed:
 
     rung: Rung
     wall_s: float | None = None
-    distance: Influence | None = None
+    distance: Sensitivity | None = None
     reason: str = ""
 
 
@@ -91,7 +91,9 @@ def rungs(scene: Scene) -> list[Rung]:
     Args:
         scene: With or without effects; its law's coefficients serve where they can.
     """
-    kept = {name: table for name, table in tables(scene).items() if effect_types()[name].rung is None}
+    kept = {
+        name: table for name, table in tables(scene).items() if effect_types()[name].fidelity_rank is None
+    }
     viscous, stick_slip = _law(scene, VISCOUS), _law(scene, STICK_SLIP)
     above = _solver(scene)
     found = [
@@ -100,7 +102,7 @@ def rungs(scene: Scene) -> list[Rung]:
         _rung("stick_slip", "rolling wheels, traction that runs out", scene, kept, stick_slip, above),
     ]
     for name, kind in effect_types().items():
-        if kind.rung is not None:
+        if kind.fidelity_rank is not None:
             found.append(rung := _next(scene, kept, name))
             if rung.scene is not None and not rung.instead:
                 kept = tables(rung.scene)
@@ -114,7 +116,7 @@ def _next(scene: Scene, kept: Mapping[str, Table], name: str) -> Rung:
     instead = tuple(other for other in kept if other in gone)
     try:
         settings = own[name] if name in own else typical(name, scene)
-    except NotPossible as why:
+    except VariantRejected as why:
         return Rung(name, summary(name), None, str(why))
     effects = {**{other: table for other, table in kept.items() if other not in gone}, name: settings}
     law = _law(scene, STICK_SLIP)
@@ -128,7 +130,7 @@ def _in_its_way(name: str, kept: Mapping[str, Table]) -> set[str]:
     types = effect_types()
     against = [other for other in kept if other in types[name].excludes or name in types[other].excludes]
     found = {other for one in against for other in dependents(one, kept)}
-    return set() if any(types[other].rung is None for other in found) else found
+    return set() if any(types[other].fidelity_rank is None for other in found) else found
 
 
 def _law(scene: Scene, usual: Table) -> Table:
@@ -145,11 +147,11 @@ def _solver(scene: Scene) -> Table:
 def _rung(name: str, adds: str, scene: Scene, effects: Mapping[str, Any], law: Table, solver: Table) -> Rung:
     try:
         return Rung(name, adds, variant(scene, effects, law=law, solver=solver))
-    except NotPossible as why:
+    except VariantRejected as why:
         return Rung(name, adds, None, str(why))
 
 
-def climb(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> list[Climbed]:
+def run_ladder(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> list[RungResult]:
     """Run every rung, all in the same way: with their cells if one of them needs them.
 
     Args:
@@ -160,12 +162,12 @@ def climb(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> 
     """
     there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
     cells = any(needs_cells(scene) for scene in there.values())
-    courses: dict[str, Course] = {}
+    courses: dict[str, HeadlessResult] = {}
     reasons = {rung.name: rung.reason for rung in ladder}
     for name, scene in there.items():
         tell(f"{name} ...")
         try:
-            course = follow(scene, cells=cells)
+            course = run_headless(scene, cells=cells)
         except InputError as why:  # a scene may be valid, and its plant still refuse it
             reasons[name] = str(why)
             continue
@@ -176,11 +178,11 @@ def climb(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> 
     for turn in range(repeats):
         tell(f"times, {turn + 1} of {repeats} ...")
         for name, spans in walls.items():
-            spans.append(follow(there[name], cells=cells).wall_s)
+            spans.append(run_headless(there[name], cells=cells).wall_s)
     tops = [rung.name for rung in ladder if rung.name in courses and not rung.instead]
     return [
-        Climbed(rung, median(walls[rung.name]), compare(courses[rung.name], courses[tops[-1]]))
+        RungResult(rung, median(walls[rung.name]), compare(courses[rung.name], courses[tops[-1]]))
         if rung.name in courses and tops
-        else Climbed(rung, reason=reasons[rung.name])
+        else RungResult(rung, reason=reasons[rung.name])
         for rung in ladder
     ]

@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.plots.theme import DPI, draw_heading, write_picture
-from deploy.util.formatting import counted
+from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from deploy.scenes.scene import Scene
-    from deploy.studies.effects.ladder import Climbed
+    from deploy.studies.effects.ladder import RungResult
 
 FILE_NAME = "ladder.png"
 _WIDTH, _AROUND, _LINE_HEIGHT, _LEAST_LINES = 12.4, 1.6, 0.32, 12
@@ -29,7 +29,7 @@ Point = tuple[int, float, float, bool]
 """A rung's number from 1, its wall time in s, its distance in mm, and whether it stands beside the ladder."""
 
 
-def draw_ladder(scene: Scene, climbed: Sequence[Climbed], path: Path) -> None:
+def draw_ladder(scene: Scene, climbed: Sequence[RungResult], path: Path) -> None:
     """Draw cost against distance as a PNG.
 
     Args:
@@ -43,7 +43,7 @@ def draw_ladder(scene: Scene, climbed: Sequence[Climbed], path: Path) -> None:
     write_picture(lambda: _figure(scene, climbed), path)
 
 
-def _figure(scene: Scene, climbed: Sequence[Climbed]) -> Figure:
+def _figure(scene: Scene, climbed: Sequence[RungResult]) -> Figure:
     from matplotlib.figure import Figure
 
     inside = _LINE_HEIGHT * max(len(climbed), _LEAST_LINES)
@@ -60,7 +60,7 @@ def _figure(scene: Scene, climbed: Sequence[Climbed]) -> Figure:
     _draw_words(words, climbed)
     facts = [
         scene.name,
-        counted(len(scene.lattice()), "cell"),
+        plural(len(scene.lattice()), "cell"),
         f"{scene.duration_s:g} s",
         "each rung adds to those before it",
     ]
@@ -112,7 +112,7 @@ def _ticks(foot: float, far: Sequence[float]) -> tuple[list[float], list[str]]:
     return [foot, *shown], ["0", *(f"{value:g}" for value in shown)]
 
 
-def _draw_words(axes: Axes, climbed: Sequence[Climbed]) -> None:
+def _draw_words(axes: Axes, climbed: Sequence[RungResult]) -> None:
     """A line a rung: its number, name, and what it adds; in grey what was left out."""
     axes.set_axis_off()
     axes.set_xlim(0.0, 1.0)

@@ -9,14 +9,14 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.studies.effects.ablation import effect_types, summary
-from deploy.util.formatting import counted, short
+from deploy.util.formatting import plural, short_number
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from deploy.studies.effects.advice import Advice
-    from deploy.studies.effects.ladder import Climbed
-    from deploy.studies.effects.sensitivity import Influence
-    from deploy.studies.effects.study import Row
+    from deploy.studies.effects.ladder import RungResult
+    from deploy.studies.effects.sensitivity import Sensitivity
+    from deploy.studies.effects.study import AblationRow
 
 
 def declared() -> list[dict[str, Any]]:
@@ -32,13 +32,13 @@ def declared() -> list[dict[str, Any]]:
             "needs": list(kind.needs),
             "excludes": list(kind.excludes),
             "solvers": None if kind.solvers is None else list(kind.solvers),
-            "rung": kind.rung,
+            "rung": kind.fidelity_rank,
         }
         for name, kind in effect_types().items()
     ]
 
 
-def row_json(row: Row) -> dict[str, Any]:
+def row_json(row: AblationRow) -> dict[str, Any]:
     """One effect in a scene: what it declares, what it costs, and its influence."""
     influence, error = row.influence, row.error
     kind = effect_types()[row.name]
@@ -71,7 +71,7 @@ def row_json(row: Row) -> dict[str, Any]:
     }
 
 
-def _events(influence: Influence) -> dict[str, Any]:
+def _events(influence: Sensitivity) -> dict[str, Any]:
     with_it, without = influence.only
     return {
         "matched": influence.events,
@@ -93,7 +93,7 @@ def advice_json(advice: Advice) -> dict[str, Any]:
     }
 
 
-def ladder_json(climbed: Sequence[Climbed]) -> list[dict[str, Any]]:
+def ladder_json(climbed: Sequence[RungResult]) -> list[dict[str, Any]]:
     """The rungs, from the bottom."""
     return [
         {
@@ -127,7 +127,7 @@ def print_declared() -> None:
     console.print(table)
 
 
-def print_rows(scene: Scene, rows: Sequence[Row]) -> None:
+def print_rows(scene: Scene, rows: Sequence[AblationRow]) -> None:
     """Print what every effect costs and does."""
     console = Console(highlight=False)
     console.print(
@@ -153,7 +153,7 @@ def print_rows(scene: Scene, rows: Sequence[Row]) -> None:
     )
 
 
-def _figures(row: Row) -> Iterable[str]:
+def _figures(row: AblationRow) -> Iterable[str]:
     influence = row.influence
     if influence is None or row.cost_ratio is None:
         return [_NONE] * 6
@@ -172,14 +172,14 @@ def _scaled(value: float | None) -> str:
     return _NONE if value is None else f"{1e3 * value:.3g}"
 
 
-def _settling(influence: Influence) -> str:
+def _settling(influence: Sensitivity) -> str:
     if influence.settling_s is not None:
         return f"{influence.settling_s:+.3g}" if influence.settling_s else "0"
     with_it, without = influence.settled_s
     return _NONE if with_it is without else "never" if with_it is None else "only now"
 
 
-def _notes(row: Row, solver: str) -> Iterable[str]:
+def _notes(row: AblationRow, solver: str) -> Iterable[str]:
     if row.reason:
         yield f"not toggled: {row.reason}"
         return
@@ -194,10 +194,10 @@ def _notes(row: Row, solver: str) -> Iterable[str]:
     if row.along:
         yield f"toggled with {', '.join(row.along)}, which need it"
     if row.influence is not None and row.influence.parcels:
-        yield f"{counted(row.influence.parcels, 'parcel')} at the end of one side only"
+        yield f"{plural(row.influence.parcels, 'parcel')} at the end of one side only"
     if row.influence is not None and any(row.influence.only):
         with_it, without = row.influence.only
-        yield f"{counted(with_it, 'event')} only with it, {without} only without"
+        yield f"{plural(with_it, 'event')} only with it, {without} only without"
 
 
 def _plain(value: object) -> str:
@@ -207,7 +207,7 @@ def _plain(value: object) -> str:
 def print_advice(advice: Advice) -> None:
     """Print which effects to leave out, and which to ask for."""
     console = Console(highlight=False)
-    limit = f"{short(1e3 * advice.tolerance_m)} mm"
+    limit = f"{short_number(1e3 * advice.tolerance_m)} mm"
     console.print()
     if advice.can_go:
         together = advice.together and advice.together.displacement_m
@@ -227,7 +227,7 @@ def print_advice(advice: Advice) -> None:
         )
 
 
-def print_ladder(scene: Scene, climbed: Sequence[Climbed]) -> None:
+def print_ladder(scene: Scene, climbed: Sequence[RungResult]) -> None:
     """Print cost and distance of every rung."""
     console = Console(highlight=False)
     console.print(

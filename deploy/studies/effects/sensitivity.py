@@ -13,14 +13,14 @@ import numpy as np
 from plant import geometry
 
 if TYPE_CHECKING:
-    from deploy.runs.headless import Course
+    from deploy.runs.headless import HeadlessResult
     from plant.observations import Event
     from plant.wheels import Floats
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Influence:
+class Sensitivity:
     """How far one run is from another.
 
     Attributes:
@@ -54,14 +54,14 @@ class Influence:
         return not (self.displacement_m or self.turn_rad or self.parcels or self.moved_s or any(self.only))
 
 
-def compare(one: Course, other: Course) -> Influence:
+def compare(one: HeadlessResult, other: HeadlessResult) -> Sensitivity:
     """How far ``one`` is from ``other``; parcels are the same where their numbers are."""
     there, there_too = _there(one), _there(other)
     both = sorted(there & there_too)
     shifts = [_displacement(one, other, number) for number in both]
     turns = [abs(math.remainder(one.states[n, 2] - other.states[n, 2], math.tau)) for n in both]
     moved, only = _shifts(one.events, other.events)
-    return Influence(
+    return Sensitivity(
         displacement_m=max(shifts, default=None),
         turn_rad=max(turns, default=None),
         parcels=len(there ^ there_too),
@@ -72,25 +72,25 @@ def compare(one: Course, other: Course) -> Influence:
     )
 
 
-def _there(course: Course) -> set[int]:
+def _there(course: HeadlessResult) -> set[int]:
     """Parcels that have come and have not left by an exit; one that tipped lies where it tipped."""
-    return {n for n, fate in enumerate(course.fates) if fate.state not in ("waiting", "delivered")}
+    return {n for n, fate in enumerate(course.parcel_status) if fate.state not in ("waiting", "delivered")}
 
 
-def _displacement(one: Course, other: Course, number: int) -> float:
+def _displacement(one: HeadlessResult, other: HeadlessResult, number: int) -> float:
     """Of the farthest corner of a parcel, m."""
     corners = [_corners(course, number) for course in (one, other)]
     return float(np.max(np.hypot(*(corners[0] - corners[1]).T)))
 
 
-def _corners(course: Course, number: int) -> Floats:
+def _corners(course: HeadlessResult, number: int) -> Floats:
     """``(v, 2)`` in world coordinates."""
     return geometry.placed(course.footprints_m[number], course.states[number, :3])
 
 
-def _settled_s(course: Course) -> float | None:
+def _settled_s(course: HeadlessResult) -> float | None:
     """Since when every parcel that is there rests, or lies tipped; None where one moves, or none is there."""
-    fates = [course.fates[number] for number in _there(course)]
+    fates = [course.parcel_status[number] for number in _there(course)]
     if not fates or any(fate.state == "moving" for fate in fates):
         return None
     return max(fate.time_s for fate in fates)

@@ -8,17 +8,17 @@ from statistics import median
 from typing import TYPE_CHECKING, final
 
 from deploy.errors import InputError
-from deploy.runs.headless import Course, follow
+from deploy.runs.headless import HeadlessResult, run_headless
 from deploy.studies.effects.ablation import (
-    NotPossible,
+    AblationPair,
     Table,
-    Toggled,
+    VariantRejected,
+    ablate,
     effect_types,
     refined,
     tables,
-    toggled,
 )
-from deploy.studies.effects.sensitivity import Influence, compare
+from deploy.studies.effects.sensitivity import Sensitivity, compare
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
@@ -28,7 +28,7 @@ Tell = Callable[[str], None]
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class AblationRow:
     """What one effect does in a scene.
 
     Attributes:
@@ -54,8 +54,8 @@ class Row:
     solver: str | None = None
     cells: bool = False
     wall_s: tuple[float, float] | None = None
-    influence: Influence | None = None
-    error: Influence | None = None
+    influence: Sensitivity | None = None
+    error: Sensitivity | None = None
     reason: str = ""
 
     @property
@@ -66,7 +66,7 @@ class Row:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Study:
+class EffectStudy:
     """Runs a scene with and without each effect; runs that several comparisons need are run once.
 
     Args:
@@ -78,9 +78,11 @@ class Study:
     scene: Scene
     repeats: int
     tell: Tell
-    _known: dict[tuple[bytes, bool], Course] = field(default_factory=dict[tuple[bytes, bool], Course])
+    _known: dict[tuple[bytes, bool], HeadlessResult] = field(
+        default_factory=dict[tuple[bytes, bool], HeadlessResult]
+    )
 
-    def rows(self, names: Sequence[str] | None = None) -> list[Row]:
+    def rows(self, names: Sequence[str] | None = None) -> list[AblationRow]:
         """A row an effect; in the order of the ladder, then those without a place in it.
 
         Args:
@@ -88,20 +90,20 @@ class Study:
         """
         return [self.row(name) for name in (effect_types() if names is None else names)]
 
-    def row(self, name: str) -> Row:
+    def row(self, name: str) -> AblationRow:
         """One effect's."""
         on = name in tables(self.scene)
         self.tell(f"{name} ...")
         try:
-            return self._measured(name, on, toggled(self.scene, name))
-        except (NotPossible, InputError) as why:  # a scene may be valid, and its plant still refuse it
-            return Row(name=name, on=on, reason=str(why))
+            return self._measured(name, on, ablate(self.scene, name))
+        except (VariantRejected, InputError) as why:  # a scene may be valid, and its plant still refuse it
+            return AblationRow(name=name, on=on, reason=str(why))
 
-    def _measured(self, name: str, on: bool, pair: Toggled) -> Row:
+    def _measured(self, name: str, on: bool, pair: AblationPair) -> AblationRow:
         with_it, without = (self.course(scene, cells=pair.cells) for scene in (pair.on, pair.off))
         ended = [course for course in (with_it, without) if course.status != "ok"]
         whole = not ended
-        return Row(
+        return AblationRow(
             name=name,
             on=on,
             settings=pair.settings,
@@ -115,28 +117,28 @@ class Study:
             reason="" if whole else f"{'with' if with_it in ended else 'without'} it: {ended[0].reason}",
         )
 
-    def course(self, scene: Scene, *, cells: bool) -> Course:
+    def course(self, scene: Scene, *, cells: bool) -> HeadlessResult:
         """The run of a scene; once for all that is the same."""
         key = (scene.canonical(), cells)
         if key not in self._known:
-            self._known[key] = follow(scene, cells=cells)
+            self._known[key] = run_headless(scene, cells=cells)
         return self._known[key]
 
-    def _timed(self, pair: Toggled) -> tuple[float, float]:
+    def _timed(self, pair: AblationPair) -> tuple[float, float]:
         """Medians; the two take turns, so that a slower machine is slower for both."""
         spans = [
-            (follow(pair.on, cells=pair.cells).wall_s, follow(pair.off, cells=pair.cells).wall_s)
+            (run_headless(pair.on, cells=pair.cells).wall_s, run_headless(pair.off, cells=pair.cells).wall_s)
             for _ in range(self.repeats)
         ]
         return median(span[0] for span in spans), median(span[1] for span in spans)
 
-    def _error(self, pair: Toggled) -> Influence | None:
+    def _error(self, pair: AblationPair) -> Sensitivity | None:
         """The solver's own error, of whichever side it is larger."""
         found = [self._against_finer(scene, pair.cells) for scene in (pair.on, pair.off)]
         known = [error for error in found if error is not None]
         return max(known, key=lambda error: error.displacement_m or 0.0, default=None)
 
-    def _against_finer(self, scene: Scene, cells: bool) -> Influence | None:
+    def _against_finer(self, scene: Scene, cells: bool) -> Sensitivity | None:
         finer = refined(scene)
         if finer is None:
             return None

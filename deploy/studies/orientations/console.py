@@ -9,11 +9,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from deploy.util.formatting import counted, point, short
+from deploy.util.formatting import format_point, plural, short_number
 from plant.analysis.crossings import TURN
 
 if TYPE_CHECKING:
-    from deploy.studies.orientations.study import SizeMap, Study
+    from deploy.studies.orientations.study import OrientationStudy, SizeMap
     from plant.analysis.orientations import Orientation, TorqueProfile
     from plant.wheels import Floats
 
@@ -26,12 +26,12 @@ def angles(one: Orientation) -> str:
     return f"{low} to {_degrees(one.high_rad)}" if one.is_interval else low
 
 
-def print_orientations(study: Study, profile: TorqueProfile) -> None:
+def print_orientations(study: OrientationStudy, profile: TorqueProfile) -> None:
     """Print where a parcel comes to rest, and what turns it beside that."""
     console = Console(highlight=False)
-    changes = counted(len(profile.angles_rad), "angle")
+    changes = plural(len(profile.angles_rad), "angle")
     console.print(
-        f"scene {study.scene.name}, parcel {study.parcel}, centre of mass at {point(profile.centre_m)} m; "
+        f"scene {study.scene.name}, parcel {study.parcel}, centre of mass at {format_point(profile.centre_m)} m; "
         f"its supports change at {changes} a turn",
         markup=False,
     )
@@ -46,8 +46,8 @@ def print_orientations(study: Study, profile: TorqueProfile) -> None:
     force = profile.largest_force_n()
     if force > 0.0:
         console.print(
-            f"\nThe point is no equilibrium at every angle: up to {short(force)} N pull the parcel aside, and it may "
-            "come to rest at angles a little beside these."
+            f"\nThe point is no equilibrium at every angle: up to {short_number(force)} N pull the parcel aside, "
+            "and it may come to rest at angles a little beside these."
         )
 
 
@@ -60,17 +60,19 @@ def _table(found: tuple[Orientation, ...]) -> Table:
         table.add_column(heading, justify="right")
     for one in found:
         what = f"{one.nature} {'interval' if one.is_interval else 'angle'}"
-        beside = ("–" if torque is None else short(torque) for torque in (one.before_n_m, one.after_n_m))
+        beside = (
+            "–" if torque is None else short_number(torque) for torque in (one.before_n_m, one.after_n_m)
+        )
         table.add_row(angles(one), what, "yes" if one.stable else "no", *beside)
     return table
 
 
-def print_sizes(study: Study, sizes: SizeMap) -> None:
+def print_sizes(study: OrientationStudy, sizes: SizeMap) -> None:
     """Print how many sizes have how many stable orientations."""
     console = Console(highlight=False)
     console.print(
         f"scene {study.scene.name}: {sizes.counts().size:,} sizes, {_span(sizes.lengths_m)} m long and "
-        f"{_span(sizes.widths_m)} m wide, centre of mass at {point(study.centre_m)} m\n",
+        f"{_span(sizes.widths_m)} m wide, centre of mass at {format_point(study.centre_m)} m\n",
         markup=False,
     )
     table = Table(box=None, pad_edge=False)

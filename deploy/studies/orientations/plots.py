@@ -11,15 +11,15 @@ import numpy as np
 
 from deploy.plots.map_view import INK, LABEL, colour, draw_map
 from deploy.plots.theme import DPI, draw_heading, write_picture
-from deploy.recordings.trace import Track
-from deploy.util.formatting import counted, point
+from deploy.recordings.trace import RunTrace
+from deploy.util.formatting import format_point, plural
 from plant.analysis.static_supports import footprint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from deploy.studies.orientations.study import SizeMap, Study
+    from deploy.studies.orientations.study import OrientationStudy, SizeMap
     from plant.analysis.orientations import Orientation, TorqueProfile
     from plant.wheels import Floats
 
@@ -32,7 +32,7 @@ _LABELS = 12
 """Stable orientations beyond this many are marked without their angle: words would lie on words."""
 
 
-def draw_orientations(study: Study, profile: TorqueProfile, path: Path) -> None:
+def draw_orientations(study: OrientationStudy, profile: TorqueProfile, path: Path) -> None:
     """Draw torque against angle as a PNG.
 
     Args:
@@ -46,7 +46,7 @@ def draw_orientations(study: Study, profile: TorqueProfile, path: Path) -> None:
     write_picture(lambda: _draw_figure(study, profile), path)
 
 
-def _draw_figure(study: Study, profile: TorqueProfile) -> Figure:
+def _draw_figure(study: OrientationStudy, profile: TorqueProfile) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")
@@ -58,10 +58,10 @@ def _draw_figure(study: Study, profile: TorqueProfile) -> Figure:
     scene = study.scene
     facts = [
         scene.name,
-        counted(len(study.array), "cell"),
-        f"parcel {study.parcel} turned about {point(profile.centre_m)} m",
-        f"supports change at {counted(len(profile.angles_rad), 'angle')}",
-        counted(len(profile.stable()), "stable orientation"),
+        plural(len(study.array), "cell"),
+        f"parcel {study.parcel} turned about {format_point(profile.centre_m)} m",
+        f"supports change at {plural(len(profile.angles_rad), 'angle')}",
+        plural(len(profile.stable()), "stable orientation"),
     ]
     if np.any(np.isnan(profile.torque_n_m)):
         facts.append("hatched: it tips")
@@ -69,12 +69,12 @@ def _draw_figure(study: Study, profile: TorqueProfile) -> Figure:
     return figure
 
 
-def _draw_view(axes: Axes, study: Study, stable: tuple[Orientation, ...]) -> None:
+def _draw_view(axes: Axes, study: OrientationStudy, stable: tuple[Orientation, ...]) -> None:
     """The cells about the parcel and, in a colour each, the parcel at its stable orientations."""
     corners = footprint(study.scene.parcels[study.parcel])
     draw_map(
         axes,
-        Track(
+        RunTrace(
             title="",
             scene=study.scene.name,
             pitch_m=study.array.pitch_m,
@@ -105,7 +105,7 @@ def _outline(axes: Axes, corners: Floats, centre: Floats, angle: float, shade: s
     axes.plot(*front[1], "o", ms=5, color=shade, zorder=6)
 
 
-def _draw_torque(axes: Axes, study: Study, profile: TorqueProfile) -> None:
+def _draw_torque(axes: Axes, study: OrientationStudy, profile: TorqueProfile) -> None:
     edges = np.concatenate([[0.0], np.degrees(profile.angles_rad), [360.0]])
     values = np.append(profile.torque_n_m[-1], profile.torque_n_m[: len(profile.angles_rad)])
     axes.axhline(0.0, color="#8b95a1", lw=0.8, zorder=1)
@@ -172,7 +172,7 @@ _NONE = "#e3e7ec"
 """Where nothing is stable."""
 
 
-def draw_sizes(study: Study, sizes: SizeMap, path: Path) -> None:
+def draw_sizes(study: OrientationStudy, sizes: SizeMap, path: Path) -> None:
     """Draw the map as a PNG.
 
     Args:
@@ -186,7 +186,7 @@ def draw_sizes(study: Study, sizes: SizeMap, path: Path) -> None:
     write_picture(lambda: _draw_sizes_figure(study, sizes), path)
 
 
-def _draw_sizes_figure(study: Study, sizes: SizeMap) -> Figure:
+def _draw_sizes_figure(study: OrientationStudy, sizes: SizeMap) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_SIZES_WIDTH, _SIZES_HEIGHT), dpi=DPI, facecolor="white")
@@ -207,8 +207,8 @@ def _draw_sizes_figure(study: Study, sizes: SizeMap) -> Figure:
     scene = study.scene
     facts = [
         scene.name,
-        counted(len(study.array), "cell"),
-        f"{sizes.counts().size:,} sizes turned about {point(study.centre_m)} m",
+        plural(len(study.array), "cell"),
+        f"{sizes.counts().size:,} sizes turned about {format_point(study.centre_m)} m",
         "grey: nothing stable",
     ]
     draw_heading(figure, scene.title or scene.name, "  ·  ".join(facts), 0.35)
@@ -263,7 +263,7 @@ def _draw_nearest(axes: Axes, bar: Axes, sizes: SizeMap) -> None:
     axes.figure.colorbar(mesh, cax=bar, ticks=np.arange(0, 91, 15))
 
 
-def _mark_own(axes: Axes, study: Study, sizes: SizeMap) -> None:
+def _mark_own(axes: Axes, study: OrientationStudy, sizes: SizeMap) -> None:
     """A ring at the size of the scene's own parcel."""
     size = study.scene.parcels[study.parcel].size_m
     bounds = [(values[0], values[-1]) for values in (sizes.lengths_m, sizes.widths_m)]

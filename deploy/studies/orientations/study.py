@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from deploy.errors import InputError
 from deploy.runs.field_simulation import field_speeds
 from deploy.util.progress import LINE_S
-from plant.analysis.equilibrium import continuous_torque, linear_field, loaded_moments, resting_place
-from plant.analysis.torque_profile import Turntable
+from plant.analysis.equilibrium import continuous_torque, equilibrium_point, linear_field, loaded_moments
+from plant.analysis.torque_profile import TorqueProfiler
 from plant.array import CellArray
 from plant.errors import PlantError
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Study:
+class OrientationStudy:
     """A parcel of a scene, and the point its centre of mass stays at.
 
     Attributes:
@@ -43,7 +43,7 @@ class Study:
     parcel: int
     array: CellArray
     speeds_m_s: Floats
-    table: Turntable
+    table: TorqueProfiler
     centre_m: Floats
 
     def profile(self) -> TorqueProfile:
@@ -53,7 +53,7 @@ class Study:
             InputError: The parcel stands at that point at no angle.
         """
         try:
-            return self.table.turn(self.scene.parcels[self.parcel], self.centre_m)
+            return self.table.profile(self.scene.parcels[self.parcel], self.centre_m)
         except PlantError as error:
             raise InputError(f"scene {self.scene.name}: {error}") from None
 
@@ -67,7 +67,7 @@ class Study:
         return self.table.drag_n_s_per_m(parcel) * continuous_torque(angles_rad, field, moments)
 
 
-def study(scene: Scene, parcel: int, centre_m: Sequence[float] | None) -> Study:
+def study(scene: Scene, parcel: int, centre_m: Sequence[float] | None) -> OrientationStudy:
     """Prepare the study of a parcel.
 
     Args:
@@ -82,14 +82,14 @@ def study(scene: Scene, parcel: int, centre_m: Sequence[float] | None) -> Study:
     speeds = field_speeds(scene, array.positions_m)
     spec = scene.plant_spec()
     try:
-        table = Turntable(spec, speeds)
+        table = TorqueProfiler(spec, speeds)
     except PlantError as error:
         raise InputError(f"scene {scene.name}: {error}") from None
     try:
-        place = resting_place(spec, parcel, speeds) if centre_m is None else np.array(centre_m)
+        place = equilibrium_point(spec, parcel, speeds) if centre_m is None else np.array(centre_m)
     except PlantError as error:
         raise InputError(f"scene {scene.name}: {error}: give a point with --at X,Y") from None
-    return Study(scene, parcel, array, speeds, table, place)
+    return OrientationStudy(scene, parcel, array, speeds, table, place)
 
 
 @final
@@ -121,7 +121,7 @@ class SizeMap:
         )
 
 
-def size_map(study: Study, lengths_m: Floats, widths_m: Floats) -> SizeMap:
+def size_map(study: OrientationStudy, lengths_m: Floats, widths_m: Floats) -> SizeMap:
     """Turn a rectangle of every size, at the study's point and of its parcel's mass; tells how far it is on stderr.
 
     Args:
@@ -140,7 +140,7 @@ def size_map(study: Study, lengths_m: Floats, widths_m: Floats) -> SizeMap:
 
     def stable(length: float, width: float) -> tuple[Orientation, ...] | None:
         try:
-            return study.table.turn(
+            return study.table.profile(
                 parcel.model_copy(update={"size_m": (length, width)}), study.centre_m
             ).stable()
         except PlantError:

@@ -15,16 +15,16 @@ class AnalogueSensorsSpec(EffectSpec):
     """Presence sensors that tell how much of a round spot is covered, from 0 to 1."""
 
     messages: ClassVar[tuple[str, ...]] = ("cells are told the level of every sensor",)
-    rung: ClassVar[int | None] = 52
+    fidelity_rank: ClassVar[int | None] = 52
     spot_radius_m: Positive
     """Of what a sensor sees; at most the pitch."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:
+    def default_settings(cls, pitch_m: float) -> Self:
         """A twentieth of the pitch."""
         return cls(spot_radius_m=0.05 * pitch_m)
 
-    def misplaced(
+    def problems(
         self,
         lattice: Lattice,  # noqa: ARG002
         pitch_m: float,

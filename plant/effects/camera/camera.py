@@ -9,9 +9,9 @@ from typing import ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.random_streams import generator
-from bus.sensors import Picture
-from bus.state import Remembers
+from bus.random_streams import rng
+from bus.sensors import CameraFrame
+from bus.state import StateFields
 from plant.effects.camera.spec import CameraSpec
 from plant.wheels import Floats
 
@@ -32,18 +32,18 @@ class Camera:
             one before, so that none sees what had not come yet.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_draw", "_next_ns", "_under_way", records=(Picture,))
+    remembers: ClassVar[StateFields] = StateFields("_draw", "_next_ns", "_under_way", records=(CameraFrame,))
 
     def __init__(self, spec: CameraSpec, tick_ns: int, seed: int, later: int = 0) -> None:
         self._tick_ns = tick_ns
         self._period_ns = _nanoseconds(spec.period_s)
         self._delay = -(-_nanoseconds(spec.latency_s) // tick_ns) + later
         self._spread = np.array([spec.position_noise_m, spec.position_noise_m, spec.angle_noise_rad])
-        self._draw = generator(seed, "camera.noise")
+        self._draw = rng(seed, "camera.noise")
         self._next_ns = Fraction(0)
-        self._under_way: deque[tuple[int, Picture]] = deque()
+        self._under_way: deque[tuple[int, CameraFrame]] = deque()
 
-    def look(self, tick: int, state: Floats, there: NDArray[np.int64]) -> Picture | None:
+    def look(self, tick: int, state: Floats, there: NDArray[np.int64]) -> CameraFrame | None:
         """What cells are shown in a tick; to be called in every one, in order.
 
         Args:
@@ -60,12 +60,12 @@ class Camera:
             return self._under_way.popleft()[1]
         return None
 
-    def _picture(self, state: Floats, there: NDArray[np.int64]) -> Picture:
+    def _picture(self, state: Floats, there: NDArray[np.int64]) -> CameraFrame:
         # drawn for all: who comes and goes changes nothing for the others
         off = self._draw.standard_normal((len(state), 3)) * self._spread
         pose = (state[:, :3] + off)[there]
         pose[:, 2] -= 2.0 * np.pi * np.floor((pose[:, 2] + np.pi) / (2.0 * np.pi))
-        return Picture(there.copy(), pose)
+        return CameraFrame(there.copy(), pose)
 
 
 def _nanoseconds(span_s: float) -> Fraction:

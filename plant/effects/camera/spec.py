@@ -24,6 +24,6 @@ class CameraSpec(EffectSpec):
     """And in each angle."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:
+    def default_settings(cls, pitch_m: float) -> Self:
         """25 pictures a second, 40 ms late, off by a hundredth of the pitch."""
         return cls(latency_s=0.04, position_noise_m=0.01 * pitch_m, angle_noise_rad=0.01)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from bus.effect import EffectSpec
-from bus.random_streams import generator
+from bus.random_streams import rng
 from bus.spec import Finite, NotNegative, Vector
 from plant import geometry
 from plant.parcel_spec import ParcelSpec, PolygonSpec
@@ -84,7 +84,7 @@ class FeedSpec(ParcelSpec):
             every = _decimal(self.every_s)
             return [_rounded_up(first + number * every) for number in range(self.total)]
         assert self.mean_s is not None
-        draw = generator(seed, f"feeders.{self.name}.times")
+        draw = rng(seed, f"feeders.{self.name}.times")
         due, found = _rounded_up(first), list[int]()
         for gap_s in (self.mean_s * draw.standard_exponential(self.total)).tolist():
             due += round(gap_s * 1e9)
@@ -94,7 +94,7 @@ class FeedSpec(ParcelSpec):
     def parcels(self, seed: int) -> Iterator[ParcelSpec]:
         """The parcels in the order in which they are fed, each where it will appear."""
         kind = ParcelSpec.model_validate({key: getattr(self, key) for key in ParcelSpec.model_fields})
-        draw = generator(seed, f"feeders.{self.name}.poses")
+        draw = rng(seed, f"feeders.{self.name}.poses")
         spread = (*self.position_spread_m, self.angle_spread_rad)
         off = (draw.uniform(-1.0, 1.0, (self.total, 3)) * spread).tolist()
         for (dx, dy, turn), to in zip(off, self.destinations(seed), strict=True):
@@ -108,7 +108,7 @@ class FeedSpec(ParcelSpec):
             return [None] * self.total
         if self.order == "turn":
             return [self.to[number % len(self.to)] for number in range(self.total)]
-        draw = generator(seed, f"feeders.{self.name}.exits")
+        draw = rng(seed, f"feeders.{self.name}.exits")
         return [self.to[number] for number in draw.integers(len(self.to), size=self.total).tolist()]
 
 
@@ -136,7 +136,7 @@ class FeedersSpec(EffectSpec):
     exits: tuple[ExitSpec, ...] = ()
 
     @classmethod
-    def typical(cls, pitch_m: float) -> str:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> str:  # noqa: ARG003
         """None."""
         return "only a scene can say what comes, where it comes and where it leaves"
 

@@ -9,11 +9,11 @@ from typing import ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant import geometry
 from plant.effects.feeders.spec import FeedersSpec
 from plant.observations import Event, ExitCount, FeedCount, ParcelStatus, TrafficCount, Transit
-from plant.overlap import OverlapWatch
+from plant.overlap import OverlapDetector
 from plant.wheels import Floats
 
 
@@ -31,7 +31,7 @@ class _Queue:
         longest_ns: The longest that one had to wait.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("called_ns", "fed", "held_back", "longest_ns")
+    remembers: ClassVar[StateFields] = StateFields("called_ns", "fed", "held_back", "longest_ns")
 
     name: str
     first: int
@@ -47,7 +47,7 @@ class _Queue:
         """Number of the parcel to be fed next."""
         return self.first + self.fed
 
-    def call(self, time_ns: int) -> int:
+    def dequeue(self, time_ns: int) -> int:
         """Note who is due by now; returns how many were before."""
         before = len(self.called_ns)
         while len(self.called_ns) < len(self.due_ns) and self.due_ns[len(self.called_ns)] <= time_ns:
@@ -60,7 +60,7 @@ class _Queue:
 class _Gate:
     """An exit: its edges, how long those who left by it had been there, and how many were meant for another."""
 
-    remembers: ClassVar[Remembers] = Remembers("transit_ns", "misrouted")
+    remembers: ClassVar[StateFields] = StateFields("transit_ns", "misrouted")
 
     name: str
     normal: Floats
@@ -68,7 +68,7 @@ class _Gate:
     transit_ns: list[int] = field(default_factory=list[int])
     misrouted: int = 0
 
-    def holds(self, points: Floats) -> NDArray[np.bool_]:
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
         """Which of the points ``(k, 2)`` are in it, its boundary included."""
         x, y = points[:, :1], points[:, 1:]
         return np.all(x * self.normal[:, 0] + y * self.normal[:, 1] <= self.offset, axis=1)
@@ -95,7 +95,7 @@ class Traffic:
         there: ascending indices of the parcels that neither wait nor have left.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_queues", "_gates", "_since_ns", "there")
+    remembers: ClassVar[StateFields] = StateFields("_queues", "_gates", "_since_ns", "on_surface")
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class Traffic:
         seed: int,
         state: Floats,
         status: list[ParcelStatus],
-        overlaps: OverlapWatch,
+        overlaps: OverlapDetector,
         destinations: Sequence[str | None],
     ) -> None:
         self._destinations = destinations
@@ -119,16 +119,16 @@ class Traffic:
         self._since_ns: dict[int, int] = dict.fromkeys(range(own), 0)
         self._velocity: Floats = state[:, 3:].copy()
         state[own:, 3:] = 0.0
-        self.there: NDArray[np.int64] = np.arange(own)
+        self.on_surface: NDArray[np.int64] = np.arange(own)
         for queue in self._queues:
             for place in range(len(queue.due_ns)):
                 status[queue.first + place] = ParcelStatus("waiting", 0.0, f"for feeder {queue.name}")
 
     def exit_at(self, point: Floats) -> str | None:
         """Name of the exit that a point ``(2,)`` lies in."""
-        return next((gate.name for gate in self._gates if gate.holds(point[None])[0]), None)
+        return next((gate.name for gate in self._gates if gate.contains(point[None])[0]), None)
 
-    def look(self, time_ns: int) -> list[Event]:
+    def update(self, time_ns: int) -> list[Event]:
         """Let parcels leave and feed others, as they should by now.
 
         Returns:
@@ -136,9 +136,9 @@ class Traffic:
         """
         events = [event for gate in self._gates for event in self._let_out(gate, time_ns)]
         for queue in self._queues:
-            called = queue.call(time_ns)
+            called = queue.dequeue(time_ns)
             while queue.fed < len(queue.called_ns):
-                other = self._overlaps.in_the_way(queue.head, self._state, self.there, queue.clear_m)
+                other = self._overlaps.first_blocker(queue.head, self._state, self.on_surface, queue.clear_m)
                 if other is not None:
                     events.extend(self._hold_back(queue, called, other))
                     break
@@ -146,9 +146,9 @@ class Traffic:
         return events
 
     def _let_out(self, gate: _Gate, time_ns: int) -> Iterator[Event]:
-        for i in map(int, self.there[gate.holds(self._state[self.there, :2])]):
+        for i in map(int, self.on_surface[gate.contains(self._state[self.on_surface, :2])]):
             if self._status[i].rides:
-                self.there = self.there[self.there != i]
+                self.on_surface = self.on_surface[self.on_surface != i]
                 self._state[i, 3:] = 0.0
                 self._status[i] = ParcelStatus("delivered", time_ns * 1e-9, f"through exit {gate.name}")
                 transit_ns = time_ns - self._since_ns[i]
@@ -165,7 +165,7 @@ class Traffic:
         i, held_ns = queue.head, time_ns - queue.called_ns[queue.fed]
         queue.longest_ns = max(queue.longest_ns, held_ns)
         queue.fed += 1
-        self.there = np.sort(np.append(self.there, i))
+        self.on_surface = np.sort(np.append(self.on_surface, i))
         self._state[i, 3:] = self._velocity[i]
         self._status[i] = ParcelStatus("moving", time_ns * 1e-9)
         self._since_ns[i] = time_ns
@@ -196,7 +196,7 @@ class Traffic:
             feed=feeders,
             exits=exits,
             waiting=sum(feeder.waiting for feeder in feeders),
-            there=len(self.there),
+            there=len(self.on_surface),
             left=len(everyone),
             misrouted=sum(gate.misrouted for gate in self._gates),
             transit_s=Transit.of(everyone),

@@ -127,7 +127,7 @@ class Group(NamedTuple):
         return self._replace(moving=self.moving[self.moving != body], inverse=inverse, still=still)
 
 
-class Work(NamedTuple):
+class ContactWorkspace(NamedTuple):
     """Scratch of the kernels for one group; see ``plant.kernels.contact.layout``.
 
     Attributes:
@@ -151,10 +151,10 @@ class Work(NamedTuple):
     third: Floats
 
 
-def make_work(group: Group) -> Work:
+def make_workspace(group: Group) -> ContactWorkspace:
     """Scratch for a group."""
     pairs, bodies = len(group.pairs), len(group.names)
-    return Work(
+    return ContactWorkspace(
         np.zeros((2 * pairs, to.ROW_SIZE)),
         np.zeros((2 * pairs, 3), dtype=np.int64),
         np.zeros(pairs, dtype=np.int64),

@@ -13,9 +13,9 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.effects.parcel_contact.bodies import Group, make_work
-from plant.effects.parcel_contact.events import Told, telling
-from plant.effects.parcel_contact.free_motion import Course
+from plant.effects.parcel_contact.bodies import Group, make_workspace
+from plant.effects.parcel_contact.events import ContactEvent, contact_event
+from plant.effects.parcel_contact.free_motion import FreeMotion
 from plant.kernels.contact import layout as to
 from plant.kernels.contact.layout import TOUCH_M
 
@@ -43,7 +43,7 @@ class Turn(NamedTuple):
 
 
 @final
-class Search:
+class ContactSearch:
     """Contacts of a group along its course.
 
     Args:
@@ -58,7 +58,9 @@ class Search:
         states: at these.
     """
 
-    def __init__(self, course: Course, group: Group, wheels: float, times: Floats, states: Floats) -> None:
+    def __init__(
+        self, course: FreeMotion, group: Group, wheels: float, times: Floats, states: Floats
+    ) -> None:
         from plant.kernels.contact import entry as contact_entry
 
         self._entry: Any = contact_entry
@@ -75,7 +77,7 @@ class Search:
         """The first contact of some pairs, apart at the instant ``start``; None where there is none."""
         group = self._group
         while len(pairs):
-            start, which = self._entry.first_unsure(
+            start, which = self._entry.first_uncertain(
                 group.shapes, group.pairs[pairs], group.pull, self._wheels, self.times, self.states, start
             )
             if which < 0:
@@ -109,12 +111,12 @@ class Search:
         a, b = self.times[index], self.times[index + 1]
         inner = a + (b - a) * np.arange(1, PARTS) / PARTS
         self.times = np.insert(self.times, index + 1, inner)
-        self.states = np.insert(self.states, index + 1, self._course.at(inner), axis=0)
+        self.states = np.insert(self.states, index + 1, self._course.sample(inner), axis=0)
 
 
-def follow(
-    course: Course, group: Group, wheels: float, known: tuple[Floats, Floats], met: bool
-) -> tuple[Sequence[Told], bool]:
+def detect_contacts(
+    course: FreeMotion, group: Group, wheels: float, known: tuple[Floats, Floats], met: bool
+) -> tuple[Sequence[ContactEvent], bool]:
     """Contacts of one pair along its free course.
 
     Args:
@@ -131,9 +133,9 @@ def follow(
 
     kernels: Any = contact_entry
 
-    search = Search(course, group, wheels, *known)
-    told: list[Told] = []
-    work, only = make_work(group), np.zeros(1, dtype=np.int64)
+    search = ContactSearch(course, group, wheels, *known)
+    told: list[ContactEvent] = []
+    work, only = make_workspace(group), np.zeros(1, dtype=np.int64)
     index = 0
     while True:
         if not met and search.gap(index, 0) <= to.TOUCH_M:
@@ -145,6 +147,6 @@ def follow(
             found = contact.known
         index, met = found, not met
         states, kind = search.states[index], "contact" if met else "apart"
-        count = kernels.gather(group, work.marks, to.EVERY, states, to.BEYOND, work.rows, work.ends)
+        count = kernels.build_rows(group, work.marks, to.EVERY, states, to.BEYOND, work.rows, work.ends)
         rows, ends = work.rows[:count], work.ends[:count]
-        told.append(telling(group, float(search.times[index]), kind, rows, ends, states[:, 3:]))
+        told.append(contact_event(group, float(search.times[index]), kind, rows, ends, states[:, 3:]))

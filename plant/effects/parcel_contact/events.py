@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-class Told(NamedTuple):
+class ContactEvent(NamedTuple):
     """A contact that began or ended.
 
     Attributes:
@@ -34,7 +34,9 @@ class Told(NamedTuple):
     detail: str
 
 
-def telling(group: Group, after_s: float, kind: str, rows: Floats, ends: Integers, velocity: Floats) -> Told:
+def contact_event(
+    group: Group, after_s: float, kind: str, rows: Floats, ends: Integers, velocity: Floats
+) -> ContactEvent:
     """A contact of one pair.
 
     Args:
@@ -48,17 +50,17 @@ def telling(group: Group, after_s: float, kind: str, rows: Floats, ends: Integer
     first, second = group.names[ends[0, : to.PAIR]].tolist()
     x, y = rows[:, [to.PX, to.PY]].mean(axis=0).tolist()
     if kind == "apart":
-        return Told(after_s, kind, (first, second), (x, y), "")
+        return ContactEvent(after_s, kind, (first, second), (x, y), "")
     u, v = velocity[ends[0, 0]], velocity[ends[0, 1]]
     ax, ay, bx, by = rows[:, to.AX : to.BY + 1].T
     nx, ny = rows[:, to.NORMAL_X], rows[:, to.NORMAL_Y]
     closing = nx * (u[0] - v[0] - u[2] * ay + v[2] * by) + ny * (u[1] - v[1] + u[2] * ax - v[2] * bx)
     nearest = int(np.argmin(rows[:, to.SPACE]))
     detail = f", normal [{nx[nearest]:.6g}, {ny[nearest]:.6g}], closing at {closing.max():.4g} m/s"
-    return Told(after_s, kind, (first, second), (x, y), detail)
+    return ContactEvent(after_s, kind, (first, second), (x, y), detail)
 
 
-def events(told: Sequence[Told], parcels: int, start_s: float) -> list[Event]:
+def events(told: Sequence[ContactEvent], parcels: int, start_s: float) -> list[Event]:
     """The plant's events, ordered by time.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.effects.parcel_contact.bodies import Group
-from plant.solver_api import Advance, Leg, Rewindable
+from plant.solver_api import AdvanceResult, Rewindable, Segment
 from plant.wheels import WheelMotion
 
 Floats = NDArray[np.float64]
@@ -27,20 +27,20 @@ STILL_THERE = ("moving", "tipped")
 
 
 @final
-class CourseEnded(Exception):
+class FreeMotionEnded(Exception):
     """A parcel's motion can't be followed, or was to end: there is no course to look at.
 
     Attributes:
         done: how far it came, times from the start of the course.
     """
 
-    def __init__(self, done: Advance) -> None:
-        super().__init__(done.ending)
+    def __init__(self, done: AdvanceResult) -> None:
+        super().__init__(done.termination)
         self.done = done
 
 
 @final
-class Course:
+class FreeMotion:
     """The free motion of a group's parcels from where they are now.
 
     Args:
@@ -53,11 +53,11 @@ class Course:
     def __init__(self, solver: Rewindable, group: Group, motion: WheelMotion, grip: Floats) -> None:
         self._solver, self._group = solver, group
         self._motion, self._grip = motion, grip
-        self._kept = solver.keep(group.parcels)
+        self._kept = solver.snapshot(group.parcels)
         self.start: Floats = group.still.copy()
         self.start[group.moving] = solver.state[group.parcels]
 
-    def at(self, times: Floats) -> Floats:
+    def sample(self, times: Floats) -> Floats:
         """``(k, b, 6)`` states at ``times`` ``(k,)`` in seconds from the start, ascending and after it.
 
         Raises:
@@ -66,25 +66,25 @@ class Course:
         group = self._group
         out = np.empty((len(times), len(self._solver.state), 6))
         self._solver.restore(self._kept)
-        leg = Leg(self._motion, self._grip, float(times[-1]), times, out)
+        leg = Segment(self._motion, self._grip, float(times[-1]), times, out)
         news = self._solver.advance(group.parcels, leg)
         states = np.empty((len(times), len(group.names), 6))
         states[:] = group.still
         states[:, group.moving] = out[:, group.parcels]
         for one in news:
-            if one.ending not in STILL_THERE:
-                raise CourseEnded(one)
-            if one.ending != "moving":
+            if one.termination not in STILL_THERE:
+                raise FreeMotionEnded(one)
+            if one.termination != "moving":
                 states[times > one.moved_s, np.searchsorted(group.names, one.parcel), 3:] = 0.0
         return states
 
-    def back(self) -> None:
+    def rewind(self) -> None:
         """Put the parcels back to the start."""
         self._solver.restore(self._kept)
 
-    def go(self, span_s: float) -> list[Advance]:
+    def advance(self, span_s: float) -> list[AdvanceResult]:
         """Move the parcels on by ``span_s`` for good. Returns those to which something happened."""
         self._solver.restore(self._kept)
         return self._solver.advance(
-            self._group.parcels, Leg.through(self._motion, self._grip, span_s, len(self._solver.state))
+            self._group.parcels, Segment.through(self._motion, self._grip, span_s, len(self._solver.state))
         )

@@ -12,12 +12,12 @@ from typing import Any, ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.state import Remembers
+from bus.state import StateFields
 from plant.effects.parcel_contact.bodies import Bodies, Group, fastest
-from plant.effects.parcel_contact.detect import follow
-from plant.effects.parcel_contact.events import Told, events
-from plant.effects.parcel_contact.free_motion import STILL_THERE, Course
-from plant.effects.parcel_contact.resolve import Drive, Resolution
+from plant.effects.parcel_contact.detect import detect_contacts
+from plant.effects.parcel_contact.events import ContactEvent, events
+from plant.effects.parcel_contact.free_motion import STILL_THERE, FreeMotion
+from plant.effects.parcel_contact.resolve import ContactDrive, Resolution
 from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.errors import PlantError
 from plant.friction.law import Traction
@@ -25,7 +25,7 @@ from plant.geometry import close_pairs
 from plant.kernels.contact import layout as to
 from plant.observations import Event
 from plant.parcel_spec import ParcelSpec
-from plant.solver_api import Advance, Leg, Rewindable
+from plant.solver_api import AdvanceResult, Rewindable, Segment
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -51,7 +51,7 @@ class ContactMover:
         resolves: whether contacts change the motion.
     """
 
-    remembers: ClassVar[Remembers] = Remembers("_met")
+    remembers: ClassVar[StateFields] = StateFields("_met")
 
     def __init__(
         self,
@@ -98,7 +98,7 @@ class ContactMover:
         told, self._events = self._events, []
         return told
 
-    def advance(self, live: Integers, fixed: Integers, leg: Leg, start_s: float) -> list[Advance]:
+    def advance(self, live: Integers, fixed: Integers, leg: Segment, start_s: float) -> list[AdvanceResult]:
         """Move parcels, as ``Solver.advance`` does.
 
         Args:
@@ -107,7 +107,7 @@ class ContactMover:
             leg: how far, and on which wheels; no states are asked for on it where contacts are resolved.
             start_s: when it begins.
         """
-        drive = Drive(leg.motion, leg.grip, fastest(leg.motion), start_s)
+        drive = ContactDrive(leg.motion, leg.grip, fastest(leg.motion), start_s)
         move = self._resolve if self.resolves else self._watch
         news, told = move(live, fixed, drive, leg)
         self._events += events(told, self._bodies.parcels, start_s)
@@ -150,7 +150,7 @@ class ContactMover:
             close[mine] = distance < self._bodies.radius[parcel] + strides[parcel]
         return pairs[close]
 
-    def _forget(self, present: Integers) -> list[Told]:
+    def _forget(self, present: Integers) -> list[ContactEvent]:
         """Contacts of parcels that are gone."""
         here = set(present.tolist())
         gone = [
@@ -161,35 +161,35 @@ class ContactMover:
         self._met.difference_update(gone)
         state = self._solver.state
         return [
-            Told(0.0, "apart", pair, (float(state[pair[0], 0]), float(state[pair[0], 1])), "")
+            ContactEvent(0.0, "apart", pair, (float(state[pair[0], 0]), float(state[pair[0], 1])), "")
             for pair in gone
         ]
 
     # --- reported only --------------------------------------------------------------------------------
 
     def _watch(
-        self, live: Integers, fixed: Integers, drive: Drive, leg: Leg
-    ) -> tuple[list[Advance], list[Told]]:
+        self, live: Integers, fixed: Integers, drive: ContactDrive, leg: Segment
+    ) -> tuple[list[AdvanceResult], list[ContactEvent]]:
         span_s, times_s, out = leg.span_s, leg.times_s, leg.out
         present = np.union1d(live, fixed)
         told = self._forget(present)
         pairs = self._near(live, present, self._strides(drive.wheels, span_s))
         mask, states = self._mask(live), self._states()
         involved = np.intersect1d(live, pairs)
-        start = self._solver.keep(involved)
+        start = self._solver.snapshot(involved)
         news = self._solver.advance(live, leg)
-        if any(one.ending not in STILL_THERE for one in news):
+        if any(one.termination not in STILL_THERE for one in news):
             return news, told
-        end = self._solver.keep(involved)
+        end = self._solver.snapshot(involved)
         if len(times_s):
             pairs = self._crossing(pairs, drive.wheels, times_s, out, states, mask)
         self._solver.restore(start)
         for pair in pairs.tolist():
             group = self._bodies.group(np.array([pair]), mask, states)
-            course = Course(self._solver, group, drive.motion, drive.grip)
+            course = FreeMotion(self._solver, group, drive.motion, drive.grip)
             known = _known(course, span_s, times_s)
-            new, met = follow(course, group, drive.wheels, known, tuple(pair) in self._met)
-            course.back()
+            new, met = detect_contacts(course, group, drive.wheels, known, tuple(pair) in self._met)
+            course.rewind()
             told += new
             (self._met.add if met else self._met.discard)((pair[0], pair[1]))
         self._solver.restore(end)
@@ -220,8 +220,8 @@ class ContactMover:
     # --- resolved -------------------------------------------------------------------------------------
 
     def _resolve(
-        self, live: Integers, fixed: Integers, drive: Drive, leg: Leg
-    ) -> tuple[list[Advance], list[Told]]:
+        self, live: Integers, fixed: Integers, drive: ContactDrive, leg: Segment
+    ) -> tuple[list[AdvanceResult], list[ContactEvent]]:
         span_s = leg.span_s
         present = np.union1d(live, fixed)
         told = self._forget(present)
@@ -230,11 +230,11 @@ class ContactMover:
         while True:
             pairs = self._near(live, present, strides)
             involved = np.intersect1d(live, pairs)
-            start = self._solver.keep(involved)
+            start = self._solver.snapshot(involved)
             done = [self._through(group, drive, span_s) for group in self._groups(pairs, mask, states)]
             came = np.zeros(len(strides))
             for one in done:
-                came[one.group.names] = one.strayed
+                came[one.group.names] = one.displacement_m
             far = came > strides
             if not far.any():
                 break
@@ -242,7 +242,7 @@ class ContactMover:
             strides[far] = 2.0 * came[far]
             self._solver.restore(start)
         others = np.setdiff1d(live, involved)
-        news = self._solver.advance(others, Leg.through(drive.motion, drive.grip, span_s, len(states)))
+        news = self._solver.advance(others, Segment.through(drive.motion, drive.grip, span_s, len(states)))
         for one in done:
             news += one.news
             told += one.told
@@ -266,7 +266,7 @@ class ContactMover:
         for first in np.unique(chosen).tolist():
             yield self._bodies.group(pairs[chosen == first], mask, states)
 
-    def _through(self, group: Group, drive: Drive, span_s: float) -> Resolution:
+    def _through(self, group: Group, drive: ContactDrive, span_s: float) -> Resolution:
         met = {k for k, pair in enumerate(_named(group)) if pair in self._met}
         one = Resolution(self._solver, group, drive, self._rules, met)
         one.run(span_s)
@@ -278,7 +278,7 @@ def _named(group: Group) -> list[Pair]:
     return [(first, second) for first, second in group.names[group.pairs].tolist()]
 
 
-def _known(course: Course, span_s: float, times_s: Floats) -> tuple[Floats, Floats]:
+def _known(course: FreeMotion, span_s: float, times_s: Floats) -> tuple[Floats, Floats]:
     """Instants of a course that are looked at in any case, and states there."""
     times = times_s if len(times_s) and times_s[-1] == span_s else np.append(times_s, span_s)
-    return np.insert(times, 0, 0.0), np.concatenate([course.start[None], course.at(times)])
+    return np.insert(times, 0, 0.0), np.concatenate([course.start[None], course.sample(times)])

@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant import stop
-from plant.effects.parcel_contact.bodies import Group, make_work
-from plant.effects.parcel_contact.detect import Search
-from plant.effects.parcel_contact.events import Told, telling
-from plant.effects.parcel_contact.free_motion import STILL_THERE, Course, CourseEnded, later
+from plant.effects.parcel_contact.bodies import Group, make_workspace
+from plant.effects.parcel_contact.detect import ContactSearch
+from plant.effects.parcel_contact.events import ContactEvent, contact_event
+from plant.effects.parcel_contact.free_motion import STILL_THERE, FreeMotion, FreeMotionEnded, later
 from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.errors import PlantStopped, PlantUnstable
 from plant.kernels.contact import layout as to
-from plant.solver_api import Advance, Rewindable
+from plant.solver_api import AdvanceResult, Rewindable
 from plant.wheels import WheelMotion
 
 Floats = NDArray[np.float64]
@@ -40,7 +40,7 @@ MANY: Final = 10_000
 """Steps in a call and for each pair, beside those of ``step_s``, after which it is given up."""
 
 
-class Drive(NamedTuple):
+class ContactDrive(NamedTuple):
     """What acts on the parcels of a call.
 
     Attributes:
@@ -76,19 +76,19 @@ class Resolution:
     """
 
     def __init__(
-        self, solver: Rewindable, group: Group, drive: Drive, rules: ParcelContactSpec, met: set[int]
+        self, solver: Rewindable, group: Group, drive: ContactDrive, rules: ParcelContactSpec, met: set[int]
     ) -> None:
         from plant.kernels.contact import entry as contact_entry
 
         self._kernels: Any = contact_entry
         self._solver, self._drive, self._rules = solver, drive, rules
-        self._work = make_work(group)
+        self._work = make_workspace(group)
         self._impacts = 0
         self.group = group
         self.met = met
-        self.news: list[Advance] = []
-        self.told: list[Told] = []
-        self.strayed: Floats = np.zeros(len(group.names))
+        self.news: list[AdvanceResult] = []
+        self.told: list[ContactEvent] = []
+        self.displacement_m: Floats = np.zeros(len(group.names))
 
     def run(self, span_s: float) -> None:
         """Take the group through the span.
@@ -104,20 +104,20 @@ class Resolution:
                 raise PlantUnstable(f"contacts without end {self._where(now)}", self._drive.start_s + now)
             if stop.requested():
                 raise PlantStopped(f"stopped {self._where(now)}", self._drive.start_s + now)
-            self._strike(now)
+            self._apply_impacts(now)
             before = self._states()
             soonest = float(self._kernels.together(self.group, before, self._work))
             together = self._work.marks == to.TOGETHER
             longest = self._longest(soonest, span_s - now) if together.any() else span_s - now
             try:
                 step = self._free(now, longest, np.flatnonzero(~together))
-            except CourseEnded as ended:
+            except FreeMotionEnded as ended:
                 self._take(ended.done, now)
                 return
             if together.any():
                 self._hold(before, now, step)
             now = span_s if step >= span_s - now else now + step
-            self.strayed += np.hypot(*(self._states() - before)[:, :2].T)
+            self.displacement_m += np.hypot(*(self._states() - before)[:, :2].T)
             self._note_apart(now)
         states = self._states()
         count, _ = self._kernels.meet(self.group, states, self._work)
@@ -135,7 +135,7 @@ class Resolution:
         """Give those parcels their states that have others now."""
         for body, parcel in zip(self.group.moving.tolist(), self.group.parcels.tolist(), strict=True):
             if not np.array_equal(states[body], self._solver.state[parcel]):
-                self._solver.put(parcel, states[body])
+                self._solver.set_state(parcel, states[body])
 
     def _settled(self, outcome: int, now: float) -> None:
         """Raise where a problem of impulses has no solution within reach."""
@@ -152,7 +152,7 @@ class Resolution:
 
     # --- impacts ----------------------------------------------------------------------------------
 
-    def _strike(self, now: float) -> None:
+    def _apply_impacts(self, now: float) -> None:
         """Change velocities where bodies that touch close on each other."""
         states, work = self._states(), self._work
         count, outcome = self._kernels.meet(self.group, states, work)
@@ -182,25 +182,25 @@ class Resolution:
         if not len(self.group.moving):
             return span
         drive = self._drive
-        course = Course(self._solver, self.group, later(drive.motion, now), drive.grip)
+        course = FreeMotion(self._solver, self.group, later(drive.motion, now), drive.grip)
         step = span
         if len(apart):
             times = np.array([0.0, span])
-            states = np.stack([course.start, course.at(times[1:])[0]])
-            search = Search(course, self.group, drive.wheels, times, states)
+            states = np.stack([course.start, course.sample(times[1:])[0]])
+            search = ContactSearch(course, self.group, drive.wheels, times, states)
             found = search.contact(apart)
             step = span if found is None else float(search.times[found.known])
-        for one in course.go(step):
+        for one in course.advance(step):
             self._take(one, now)
-            if one.ending not in STILL_THERE:
+            if one.termination not in STILL_THERE:
                 return span
         return step
 
-    def _take(self, one: Advance, now: float) -> None:
+    def _take(self, one: AdvanceResult, now: float) -> None:
         """Note what happened to a parcel in a step that began at ``now``."""
         events = [event._replace(after_s=now + event.after_s) for event in one.events]
         self.news.append(one._replace(moved_s=now + one.moved_s, events=events))
-        if one.ending == "tipped":
+        if one.termination == "tipped":
             state = self._solver.state[one.parcel]
             state[3:] = 0.0
             self.group = self.group.stopped(int(np.searchsorted(self.group.names, one.parcel)), state)
@@ -217,7 +217,7 @@ class Resolution:
     def _tell(self, now: float, kind: str, pair: int, count: int, states: Floats) -> None:
         mine = np.flatnonzero(self._work.ends[:count, to.PAIR] == pair)
         rows, ends = self._work.rows[mine], self._work.ends[mine]
-        self.told.append(telling(self.group, now, kind, rows, ends, states[:, 3:]))
+        self.told.append(contact_event(self.group, now, kind, rows, ends, states[:, 3:]))
 
     def _note_begun(self, now: float, count: int, states: Floats) -> None:
         """Pairs that touch, the rows being in ``work``, and didn't."""
@@ -241,8 +241,14 @@ class Resolution:
         states, work = self._states(), self._work
         work.marks[:] = 0
         work.marks[sorted(self.met)] = to.TOGETHER
-        count = self._kernels.gather(
-            self.group, work.marks, to.TOGETHER, states, to.BEYOND, work.rows, work.ends
+        count = self._kernels.build_rows(
+            self.group,
+            work.marks,
+            to.TOGETHER,
+            states,
+            to.BEYOND,
+            work.rows,
+            work.ends,
         )
         nearest = np.full(len(work.marks), np.inf)
         np.minimum.at(nearest, work.ends[:count, to.PAIR], work.rows[:count, to.SPACE])

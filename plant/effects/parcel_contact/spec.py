@@ -38,7 +38,7 @@ class ParcelContactSpec(EffectSpec):
     """Longest step while parcels press on each other or on a rail."""
 
     @classmethod
-    def typical(cls, pitch_m: float) -> Self:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
         """The defaults, without rails: parcels push each other."""
         return cls()
 

@@ -30,11 +30,11 @@ class ScannersSpec(EffectSpec):
         return value
 
     @classmethod
-    def typical(cls, pitch_m: float) -> str:  # noqa: ARG003
+    def default_settings(cls, pitch_m: float) -> str:  # noqa: ARG003
         """None."""
         return "only a scene can say where its scanners are and where its parcels go"
 
-    def misplaced(
+    def problems(
         self,
         lattice: Lattice,
         pitch_m: float,  # noqa: ARG002

@@ -7,16 +7,16 @@ from typing import ClassVar, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.faults.base import Harm, WheelFault
+from plant.faults.base import WheelFault, WheelFaults
 
 
 @final
 class WheelReversedFault(WheelFault):
     """Wheels on which drives act times -1. Encoders tell the truth: a speed loop drives them ever faster."""
 
-    called: ClassVar[str] = "wheel_reversed"
+    kind_name: ClassVar[str] = "wheel_reversed"
     kind: Literal["wheel_reversed"]
 
-    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
         """Drives act the other way."""
         harm.factor[self.wheels(cells)] *= -1.0

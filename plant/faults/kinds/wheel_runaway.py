@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bus.fault import Problem
 from bus.spec import Positive
-from plant.faults.base import Harm, WheelFault
+from plant.faults.base import WheelFault, WheelFaults
 
 if TYPE_CHECKING:
     from plant.effects.motors import MotorsSpec
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 class WheelRunawayFault(WheelFault):
     """Wheels that get all that the supply gives, or run at a speed where they are ideal."""
 
-    called: ClassVar[str] = "wheel_runaway"
+    kind_name: ClassVar[str] = "wheel_runaway"
     kind: Literal["wheel_runaway"]
     way: Literal["positive", "negative"] = "positive"
     """Towards greater coordinates, or smaller ones."""
     speed_m_s: Positive | None = None
     """On ideal wheels: how fast."""
 
-    def at_odds(self, effects: PlantEffects) -> Iterator[Problem]:
+    def setting_problems(self, effects: PlantEffects) -> Iterator[Problem]:
         """A speed is for ideal wheels, which have no supply."""
         if effects.motors is None and self.speed_m_s is None:
             yield ("kind",), self.kind, "needs speed_m_s: without effects.motors there is no supply to run at"
@@ -42,7 +42,7 @@ class WheelRunawayFault(WheelFault):
         volts = max(motors.supply_v - motor.coulomb_v, 0.0)
         return self.model_copy(update={"speed_m_s": volts * motor.speed_per_volt_m_s})
 
-    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
         """Drives aren't heeded; of several that run away with a wheel the scene's last does."""
         speed_m_s = np.inf if self.speed_m_s is None else self.speed_m_s
         harm.runs_m_s[self.wheels(cells)] = speed_m_s if self.way == "positive" else -speed_m_s

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.fault import Problem
-from plant.faults.base import Harm, WheelFault
+from plant.faults.base import WheelFault, WheelFaults
 
 if TYPE_CHECKING:
     from plant.effects.registry import PlantEffects
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 class WheelStuckFault(WheelFault):
     """Wheels that stand at once; freed, they start from rest. A wheel that jams doesn't coast with its dead cell."""
 
-    called: ClassVar[str] = "wheel_stuck"
+    kind_name: ClassVar[str] = "wheel_stuck"
     kind: Literal["wheel_stuck"]
 
-    def at_odds(self, effects: PlantEffects) -> Iterator[Problem]:
+    def setting_problems(self, effects: PlantEffects) -> Iterator[Problem]:
         """A jammed wheel is one of inertia without end; ``wheel_load`` gives all the same."""
         if effects.wheel_load is not None:
             yield ("kind",), self.kind, "does not go with effects.wheel_load, in which no wheel can jam"
 
-    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
         """They don't turn."""
         harm.stuck[self.wheels(cells)] = True

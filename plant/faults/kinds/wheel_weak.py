@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from bus.spec import NotNegative
-from plant.faults.base import Harm, WheelFault
+from plant.faults.base import WheelFault, WheelFaults
 
 
 @final
 class WheelWeakFault(WheelFault):
     """Wheels of which a part is left."""
 
-    called: ClassVar[str] = "wheel_weak"
+    kind_name: ClassVar[str] = "wheel_weak"
     kind: Literal["wheel_weak"]
     strength: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] | None = None
     """Share of the drive that is left: with motors of the voltage, and so of the torque at a stand and of the speed
@@ -30,7 +30,7 @@ class WheelWeakFault(WheelFault):
             raise ValueError("give strength, most_m_s, or both")
         return self
 
-    def harm(self, cells: NDArray[np.int64], harm: Harm) -> None:
+    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
         """Less of the drive acts; where several faults say so, each takes its share."""
         wheels = self.wheels(cells)
         if self.strength is not None:

@@ -6,7 +6,7 @@ from math import cos, sin
 
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
-from plant.kernels.common.select import parcel_of
+from plant.kernels.common.select import parcel_view
 
 EDGE_SLACK = 4.0
 """A sensor this many roundings outside the edge is covered: that of a parcel at rest on it must not flicker."""
@@ -55,7 +55,7 @@ def cover(surface, parcels, which, sensors, reach, bits):
     """
     grid = surface.grid
     for n in range(which.shape[0]):
-        parcel = parcel_of(parcels, which[n])
+        parcel = parcel_view(parcels, which[n])
         y, slack = parcel.y, EDGE_SLACK * parcel.par[at.ON_SURFACE]
         c, s = cos(y[at.THETA]), sin(y[at.THETA])
         first_row, last_row, first_column, last_column = box(

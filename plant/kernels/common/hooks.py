@@ -15,8 +15,8 @@ COMPILED = {"error_model": "numpy", "_nrt": False}
 """As ``jit.kernel`` does."""
 
 
-def answer(question, part, own):
-    """Let a function answer a question for all first arguments that have a ``part`` of their own, or all that don't.
+def implements(question, part, own):
+    """Let a function implement a hook for first arguments that have a ``part`` of their own, or for those that don't.
 
     Args:
         question: The function without a body.
@@ -28,7 +28,7 @@ def answer(question, part, own):
     """
 
     def register(implementation):
-        # not strict: the names of arguments that an answer has no use for need not agree
+        # not strict: the names of arguments that an implementation has no use for need not agree
         @overload(question, jit_options=COMPILED, strict=False)
         def resolve(asked, *_):
             found = dict(zip(asked.fields, asked.types, strict=True))[part]

@@ -9,7 +9,7 @@ from plant.kernels.common.parcels import CHANGES, LEFT_OUT, LOG_CAPACITY, LOGGED
 
 
 @kernel
-def parcel_of(parcels, i):
+def parcel_view(parcels, i):
     """Parcel ``i``: parts of the arrays of all, not copies."""
     corner, end = parcels.corner[i], parcels.corner[i + 1]
     return Parcel(
@@ -40,7 +40,7 @@ def note_news(ctl, i, moved, changes, report, noted):
 
 
 @kernel
-def begin_turn(work, laws, paces, i):
+def load_state(work, laws, paces, i):
     """Copy law and pace of parcel ``i`` into a ``plant.solvers.implicit.Work``."""
     for k in range(im.LAW_SIZE):
         work.law[k] = laws[i, k]
@@ -49,7 +49,7 @@ def begin_turn(work, laws, paces, i):
 
 
 @kernel
-def end_turn(work, paces, i):
+def store_state(work, paces, i):
     """Copy the pace, as it has become, back."""
     for k in range(im.PACE_SIZE):
         paces[i, k] = work.pace[k]

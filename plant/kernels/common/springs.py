@@ -8,7 +8,7 @@ their own, ``wheel_edges`` for those with ``edges``.
 from __future__ import annotations
 
 from plant.kernels.common import layout as at
-from plant.kernels.common.hooks import answer
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.step_end import rollers_under
 from plant.kernels.common.surface import Surface
@@ -83,57 +83,57 @@ def stiffness(surface, cell, slot):
     return rate(surface, cell) * overlap(surface, slot)
 
 
-@answer(springs_under, "springs", own=False)
+@implements(springs_under, "springs", own=False)
 def _no_springs(_surface, _i):
     return None
 
 
-@answer(edges_under, "edges", own=False)
+@implements(edges_under, "edges", own=False)
 def _no_edges(_surface, _i):
     return None
 
 
-@answer(rate, "springs", own=False)
+@implements(rate, "springs", own=False)
 def _mean_rate(_surface, _cell):
     return 1.0
 
 
-@answer(gap, "springs", own=False)
+@implements(gap, "springs", own=False)
 def _level(_surface, _cell):
     return 0.0
 
 
-@answer(note_gaps, "springs", own=False)
+@implements(note_gaps, "springs", own=False)
 def _no_gaps(_surface, _parcel, _seg, _mark):
     return
 
 
-@answer(plane_at, "springs", own=False)
+@implements(plane_at, "springs", own=False)
 def _plane(_surface, seg, mx, my):
     bx, by = seg[at.PXX] * mx + seg[at.PXY] * my, seg[at.PXY] * mx + seg[at.PYY] * my
     return 1.0 / seg[at.N_ACTIVE], bx, by
 
 
-@answer(negligible, "springs", own=False)
+@implements(negligible, "springs", own=False)
 def _of_the_mean(_surface, a0):
     return LOAD_ZERO * a0
 
 
-@answer(reach, "edges", own=False)
+@implements(reach, "edges", own=False)
 def _centre_only(_surface):
     return 0.0
 
 
-@answer(touches, "edges", own=False)
+@implements(touches, "edges", own=False)
 def _always(_surface, _parcel, _slot, _c, _s):
     return True
 
 
-@answer(overlap, "edges", own=False)
+@implements(overlap, "edges", own=False)
 def _whole(_surface, _slot):
     return 1.0
 
 
-@answer(smooth, "edges", own=False)
+@implements(smooth, "edges", own=False)
 def _jumps(_surface):
     return False

@@ -5,7 +5,7 @@ A kernel compiled without them contains nothing of this. ``roller_impacts`` answ
 
 from __future__ import annotations
 
-from plant.kernels.common.hooks import answer
+from plant.kernels.common.hooks import implements
 
 
 def rollers_under(surface, i):
@@ -20,16 +20,16 @@ def strike(surface, parcel, work, now, h):
     """Push the parcel at the end of a step from ``now``, h s long, with the loads found there; see ``work.begin``."""
 
 
-@answer(rollers_under, "rollers", own=False)
+@implements(rollers_under, "rollers", own=False)
 def _no_rollers(_surface, _i):
     return None
 
 
-@answer(allowed, "rollers", own=False)
+@implements(allowed, "rollers", own=False)
 def _any_length(_surface, _parcel, _work, _now, h):
     return h
 
 
-@answer(strike, "rollers", own=False)
+@implements(strike, "rollers", own=False)
 def _nothing_strikes(_surface, _parcel, _work, _now, _h):
     return

@@ -34,7 +34,7 @@ def corner_pull(pull, wheels, before, after, span):
 
 
 @kernel
-def first_unsure(shapes, pairs, pull, wheels, times, states, start):
+def first_uncertain(shapes, pairs, pull, wheels, times, states, start):
     """The earliest interval in which a pair can have met.
 
     Args:

@@ -9,7 +9,7 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
 from plant.kernels.contact.impulses import leaving, settle
-from plant.kernels.contact.manifold import drop, gather
+from plant.kernels.contact.manifold import build_rows, move_row
 from plant.kernels.contact.resting import part
 
 CLOSING: Final = 1e-10
@@ -48,7 +48,7 @@ def struck(group, rows, ends, count, before, restitution, friction, after):
 def meet(group, states, work):
     """What touches now: rows in ``work``, overlap taken out of ``states`` before. Returns (how many; outcome)."""
     rows, ends = work.rows, work.ends
-    count, least = gather(group, work.marks, to.EVERY, states, to.TOUCH_M, rows, ends), at.NOTHING
+    count, least = build_rows(group, work.marks, to.EVERY, states, to.TOUCH_M, rows, ends), at.NOTHING
     for n in range(count):
         least = min(least, rows[n, to.SPACE])
     if least < 0.0:
@@ -56,11 +56,11 @@ def meet(group, states, work):
             work.held[p] = 0
         if not part(group, states, states, work):
             return 0, to.NOT_PARTED
-        count = gather(group, work.marks, to.EVERY, states, to.TOUCH_M, rows, ends)
+        count = build_rows(group, work.marks, to.EVERY, states, to.TOUCH_M, rows, ends)
     kept = at.ZERO
     for n in range(count):
         if rows[n, to.SPACE] <= to.TOUCH_M:
-            drop(rows, ends, n, kept)
+            move_row(rows, ends, n, kept)
             kept += 1
     return kept, to.DONE
 

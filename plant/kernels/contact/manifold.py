@@ -66,7 +66,7 @@ def along_edge(shapes, i, j, pi, pj, nx, ny, flip, rows, count):
 
 
 @kernel
-def touching(shapes, i, j, pi, pj, rows, count):
+def contact_points(shapes, i, j, pi, pj, rows, count):
     """Points at which ``j`` is nearest to ``i``: one or two rows. Returns how many are in use then."""
     first, nx, ny = widest(shapes, i, j, pi, pj, at.FORWARD)
     second, mx, my = widest(shapes, j, i, pj, pi, at.FORWARD)
@@ -89,7 +89,7 @@ def touching(shapes, i, j, pi, pj, rows, count):
 
 
 @kernel
-def gather(group, marks, mark, states, reach, rows, ends):
+def build_rows(group, marks, mark, states, reach, rows, ends):
     """Write a row for every point of the pairs that are within ``reach``, m, ready for the problem of impulses.
 
     Args:
@@ -109,7 +109,7 @@ def gather(group, marks, mark, states, reach, rows, ends):
         i, j = group.pairs[p]
         if (mark != to.EVERY and marks[p] != mark) or group.inverse[i, 0] + group.inverse[j, 0] == 0.0:
             continue
-        end = touching(group.shapes, i, j, states[i], states[j], rows, count)
+        end = contact_points(group.shapes, i, j, states[i], states[j], rows, count)
         nearest = to.BEYOND
         for n in range(count, end):
             nearest = min(nearest, rows[n, to.SPACE])
@@ -127,7 +127,7 @@ def gather(group, marks, mark, states, reach, rows, ends):
 
 
 @kernel
-def drop(rows, ends, source, target):
+def move_row(rows, ends, source, target):
     """Move a row forward, over one that isn't wanted."""
     if source != target:
         for k in range(to.ROW_SIZE):

@@ -9,7 +9,7 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
 from plant.kernels.contact.impulses import leaving, settle, sliding
-from plant.kernels.contact.manifold import drop, gather
+from plant.kernels.contact.manifold import build_rows, move_row
 
 KEEP_M: Final = 0.5 * to.TOUCH_M
 """Space left between bodies that press on each other: they never overlap, not even by rounding."""
@@ -28,7 +28,7 @@ def together(group, states, work):
     Returns when a second corner of one of them strikes, in seconds from now.
     """
     rows, ends, marks = work.rows, work.ends, work.marks
-    count = gather(group, marks, to.EVERY, states, to.NEAR_M, rows, ends)
+    count = build_rows(group, marks, to.EVERY, states, to.NEAR_M, rows, ends)
     for p in range(marks.shape[0]):
         marks[p] = 0
     for n in range(count):
@@ -36,7 +36,7 @@ def together(group, states, work):
         if rows[n, to.SPACE] <= to.NEAR_M and abs(speed) <= group.slow:
             marks[ends[n, to.PAIR]] = to.TOGETHER
     soonest = to.BEYOND
-    count = gather(group, marks, to.TOGETHER, states, to.BEYOND, rows, ends)
+    count = build_rows(group, marks, to.TOGETHER, states, to.BEYOND, rows, ends)
     for n in range(count):
         speed = leaving(rows[n], states[ends[n, 0], 3:], states[ends[n, 1], 3:])
         if rows[n, to.SPACE] > to.TOUCH_M and -speed > group.slow:
@@ -58,7 +58,7 @@ def pressed(group, before, states, step, friction, work):
     What closes faster than pressing can have made it is an impact to come, and what doesn't reach is left alone.
     """
     rows, ends = work.rows, work.ends
-    count, kept = gather(group, work.marks, to.TOGETHER, states, to.BEYOND, rows, ends), at.ZERO
+    count, kept = build_rows(group, work.marks, to.TOGETHER, states, to.BEYOND, rows, ends), at.ZERO
     for n in range(count):
         i, j, row = ends[n, 0], ends[n, 1], rows[n]
         closing = -leaving(row, states[i, 3:], states[j, 3:])
@@ -67,7 +67,7 @@ def pressed(group, before, states, step, friction, work):
         if closing <= most and closing * step >= row[to.SPACE] - to.NEAR_M:
             row[to.WANTED] = 0.0 if row[to.SPACE] <= to.NEAR_M else -row[to.SPACE] / step
             row[to.FRICTION] = friction
-            drop(rows, ends, n, kept)
+            move_row(rows, ends, n, kept)
             kept += 1
     return kept
 
@@ -144,7 +144,7 @@ def part(group, before, states, work):
     rows, ends, shift = work.rows, work.ends, work.second
     least = at.NOTHING
     for _ in range(ROUNDS):
-        count = gather(group, work.marks, to.EVERY, states, to.NEAR_M, rows, ends)
+        count = build_rows(group, work.marks, to.EVERY, states, to.NEAR_M, rows, ends)
         worst, least = 0.0, 0.0
         for n in range(count):
             i, j, row = ends[n, 0], ends[n, 1], rows[n]

@@ -19,7 +19,7 @@ from math import exp, expm1
 
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
-from plant.kernels.common.hooks import answer
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.hooks import (
     begun,
@@ -70,26 +70,26 @@ def enlist(slowing, cell):
     return k
 
 
-@answer(speed, "slowing", own=True)
+@implements(speed, "slowing", own=True)
 def _speed(work, surface, cell, e):
     vx, vy = unloaded(surface, cell, e)
     k = work.slowing.place[cell]
     return (vx, vy) if k < 0 else (vx + work.slowing.now[k, 0], vy + work.slowing.now[k, 1])
 
 
-@answer(begun, "slowing", own=True)
+@implements(begun, "slowing", own=True)
 def _begun(work, surface, cell, e):
     vx, vy = unloaded(surface, cell, e)
     k = work.slowing.place[cell]
     return (vx, vy) if k < 0 else (vx + work.slowing.begin[k, 0], vy + work.slowing.begin[k, 1])
 
 
-@answer(lightness, "slowing", own=True)
+@implements(lightness, "slowing", own=True)
 def _lightness(work):
     return 1.0 / work.law[im.WHEEL]
 
 
-@answer(recoil, "slowing", own=True)
+@implements(recoil, "slowing", own=True)
 def _recoil(work, cell, axis, impulse):
     slowing = work.slowing
     k = slowing.place[cell]
@@ -98,7 +98,7 @@ def _recoil(work, cell, axis, impulse):
     slowing.now[k, axis] -= impulse / work.law[im.WHEEL]
 
 
-@answer(lighten, "slowing", own=True)
+@implements(lighten, "slowing", own=True)
 def _lighten(work, parcel, row, cell, share, h):
     slowing, wheel, rate = work.slowing, work.wheels[row], parcel.par[at.RATE]
     k = slowing.place[cell]
@@ -113,7 +113,7 @@ def _lighten(work, parcel, row, cell, share, h):
     wheel[im.GX], wheel[im.GY] = within(wheel[im.SX] / rho, push), within(wheel[im.SY] / rho, push)
 
 
-@answer(slow, "slowing", own=True)
+@implements(slow, "slowing", own=True)
 def _slow(work, parcel, rows, h):
     slowing, rate = work.slowing, parcel.par[at.RATE]
     now, left, lasts = slowing.now, exp(-rate * h), -expm1(-rate * h) / rate
@@ -140,22 +140,22 @@ def copy(slowing, source, target):
             target[k, c] = source[k, c]
 
 
-@answer(keep, "slowing", own=True)
+@implements(keep, "slowing", own=True)
 def _keep(work):
     copy(work.slowing, work.slowing.now, work.slowing.begin)
 
 
-@answer(take_back, "slowing", own=True)
+@implements(take_back, "slowing", own=True)
 def _take_back(work):
     copy(work.slowing, work.slowing.begin, work.slowing.now)
 
 
-@answer(tabulate, "slowing", own=True)
+@implements(tabulate, "slowing", own=True)
 def _tabulate(work, row):
     copy(work.slowing, work.slowing.now, work.slowing.table[row])
 
 
-@answer(extrapolate, "slowing", own=True)
+@implements(extrapolate, "slowing", own=True)
 def _extrapolate(work, lasts):
     slowing, table, worst = work.slowing, work.slowing.table, 0.0
     for k in range(slowing.ctl[im.LISTED]):
@@ -168,13 +168,13 @@ def _extrapolate(work, lasts):
     return worst
 
 
-@answer(full, "slowing", own=True)
+@implements(full, "slowing", own=True)
 def _full(work):
     slowing = work.slowing
     return slowing.ctl[im.WRITTEN] + slowing.cell.shape[0] > slowing.written.shape[0]
 
 
-@answer(hand_over, "slowing", own=True)
+@implements(hand_over, "slowing", own=True)
 def _hand_over(work, parcel, left):
     slowing = work.slowing
     slow(work, parcel, at.ZERO, left)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import lever
-from plant.kernels.common.hooks import answer
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import gap, plane_at, stiffness
 from plant.kernels.common.step_end import allowed, rollers_under, strike
@@ -25,19 +25,19 @@ SHORTEST = 1e-5
 """Rollers may pass more than one in a step where it would have to be shorter, s: each still strikes."""
 
 
-@answer(rollers_under, "rollers", own=True)
+@implements(rollers_under, "rollers", own=True)
 def _own(surface, i):
     of = surface.rollers
     return Rollers(of.spacing_m, of.impulse_m_s, of.start, of.passed[i])
 
 
-@answer(allowed, "rollers", own=True)
+@implements(allowed, "rollers", own=True)
 def _one_roller(surface, parcel, work, now, h):
     fastest, way_m = fastest_slip(surface, parcel, work, now), PART * surface.rollers.spacing_m
     return h if fastest * h <= way_m else min(h, max(way_m / fastest, SHORTEST))
 
 
-@answer(strike, "rollers", own=True)
+@implements(strike, "rollers", own=True)
 def _strike(surface, parcel, work, now, h):
     before, after = decay(parcel.par, now), decay(parcel.par, now + h)
     rollers, mem = surface.rollers, parcel.mem
@@ -55,7 +55,7 @@ def _strike(surface, parcel, work, now, h):
         for axis in range(2):
             slip = slip_at(begun(work, surface, cell, before), surface, work.begin, cell, axis)
             slip_after = slip_at(speed(work, surface, cell, after), surface, work.end, cell, axis)
-            struck = pass_by(rollers, cell, axis, 0.5 * h * (slip + slip_after))
+            struck = strike_rollers(rollers, cell, axis, 0.5 * h * (slip + slip_after))
             if struck != 0.0:
                 push(surface, parcel, work, after, cell, axis, struck * rollers.impulse_m_s * share)
 
@@ -85,7 +85,7 @@ def fastest_slip(surface, parcel, work, now):
 
 
 @kernel
-def pass_by(rollers, cell, axis, way):
+def strike_rollers(rollers, cell, axis, way):
     """Let ``way`` metres of slip pass at a wheel. Returns how many rollers passed, with the slip's sign."""
     if way == 0.0:
         return 0.0

@@ -8,7 +8,7 @@ from typing import Final
 from plant.kernels.common import layout as at
 from plant.kernels.common.footprint import box
 from plant.kernels.common.jit import kernel
-from plant.kernels.common.select import parcel_of
+from plant.kernels.common.select import parcel_view
 
 NOTHING: Final = 2.0**-48
 """A share below this is rounding: a spot beside a corner has none of it covered."""
@@ -65,7 +65,7 @@ def cover_spots(positions, grid, parcels, which, sensors, reach, radius, level):
         level: added to.
     """
     for n in range(which.shape[0]):
-        parcel = parcel_of(parcels, which[n])
+        parcel = parcel_view(parcels, which[n])
         y = parcel.y
         c, s = cos(y[at.THETA]), sin(y[at.THETA])
         rows_columns = box(parcel.vertices, y, parcel.par, grid, reach + radius)

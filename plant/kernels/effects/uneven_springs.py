@@ -11,7 +11,7 @@ the gap ``g_i = -h_i`` are lengths over ``W / K``. On the supports S, with their
 from __future__ import annotations
 
 from plant.kernels.common import layout as at
-from plant.kernels.common.hooks import answer
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.springs import (
     LOAD_ZERO,
     gap,
@@ -25,23 +25,23 @@ from plant.kernels.common.springs import (
 from plant.kernels.common.surface import Springs
 
 
-@answer(springs_under, "springs", own=True)
+@implements(springs_under, "springs", own=True)
 def _own(surface, i):
     of = surface.springs
     return Springs(of.rate, of.gap_m, of.per_m[i], of.span[i], of.moments[i])
 
 
-@answer(rate, "springs", own=True)
+@implements(rate, "springs", own=True)
 def _rate(surface, cell):
     return surface.springs.rate[cell]
 
 
-@answer(gap, "springs", own=True)
+@implements(gap, "springs", own=True)
 def _gap(surface, cell):
     return surface.springs.per_m * surface.springs.gap_m[cell]
 
 
-@answer(note_gaps, "springs", own=True)
+@implements(note_gaps, "springs", own=True)
 def _moments(surface, parcel, seg, mark):
     moments, mem, y = surface.springs.moments, parcel.mem, parcel.y
     moments[0] = moments[1] = moments[2] = 0.0
@@ -54,7 +54,7 @@ def _moments(surface, parcel, seg, mark):
             moments[2] += pulled * (surface.pos[cell, 1] - y[1] - seg[at.CY])
 
 
-@answer(plane_at, "springs", own=True)
+@implements(plane_at, "springs", own=True)
 def _plane(surface, seg, mx, my):
     moments = surface.springs.moments
     tx, ty = mx + moments[1], my + moments[2]
@@ -62,6 +62,6 @@ def _plane(surface, seg, mx, my):
     return (1.0 + moments[0]) / seg[at.N_ACTIVE], bx, by
 
 
-@answer(negligible, "springs", own=True)
+@implements(negligible, "springs", own=True)
 def _of_the_span(surface, a0):
     return LOAD_ZERO * (1.0 + abs(a0) + surface.springs.span)

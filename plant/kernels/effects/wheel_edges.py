@@ -9,7 +9,7 @@ nothing where the wheel just touches the edge, one half where its middle is on i
 from __future__ import annotations
 
 from plant.kernels.common import layout as at
-from plant.kernels.common.hooks import answer
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.springs import edges_under, overlap, reach, smooth, touches
 from plant.kernels.common.surface import Edges
 
@@ -17,17 +17,17 @@ NOTHING = 1e-12
 """A share that carries no load to rounding."""
 
 
-@answer(edges_under, "edges", own=True)
+@implements(edges_under, "edges", own=True)
 def _own(surface, i):
     return Edges(surface.edges.width_m, surface.edges.share[i])
 
 
-@answer(reach, "edges", own=True)
+@implements(reach, "edges", own=True)
 def _half_a_wheel(surface):
     return 0.5 * surface.edges.width_m
 
 
-@answer(touches, "edges", own=True)
+@implements(touches, "edges", own=True)
 def _weigh(surface, parcel, slot, c, s):
     cell, normal, offset = parcel.mem[slot, at.CELL], parcel.normal, parcel.offset
     dx, dy = surface.pos[cell, 0] - parcel.y[0], surface.pos[cell, 1] - parcel.y[1]
@@ -40,11 +40,11 @@ def _weigh(surface, parcel, slot, c, s):
     return surface.edges.share[slot] > NOTHING
 
 
-@answer(overlap, "edges", own=True)
+@implements(overlap, "edges", own=True)
 def _share(surface, slot):
     return surface.edges.share[slot]
 
 
-@answer(smooth, "edges", own=True)
+@implements(smooth, "edges", own=True)
 def _ramps(_surface):
     return True

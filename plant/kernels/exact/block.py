@@ -8,8 +8,18 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.advance import advance
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.parcels import LOG_CAPACITY
-from plant.kernels.common.select import note_news, parcel_of
-from plant.kernels.exact.segments import book, change, in_turn, put_back, see, set_out, turn_on, until, within
+from plant.kernels.common.select import note_news, parcel_view
+from plant.kernels.exact.segments import (
+    change,
+    collect_changes,
+    decay_wheels,
+    local_surface,
+    restore_wheels,
+    sample_sensors,
+    shift_log,
+    until,
+    within,
+)
 
 # ── allowance: float64 (m, ALLOWANCE_SIZE), changes of supports, and steps, before a motion is given up
 LEFT: Final = 0  # of the changes allowed so far
@@ -20,7 +30,7 @@ ALLOWANCE_SIZE: Final = 4
 
 
 @kernel
-def turn(surface, parcel, work, stop, allowance, i, span, times, out, log):
+def advance_one(surface, parcel, work, stop, allowance, i, span, times, out, log):
     """Move parcel ``i`` by ``span`` seconds; see `advance_block`. Returns how far it came, s.
 
     Allowances are buckets that fill with simulated time and hold one second's worth, so that chatter spread over many
@@ -60,17 +70,17 @@ def advance_block(surface, parcels, work, stop, allowance, block, span, times, o
         if used + LOG_CAPACITY > events.shape[0]:
             return n, noted
         i = block[n]
-        parcel = parcel_of(parcels, i)
+        parcel = parcel_view(parcels, i)
         changes = parcel.ctl[at.N_EVENTS]
         log = events[used : used + LOG_CAPACITY]
-        moved = turn(surface, parcel, work, stop, allowance, i, span, times, out[:, i], log)
+        moved = advance_one(surface, parcel, work, stop, allowance, i, span, times, out[:, i], log)
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
         used += logged
     return block.shape[0], noted
 
 
 @kernel
-def advance_legs(surface, parcels, work, stop, allowance, block, span, way, hand, events, report):
+def advance_segmented(surface, parcels, work, stop, allowance, block, span, way, hand, events, report):
     """Move the parcels of ``block`` by ``span`` seconds on wheels that change on the way, each through its own legs.
 
     Args:
@@ -81,8 +91,8 @@ def advance_legs(surface, parcels, work, stop, allowance, block, span, way, hand
         allowance: likewise.
         block: likewise.
         span: likewise.
-        way: ``plant.kernels.exact.segments.Way``: what happens on it.
-        hand: ``plant.kernels.exact.segments.Hand``: scratch.
+        way: ``plant.kernels.exact.segments.CallSchedule``: what happens on it.
+        hand: ``plant.kernels.exact.segments.SegmentWorkspace``: scratch.
         events: as for `advance_block`.
         report: likewise.
 
@@ -94,25 +104,25 @@ def advance_legs(surface, parcels, work, stop, allowance, block, span, way, hand
         if used + LOG_CAPACITY > events.shape[0]:
             return n, noted
         i = block[n]
-        parcel = parcel_of(parcels, i)
+        parcel = parcel_view(parcels, i)
         events_before = parcel.ctl[at.N_EVENTS]
         log = events[used : used + LOG_CAPACITY]
         near = within(surface, way, parcel, i)
-        changes, reads = set_out(surface, way, hand, near)
-        here = in_turn(surface, hand)
+        changes, reads = collect_changes(surface, way, hand, near)
+        here = local_surface(surface, hand)
         now, moved, logged, done, seen = 0.0, 0.0, at.ZERO, at.ZERO, at.ZERO
         while now < span and parcel.ctl[at.STATUS] == at.MOVING:
             done = change(way, hand, now, done, changes)
             end, before = hand.when[done] if done < changes else span, seen
             seen = until(hand, now, end, seen, reads)
             times, out, rest = hand.times[before:seen], hand.poses[before:seen, 0], log[logged:]
-            moved = now + turn(here, parcel, work, stop, allowance, i, end - now, times, out, rest)
-            logged = book(log, parcel.ctl, logged, now)
-            turn_on(surface, hand, near, parcel.par[at.RATE], end - now)
+            moved = now + advance_one(here, parcel, work, stop, allowance, i, end - now, times, out, rest)
+            logged = shift_log(log, parcel.ctl, logged, now)
+            decay_wheels(surface, hand, near, parcel.par[at.RATE], end - now)
             now = end
         parcel.ctl[at.N_LOGGED] = logged
-        see(surface, way, hand, parcel, reads, seen)
-        put_back(surface, hand, near)
+        sample_sensors(surface, way, hand, parcel, reads, seen)
+        restore_wheels(surface, hand, near)
         noted, listed = note_news(parcel.ctl, i, moved, events_before, report, noted)
         used += listed
     return block.shape[0], noted

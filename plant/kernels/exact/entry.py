@@ -5,11 +5,12 @@ from __future__ import annotations
 from numba import njit
 
 from plant.kernels.common import cache, footprint
-from plant.kernels.common import footprint as rest
 from plant.kernels.exact import block
 
 with cache.kept_here():
     advance_block = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(block.advance_block.py_func)
-    advance_legs = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(block.advance_legs.py_func)
+    advance_segmented = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(
+        block.advance_segmented.py_func
+    )
     cover = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(footprint.cover.py_func)
-    any_slow = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(rest.any_slow.py_func)
+    any_slow = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(footprint.any_slow.py_func)

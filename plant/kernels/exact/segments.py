@@ -20,7 +20,7 @@ from plant.kernels.common.surface import Surface
 Floats = NDArray[np.float64]
 
 
-class Way(NamedTuple):
+class CallSchedule(NamedTuple):
     """What happens on the way of a call.
 
     Attributes:
@@ -42,14 +42,14 @@ class Way(NamedTuple):
     bits: NDArray[np.bool_]
 
 
-class Hand(NamedTuple):
+class SegmentWorkspace(NamedTuple):
     """Scratch of one thread.
 
     Attributes:
         steady: ``(n, 2)`` of the wheels as the parcel whose turn it is finds them; between turns as at the start.
         decay: likewise.
         when: ``(2 c n,)`` s, changes that can matter to it, in order.
-        which: which: their index into ``Way.after``, flat.
+        which: which: their index into ``CallSchedule.after``, flat.
         times: ``(n,)`` s, when cells read that it can matter to, in order.
         cells: ``(n,)`` which.
         poses: ``(n, 1, 6)`` where it is then.
@@ -79,7 +79,7 @@ def sort(when, which, count):
 
 
 @kernel
-def set_out(surface, way, hand, near):
+def collect_changes(surface, way, hand, near):
     """Collect what happens in the rows and columns ``near``. Returns (how many changes, how many reads)."""
     changes, reads = at.ZERO, at.ZERO
     first_row, last_row, first_column, last_column = near
@@ -126,7 +126,7 @@ def until(hand, now, end, seen, reads):
 
 
 @kernel
-def turn_on(surface, hand, near, rate, span):
+def decay_wheels(surface, hand, near, rate, span):
     """Let the wheels near turn for ``span`` seconds, as their motors have it."""
     if rate == 0.0:
         return
@@ -141,7 +141,7 @@ def turn_on(surface, hand, near, rate, span):
 
 
 @kernel
-def put_back(surface, hand, near):
+def restore_wheels(surface, hand, near):
     """Have the wheels near as they were at the start."""
     first_row, last_row, first_column, last_column = near
     for row in range(first_row, last_row + 1):
@@ -154,7 +154,7 @@ def put_back(surface, hand, near):
 
 
 @kernel
-def in_turn(surface, hand):
+def local_surface(surface, hand):
     """The surface with the wheels as the parcel whose turn it is finds them."""
     return Surface(
         surface.pos,
@@ -169,7 +169,7 @@ def in_turn(surface, hand):
 
 
 @kernel
-def book(log, ctl, logged, now):
+def shift_log(log, ctl, logged, now):
     """Have the events of a leg begun at ``now`` count from the call's start.
 
     Returns how many there have been by now, those that the log had no room for among them.
@@ -181,7 +181,7 @@ def book(log, ctl, logged, now):
 
 
 @kernel
-def see(surface, way, hand, parcel, reads, seen):
+def sample_sensors(surface, way, hand, parcel, reads, seen):
     """Set the bits of the sensors that the parcel covers when their cells read; it stood from the ``seen`` first on."""
     slack = EDGE_SLACK * parcel.par[at.ON_SURFACE]
     for n in range(reads):

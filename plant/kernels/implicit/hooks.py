@@ -6,7 +6,7 @@ What is answered here is for wheels that run as their motors have it, whatever i
 
 from __future__ import annotations
 
-from plant.kernels.common.hooks import answer
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.jit import kernel
 
 
@@ -66,61 +66,61 @@ def unloaded(surface, cell, e):
     return vx, vy
 
 
-@answer(lighten, "slowing", own=False)
+@implements(lighten, "slowing", own=False)
 def _stiff(_work, _parcel, _row, _cell, _share, _h):
     return
 
 
-@answer(slow, "slowing", own=False)
+@implements(slow, "slowing", own=False)
 def _unmoved(_work, _parcel, _rows, _h):
     return
 
 
-@answer(keep, "slowing", own=False)
+@implements(keep, "slowing", own=False)
 def _nothing_to_keep(_work):
     return
 
 
-@answer(take_back, "slowing", own=False)
+@implements(take_back, "slowing", own=False)
 def _nothing_to_take_back(_work):
     return
 
 
-@answer(tabulate, "slowing", own=False)
+@implements(tabulate, "slowing", own=False)
 def _nothing_to_tabulate(_work, _row):
     return
 
 
-@answer(extrapolate, "slowing", own=False)
+@implements(extrapolate, "slowing", own=False)
 def _right(_work, _lasts):
     return 0.0
 
 
-@answer(full, "slowing", own=False)
+@implements(full, "slowing", own=False)
 def _roomy(_work):
     return False
 
 
-@answer(hand_over, "slowing", own=False)
+@implements(hand_over, "slowing", own=False)
 def _nothing_to_tell(_work, _parcel, _left):
     return
 
 
-@answer(speed, "slowing", own=False)
+@implements(speed, "slowing", own=False)
 def _of_the_motor(_work, surface, cell, e):
     return unloaded(surface, cell, e)
 
 
-@answer(begun, "slowing", own=False)
+@implements(begun, "slowing", own=False)
 def _of_the_motor_then(_work, surface, cell, e):
     return unloaded(surface, cell, e)
 
 
-@answer(lightness, "slowing", own=False)
+@implements(lightness, "slowing", own=False)
 def _heavy(_work):
     return 0.0
 
 
-@answer(recoil, "slowing", own=False)
+@implements(recoil, "slowing", own=False)
 def _unshaken(_work, _cell, _axis, _impulse):
     return

@@ -5,7 +5,7 @@ from __future__ import annotations
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.parcels import LOG_CAPACITY
-from plant.kernels.common.select import begin_turn, end_turn, note_news, parcel_of
+from plant.kernels.common.select import load_state, note_news, parcel_view, store_state
 from plant.kernels.common.springs import surface_under
 from plant.kernels.quasi.advance import advance
 
@@ -22,12 +22,12 @@ def advance_block(surface, parcels, work, stop, laws, paces, block, span, times,
         if used + LOG_CAPACITY > events.shape[0]:
             return n, noted
         i = block[n]
-        parcel = parcel_of(parcels, i)
+        parcel = parcel_view(parcels, i)
         changes = parcel.ctl[at.N_EVENTS]
-        begin_turn(work, laws, paces, i)
+        load_state(work, laws, paces, i)
         log = events[used : used + LOG_CAPACITY]
         moved = advance(surface_under(surface, i), parcel, work, stop, span, times, out[:, i], log)
-        end_turn(work, paces, i)
+        store_state(work, paces, i)
         noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
         used += logged
     return block.shape[0], noted

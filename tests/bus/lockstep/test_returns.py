@@ -7,15 +7,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from bus.errors import BarrierError, HostLostError, WireError
-from bus.lattice import NEVER
-from bus.lockstep import Loss, Member
-from bus.lockstep.counters import Counts
-from bus.lockstep.intervals import Lives
-from bus.lockstep.liveness import Returns, Roll
-from bus.lockstep.receive import EARLY_TICKS, Collector
+from bus.errors import BarrierError, CoordinatorLostError, WireError
+from bus.lattice import NO_TICK_LIMIT
+from bus.lockstep import Loss, Participant
+from bus.lockstep.counters import MessageCounters
+from bus.lockstep.intervals import Membership
+from bus.lockstep.liveness import LivenessTracker, RejoinTracker
+from bus.lockstep.receive import EARLY_TICKS, FrameAssembler
 from bus.partition import Partition
-from bus.wire.formats import FormName
+from bus.wire.formats import WireFormat
 from tests.bus.support import (
     MESSAGE,
     PRESENCE,
@@ -29,11 +29,11 @@ from tests.bus.support import (
 )
 
 
-def _anew(system: System, shard: int) -> Member:
+def _anew(system: System, shard: int) -> Participant:
     """A new process for a shard, not yet ready."""
     endpoint = system.network.endpoint()
     system.member_endpoints[shard] = endpoint
-    system.members[shard] = Member(
+    system.members[shard] = Participant(
         endpoint,
         system.partition,
         shard,
@@ -58,7 +58,7 @@ def _admitted(system: System, tick: int, shards: list[int]) -> tuple[int, list[i
 
 @both_forms
 def test_a_new_process_takes_part_from_a_boundary_on_and_hears_nothing_that_was_said_before(
-    network: Network, form: FormName
+    network: Network, form: WireFormat
 ) -> None:
     system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
     step(system, 0)
@@ -93,7 +93,7 @@ def test_a_new_process_takes_part_from_a_boundary_on_and_hears_nothing_that_was_
 
 @both_forms
 def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
-    memory: Network, form: FormName
+    memory: Network, form: WireFormat
 ) -> None:
     system = System(memory, Partition.each(grid(1, 2)), form, message=MESSAGE).start()
     step(system, 0)
@@ -104,7 +104,7 @@ def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
     assert links is not None
     links.sent[:] = True
     # messages go out before drives: it is killed in between
-    puts = system.members[1]._outgoing.puts(system.drive(1, 1), links)  # pyright: ignore[reportPrivateUsage]
+    puts = system.members[1]._outgoing.encode(system.drive(1, 1), links)  # pyright: ignore[reportPrivateUsage]
     system.member_endpoints[1].put_all(puts[:-1])
     system.member_endpoints[1].close()
     system.members[0].publish(system.drive(0, 1), system.links(0, 1))
@@ -117,7 +117,7 @@ def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
 
 @both_forms
 def test_one_that_goes_again_before_it_was_admitted_is_asked_about_again(
-    memory: Network, form: FormName
+    memory: Network, form: WireFormat
 ) -> None:
     system = System(memory, Partition.even(grid(1, 3), 3), form, message=MESSAGE).start()
     step(system, 0)
@@ -147,126 +147,126 @@ def test_who_is_not_let_in_or_whose_plant_goes_says_so(memory: Network) -> None:
     with pytest.raises(BarrierError, match="shard 1 was not let in"):
         member.join(0.01)
     system.host.close()
-    with pytest.raises(HostLostError):
+    with pytest.raises(CoordinatorLostError):
         member.join(10.0)
 
 
 def test_cells_that_come_back_still_die_when_they_were_to_die() -> None:
-    lives = Lives(3)
-    lives.plan([0], 50)
-    lives.retire([0, 1], 10)
+    lives = Membership(3)
+    lives.schedule_death([0], 50)
+    lives.mark_dead([0, 1], 10)
     lives.admit([0, 1], 20)
     assert [lives.live(tick).tolist() for tick in (19, 20, 50)] == [
         [False, False, True],
         [True, True, True],
         [False, True, True],
     ]
-    assert lives.first([np.array([0, 1]), np.array([2])]) == [20, 0]
-    assert lives.last([np.array([0]), np.array([1, 2])]) == [50, NEVER]
+    assert lives.start_by_group([np.array([0, 1]), np.array([2])]) == [20, 0]
+    assert lives.end_by_group([np.array([0]), np.array([1, 2])]) == [50, NO_TICK_LIMIT]
 
 
 def test_a_group_is_there_from_when_the_first_of_those_came_who_stay_longest() -> None:
-    lives = Lives(4)
-    assert lives.all
-    lives.plan([0], 50)
-    assert not lives.all
+    lives = Membership(4)
+    assert lives.unchanged
+    lives.schedule_death([0], 50)
+    assert not lives.unchanged
     assert lives.live(50).tolist() == [False, True, True, True]
-    lives.retire([1, 2], 10)
+    lives.mark_dead([1, 2], 10)
     lives.admit([2], 20)
-    lives.retire([1], 40)
+    lives.mark_dead([1], 40)
     lives.admit([1], 45)
-    lives.retire([3], 30)
+    lives.mark_dead([3], 30)
     group = np.arange(4)
-    assert lives.first([group, np.array([0, 3])]) == [20, 0]
-    assert lives.last([group, np.array([0, 3])]) == [NEVER, 50]
+    assert lives.start_by_group([group, np.array([0, 3])]) == [20, 0]
+    assert lives.end_by_group([group, np.array([0, 3])]) == [NO_TICK_LIMIT, 50]
 
 
 def test_parts_are_waited_for_from_their_tick_on_and_earlier_ones_are_late() -> None:
-    counts = Counts()
-    collector = Collector("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
-    collector.begin(7)
-    collector.admit([0, 9], [NEVER, NEVER])
+    counts = MessageCounters()
+    collector = FrameAssembler("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
+    collector.start_at(7)
+    collector.admit([0, 9], [NO_TICK_LIMIT, NO_TICK_LIMIT])
     assert [collector.missing(tick) for tick in (7, 8, 9)] == [[0], [0], [0, 1]]
-    collector.take(1, bytes([8, 1]))
+    collector.handle(1, bytes([8, 1]))
     assert counts.late == 1
-    collector.take(1, bytes([9, 5]))
+    collector.handle(1, bytes([9, 5]))
     assert collector.slot(9).values == [0, 5]
-    collector.void([1], 9)
+    collector.discard([1], 9)
     assert collector.slot(9).values == [0, 0]
 
 
-def _collector(counts: Counts) -> Collector:
+def _collector(counts: MessageCounters) -> FrameAssembler:
     """Of two parts, whose payloads are a tick and a value."""
-    return Collector("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
+    return FrameAssembler("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
 
 
 def test_what_comes_from_who_is_gone_is_kept_only_where_it_is_expected_back() -> None:
-    counts = Counts()
+    counts = MessageCounters()
     collector = _collector(counts)
-    collector.begin(7)
-    collector.bury([NEVER, 5])
-    collector.take(1, bytes([8, 3]))
+    collector.start_at(7)
+    collector.update_membership([NO_TICK_LIMIT, 5])
+    collector.handle(1, bytes([8, 3]))
     assert (counts.late, collector.early(7)) == (1, 0)
-    collector.expect([1])
-    collector.take(1, bytes([8, 3]))
-    collector.take(1, bytes([6, 3]))
-    collector.take(1, bytes([7 + EARLY_TICKS, 4]))
-    collector.take(1, bytes([8 + EARLY_TICKS, 5]))
+    collector.allow_early([1])
+    collector.handle(1, bytes([8, 3]))
+    collector.handle(1, bytes([6, 3]))
+    collector.handle(1, bytes([7 + EARLY_TICKS, 4]))
+    collector.handle(1, bytes([8 + EARLY_TICKS, 5]))
     with pytest.raises(WireError, match="tick 8 came already"):
-        collector.take(1, bytes([8, 9]))
+        collector.handle(1, bytes([8, 9]))
     assert (counts.delivered, counts.late) == (2, 3)
     assert (collector.slot(8).values, collector.slot(8).missing) == ([0, 3], 1)
-    collector.take(0, bytes([8, 1]))
+    collector.handle(0, bytes([8, 1]))
     assert collector.slot(8).missing == 0
-    collector.admit([0, 7], [NEVER, NEVER])
+    collector.admit([0, 7], [NO_TICK_LIMIT, NO_TICK_LIMIT])
     assert (collector.slot(7).missing, collector.slot(8).missing, collector.missing(9)) == (2, 0, [0, 1])
 
 
 def test_who_comes_back_keeps_whatever_comes_until_its_first_tick_is_known() -> None:
-    counts = Counts()
+    counts = MessageCounters()
     collector = _collector(counts)
     with pytest.raises(WireError, match="at most 64 ahead of 0"):
-        collector.take(0, bytes([EARLY_TICKS + 1, 1]))
-    collector.await_first()
+        collector.handle(0, bytes([EARLY_TICKS + 1, 1]))
+    collector.accept_any_tick()
     for tick in range(100, 100 + EARLY_TICKS):
-        collector.take(0, bytes([tick, tick]))
+        collector.handle(0, bytes([tick, tick]))
     with pytest.raises(WireError, match="ahead"):
-        collector.take(0, bytes([99, 1]))
+        collector.handle(0, bytes([99, 1]))
     assert (collector.early(100), collector.early(101)) == (EARLY_TICKS, EARLY_TICKS - 1)
-    collector.begin(103)
+    collector.start_at(103)
     assert collector.early(0) == EARLY_TICKS - 3
     assert (collector.now, collector.slot(103).values, collector.missing(103)) == (103, [103, 0], [1])
     with pytest.raises(WireError, match="ahead of 103"):
-        collector.take(1, bytes([104 + EARLY_TICKS, 1]))
+        collector.handle(1, bytes([104 + EARLY_TICKS, 1]))
 
 
 def test_a_frame_that_is_over_takes_nothing_with_it_that_is_still_to_come() -> None:
-    counts = Counts()
+    counts = MessageCounters()
     collector = _collector(counts)
-    collector.take(0, bytes([0, 1]))
+    collector.handle(0, bytes([0, 1]))
     assert collector.close(0).values == [1, 0]
     assert (collector.now, collector.slot(1).values, collector.slot(1).missing) == (1, [0, 0], 2)
-    collector.take(1, bytes([0, 5]))
+    collector.handle(1, bytes([0, 5]))
     assert counts.late == 1
     for tick in (2, 3, 5):
-        collector.take(0, bytes([tick, tick]))
+        collector.handle(0, bytes([tick, tick]))
     collector.close(1)
     assert collector.slot(2).values == [2, 0]
     collector.close(3)
     assert (collector.now, collector.early(0), collector.slot(5).values) == (4, 1, [5, 0])
-    collector.bury([NEVER, 6])
+    collector.update_membership([NO_TICK_LIMIT, 6])
     assert (collector.missing(5), collector.missing(6)) == ([1], [0])
     collector.close(6)
     assert collector.slot(7).missing == 1
 
 
 def test_only_what_was_said_from_a_tick_on_is_void_and_may_be_said_again() -> None:
-    collector = _collector(Counts())
+    collector = _collector(MessageCounters())
     for tick in range(3):
-        collector.take(1, bytes([tick, 5]))
-    collector.void([1], 1)
+        collector.handle(1, bytes([tick, 5]))
+    collector.discard([1], 1)
     assert [collector.slot(tick).values for tick in range(3)] == [[0, 5], [0, 0], [0, 0]]
-    collector.take(1, bytes([2, 6]))
+    collector.handle(1, bytes([2, 6]))
     assert collector.slot(2).values == [0, 6]
 
 
@@ -275,19 +275,19 @@ class Absent:
 
     def __init__(self) -> None:
         nothing = cast("Any", None)
-        self.roll = Roll(nothing, nothing)
+        self.roll = LivenessTracker(nothing, nothing)
         self.matched = {2, 3, 4}
-        self.returns = Returns(self.roll, [[0, 1], [2, 3], [4]], self.matched.__contains__)
-        self.returns.left(2, [4])
-        self.returns.left(1, [3])
-        self.returns.left(1, [2])
+        self.returns = RejoinTracker(self.roll, [[0, 1], [2, 3], [4]], self.matched.__contains__)
+        self.returns.on_left(2, [4])
+        self.returns.on_left(1, [3])
+        self.returns.on_left(1, [2])
 
     def seen(self, *units: int) -> None:
-        for signs in (self.roll.left, self.roll.alive, self.roll.ready):
+        for signs in (self.roll.ever_left, self.roll.alive, self.roll.ready):
             signs.update(units)
 
     def asked(self) -> list[list[int]]:
-        return [absence.cells for absence in self.returns.to_ask()]
+        return [absence.cells for absence in self.returns.to_prepare()]
 
 
 @pytest.mark.parametrize("sign", ["left", "alive", "ready", "matched"])
@@ -297,7 +297,7 @@ def test_a_process_is_back_when_all_its_units_went_came_are_ready_and_can_be_sen
     signs = absent.matched if sign == "matched" else getattr(absent.roll, sign)
     signs.discard(2)
     assert absent.asked() == []
-    assert absent.returns.back([]) == []
+    assert absent.returns.ready_to_commit([]) == []
     signs.add(2)
     assert absent.asked() == [[3, 2]]
     assert absent.asked() == []
@@ -307,13 +307,13 @@ def test_cells_are_admitted_when_all_who_live_can_send_to_them_and_not_to_others
     absent = Absent()
     absent.seen(2, 3, 4)
     assert absent.asked() == [[4], [3, 2]]
-    absent.returns.linked(0, [2])
-    absent.returns.linked(0, [4])
-    absent.returns.linked(5, [2, 3])
-    assert absent.returns.back([0, 5]) == []
-    absent.returns.linked(0, [2, 3])
-    assert absent.returns.back([0, 5]) == [2, 3]
-    assert absent.returns.back([0]) == [4]
+    absent.returns.on_ready(0, [2])
+    absent.returns.on_ready(0, [4])
+    absent.returns.on_ready(5, [2, 3])
+    assert absent.returns.ready_to_commit([0, 5]) == []
+    absent.returns.on_ready(0, [2, 3])
+    assert absent.returns.ready_to_commit([0, 5]) == [2, 3]
+    assert absent.returns.ready_to_commit([0]) == [4]
     assert not absent.returns
 
 
@@ -321,16 +321,16 @@ def test_whoever_could_send_to_a_process_that_went_again_is_asked_about_the_next
     absent = Absent()
     absent.seen(4)
     assert absent.asked() == [[4]]
-    absent.returns.linked(0, [4])
+    absent.returns.on_ready(0, [4])
     absent.roll.alive.discard(4)
     assert absent.asked() == []
     absent.roll.alive.add(4)
     assert absent.asked() == [[4]]
-    assert absent.returns.back([0]) == []
+    assert absent.returns.ready_to_commit([0]) == []
 
 
 def test_shards_that_come_back_together_are_told_by_their_cells_in_order() -> None:
     absent = Absent()
     absent.seen(2, 3, 4)
     absent.asked()
-    assert absent.returns.back([]) == [2, 3, 4]
+    assert absent.returns.ready_to_commit([]) == [2, 3, 4]

@@ -13,9 +13,9 @@ from hypothesis.extra import numpy as hnp
 
 from bus.errors import WireError
 from bus.partition import Partition
-from bus.sensors import Picture, Readings
-from bus.wire.format import HostForm, MemberForm, Wiring
-from bus.wire.formats import FORMS, FormName
+from bus.sensors import CameraFrame, SensorSchema
+from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema
+from bus.wire.formats import FORMATS, WireFormat
 from bus.wire.frames import (
     Control,
     DriveFrame,
@@ -33,30 +33,30 @@ from tests.bus.support import grid
 MESSAGE = check_message(
     np.dtype([("u", "<f8"), ("w", "<f4"), ("n", "<i2"), ("m", "<u8"), ("there", "?"), ("h", "<f2")])
 )
-FORM_NAMES: list[FormName] = ["packed", "cells"]
+FORM_NAMES: list[WireFormat] = ["packed", "cells"]
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def sides(
-    form: FormName,
+    form: WireFormat,
     *,
     encoders: bool = True,
     sensors: int = 3,
     levels: bool = False,
     labels: int = 0,
     camera: int = 0,
-) -> tuple[HostForm, list[MemberForm]]:
+) -> tuple[CoordinatorCodec, list[ParticipantCodec]]:
     partition = Partition.even(grid(2, 3), 2)
-    readings = Readings(sensors, encoders, levels, labels, camera)
-    wiring = Wiring("test", partition, readings, MESSAGE)
-    return FORMS[form].host(wiring), [FORMS[form].member(wiring, shard) for shard in range(2)]
+    readings = SensorSchema(sensors, encoders, levels, labels, camera)
+    wiring = RunSchema("test", partition, readings, MESSAGE)
+    return FORMATS[form].coordinator(wiring), [FORMATS[form].participant(wiring, shard) for shard in range(2)]
 
 
-PICTURE = Picture(np.array([0, 2]), np.array([[0.1, -0.2, 3.0], [-0.0, 1e-300, -7.5]]))
+PICTURE = CameraFrame(np.array([0, 2]), np.array([[0.1, -0.2, 3.0], [-0.0, 1e-300, -7.5]]))
 
 
 def over_the_wire(
-    form: FormName, sense: SenseFrame, drives: list[DriveFrame], links: list[LinkFrame]
+    form: WireFormat, sense: SenseFrame, drives: list[DriveFrame], links: list[LinkFrame]
 ) -> tuple[list[Any], Any, list[Any]]:
     """What each member senses, what the host gathers, and what each member hears, after encoding and decoding."""
     host, members = sides(
@@ -127,7 +127,7 @@ def _canonical(message: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
-def test_without_encoders_travel_is_nil(form: FormName) -> None:
+def test_without_encoders_travel_is_nil(form: WireFormat) -> None:
     bits = np.eye(6, 3, dtype=np.bool_)
     drives = [DriveFrame(0, np.zeros((3, 2)))] * 2
     silence = [LinkFrame(0, np.zeros(3, np.bool_), np.zeros(3, MESSAGE))] * 2
@@ -137,14 +137,14 @@ def test_without_encoders_travel_is_nil(form: FormName) -> None:
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
-def test_a_run_without_levels_has_no_field_for_them(form: FormName) -> None:
+def test_a_run_without_levels_has_no_field_for_them(form: WireFormat) -> None:
     host, _ = sides(form)
     for payload in host.sense_payloads(SenseFrame(0, np.ones((6, 3), np.bool_), np.zeros((6, 2)))):
         assert msgpack.unpackb(payload).keys() == {"v", "tick", "presence", "encoder_m"}
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
-def test_levels_go_without_encoders(form: FormName) -> None:
+def test_levels_go_without_encoders(form: WireFormat) -> None:
     host, members = sides(form, encoders=False, levels=True)
     level = np.linspace(0.0, 1.0, 18).reshape(6, 3)
     sent = dict(
@@ -161,9 +161,9 @@ def test_levels_go_without_encoders(form: FormName) -> None:
 @pytest.mark.parametrize("form", FORM_NAMES)
 @pytest.mark.parametrize("encoders", [False, True])
 @pytest.mark.parametrize("levels", [False, True])
-@pytest.mark.parametrize("picture", [None, PICTURE, Picture(np.zeros(0, np.int64), np.zeros((0, 3)))])
+@pytest.mark.parametrize("picture", [None, PICTURE, CameraFrame(np.zeros(0, np.int64), np.zeros((0, 3)))])
 def test_labels_and_pictures_survive_the_wire_whatever_else_there_is(
-    form: FormName, encoders: bool, levels: bool, picture: Picture | None
+    form: WireFormat, encoders: bool, levels: bool, picture: CameraFrame | None
 ) -> None:
     host, members = sides(form, encoders=encoders, levels=levels, labels=2**16 - 1, camera=3)
     bits, label = np.eye(6, 3, dtype=np.bool_), np.array([0, 1, 255, 256, 2**16 - 1, 7])
@@ -202,7 +202,7 @@ def test_a_cell_is_told_its_label_and_the_picture_as_plain_numbers() -> None:
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
-def test_joined_arrays_may_be_written(form: FormName) -> None:
+def test_joined_arrays_may_be_written(form: WireFormat) -> None:
     sensed, driven, heard = over_the_wire(
         form,
         SenseFrame(0, np.zeros((6, 3), np.bool_), np.zeros((6, 2)), np.zeros((6, 3)), np.zeros(6, np.int64)),
@@ -253,7 +253,7 @@ def test_a_tool_may_write_whole_numbers_where_floats_are_meant() -> None:
 # --- payloads that are not what they should be ------------------------------------------------------
 
 
-def good_payloads(form: FormName) -> list[tuple[Any, bytes]]:
+def good_payloads(form: WireFormat) -> list[tuple[Any, bytes]]:
     """Each kind of decoder with a payload that it accepts."""
     host, (member, _) = sides(form)
     travel, there = np.full((6, 2), 0.1), np.ones((6, 3), np.bool_)
@@ -277,7 +277,7 @@ def good_payloads(form: FormName) -> list[tuple[Any, bytes]]:
     ]
 
 
-def _of_scanners_and_camera(form: FormName) -> list[tuple[Any, bytes]]:
+def _of_scanners_and_camera(form: WireFormat) -> list[tuple[Any, bytes]]:
     host, (member, _) = sides(form, labels=4, camera=3)
     frame = SenseFrame(5, np.ones((6, 3), np.bool_), np.full((6, 2), 0.1), None, np.arange(6) % 5)
     return [
@@ -292,7 +292,9 @@ GOOD = [(form, i) for form in FORM_NAMES for i in range(9)]
 @pytest.mark.parametrize(("form", "which"), GOOD)
 @settings(max_examples=150)
 @given(data=st.data())
-def test_a_mutated_payload_is_read_or_refused_and_nothing_else(form: FormName, which: int, data: Any) -> None:
+def test_a_mutated_payload_is_read_or_refused_and_nothing_else(
+    form: WireFormat, which: int, data: Any
+) -> None:
     decode, good = good_payloads(form)[which]
     payload = bytearray(good)
     for _ in range(data.draw(st.integers(1, 4))):
@@ -321,7 +323,7 @@ VALUES = st.recursive(
 @settings(max_examples=100)
 @given(data=st.data())
 def test_a_payload_with_other_values_is_read_or_refused_and_nothing_else(
-    form: FormName, which: int, data: Any
+    form: WireFormat, which: int, data: Any
 ) -> None:
     decode, good = good_payloads(form)[which]
     fields = msgpack.unpackb(good)
@@ -332,7 +334,7 @@ def test_a_payload_with_other_values_is_read_or_refused_and_nothing_else(
 
 @pytest.mark.parametrize("form", FORM_NAMES)
 @given(payload=st.binary(max_size=200))
-def test_any_bytes_are_read_or_refused_and_nothing_else(form: FormName, payload: bytes) -> None:
+def test_any_bytes_are_read_or_refused_and_nothing_else(form: WireFormat, payload: bytes) -> None:
     for decode, _ in good_payloads(form):
         _read_or_refused(decode, payload)
 
@@ -439,7 +441,7 @@ def test_a_level_that_is_no_share_is_refused_and_so_is_one_where_none_was_agreed
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
-def test_labels_and_pictures_that_no_run_can_have_are_refused(form: FormName) -> None:
+def test_labels_and_pictures_that_no_run_can_have_are_refused(form: WireFormat) -> None:
     host, (member, _) = sides(form, labels=4, camera=3)
     frame = SenseFrame(0, np.ones((6, 3), np.bool_), np.zeros((6, 2)), None, np.zeros(6, np.int64), PICTURE)
 

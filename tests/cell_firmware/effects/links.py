@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.effects.registry import CellEffects
@@ -28,7 +28,7 @@ class Stamper(Firmware):
     """
 
     message = np.dtype([("said", "<i8")])
-    tentative = False  # it writes down every step
+    speculative = False  # it writes down every step
 
     def __init__(self, every: int = 1) -> None:
         super().__init__(NoParameters())
@@ -59,7 +59,7 @@ def heard_on(
     effects: CellEffects | None = None,
     every: int = 1,
     seed: int = 0,
-    faults: Sequence[Injected[CellFault]] = (),
+    faults: Sequence[FaultInstance[CellFault]] = (),
     shards: int = 1,
 ) -> tuple[Ints, Counter[str]]:
     """The tick of what each link brought, ``(ticks, links)``, −1 for nothing; and what effects counted."""

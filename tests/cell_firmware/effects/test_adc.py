@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.stats import kstest
 
-from bus.random_streams import Draws
+from bus.random_streams import CounterStream
 from cell_firmware.effects.adc import AdcSpec
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.firmware import Inputs
 
 Floats = NDArray[np.float64]
@@ -20,7 +20,7 @@ CELLS, SENSORS = 2000, 2
 def read(spec: AdcSpec, level: Floats, tick: int = 0, cells: NDArray[np.int64] | None = None) -> Floats:
     """What the cells see of a level, all of it 8-bit codes over 256."""
     cells = np.arange(len(level)) if cells is None else cells
-    (stage,) = spec.stages(Site(cells, level.shape[1], None, 7, levels=True))
+    (stage,) = spec.input_filters(ShardContext(cells, level.shape[1], None, 7, levels=True))
     inputs = Inputs(np.zeros(level.shape, dtype=np.bool_), None, None, level)
     seen = stage.apply(tick, inputs, slice(None)).level
     assert seen is not None
@@ -83,7 +83,7 @@ def test_no_noise_draws_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def drawn(*_: object) -> None:
         raise AssertionError("drawn")
 
-    monkeypatch.setattr(Draws, "uniform", drawn)
+    monkeypatch.setattr(CounterStream, "uniform", drawn)
     read(AdcSpec(), np.full((3, 1), 0.5))
 
 

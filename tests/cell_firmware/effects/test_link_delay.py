@@ -12,8 +12,8 @@ from scipy.stats import binom
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.random_streams import Draws
-from cell_firmware.effects.base import Site
+from bus.random_streams import CounterStream
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
@@ -42,7 +42,7 @@ def queues(
     """What is heard when, and what is counted: a queue a link. Delays and losses are the effects' own draws."""
     low, high = bounds
     links = np.flatnonzero((lattice.neighbours >= 0).ravel())
-    delays, losses = Draws(9, "link_delay", links), Draws(9, "link_loss", links)
+    delays, losses = CounterStream(9, "link_delay", links), CounterStream(9, "link_loss", links)
     # tick k's numbers are those of the messages that were sent in tick k - 1
     delay_of = [(low + (delays.uniform(k) * (high - low + 1)).astype(int)).tolist() for k in range(ticks)]
     is_lost = [(losses.uniform(k) < loss).tolist() for k in range(ticks)]
@@ -113,8 +113,8 @@ def test_what_a_cell_sent_before_it_died_still_arrives_when_it_is_due(
 
 @pytest.mark.parametrize(("ticks", "message"), [(0, "<i8"), (3, None)])
 def test_with_nothing_to_delay_there_is_no_stage(ticks: int, message: str | None) -> None:
-    site = Site(np.arange(4), 1, message and np.dtype([("a", message)]), 0)
-    assert delay(ticks=ticks).stages(site) == {"link_delay": ()}
+    site = ShardContext(np.arange(4), 1, message and np.dtype([("a", message)]), 0)
+    assert delay(ticks=ticks).input_filters(site) == {"link_delay": ()}
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from scipy.stats import binom
 
 from bus.lattice import Lattice
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
 from tests.cell_firmware.effects.links import heard_on
@@ -50,8 +50,8 @@ def test_at_probability_one_nothing_is_heard(grid: Grid, run: Run) -> None:
 
 @pytest.mark.parametrize(("probability", "message"), [(0.0, "<i8"), (0.5, None)])
 def test_with_nothing_to_lose_there_is_no_stage(probability: float, message: str | None) -> None:
-    site = Site(np.arange(4), 1, message and np.dtype([("a", message)]), 0)
-    assert loss(probability).stages(site) == {"link_loss": ()}
+    site = ShardContext(np.arange(4), 1, message and np.dtype([("a", message)]), 0)
+    assert loss(probability).input_filters(site) == {"link_loss": ()}
 
 
 def test_a_probability_is_asked_for_and_at_most_one() -> None:

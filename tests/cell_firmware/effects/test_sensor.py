@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from scipy.stats import binom
 
 from bus.lattice import Lattice
-from cell_firmware.clocks import NEVER
-from cell_firmware.effects.base import Site, Stage
+from cell_firmware.clocks import NOT_IN_WINDOW
+from cell_firmware.effects.base import InputFilter, ShardContext
 from cell_firmware.effects.clock.spec import ClockSpec
 from cell_firmware.effects.sensor import SensorSpec
 from cell_firmware.firmware import Inputs
@@ -20,11 +20,11 @@ CELLS, SENSORS, TICKS = 900, 3, 40
 ALL = slice(None)
 
 
-def stages_of(spec: SensorSpec, seed: int = 5, *, levels: bool = False) -> list[Stage]:
-    return list(spec.stages(Site(np.arange(CELLS), SENSORS, None, seed, levels=levels)))
+def stages_of(spec: SensorSpec, seed: int = 5, *, levels: bool = False) -> list[InputFilter]:
+    return list(spec.input_filters(ShardContext(np.arange(CELLS), SENSORS, None, seed, levels=levels)))
 
 
-def seen(stages: list[Stage], presence: Bools, alive: NDArray[np.int64] | slice = ALL) -> Bools:
+def seen(stages: list[InputFilter], presence: Bools, alive: NDArray[np.int64] | slice = ALL) -> Bools:
     """What cells see, ``(ticks, n, sensors)``, of what is there."""
     read: list[Bools] = []
     for tick, there in enumerate(presence):
@@ -70,7 +70,7 @@ def test_sensors_err_as_often_as_asked_either_way_and_that_is_counted(there: Boo
     positives, negatives = int((wrong & ~there).sum()), int((wrong & there).sum())
     assert within(positives, int((~there).sum()), 0.01)
     assert within(negatives, int(there.sum()), 0.2)
-    assert errors.counted == {"false_positives": positives, "false_negatives": negatives}
+    assert errors.counters == {"false_positives": positives, "false_negatives": negatives}
 
 
 def test_errors_of_neighbouring_ticks_cells_and_sensors_have_nothing_to_do_with_each_other(
@@ -102,13 +102,17 @@ def test_debouncing_counts_each_reading_of_a_cells_own_period_once(exchanges: in
     """Crystals off by up to 3 %: slow cells have windows without a reading, with one exchange a period too."""
     lattice = Lattice((0, column) for column in range(40))
     spec = ClockSpec(error_ppm=30_000.0, exchanges_per_period=exchanges)
-    clocks = spec.clocks(lattice, 4_096_000, 7).all
+    clocks = spec.clocks(lattice, 4_096_000, 7).clocks
     n, ticks, chance = len(lattice), 80 * exchanges, np.random.default_rng(2)
-    stages = list(SensorSpec(debounce_ticks=debounce).stages(Site(np.arange(n), 1, None, 1, clocks=clocks)))
+    stages = list(
+        SensorSpec(debounce_ticks=debounce).input_filters(
+            ShardContext(np.arange(n), 1, None, 1, clocks=clocks)
+        )
+    )
     pins, read, believed = np.zeros((n, 1), dtype=np.bool_), [[] for _ in range(n)], [[] for _ in range(n)]
     for tick in range(ticks):
         instants = clocks.instants(tick - 1)
-        due = np.flatnonzero(instants != NEVER)
+        due = np.flatnonzero(instants != NOT_IN_WINDOW)
         pins[due, 0] = chance.random(len(due)) < 0.5
         (stage,) = stages
         told = stage.apply(tick, Inputs(pins.copy()), ALL).presence
@@ -124,7 +128,7 @@ def test_debouncing_counts_each_reading_of_a_cells_own_period_once(exchanges: in
             if row == debounce:
                 bit, row = reading, 0
             assert shown is bit
-    assert stages[0].counted["bounces"] == bounces > 100
+    assert stages[0].counters["bounces"] == bounces > 100
 
 
 def test_errors_are_those_of_the_reading_however_long_it_takes(there: Bools) -> None:
@@ -139,7 +143,7 @@ def test_the_dead_are_not_counted(there: Bools) -> None:
     alive = np.arange(0, CELLS, 2)
     (errors,) = stages_of(SensorSpec(false_negative=0.5))
     wrong = seen([errors], there, alive) ^ there
-    assert errors.counted["false_negatives"] == wrong[:, alive].sum()
+    assert errors.counters["false_negatives"] == wrong[:, alive].sum()
 
 
 def test_another_seed_makes_other_errors(there: Bools) -> None:
@@ -208,7 +212,7 @@ def test_a_change_is_believed_once_it_has_been_read_so_many_times_in_a_row(ticks
                 if all(one != believed for one in recent):
                     believed = not believed
                 assert bool(found[tick, cell, sensor]) is believed
-    assert debounce.counted == {"bounces": bounced}
+    assert debounce.counters == {"bounces": bounced}
     assert bounced > 100
 
 
@@ -240,9 +244,9 @@ def test_firmware_that_writes_to_what_it_sees_changes_no_sensor() -> None:
 
 
 def test_a_threshold_needs_levels_and_nothing_else_of_a_sensor_does() -> None:
-    assert SensorSpec(false_positive=0.1, debounce_ticks=2, latency_ticks=1).needed() == ()
-    assert SensorSpec(threshold=0.5).needed() == ("analogue_sensors",)
-    assert SensorSpec(hysteresis=0.1).needed() == ("analogue_sensors",)
+    assert SensorSpec(false_positive=0.1, debounce_ticks=2, latency_ticks=1).required() == ()
+    assert SensorSpec(threshold=0.5).required() == ("analogue_sensors",)
+    assert SensorSpec(hysteresis=0.1).required() == ("analogue_sensors",)
 
 
 def test_what_the_settings_do_not_need_is_not_there() -> None:

@@ -19,11 +19,11 @@ class Cells:
         self.lattice = lattice
         nothing = np.zeros(n, dtype=np.int64)
         nobody = np.full(n, group.NOBODY)
-        self.place = group.Place(nothing, nobody, nothing, np.full(n, group.ROOT), nobody, nothing)
+        self.place = group.ElectionState(nothing, nobody, nothing, np.full(n, group.ROOT), nobody, nothing)
         self.kids = np.zeros((n, 4), dtype=np.bool_)
         self.dead: set[int] = set()
 
-    def round(self, covered: Iterable[tuple[int, int]]) -> group.Place:
+    def round(self, covered: Iterable[tuple[int, int]]) -> group.ElectionState:
         over = np.zeros(len(self.lattice), dtype=np.bool_)
         over[[self.lattice.index(cell) for cell in covered]] = True
         said = np.zeros(len(self.lattice), dtype=np.dtype(group.FIELDS))

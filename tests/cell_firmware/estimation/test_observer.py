@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cell_firmware.estimation import occupancy as pattern
-from cell_firmware.estimation.footprint_residual import Pose, Sensors, total, turned, worst
+from cell_firmware.estimation.footprint_residual import Pose, Sensors, rotate, total, worst_residual
 from cell_firmware.estimation.observer import Belief, Observer, footing
 from plant.loads import find_supports
 
@@ -36,11 +36,11 @@ def test_the_worst_contradiction_s_slope_is_its_derivative() -> None:
     for _ in range(20):
         truth, guess = chance.normal(0.0, 0.05, 3), chance.normal(0.0, 0.05, 3)
         sensors = around((truth[0], truth[1], 4 * truth[2]))
-        wrong, slope = worst(sensors, pose_of(guess[0], guess[1], 4 * guess[2]), HALF)
+        wrong, slope = worst_residual(sensors, pose_of(guess[0], guess[1], 4 * guess[2]), HALF)
         for axis in range(3):
             step = np.zeros(3)
             step[axis] = 1e-7
-            there = worst(
+            there = worst_residual(
                 sensors, pose_of(guess[0] + step[0], guess[1] + step[1], 4 * guess[2] + step[2]), HALF
             )
             assert (there[0] - wrong)[0] / 1e-7 == pytest.approx(slope[0, axis], abs=1e-5)
@@ -48,7 +48,9 @@ def test_the_worst_contradiction_s_slope_is_its_derivative() -> None:
 
 def test_nothing_contradicts_the_truth() -> None:
     for angle in (0.0, 0.4, 1.2):
-        assert worst(around((0.013, -0.021, angle)), pose_of(0.013, -0.021, angle), HALF)[0][0] <= 0.0
+        assert (
+            worst_residual(around((0.013, -0.021, angle)), pose_of(0.013, -0.021, angle), HALF)[0][0] <= 0.0
+        )
 
 
 def test_a_first_guess_contradicts_hardly_and_is_within_half_a_cell() -> None:
@@ -108,7 +110,7 @@ def test_sums_do_not_depend_on_how_many_are_summed_at_once() -> None:
 
 
 def test_turning_keeps_the_length_and_turns() -> None:
-    found = turned(np.array([[0.6, 0.8]]), np.array([0.01]))
+    found = rotate(np.array([[0.6, 0.8]]), np.array([0.01]))
     assert np.hypot(*found[0]) == pytest.approx(1.0, abs=1e-15)
     assert np.arctan2(found[0, 1], found[0, 0]) - np.arctan2(0.8, 0.6) == pytest.approx(0.01, abs=1e-6)
 

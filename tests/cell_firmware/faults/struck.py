@@ -6,8 +6,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from bus.fault import FaultSpec, Injected
-from bus.lattice import NEVER, Lattice
+from bus.fault import FaultInstance, FaultSpec
+from bus.lattice import NO_TICK_LIMIT, Lattice
 from cell_firmware.faults.base import CellFault
 from deploy.faults.registry import Fault
 
@@ -15,14 +15,14 @@ _FAULT: TypeAdapter[FaultSpec] = TypeAdapter(Fault)
 
 
 def struck(
-    lattice: Lattice, *faults: dict[str, Any], first: int = 0, end: int = NEVER, seed: int = 0
-) -> list[Injected[CellFault]]:
+    lattice: Lattice, *faults: dict[str, Any], first: int = 0, end: int = NO_TICK_LIMIT, seed: int = 0
+) -> list[FaultInstance[CellFault]]:
     """Faults by their tables; ``first`` and ``end`` are ticks, of all of them that do not say so themselves."""
-    found: list[Injected[CellFault]] = []
+    found: list[FaultInstance[CellFault]] = []
     for number, table in enumerate(faults):
         data = dict(table)
         times = data.pop("first", first), data.pop("end", end)
         fault = _FAULT.validate_python(data)
         assert isinstance(fault, CellFault)
-        found.append(Injected(number, fault, fault.struck(lattice, seed, number), *times))
+        found.append(FaultInstance(number, fault, fault.affected_cells(lattice, seed, number), *times))
     return found

@@ -14,11 +14,11 @@ from scipy.stats import binom
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.clocks import ArrayClocks, Clocks
+from cell_firmware.clocks import ArrayClocks, CellClocks
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.serial.spec import SerialSpec
 from cell_firmware.faults.kinds.lie import LieFault
-from cell_firmware.faults.payload_bytes import drawn, flipped
+from cell_firmware.faults.payload_bytes import flipped, random_bytes
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 from cell_firmware.specs import CellsSpec
@@ -37,7 +37,7 @@ class Teller(Firmware):
     """
 
     message = MESSAGE
-    tentative = False
+    speculative = False
 
     def __init__(self) -> None:
         super().__init__(NoParameters())
@@ -75,7 +75,9 @@ def told(
     if windows:
         own = np.array([3_000, -4_000, 0, 1_000] * len(lattice))[: len(lattice)]
         window_ns = 4_096_000 * 99 // 100 // windows
-        clocks = ArrayClocks(lattice, Clocks(4_096_000, window_ns, own, np.arange(len(lattice)) * 700_000))
+        clocks = ArrayClocks(
+            lattice, CellClocks(4_096_000, window_ns, own, np.arange(len(lattice)) * 700_000)
+        )
     here = struck(
         lattice, *({**HERE, **fault} if "share" not in fault else fault for fault in faults), **times
     )
@@ -192,7 +194,7 @@ def test_a_lie_says_by_how_much_where_that_is_to_be_said(settings: dict[str, Any
 
 def test_a_lie_about_a_field_that_nobody_tells_does_not_fit_the_cells() -> None:
     lie = LieFault.model_validate({**HERE, "mode": "stuck", "field": "temperature"})
-    ((path, _, rule),) = lie.unfit(CellsSpec(firmware="heat_diffusion"), 1)
+    ((path, _, rule),) = lie.fit_problems(CellsSpec(firmware="heat_diffusion"), 1)
     assert path == ("field",)
     assert rule.endswith("vx_m_s, vy_m_s")
 
@@ -240,7 +242,7 @@ def test_corrupted_messages_differ_in_one_bit_and_a_float_that_is_none_is_refuse
 def test_what_no_cell_of_the_program_ever_tells_is_refused(
     grid: Grid, lockstep: Any, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr(Teller, "plausible", lambda _self: {"small": (0, 9)})
+    monkeypatch.setattr(Teller, "value_ranges", lambda _self: {"small": (0, 9)})
     lie = {"kind": "lie", "mode": "offset", "by": 3}
     heard, counted = told(grid, lockstep, 10, lie)
     assert [heard[tick, 0, 1][3] is None for tick in range(1, 10)] == [False] * 7 + [True] * 2
@@ -308,6 +310,6 @@ def test_noise_has_as_many_bytes_as_asked_and_all_values() -> None:
         def uniform(self, tick: int) -> NDArray[np.float64]:
             return np.random.default_rng(tick).random(1_200)
 
-    data = drawn(Half(), 3, 600, 8)  # pyright: ignore[reportArgumentType]
+    data = random_bytes(Half(), 3, 600, 8)  # pyright: ignore[reportArgumentType]
     assert data.shape == (600, 8)
     assert len(np.unique(data)) == 256

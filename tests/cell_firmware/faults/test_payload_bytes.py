@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from cell_firmware.effects.serial.bursts import BurstType
-from cell_firmware.faults.payload_bytes import Bursts, OnWire, Whole
+from cell_firmware.faults.payload_bytes import MessageBytes, PayloadView, SerialBytes
 
 SAID = np.dtype([("real", "<f8"), ("flag", "?")])
 
 
 def test_what_a_link_carries_says_how_its_bytes_are_read() -> None:
     stamped = np.dtype([*((name, SAID[name]) for name in ("real", "flag")), ("stamp", "<i8")])
-    whole, bursts = OnWire.of(stamped, SAID), OnWire.of(BurstType(12).wire, SAID)
-    assert isinstance(whole, Whole)
+    whole, bursts = PayloadView.of(stamped, SAID), PayloadView.of(BurstType(12).wire, SAID)
+    assert isinstance(whole, MessageBytes)
     assert whole.width == 9, "a stamp is no byte of what is said"
-    assert isinstance(bursts, Bursts)
+    assert isinstance(bursts, SerialBytes)
     assert bursts.width == 16
 
 
 def test_the_bytes_of_both_runs_are_read_and_written_and_nothing_else_changes() -> None:
     burst = BurstType(8)
-    bursts = Bursts(burst)
+    bursts = SerialBytes(burst)
     messages = np.zeros(2, dtype=burst.wire)
     messages["bytes_1"], messages["bytes_2"] = [2, 6], [3, 6]
     messages["start_2_ns"], messages["word_0"] = 77, 0x0807060504030201
@@ -36,7 +36,7 @@ def test_the_bytes_of_both_runs_are_read_and_written_and_nothing_else_changes() 
 
 
 def test_whole_messages_are_written_over_copies() -> None:
-    whole, messages = Whole(SAID), np.zeros(1, dtype=SAID)
+    whole, messages = MessageBytes(SAID), np.zeros(1, dtype=SAID)
     data, count = whole.read(messages)
     assert count.tolist() == [9]
     data[0, 8] = 7

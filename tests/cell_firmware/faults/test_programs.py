@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.clocks import ArrayClocks, Clocks
+from cell_firmware.clocks import ArrayClocks, CellClocks
 from cell_firmware.effects.cop.spec import CopSpec
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.faults.base import CellFault
@@ -117,7 +117,7 @@ def test_a_slow_clock_runs_its_program_in_exactly_that_share_of_its_periods(
 def clocks(lattice: Lattice, *ppb: int, windows: int) -> ArrayClocks:
     window_ns = PERIOD_NS * 94 // 100 // windows
     phases = np.zeros(len(lattice), dtype=np.int64)
-    return ArrayClocks(lattice, Clocks(PERIOD_NS, window_ns, np.array(ppb), phases))
+    return ArrayClocks(lattice, CellClocks(PERIOD_NS, window_ns, np.array(ppb), phases))
 
 
 @pytest.mark.parametrize("windows", [1, 2, 3])
@@ -165,7 +165,7 @@ def test_a_fault_of_one_cell_is_joined_to_a_running_array_to_the_same_effect(
         {"kind": "hang"},
         {"kind": "lie", "mode": "factor", "by": 3},
     )
-    faults: list[Injected[CellFault]] = struck(
+    faults: list[FaultInstance[CellFault]] = struck(
         lattice, *({"cell": (0, 0), **table} for table in tables), first=7, end=11
     )
     scheduled = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, None, faults)
@@ -198,7 +198,7 @@ def test_faults_joined_one_by_one_act_and_count_as_if_they_had_been_there_from_t
     live = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, own)
     for tick in range(28):
         for fault in faults:
-            if fault.first == tick:
+            if fault.start_tick == tick:
                 live.shards[0].inject(fault, live.sites[0], lattice)
         assert (scheduled.step() == live.step()).all(), tick
     assert scheduled.shards[0].counted() == live.shards[0].counted()

@@ -18,7 +18,7 @@ FASTEST = 1e6
 ROWS, COLUMNS, TICKS = 8, 12, 120
 LEFT, RIGHT = {"columns": (0, 0)}, {"columns": (COLUMNS - 1, COLUMNS - 1)}
 FIELD = {"field": {"kind": "uniform", "velocity_m_s": (0.1, 0.0)}}
-SPEEDS = {"held": ({**LEFT, "speed_m_s": (0.3, 0.0)}, {**RIGHT, "speed_m_s": (0.0, 0.1)}), "patience": 5}
+SPEEDS = {"held": ({**LEFT, "speed_m_s": (0.3, 0.0)}, {**RIGHT, "speed_m_s": (0.0, 0.1)}), "ttl_periods": 5}
 TILES = {"lanes": ("e e .", "e e ."), "exits": tuple({"tile": (row, 2), "side": "east"} for row in (0, 1))}
 LEGS = ({"to_m": (0.8, 0.4)}, {"turn_rad": 1.0})
 PARAMETERS: dict[str, dict[str, Any]] = {
@@ -31,11 +31,11 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "parcel_estimate": {"size_m": (0.3, 0.2), "target_m": (0.5, 0.4)},
     "reserve_path": TILES,
     "route": TILES,
-    "stream": {"springs": ({**LEFT, "flow_m2_s": 0.02}, {**RIGHT, "flow_m2_s": -0.02})},
-    "stumbling_field": {**FIELD, "cells": (), "after_periods": 10},
+    "stream": {"sources": ({**LEFT, "flow_m2_s": 0.02}, {**RIGHT, "flow_m2_s": -0.02})},
+    "hanging_field": {**FIELD, "cells": (), "after_periods": 10},
     "velocity_field": FIELD,
     "virtual_vehicle": {"vehicles": ({"start_m": (0.3, 0.3), "radius_m": 0.2, "legs": LEGS},)},
-    "waking_field": {**FIELD, "reach": 2, "patience": 3},
+    "presence_field": {**FIELD, "reach": 2, "ttl_periods": 3},
     "wave": {**SPEEDS, "damping": 0.2},
 }
 HOSTILE: tuple[dict[str, Any], ...] = (

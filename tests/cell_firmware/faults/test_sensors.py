@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from bus.lattice import Lattice
-from cell_firmware.effects.base import Site
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.firmware import Inputs
 from tests.cell_firmware.faults.struck import struck
 
@@ -32,16 +32,16 @@ def readings(
     own = np.arange(6) if cells is None else cells
     level = chance.random((ticks, 6, SENSORS))[:, own]
     bits = level > 0.5
-    site = Site(own, SENSORS, None, 3, levels=levels)
+    site = ShardContext(own, SENSORS, None, 3, levels=levels)
     (one,) = struck(LATTICE, fault, seed=3, **times)
-    stages = list(one.fault.stages(site, LATTICE, one))
+    stages = list(one.fault.input_filters(site, LATTICE, one))
     told = [Inputs(bits[tick].copy(), level=level[tick].copy() if levels else None) for tick in range(ticks)]
     for tick in range(ticks):
         for stage in stages:
             told[tick] = stage.apply(tick, told[tick], EVERY)
     said = np.array([one.presence for one in told])
     levels_said = np.array([one.level for one in told]) if levels else np.zeros(0)
-    wrong = sum(stage.counted[f"faults.{fault['kind']}.wrong".removeprefix("faults.")] for stage in stages)
+    wrong = sum(stage.counters[f"faults.{fault['kind']}.wrong".removeprefix("faults.")] for stage in stages)
     return bits, level, said, levels_said, wrong
 
 
@@ -82,7 +82,7 @@ def test_a_delayed_sensor_says_what_it_said_so_many_ticks_before_the_fault_s_fir
     assert (said[:4, 3] == bits[0, 3]).all(), "before the run there is nothing: what was said first"
     assert (said[4:, 3] == bits[:-4, 3]).all()
     assert not list(
-        struck(LATTICE, fault)[0].fault.stages(
-            Site(np.array([0]), 1, None, 0), LATTICE, struck(LATTICE, fault)[0]
+        struck(LATTICE, fault)[0].fault.input_filters(
+            ShardContext(np.array([0]), 1, None, 0), LATTICE, struck(LATTICE, fault)[0]
         )
     )

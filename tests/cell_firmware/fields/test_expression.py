@@ -279,8 +279,8 @@ def test_a_field_that_is_no_number_at_a_cell_is_refused_before_the_run():
     nested = {"kind": "sum", "fields": [{"kind": "expression", "vx": "y", "vy": "1/x"}]}
     firmware = VelocityField(VelocityFieldParameters.model_validate({"field": nested}))
     with pytest.raises(ParametersError) as caught:
-        firmware.check_places(lattice, position, 0.1)
+        firmware.check_geometry(lattice, position, 0.1)
     (problem,) = caught.value.problems
     assert problem.path == ("field",)
     assert problem.message == "is (0.5, inf) m/s at cell [0, 1], x = 0, y = 0.5: must be finite"
-    firmware.check_places(Lattice([(0, 0), (0, 2)]), position[[0, 2]], 0.1)
+    firmware.check_geometry(Lattice([(0, 0), (0, 2)]), position[[0, 2]], 0.1)

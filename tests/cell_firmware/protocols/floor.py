@@ -31,7 +31,7 @@ class Floor:
         self.firmware, self.lattice = firmware, lattice
         place = np.stack((lattice.columns * PITCH_M, lattice.rows * PITCH_M), axis=1)
         self.cells = Cells.of(lattice, place, PERIOD_S, pitch_m=PITCH_M)
-        firmware.check_places(lattice, place, PITCH_M)
+        firmware.check_geometry(lattice, place, PITCH_M)
         self.state: dict[str, Any] = dict(firmware.init(self.cells))
         self.discs = list(discs)
         self.dead = np.zeros(len(lattice), dtype=np.bool_)

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.sensors import Picture
+from bus.sensors import CameraFrame
 from cell_firmware.board import Board
 from cell_firmware.firmware import Cells
 from cell_firmware.protocols.align import Align, AlignParameters
@@ -69,7 +69,9 @@ def test_by_camera_one_cell_does_alone_what_it_does_among_many(grid: Callable[..
         shards = [Shard(Board(firmware(source="camera")), cells, partition, s) for s in range(count)]
         drives.append([])
         for tick, pose in enumerate(path(20)):
-            shown = Picture(np.array([0, 3]), np.array([pose, (0.1, 0.7, 1.0)])) if tick % 5 == 2 else None
+            shown = (
+                CameraFrame(np.array([0, 3]), np.array([pose, (0.1, 0.7, 1.0)])) if tick % 5 == 2 else None
+            )
             drive = np.zeros((72, 2))
             for shard in shards:
                 presence = np.zeros((len(shard), 1), dtype=np.bool_)
@@ -121,9 +123,9 @@ def test_without_a_target_a_parcel_is_turned_where_it_is() -> None:
 
 def test_too_large_a_gain_is_told_of_and_the_parcel_swings_as_far_as_was_said() -> None:
     lattice = Lattice([(0, 0)])
-    assert firmware().cautions(lattice) == ()
+    assert firmware().warnings(lattice) == ()
     parameters = {**SEES, "gain_per_s": 2.0, "speed_m_s": 10.0}
-    (line,) = firmware(**parameters).cautions(lattice)
+    (line,) = firmware(**parameters).warnings(lattice)
     assert line.startswith("gain_per_s times response_s is 1, above 1/4")
     assert "first time by 16% of the way" in line
     _, states = run(Case([Start((0.54, 0.38), (0.2, 0.0), 0.0)], "align", parameters, 1, 4.0, SHARP))
@@ -143,5 +145,5 @@ def test_a_scene_must_have_the_camera_that_align_is_to_use() -> None:
         load_scene("align", [Override.parse("cells.parameters.source=camera")])
     both = ("cells.parameters.source=camera", "effects.camera={}")
     assert load_scene("align", [Override.parse(one) for one in both]).effects.camera
-    assert firmware().needed() == ()
-    assert not firmware().subscribes()
+    assert firmware().required_effects() == ()
+    assert not firmware().uses_camera()

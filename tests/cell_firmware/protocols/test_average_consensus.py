@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bus.fault import Injected
+from bus.fault import FaultInstance
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.effects.registry import CellEffects
@@ -71,11 +71,11 @@ def test_above_its_limit_a_constant_weight_grows_as_the_caution_says(
 ) -> None:
     lattice = grid(4, 5)
     firmware = averaging(weight=0.32)
-    (caution,) = firmware.cautions(lattice)
+    (caution,) = firmware.warnings(lattice)
     seen = watch(firmware, lattice, 200)
     growth = np.linalg.norm(seen[-1]) / np.linalg.norm(seen[-2])
     assert f"grow by a factor of {growth:.6g} a tick" in caution
-    assert averaging().cautions(lattice) == averaging(weight=0.25).cautions(lattice) == ()
+    assert averaging().warnings(lattice) == averaging(weight=0.25).warnings(lattice) == ()
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_the_mean_is_kept_whatever_links_lose_or_delay(
 ) -> None:
     lattice = grid(4, 6, missing=[(1, 1)])
     asked = CellEffects.model_validate(effects)
-    seen = watch(averaging(weight=weight, patience=40), lattice, 2500, effects=asked, seed=3)
+    seen = watch(averaging(weight=weight, ttl_periods=40), lattice, 2500, effects=asked, seed=3)
     np.testing.assert_allclose(seen[-1], given(lattice).mean(), rtol=0, atol=1e-9)
     assert abs(seen[20].sum() - given(lattice).sum()) > 1e-3  # on the way it is not
 
@@ -101,7 +101,11 @@ ALL_LINKS = {"share": 1.0}
 
 
 def silenced(
-    lockstep: Any, firmware: AverageConsensus, lattice: Lattice, faults: list[Injected[Any]], seed: int = 0
+    lockstep: Any,
+    firmware: AverageConsensus,
+    lattice: Lattice,
+    faults: list[FaultInstance[Any]],
+    seed: int = 0,
 ) -> Callable[[int], NDArray[np.float64]]:
     """Steps cells whose links these faults strike; each call gives the estimates of so many ticks, ``(ticks, n)``."""
     steps = lockstep(firmware, Partition.even(lattice, 1), seed=seed, faults=faults)
@@ -116,17 +120,18 @@ def silenced(
     return go
 
 
-def struck(lattice: Lattice, fault: Any, first: int, end: int, number: int = 0) -> Injected[Any]:
-    return Injected(number, fault, np.arange(len(lattice)), first, end)
+def struck(lattice: Lattice, fault: Any, first: int, end: int, number: int = 0) -> FaultInstance[Any]:
+    return FaultInstance(number, fault, np.arange(len(lattice)), first, end)
 
 
 def test_bursts_of_losses_longer_than_the_patience_leave_the_mean_exact_while_they_go_on(
     lockstep: Any,
 ) -> None:
-    """24 arrays with bursts of their own, no link between them; a burst takes seven times the patience in the mean."""
+    """24 arrays with bursts of their own, no link between them; a burst takes seven times the ttl_periods in the
+    mean."""
     arrays, rows, columns = 24, 3, 5
     lattice = Lattice((a * 4 + r, c) for a in range(arrays) for r in range(rows) for c in range(columns))
-    firmware = averaging(value=0.0, values=[{"columns": [0, 0], "value": 1.0}], patience=3)
+    firmware = averaging(value=0.0, values=[{"columns": [0, 0], "value": 1.0}], ttl_periods=3)
     bursts = LinkLossFault.model_validate({"probability": 0.2, "burst_ticks": 20.0, **ALL_LINKS})
     go = silenced(lockstep, firmware, lattice, [struck(lattice, bursts, 0, 10_000)], seed=5)
     error = abs(go(2000).reshape(2000, arrays, -1) - 1 / columns).max(axis=2)
@@ -137,7 +142,7 @@ def test_bursts_of_losses_longer_than_the_patience_leave_the_mean_exact_while_th
 def test_a_silence_that_a_cell_has_known_to_end_leaves_no_trace_when_it_comes_again(lockstep: Any) -> None:
     lattice, firmware = (
         Lattice((r, c) for r in range(3) for c in range(4)),
-        averaging(patience=5, values=VALUES[:1]),
+        averaging(ttl_periods=5, values=VALUES[:1]),
     )
     down = LinkDownFault.model_validate(ALL_LINKS)
     faults = [struck(lattice, down, 300, 400, 0), struck(lattice, down, 800, 1100, 1)]
@@ -153,7 +158,7 @@ def test_a_neighbour_counts_as_gone_after_four_times_the_longest_silence_that_en
     """Two cells; the word of the last tick before a silence still comes."""
     lattice, firmware = (
         Lattice([(0, 0), (0, 1)]),
-        averaging(patience=5, value=0.0, values=[{"cell": [0, 0], "value": 1.0}]),
+        averaging(ttl_periods=5, value=0.0, values=[{"cell": [0, 0], "value": 1.0}]),
     )
     down = LinkDownFault.model_validate(ALL_LINKS)
     faults = [struck(lattice, down, 50, 80, 0), struck(lattice, down, 200, 1000, 1)]
@@ -167,7 +172,7 @@ def test_a_neighbour_counts_as_gone_after_four_times_the_longest_silence_that_en
 
 def test_cells_that_hear_their_first_word_late_have_known_no_silence(lockstep: Any) -> None:
     """Words that take long to come are no silence: nothing was lent before the first."""
-    lattice, firmware = Lattice([(0, 0), (0, 1)]), averaging(patience=5)
+    lattice, firmware = Lattice([(0, 0), (0, 1)]), averaging(ttl_periods=5)
     down = LinkDownFault.model_validate(ALL_LINKS)
     steps = lockstep(firmware, Partition.even(lattice, 1), faults=[struck(lattice, down, 0, 60)])
     for _ in range(100):
@@ -180,7 +185,7 @@ def test_those_who_live_come_to_their_own_mean(
 ) -> None:
     """Two cells die long after much has flown through them, and the others part into two groups."""
     lattice = grid(2, 6)
-    firmware = averaging(patience=5, values=VALUES[:1])
+    firmware = averaging(ttl_periods=5, values=VALUES[:1])
     seen = watch(firmware, lattice, 1500, dead={60: [(0, 3), (1, 3)]})
     v = np.where(lattice.columns < 2, 3.0, 0.5)
     for group in (lattice.columns < 3, lattice.columns > 3):
@@ -214,7 +219,7 @@ def test_averages_are_the_same_to_the_last_bit_however_the_array_is_cut(
 ) -> None:
     """With losses one by one and in bursts, and a cell that dies."""
     lattice = grid(4, 6, missing=[(1, 1), (3, 4)])
-    firmware = averaging(velocity_m_s=[0.1, -0.2], patience=3)
+    firmware = averaging(velocity_m_s=[0.1, -0.2], ttl_periods=3)
     bursts = LinkLossFault.model_validate({"probability": 0.2, "burst_ticks": 6.0, **ALL_LINKS})
     asked: dict[str, Any] = {
         "effects": CellEffects.model_validate({"link_loss": {"probability": 0.2}}),

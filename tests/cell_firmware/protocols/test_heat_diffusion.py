@@ -123,7 +123,7 @@ def test_above_what_an_array_bears_speeds_grow_at_the_rate_that_the_caution_says
 ):
     lattice = grid(5, 6, missing=[(1, 1)])
     firmware = heat(diffusion_number=0.3)
-    (caution,) = firmware.cautions(lattice)
+    (caution,) = firmware.warnings(lattice)
     factor = firmware.theory(lattice).factor
     assert factor is not None
     assert f"grow by a factor of {factor:.6g} a tick, without bound" in caution
@@ -143,12 +143,12 @@ def test_between_a_quarter_and_what_an_array_bears_it_settles_but_overshoots(
     bears = 2.0 / 6.0  # the Laplacian of 3 x 3 cells has eigenvalues 0, 1, 3 along a row, and their sums
     start: dict[str, Any] = {"held": [], "initial": [{"cell": [1, 1], "speed_m_s": [1.0, 0.0]}]}
     firmware = heat(diffusion_number=0.32, speed_m_s=[0.0, 0.0], **start)
-    (caution,) = firmware.cautions(lattice)
+    (caution,) = firmware.warnings(lattice)
     assert f"this array bears {bears:.6g}, but speeds may overshoot" in caution
     drives = run(firmware, Partition.even(lattice, 1), 400).drives
     assert drives.min() < -0.2
     np.testing.assert_allclose(drives[-1, :, 0], 1.0 / 9.0, atol=1e-9)
-    assert heat(diffusion_number=0.25).cautions(lattice) == ()
+    assert heat(diffusion_number=0.25).warnings(lattice) == ()
 
 
 def test_the_slowest_error_shrinks_at_the_predicted_factor_towards_the_predicted_limit(
@@ -167,8 +167,8 @@ def test_with_patience_lost_messages_leave_no_trace_between_held_cells(
     lattice = grid(5, 6)
     effects = CellEffects(link_loss=LinkLossSpec(probability=0.3))
 
-    def left(patience: int) -> float:
-        firmware = heat(patience=patience)
+    def left(ttl_periods: int) -> float:
+        firmware = heat(ttl_periods=ttl_periods)
         drives = run(firmware, Partition.even(lattice, 1), 2000, effects=effects, seed=5).drives
         return float(abs(drives[-1] - firmware.theory(lattice).limit).max())
 

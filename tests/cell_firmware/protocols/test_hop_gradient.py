@@ -72,21 +72,21 @@ def test_distances_are_the_shortest_paths_from_the_tick_that_theory_names(
 
 
 @settings(max_examples=40, deadline=None)
-@given(data=st.data(), patience=st.integers(1, 3))
+@given(data=st.data(), ttl_periods=st.integers(1, 3))
 def test_distances_heal_after_a_tenth_of_the_cells_die_within_the_bound_that_the_page_states(
-    data: st.DataObject, patience: int, grid: Callable[..., Lattice], lockstep: type[Any]
+    data: st.DataObject, ttl_periods: int, grid: Callable[..., Lattice], lockstep: type[Any]
 ) -> None:
-    """In tick T + patience - 1 + D: T is the first of the dead, D the longest way left, ``limit`` where none is."""
+    """In tick T + ttl_periods - 1 + D: T is the first of the dead, D the longest way left, ``limit`` where none is."""
     lattice, limit = grid(8, 8), 70
     goals = data.draw(st.lists(st.sampled_from(lattice.cells), min_size=1, max_size=3, unique=True))
     dead = data.draw(st.lists(st.sampled_from(lattice.cells), min_size=6, max_size=6, unique=True))
-    firmware = hops(goals=goals, limit=limit, patience=patience)
+    firmware = hops(goals=goals, limit=limit, ttl_periods=ttl_periods)
     steps = lockstep(firmware, Partition.even(lattice, 1))
     settle(steps, 20)
     steps.retire(dead)
     expected = shortest(lattice, goals, limit, dead)
     living = np.array([cell not in dead for cell in lattice.cells])
-    last = patience - 1 + int(expected[living].max(initial=0))
+    last = ttl_periods - 1 + int(expected[living].max(initial=0))
     assert np.array_equal(settle(steps, last + 1)[living], expected[living])
 
 
@@ -123,7 +123,7 @@ def test_hops_are_the_same_to_the_last_bit_however_the_array_is_cut(
     effects = CellEffects(link_loss=LinkLossSpec(probability=0.3))
     dead = {9: [(2, 2), (2, 3)]}
     whole, alone = (
-        run(hops(goals=[(0, 0)], patience=3), partition, 30, dead=dead, effects=effects).drives
+        run(hops(goals=[(0, 0)], ttl_periods=3), partition, 30, dead=dead, effects=effects).drives
         for partition in (Partition.even(lattice, 1), Partition.each(lattice))
     )
     assert whole.tobytes() == alone.tobytes()
@@ -132,19 +132,19 @@ def test_hops_are_the_same_to_the_last_bit_however_the_array_is_cut(
 def test_over_bad_links_no_distance_is_too_small_once_old_words_are_gone(
     grid: Callable[..., Lattice], lockstep: type[Any]
 ) -> None:
-    """Loss only hides ways, so it makes distances too large, and patience makes that rare."""
-    lattice, patience, delay = grid(6, 6), 6, 2
+    """Loss only hides ways, so it makes distances too large, and ttl_periods makes that rare."""
+    lattice, ttl_periods, delay = grid(6, 6), 6, 2
     effects = CellEffects(
         link_loss=LinkLossSpec(probability=0.3),
         link_delay=LinkDelaySpec(between_ticks=(0, delay), ordered=False),
     )
-    steps = lockstep(hops(goals=[(0, 0)], patience=patience), Partition.even(lattice, 1), None, effects)
+    steps = lockstep(hops(goals=[(0, 0)], ttl_periods=ttl_periods), Partition.even(lattice, 1), None, effects)
     settle(steps, 60)
     dead = [(0, 1), (2, 2), (3, 2)]
     steps.retire(dead)
     true = shortest(lattice, [(0, 0)], 255, dead)
     living = np.array([cell not in dead for cell in lattice.cells])
-    settle(steps, (patience + delay) * (int(true[living].max()) + 1))
+    settle(steps, (ttl_periods + delay) * (int(true[living].max()) + 1))
     wrong = 0
     for _ in range(200):
         found = settle(steps, 1)[living]
@@ -158,12 +158,12 @@ def test_a_limit_that_is_too_small_is_warned_of_and_what_is_said_happens(
 ) -> None:
     lattice = grid(1, 8)
     firmware = hops(goals=[(0, 0)], limit=5)
-    (caution,) = firmware.cautions(lattice)
+    (caution,) = firmware.warnings(lattice)
     assert caution.startswith("limit is 5, and the farthest cell is 7 links from a goal: 3 cells will say")
     steps = lockstep(firmware, Partition.even(lattice, 1))
     assert settle(steps, 20).tolist() == [0, 1, 2, 3, 4, 5, 5, 5]
     assert not steps.step()[5:].any()
-    assert hops(goals=[(0, 0)], limit=8).cautions(lattice) == ()
+    assert hops(goals=[(0, 0)], limit=8).warnings(lattice) == ()
 
 
 def test_counting_up_ends_at_the_greatest_limit_and_does_not_begin_again_at_0(

@@ -71,7 +71,7 @@ def test_the_potential_is_harmonic_and_goes_round_gaps_and_cells_that_died(
 ) -> None:
     gone = [(2, c) for c in range(1, 6)]
     lattice = grid(5, 7, missing=gone[:3])
-    firmware = laplace(patience=5, held=PLATES)
+    firmware = laplace(ttl_periods=5, held=PLATES)
     seen = watch(firmware, lattice, 900, dead={100: gone[3:]})
     around = grid(5, 7, missing=gone)
     limit = firmware.theory(around).limit
@@ -136,17 +136,17 @@ def test_what_cannot_work_is_cautioned_and_comes_true(
 ) -> None:
     lattice = grid(3, 7, missing=[(r, 3) for r in range(3)])
     alone = laplace(held=[{"cell": [0, 0], "value": 1.0}, {"cell": [2, 2], "value": 0.0}], speed_m_s=0.2)
-    assert alone.cautions(lattice) == (
+    assert alone.warnings(lattice) == (
         "9 cells have no way to a held one: their potential stays 0, and their wheels stand",
     )
     flat = laplace(held=[{"rows": [0, 0], "value": 1.0}], speed_m_s=0.2)  # on its way there is a slope
-    assert flat.cautions(lattice) == (
+    assert flat.warnings(lattice) == (
         "all held cells have the same potential: it becomes flat, and wheels stand",
     )
     right = lattice.columns > 3
     assert not run(alone, Partition.even(lattice, 1), 300).drives[:, right].any()
     assert not run(flat, Partition.even(lattice, 1), 2000).drives[-1].any()
-    assert laplace().cautions(grid(5, 7)) == ()
+    assert laplace().warnings(grid(5, 7)) == ()
 
 
 def test_the_potential_is_the_same_to_the_last_bit_however_the_array_is_cut(

@@ -84,12 +84,12 @@ def test_a_lifetime_shorter_than_the_way_is_cautioned_and_the_far_cells_follow_o
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
     lattice, firmware = grid(1, 9), election(lifetime=5, ranks=[{"cell": [0, 0], "rank": 1}])
-    (caution,) = firmware.cautions(lattice)
+    (caution,) = firmware.warnings(lattice)
     assert "the leader's word takes, 8 ticks: 3 cells that are further away never keep it" in caution
     leader = watch(firmware, lattice, 40)[-1, :, 1]
     assert (leader[:6] == 0).all()
     assert (leader[6:] != 0).all()
-    assert election(lifetime=8).cautions(lattice) == ()
+    assert election(lifetime=8).warnings(lattice) == ()
 
 
 def test_the_word_of_a_leader_that_is_gone_dies_out_at_the_greatest_age_that_there_is(

@@ -14,7 +14,7 @@ ENDS = [{"columns": [0, 0], "flow_m2_s": 0.02}, {"columns": [8, 8], "flow_m2_s":
 
 
 def stream(**changes: Any) -> Stream:
-    return Stream(StreamParameters.model_validate({"springs": ENDS, **changes}))
+    return Stream(StreamParameters.model_validate({"sources": ENDS, **changes}))
 
 
 def outflow(lattice: Lattice, potential: NDArray[np.float64], gone: tuple[int, ...] = ()) -> list[float]:
@@ -25,7 +25,7 @@ def outflow(lattice: Lattice, potential: NDArray[np.float64], gone: tuple[int, .
     return flows
 
 
-def test_at_rest_no_cell_but_springs_gives_or_takes_anything(
+def test_at_rest_no_cell_but_sources_gives_or_takes_anything(
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
     lattice = grid(6, 9, missing=[(2, 4), (3, 4), (2, 5)])
@@ -39,7 +39,7 @@ def test_dead_cells_become_walls_that_the_stream_goes_round(
 ) -> None:
     lattice, dead = grid(5, 9), [(1, 4), (2, 4), (2, 5)]
     gone = tuple(lattice.index(cell) for cell in dead)
-    firmware = stream(relaxation=1.8, patience=5)
+    firmware = stream(relaxation=1.8, ttl_periods=5)
     potential = watch(firmware, lattice, 900, dead={100: dead})[-1]
     flow = np.delete(outflow(lattice, potential, gone), gone)
     want = np.select([lattice.columns == 0, lattice.columns == 8], [0.02, -0.02], 0.0)
@@ -49,7 +49,7 @@ def test_dead_cells_become_walls_that_the_stream_goes_round(
 def test_wheels_run_at_the_flow_through_their_faces_over_the_pitch(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:
-    """A straight channel: 0.02 m2/s a row of 0.1 m is 0.2 m/s, half of it in the springs, which have one open face."""
+    """A straight channel: 0.02 m2/s a row of 0.1 m is 0.2 m/s, half of it in the sources, which have one open face."""
     lattice = grid(3, 9)
     drives = run(stream(relaxation=1.7), Partition.even(lattice, 1), 500).drives[-1]
     want = np.where((lattice.columns == 0) | (lattice.columns == 8), 0.1, 0.2)
@@ -104,11 +104,11 @@ def test_lost_and_late_messages_cost_time_alone(
     np.testing.assert_allclose(run(firmware, whole, 2000, effects=asked).drives[-1], still, atol=1e-7)
 
 
-def test_springs_that_are_not_even_are_cautioned_and_every_cell_takes_its_share(
+def test_sources_that_are_not_even_are_cautioned_and_every_cell_takes_its_share(
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
-    lattice, firmware = grid(3, 9), stream(springs=ENDS[:1])
-    (caution,) = firmware.cautions(lattice)
+    lattice, firmware = grid(3, 9), stream(sources=ENDS[:1])
+    (caution,) = firmware.warnings(lattice)
     assert (
         "27 cells about [0, 0] are 0.06 m2/s out of balance: every one of them takes in 0.00222222 m2/s"
         in caution
@@ -117,8 +117,8 @@ def test_springs_that_are_not_even_are_cautioned_and_every_cell_takes_its_share(
     potential = watch(firmware, lattice, 1500)[-1]
     want = np.where(lattice.columns == 0, 0.02, 0.0) - 0.06 / 27
     np.testing.assert_allclose(outflow(lattice, potential), want, atol=1e-10)
-    assert stream().cautions(lattice) == ()
-    (caution,) = stream(diffusion_number=0.3).cautions(grid(9, 9))
+    assert stream().warnings(lattice) == ()
+    (caution,) = stream(diffusion_number=0.3).warnings(grid(9, 9))
     assert "potentials that alternate in sign" in caution
 
 

@@ -228,7 +228,7 @@ def test_a_journey_over_a_hole_that_no_cell_could_hold_is_refused():
     place = np.stack((lattice.columns, lattice.rows), axis=1) * PITCH_M
     firmware = vehicles({**EAST, "start_m": [0.2, 0.0], "legs": [{"to_m": [1.0, 0.0]}]})
     with pytest.raises(ParametersError) as caught:
-        firmware.check_places(lattice, place, PITCH_M)
+        firmware.check_geometry(lattice, place, PITCH_M)
     (problem,) = caught.value.problems
     assert problem.path == ("vehicles", 0)
     assert problem.message == "leads to (0.56, 0) m, where no cell is near enough to hold it"

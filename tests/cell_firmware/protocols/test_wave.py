@@ -91,7 +91,7 @@ def test_above_the_limit_waves_grow_as_the_caution_says(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:
     lattice, firmware = grid(5, 6), wave(courant_number_squared=0.55)
-    (caution,) = firmware.cautions(lattice)
+    (caution,) = firmware.warnings(lattice)
     drives = run(firmware, Partition.even(lattice, 1), 300).drives
     growth = np.linalg.norm(drives[-1]) / np.linalg.norm(drives[-2])
     assert growth == pytest.approx(firmware.theory(lattice).factor, rel=1e-9)
@@ -101,10 +101,10 @@ def test_above_the_limit_waves_grow_as_the_caution_says(
     greatest = (
         3.0 + 2.0 - 2.0 * np.cos(3 * np.pi / 5)
     )  # of three free cells in a row, and of two with a held one
-    (caution,) = bears.cautions(grid(3, 3))
+    (caution,) = bears.warnings(grid(3, 3))
     assert caution.endswith(f"the bound on four neighbours; this array bears {4.0 / greatest:.6g}")
     assert abs(run(bears, Partition.even(grid(3, 3), 1), 2000).drives).max() < 10.0
-    assert wave(courant_number_squared=0.5).cautions(lattice) == ()
+    assert wave(courant_number_squared=0.5).warnings(lattice) == ()
 
 
 def test_waves_come_back_from_free_ends_upright_and_from_fixed_ones_upside_down(
@@ -139,9 +139,9 @@ def test_on_bad_links_it_takes_damping_to_keep_a_wave_from_growing(
     late = CellEffects.model_validate({"link_delay": {"between_ticks": [0, 4]}})
     lossy = CellEffects.model_validate({"link_loss": {"probability": 0.2}})
     assert abs(watch(wave(), lattice, 600, effects=lossy)[-1]).max() > 10.0
-    assert abs(watch(wave(damping=0.2, patience=20), lattice, 600, effects=late)[-1]).max() > 10.0
+    assert abs(watch(wave(damping=0.2, ttl_periods=20), lattice, 600, effects=late)[-1]).max() > 10.0
     ends = [*BUMP["held"], {"columns": [5, 5], "speed_m_s": [0.0, 0.0]}]
-    damped = wave(damping=0.6, patience=20, held=ends, initial=BUMP["initial"][:1])
+    damped = wave(damping=0.6, ttl_periods=20, held=ends, initial=BUMP["initial"][:1])
     for effects in (late, lossy):
         end = watch(damped, lattice, 800, effects=effects)[-1]
         np.testing.assert_allclose(end, damped.theory(lattice).limit, rtol=0, atol=1e-6)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.build import assemble
-from cell_firmware.effects.base import Site
+from cell_firmware.build import build_controller
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells
 from cell_firmware.shard import Shard
@@ -70,9 +70,11 @@ class World:
         partition = Partition.even(self.lattice, 1)
         spec, clock = CellsSpec(period_s=PERIOD_S), self.effects.clock
         clocks = None if clock is None else clock.clocks(self.lattice, spec.period_ns, self.seed)
-        controller = assemble(self.firmware, spec, self.effects, None, clocks)
-        self.tick_s = PERIOD_S if clocks is None else clocks.all.window_ns * 1e-9
-        stages = self.effects.stages(Site(partition.cells(0), 1, controller.message, self.seed))
+        controller = build_controller(self.firmware, spec, self.effects, None, clocks)
+        self.tick_s = PERIOD_S if clocks is None else clocks.clocks.window_ns * 1e-9
+        stages = self.effects.input_filters(
+            ShardContext(partition.cells(0), 1, controller.link_type, self.seed)
+        )
         self.shard = Shard(controller, cells, partition, 0, stages)
         self.living = np.ones(len(self.lattice), dtype=np.bool_)
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.build import Motors, wheels_of
+from cell_firmware.build import MotorFacts, wheels_of
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.specs import CellsSpec
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop, whole_levels
@@ -58,7 +58,7 @@ def compared(
         seed: Of the draws.
         each: Runs a program's table on page zeros ``(m, 256)``.
     """
-    loop = wheels_of(CellsSpec(), CellEffects.model_validate(EFFECTS), Motors(12.0, 1.2))
+    loop = wheels_of(CellsSpec(), CellEffects.model_validate(EFFECTS), MotorFacts(12.0, 1.2))
     assert isinstance(loop, FixedPointLoop)
     limit, chance = loop.scaling.output_limit, np.random.default_rng(seed)
     shape = (updates, 2)

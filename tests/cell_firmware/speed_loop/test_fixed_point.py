@@ -11,13 +11,13 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cell_firmware.components import WheelPart
+from cell_firmware.components import WheelDriver
 from cell_firmware.errors import SettingError
 from cell_firmware.firmware import State
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop.fixed_point import FixedPointLoop
 from cell_firmware.speed_loop.scaling import Gain, Scaling
-from cell_firmware.speed_loop.sensing import Encoder, Words
+from cell_firmware.speed_loop.sensing import Encoder, FixedPointTachometer
 from tests.cell_firmware.speed_loop.wheels import PERIOD_S, SUPPLY_V, TURN_M, Wheel, cells, drive, follow
 
 SPEEDS = st.integers(-(2**15), 2**15 - 1)
@@ -25,7 +25,7 @@ SHARES = st.integers(-(2**20), 2**20)
 
 
 def loop(levels: int, counts: int, *gains: float) -> FixedPointLoop:
-    tachometer = Encoder(PERIOD_S, TURN_M / counts) if counts else Words(PERIOD_S, 1e-3)
+    tachometer = Encoder(PERIOD_S, TURN_M / counts) if counts else FixedPointTachometer(PERIOD_S, 1e-3)
     kp, ki, ahead = gains
     spec = SpeedLoopSpec(kp_v_per_m_s=kp, ki_v_per_m=ki, feed_forward_v_per_m_s=ahead)
     try:
@@ -204,6 +204,6 @@ def test_a_cell_alone_gets_the_same_bits_as_among_many_with_any_of_the_effects(
     "effects", [["encoder"], ["pwm"], ["fixed_point"], ["encoder", "pwm"], list(EFFECTS)]
 )
 def test_each_effect_works_by_itself_and_with_others(effects: list[str]) -> None:
-    part: WheelPart = drive(**{name: {} for name in effects})
+    part: WheelDriver = drive(**{name: {} for name in effects})
     speeds, _ = follow(part, [0.4] * 600, Wheel())
     assert abs(speeds[300:].mean() / 0.4 - 1.0) < 0.03

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cell_firmware.errors import SettingError
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop.scaling import LARGEST_WAY, Gain, Scaling
-from cell_firmware.speed_loop.sensing import Encoder, Words
+from cell_firmware.speed_loop.sensing import Encoder, FixedPointTachometer
 from tests.cell_firmware.speed_loop.wheels import PERIOD_S, SUPPLY_V, TURN_M
 
 LARGEST = 2**31 - 1
@@ -142,7 +142,7 @@ def test_no_sum_of_a_loop_that_is_not_refused_exceeds_32_bits(
     kp: float, ki: float, ahead: float, levels: int, counts: int
 ) -> None:
     spec = SpeedLoopSpec(kp_v_per_m_s=kp, ki_v_per_m=ki, feed_forward_v_per_m_s=ahead)
-    tachometer = Encoder(PERIOD_S, TURN_M / counts) if counts else Words(PERIOD_S, 1e-3)
+    tachometer = Encoder(PERIOD_S, TURN_M / counts) if counts else FixedPointTachometer(PERIOD_S, 1e-3)
     try:
         made = Scaling(spec, PERIOD_S, SUPPLY_V, levels, tachometer)
     except SettingError:

@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cell_firmware.errors import FirmwareError
-from cell_firmware.speed_loop.sensing import Encoder, IntegerTachometer, Tachometer, Travel, Words
+from cell_firmware.speed_loop.sensing import (
+    Encoder,
+    FixedPointTachometer,
+    IntegerTachometer,
+    Tachometer,
+    Travel,
+)
 from tests.cell_firmware.speed_loop.wheels import PERIOD_S, TURN_M
 
 M_PER_COUNT = 2.0**-10  # exact, so that travel on the border of a count is
@@ -71,20 +77,20 @@ def test_counts_are_those_of_exact_arithmetic_modulo_256(travel: list[float], m_
 
 
 @pytest.mark.parametrize(
-    "tachometer", [Travel(PERIOD_S), Words(PERIOD_S, 1e-3), Encoder(PERIOD_S, M_PER_COUNT)]
+    "tachometer", [Travel(PERIOD_S), FixedPointTachometer(PERIOD_S, 1e-3), Encoder(PERIOD_S, M_PER_COUNT)]
 )
 def test_the_first_reading_is_0_wherever_the_wheel_stands(tachometer: Tachometer) -> None:
     assert readings(tachometer, np.array([123.4, 123.4])).tolist() == [[0, 0], [0, 0]]
 
 
 def test_words_are_sixteenths_of_their_unit_and_saturate() -> None:
-    words = Words(PERIOD_S, 1e-3)
+    words = FixedPointTachometer(PERIOD_S, 1e-3)
     assert words.step_m_s == pytest.approx(1e-3 / 16)
     travel = np.cumsum([0.0, 0.3, 1e3, 2.0001e-3 / 16]) * PERIOD_S
     assert readings(words, travel).tolist() == [[0, 0], [4800, -4800], [32767, -32767], [2, -2]]
 
 
-@pytest.mark.parametrize("tachometer", [Words(PERIOD_S, 1e-2), Encoder(PERIOD_S, M_PER_COUNT)])
+@pytest.mark.parametrize("tachometer", [FixedPointTachometer(PERIOD_S, 1e-2), Encoder(PERIOD_S, M_PER_COUNT)])
 def test_integers_in_q4_stand_for_the_speed_that_they_are_read_from(tachometer: IntegerTachometer) -> None:
     speed = 20 * M_PER_COUNT / PERIOD_S
     reading = int(readings(tachometer, np.array([0.0, speed * PERIOD_S]))[1, 0])

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell_firmware.build import Motors
-from cell_firmware.components import WheelPart
+from cell_firmware.build import MotorFacts
+from cell_firmware.components import WheelDriver
 from cell_firmware.firmware import State
 from cell_firmware.specs import SpeedLoopSpec
 from tests.cell_firmware.speed_loop.wheels import GAIN, PERIOD_S, SUPPLY_V, Wheel, cells, drive, follow
@@ -24,7 +24,7 @@ TOP = SUPPLY_V * GAIN
 AFTER = 0.5
 SECOND = round(1.0 / PERIOD_S)
 RUN_UP = SECOND // 2
-ENDLESS = Motors(1e6, 1e5)
+ENDLESS = MotorFacts(1e6, 1e5)
 BEFORES = (1.25, 1.3, 1.5, 2.0, 5.0)
 LOOPS: Mapping[str, dict[str, Any]] = {
     "floating": {},
@@ -35,7 +35,7 @@ APART = {"floating": 1e-5, "words": 1.5e-4, "board": 6e-3}
 """What a steady state that is not quite reached, steps of a speed and a quarter of a count a period come to, m/s."""
 
 
-def response(part: WheelPart, before: float, after: float) -> NDArray[np.float64]:
+def response(part: WheelDriver, before: float, after: float) -> NDArray[np.float64]:
     """Speeds from the step on, after a second at full speed."""
     begin = RUN_UP + SECOND
     speeds, volts = follow(part, [before] * begin + [after] * 200, Wheel())
@@ -128,7 +128,7 @@ def test_a_blocked_wheel_winds_up_to_the_supply_and_no_further(name: str) -> Non
     np.testing.assert_array_equal(volts, [[-SUPPLY_V, SUPPLY_V]])
 
 
-def supplies(part: WheelPart, state: State) -> NDArray[np.float64]:
+def supplies(part: WheelDriver, state: State) -> NDArray[np.float64]:
     """Integrals over the supply."""
     registers = part.registers(state)
     if "integral_v" in registers:

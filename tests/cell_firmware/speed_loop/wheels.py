@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from cell_firmware.build import Motors, wheels_of
-from cell_firmware.components import WheelPart
+from cell_firmware.build import MotorFacts, wheels_of
+from cell_firmware.components import WheelDriver
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec
@@ -21,7 +21,7 @@ TAU_S = 0.06
 SUPPLY_V = 12.0
 RADIUS_M = 0.03
 TURN_M = math.tau * RADIUS_M
-MOTORS = Motors(SUPPLY_V, SUPPLY_V * GAIN)
+MOTORS = MotorFacts(SUPPLY_V, SUPPLY_V * GAIN)
 
 
 def cells(n: int) -> Cells:
@@ -29,8 +29,8 @@ def cells(n: int) -> Cells:
 
 
 def drive(
-    gains: SpeedLoopSpec | None = None, motors: Motors = MOTORS, **effects: dict[str, object]
-) -> WheelPart:
+    gains: SpeedLoopSpec | None = None, motors: MotorFacts = MOTORS, **effects: dict[str, object]
+) -> WheelDriver:
     """The part that a scene with these effects gets."""
     part = wheels_of(CellsSpec(speed_loop=gains), CellEffects.model_validate(effects), motors)
     assert part is not None
@@ -66,7 +66,7 @@ class Wheel:
 
 
 def follow(
-    part: WheelPart, references: Iterable[float], wheel: Wheel
+    part: WheelDriver, references: Iterable[float], wheel: Wheel
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speeds at the beginning of each period and voltages in it, ``(ticks,)``, of a wheel under a loop."""
     state = part.init(cells(1))

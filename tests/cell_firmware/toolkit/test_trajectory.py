@@ -2,19 +2,19 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from cell_firmware.toolkit.trajectory import Journey, Leg, at_all
+from cell_firmware.toolkit.trajectory import ReferenceTrajectory, Segment, at_all
 
 LEGS = (
-    Leg(to_m=(0.3, 0.4)),
-    Leg(wait_s=2.0),
-    Leg(turn_rad=-1.0),
-    Leg(to_m=(0.3, -0.6), turn_rad=0.5),
+    Segment(to_m=(0.3, 0.4)),
+    Segment(wait_s=2.0),
+    Segment(turn_rad=-1.0),
+    Segment(to_m=(0.3, -0.6), turn_rad=0.5),
 )
 
 
 def test_a_journey_is_where_its_legs_lead_at_their_speeds():
     """0.5 m at 0.1 m/s; 2 s; 1 rad at 0.5 rad/s; 1 m at 0.1 m/s, for which the turn slows down to 0.05 rad/s."""
-    journey = Journey((0.0, 0.0, 0.2), LEGS, 0.1, 0.5)
+    journey = ReferenceTrajectory((0.0, 0.0, 0.2), LEGS, 0.1, 0.5)
     assert journey.duration_s == pytest.approx(19.0)
     at = journey.at(np.array([0.0, 2.5, 6.0, 8.0, 14.0, 19.0, 30.0]))
     np.testing.assert_allclose(at.x, [0, 0.15, 0.3, 0.3, 0.3, 0.3, 0.3], atol=1e-12)
@@ -27,7 +27,7 @@ def test_a_journey_is_where_its_legs_lead_at_their_speeds():
 
 
 def test_the_velocity_is_the_rate_at_which_the_reference_moves():
-    journey, h = Journey((0.1, -0.2, 0.0), LEGS, 0.13, 0.4), 1e-6
+    journey, h = ReferenceTrajectory((0.1, -0.2, 0.0), LEGS, 0.13, 0.4), 1e-6
     time = np.linspace(0.013, journey.duration_s - 0.017, 200)
     before, at, after = (journey.at(time + d) for d in (-h, 0.0, h))
     for place, speed in (("x", "vx"), ("y", "vy"), ("angle", "turning")):
@@ -36,7 +36,10 @@ def test_the_velocity_is_the_rate_at_which_the_reference_moves():
 
 
 def test_journeys_together_are_each_its_own():
-    journeys = (Journey((0, 0, 0), LEGS, 0.1, 0.5), Journey((1, 1, 1), LEGS[:1], 0.2, 0.5))
+    journeys = (
+        ReferenceTrajectory((0, 0, 0), LEGS, 0.1, 0.5),
+        ReferenceTrajectory((1, 1, 1), LEGS[:1], 0.2, 0.5),
+    )
     time = np.array([[0.0, 1.0], [3.0, 99.0]])
     together = at_all(journeys, time)
     for j, journey in enumerate(journeys):
@@ -50,4 +53,4 @@ def test_journeys_together_are_each_its_own():
 )
 def test_a_leg_moves_or_waits(leg: dict[str, object]):
     with pytest.raises(ValidationError, match="give wait_s, or to_m or turn_rad or both of these"):
-        Leg.model_validate(leg)
+        Segment.model_validate(leg)

@@ -8,15 +8,15 @@ from typing import Any
 
 from bus.lockstep.counters import Loss
 from bus.partition import Partition
-from bus.state import recall, remember
+from bus.state import load_state, save_state
 from bus.wire.frames import DriveFrame, SenseFrame
 from cell_firmware.cell import records_of
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
 from deploy.recordings.digest import Digest
-from deploy.runs.setup import process_of, readings_of
+from deploy.runs.setup import process_of, sensor_schema
 from deploy.scenes.scene import Scene
-from deploy.workers.worker import Order, make_shard
+from deploy.workers.worker import WorkerConfig, build_shard
 from plant.plant import Plant
 from plant.process import TickRecord
 
@@ -48,7 +48,7 @@ class DirectHost:
 
     def retire(self, cells: Sequence[int], tick: int) -> None:
         del tick
-        self.shard.retire(self.shard.names[cell] for cell in cells)
+        self.shard.retire(self.shard.cells[cell] for cell in cells)
 
 
 class DirectRun:
@@ -57,24 +57,24 @@ class DirectRun:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         plant = Plant(scene.plant_spec())
-        readings = readings_of(scene, plant.sense())
+        readings = sensor_schema(scene, plant.sense())
         partition = Partition.even(plant.array.lattice, 1)
-        order = Order(
+        order = WorkerConfig(
             scene=scene,
             array=plant.array,
             partition=partition,
             wire="packed",
             run="direct",
             connect="",
-            readings=readings,
-            wanted=(),
+            sensors=readings,
+            register_requests=(),
             metered=True,
-            live=False,
-            joins=False,
+            byte_accurate_links=False,
+            joins_running=False,
             keys=(),
-            alone=False,
+            own_process=False,
         )
-        self.shard, _ = make_shard(order, 0)
+        self.shard, _ = build_shard(order, 0)
         self.digest = Digest(scene.canonical())
         self.events: list[Any] = []
         self.process = process_of(scene, plant, DirectHost(self.shard), readings, self._observe)
@@ -94,11 +94,11 @@ class DirectRun:
     def remember(self) -> tuple[bytes, bytes, bytes]:
         """Plant, cells, digest."""
         records = records_of(load(self.scene.cells))
-        return remember(self.process), remember(self.shard, records), self.digest.value
+        return save_state(self.process), save_state(self.shard, records), self.digest.value
 
     def recall(self, memory: tuple[bytes, bytes, bytes]) -> DirectRun:
         """Go back, in a run made anew."""
-        recall(self.process, memory[0])
-        recall(self.shard, memory[1], records_of(load(self.scene.cells)))
+        load_state(self.process, memory[0])
+        load_state(self.shard, memory[1], records_of(load(self.scene.cells)))
         self.digest.value = memory[2]
         return self

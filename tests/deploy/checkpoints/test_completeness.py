@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bus.errors import MemoryRefusedError
-from bus.state import recall
+from bus.errors import StateError
+from bus.state import load_state
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
@@ -112,7 +112,7 @@ def test_a_run_that_goes_back_ends_as_one_that_never_did(case: str) -> None:
     assert differences(back.shard, run.shard) == []
     assert back.go(AFTER).digest.value == run.go(AFTER).digest.value
     assert back.events == run.events[told:]
-    assert back.shard.counted() == run.shard.counted()
+    assert back.shard.counters() == run.shard.counters()
 
 
 def test_what_differs_is_found() -> None:
@@ -120,7 +120,7 @@ def test_what_differs_is_found() -> None:
     scene = scene_of("all effects of sensors and links")
     run, other = DirectRun(scene).go(BEFORE), DirectRun(scene)
     memory = run.remember()
-    recall(other.process, memory[0])
+    load_state(other.process, memory[0])
     found = differences(other.shard, run.shard)
     assert any("_under_way" in path for path in found)
     assert any("_received" in path for path in found)
@@ -128,5 +128,5 @@ def test_what_differs_is_found() -> None:
 
 def test_memory_of_another_scene_is_refused() -> None:
     memory = DirectRun(scene_of("a watchdog")).go(2).remember()
-    with pytest.raises(MemoryRefusedError, match="must be"):
+    with pytest.raises(StateError, match="must be"):
         DirectRun(scene_of("steps of one length")).recall(memory)

@@ -8,11 +8,11 @@ from typing import Any, cast
 
 import pytest
 
-from bus.lockstep.counters import Counts
-from bus.lockstep.snapshots import Keeping, Kept
+from bus.lockstep.counters import MessageCounters
+from bus.lockstep.snapshots import ShardSnapshot, SnapshotCollector
 from deploy.checkpoints.checkpoint import Checkpoint
-from deploy.checkpoints.checkpointer import About, Keeper
-from deploy.checkpoints.store import FILE_NAME, Store
+from deploy.checkpoints.checkpointer import Checkpointer, CheckpointMetadata
+from deploy.checkpoints.store import FILE_NAME, CheckpointStore
 from deploy.recordings.digest import Digest
 from deploy.scenes.files import load_scene
 from tests.deploy.checkpoints.direct import DirectRun
@@ -23,7 +23,7 @@ class Books:
 
     def __init__(self) -> None:
         self.digest, self.controls, self.asked = Digest(b""), list[Any](), list[int]()
-        self.keeping: Keeping | None = None
+        self.keeping: SnapshotCollector | None = None
         self.disk, self.secured = threading.Event(), list[int]()
         self.disk.set()
         self.given_up = 0
@@ -33,14 +33,14 @@ class Books:
 
     def ask(self, tick: int) -> None:
         self.asked.append(tick)
-        self.keeping = Keeping(tick, [0])
+        self.keeping = SnapshotCollector(tick, [0])
 
     def note(self) -> None:
         assert self.keeping is not None
-        self.keeping.note(Counts())
+        self.keeping.record_counters(MessageCounters())
 
     def take_kept(self) -> Any:
-        return None if self.keeping is None else self.keeping.together({})
+        return None if self.keeping is None else self.keeping.combined({})
 
     def give_up(self) -> list[int]:
         self.given_up += 1
@@ -60,15 +60,15 @@ class Scenery:
     def __init__(self, folder: Path, begun: float = 0.0) -> None:
         self.now, self.books, self.warned = begun, Books(), list[str]()
         self.process = DirectRun(load_scene("elliptic")).process
-        about = About(scene_name="", scene={}, bound={}, options={}, wall_s=3.0)
+        about = CheckpointMetadata(scene_name="", scene={}, bound={}, options={}, wall_s=3.0)
         books = cast("Any", self.books)
-        self.keeper = Keeper(
+        self.keeper = Checkpointer(
             10.0,
             books,
             books,
             books,
             None,
-            Store(folder),
+            CheckpointStore(folder),
             about,
             patience_s=0.0,
             warn=self.warned.append,
@@ -78,11 +78,11 @@ class Scenery:
     def tick(self, now: float, answer: bool = False) -> None:
         """One that begins at a time, all but the first after another was taken down."""
         self.now = now
-        self.keeper.attend(self.process)
+        self.keeper.before_tick(self.process)
         if answer and self.books.keeping is not None:
-            self.books.keeping.take(0, Kept(self.books.keeping.tick, (1, 1, 0, 0), b"cells"))
+            self.books.keeping.handle(0, ShardSnapshot(self.books.keeping.tick, (1, 1, 0, 0), b"cells"))
         self.process.step()
-        self.keeper.look()
+        self.keeper.poll()
 
 
 def test_one_is_taken_when_it_is_time_and_the_tick_after_the_cells_were_asked(tmp_path: Path) -> None:
@@ -113,10 +113,10 @@ def test_a_disk_that_is_full_costs_the_checkpoint_and_not_the_run(
 ) -> None:
     run = Scenery(tmp_path)
 
-    def full(self: Store, content: bytes) -> None:
+    def full(self: CheckpointStore, content: bytes) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Store, "write", full)
+    monkeypatch.setattr(CheckpointStore, "write", full)
     run.tick(10.0)
     run.tick(10.1, answer=True)
     run.keeper.close()
@@ -190,7 +190,7 @@ def test_a_long_tick_before_the_plant_s_own_part_costs_no_checkpoint(tmp_path: P
     run = Scenery(tmp_path)
     run.tick(10.0)
     run.now = 16.0
-    run.keeper.look()
+    run.keeper.poll()
     run.tick(16.1, answer=True)
     run.keeper.close()
     assert run.warned == []

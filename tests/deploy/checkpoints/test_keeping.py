@@ -7,8 +7,8 @@ from typing import Any, ClassVar, cast
 
 import pytest
 
-from bus.state import Remembers, remember
-from deploy.checkpoints.checkpointer import about_run, go_on, keeper_of
+from bus.state import StateFields, save_state
+from deploy.checkpoints.checkpointer import checkpoint_metadata, make_checkpointer, restore_run
 from deploy.errors import InputError
 from deploy.scenes.files import load_scene
 from deploy.workers.plan import RunOptions, plan
@@ -18,7 +18,7 @@ from tests.deploy.checkpoints.test_store import CHECKPOINT
 class Part:
     """Something of a run that remembers a number."""
 
-    remembers: ClassVar[Remembers] = Remembers("value")
+    remembers: ClassVar[StateFields] = StateFields("value")
 
     def __init__(self, value: Any = 0) -> None:
         self.value, self.shown = value, list[int]()
@@ -36,13 +36,15 @@ def test_all_of_the_plant_s_process_is_as_it_was(
 ) -> None:
     checkpoint = replace(
         CHECKPOINT,
-        process=remember(Part(1)),
-        ledger=remember(Part(2)),
-        reporter=remember(Part(3)) if kept else None,
+        process=save_state(Part(1)),
+        ledger=save_state(Part(2)),
+        reporter=save_state(Part(3)) if kept else None,
         recorded=recorded,
     )
     process, ledger, reporter = Part(), Part(), Part()
-    go_on(checkpoint, cast("Any", process), cast("Any", ledger), cast("Any", reporter if asked else None))
+    restore_run(
+        checkpoint, cast("Any", process), cast("Any", ledger), cast("Any", reporter if asked else None)
+    )
     assert (process.value, ledger.value, reporter.value) == (1, 2, 3 if asked and kept else 0)
     assert ledger.shown == [events]
 
@@ -51,8 +53,10 @@ def test_a_plant_that_can_not_be_kept_is_said_before_anything_starts() -> None:
     scene, options = load_scene("elliptic"), RunOptions(checkpoint_s=1.0)
     stranger = cast("Any", Part(object()))
     with pytest.raises(InputError, match="--checkpoint: this plant can't be kept: memory holds a builtins"):
-        about_run(scene, plan(scene, options, "RUN"), options, stranger, None, live=False)
+        checkpoint_metadata(scene, plan(scene, options, "RUN"), options, stranger, None, live=False)
     options = RunOptions()
-    assert about_run(scene, plan(scene, options, "RUN"), options, stranger, None, live=False) is None
+    assert (
+        checkpoint_metadata(scene, plan(scene, options, "RUN"), options, stranger, None, live=False) is None
+    )
     nothing = cast("Any", None)
-    assert keeper_of(None, options, nothing, nothing, nothing, None, None, 1.0) is None
+    assert make_checkpointer(None, options, nothing, nothing, nothing, None, None, 1.0) is None

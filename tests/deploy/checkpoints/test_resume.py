@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from deploy import cli
-from deploy.checkpoints.store import Store, check, found, options_of, scene_of
+from deploy.checkpoints.store import CheckpointStore, check, find_checkpoint, options_of, scene_of
 from deploy.errors import InputError
 from deploy.scenes.files import load_scene
 from deploy.workers.plan import RunOptions, plan
@@ -29,23 +29,23 @@ THEN = {
 
 def test_a_folder_that_is_not_there() -> None:
     with pytest.raises(InputError, match="there is no such folder"):
-        found(Path("nowhere"))
+        find_checkpoint(Path("nowhere"))
 
 
 def test_a_run_that_was_killed_before_its_first_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"there is no checkpoint in .* begin it anew"):
-        found(tmp_path)
+        find_checkpoint(tmp_path)
 
 
 @pytest.mark.parametrize(("status", "refused"), [("ok", True), ("unstable", True), ("interrupted", False)])
 def test_a_run_that_is_over(status: str, refused: bool, tmp_path: Path) -> None:
-    Store(tmp_path).write(CHECKPOINT.to_bytes())
+    CheckpointStore(tmp_path).write(CHECKPOINT.to_bytes())
     (tmp_path / "summary.json").write_text(f'{{"status": "{status}"}}')
     if not refused:
-        assert found(tmp_path) == CHECKPOINT
+        assert find_checkpoint(tmp_path) == CHECKPOINT
         return
     with pytest.raises(InputError, match=f"that run is over, with status {status}"):
-        found(tmp_path)
+        find_checkpoint(tmp_path)
 
 
 def test_it_goes_on_as_it_was_run() -> None:

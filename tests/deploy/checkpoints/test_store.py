@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from bus.state_codec import encode
 from deploy.checkpoints.checkpoint import MAGIC, Checkpoint
-from deploy.checkpoints.store import BEFORE, FILE_NAME, Store
+from deploy.checkpoints.store import FILE_NAME, PREVIOUS, CheckpointStore
 from deploy.errors import DeployError, InputError
 
 CHECKPOINT = Checkpoint(
@@ -41,23 +41,23 @@ CONTENT = CHECKPOINT.to_bytes()
 
 
 def test_a_checkpoint_comes_back_as_it_was(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store = CheckpointStore(tmp_path)
     store.write(CONTENT)
     assert store.read() == CHECKPOINT
     assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
 
 
 def test_the_last_two_stay(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store = CheckpointStore(tmp_path)
     for tick in (1, 2, 3):
         store.write(replace(CHECKPOINT, tick=tick).to_bytes())
     assert store.read().tick == 3
-    assert Checkpoint.from_bytes((tmp_path / BEFORE).read_bytes()).tick == 2
+    assert Checkpoint.from_bytes((tmp_path / PREVIOUS).read_bytes()).tick == 2
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed", "empty", "gone"])
 def test_where_the_last_is_not_whole_the_one_before_is_taken(tmp_path: Path, damage: str) -> None:
-    store, last = Store(tmp_path), tmp_path / FILE_NAME
+    store, last = CheckpointStore(tmp_path), tmp_path / FILE_NAME
     store.write(CONTENT)
     store.write(replace(CHECKPOINT, tick=9).to_bytes())
     content = last.read_bytes()
@@ -76,7 +76,7 @@ def test_where_the_last_is_not_whole_the_one_before_is_taken(tmp_path: Path, dam
 def test_one_that_is_not_whole_does_not_take_the_place_of_the_one_that_is_gone_on_from(
     tmp_path: Path,
 ) -> None:
-    store = Store(tmp_path)
+    store = CheckpointStore(tmp_path)
     store.write(CONTENT)
     store.write(CONTENT)
     (tmp_path / FILE_NAME).write_bytes(b"torn")
@@ -110,7 +110,7 @@ class Power:
 def test_whenever_the_power_goes_there_is_a_whole_one(
     tmp_path: Path, last: str, lasts: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = Store(tmp_path)
+    store = CheckpointStore(tmp_path)
     for _ in range(2):
         store.write(CONTENT)
     if last == "torn":
@@ -133,7 +133,7 @@ def test_content_is_on_the_disk_before_it_has_a_name_and_its_name_after(
         path = Path(f"/proc/self/fd/{handle}").resolve()
         written.append((path.name, path.stat().st_size if path.is_file() else -1))
 
-    store, before = Store(tmp_path), len(list(Path("/proc/self/fd").iterdir()))
+    store, before = CheckpointStore(tmp_path), len(list(Path("/proc/self/fd").iterdir()))
     store.write(CONTENT)
     power = Power(9, monkeypatch)
     monkeypatch.setattr(os, "fsync", fsync)
@@ -145,7 +145,7 @@ def test_content_is_on_the_disk_before_it_has_a_name_and_its_name_after(
 
 
 def test_the_one_that_is_gone_on_from_stays_alone_and_all_can_be_removed(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store = CheckpointStore(tmp_path)
     for _ in range(2):
         store.write(CONTENT)
     store.keep(CHECKPOINT)
@@ -158,7 +158,7 @@ def test_the_one_that_is_gone_on_from_stays_alone_and_all_can_be_removed(tmp_pat
 def test_one_that_is_too_large_or_can_not_be_read_is_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = Store(tmp_path)
+    store = CheckpointStore(tmp_path)
     store.write(CONTENT)
     with monkeypatch.context() as patch:
         patch.setattr("deploy.checkpoints.store.LARGEST_BYTES", len(CONTENT))
@@ -174,9 +174,9 @@ def test_one_that_is_too_large_or_can_not_be_read_is_passed_over(
 
 def test_where_none_is_whole_what_is_the_matter_with_each_is_said(tmp_path: Path) -> None:
     (tmp_path / FILE_NAME).write_bytes(CONTENT[:-1])
-    (tmp_path / BEFORE).write_bytes(b"something else")
+    (tmp_path / PREVIOUS).write_bytes(b"something else")
     with pytest.raises(InputError, match=r"(?s)cut or changed.*not a checkpoint"):
-        Store(tmp_path).read()
+        CheckpointStore(tmp_path).read()
 
 
 def test_another_format_is_refused_by_its_number() -> None:
@@ -201,7 +201,7 @@ def test_the_first_tick_may_be_over_and_the_counts_are_those_of_the_bus() -> Non
     assert Checkpoint.from_bytes(replace(CHECKPOINT, tick=1, dead=(0,)).to_bytes()).tick == 1
     counts = CHECKPOINT.all_counts()
     assert (counts.sent, counts.delivered, counts.lost, counts.late) == (4, 3, 2, 1)
-    assert (dict(counts.refused), dict(counts.tally)) == (CHECKPOINT.refused, CHECKPOINT.tally)
+    assert (dict(counts.refused), dict(counts.cell_counters)) == (CHECKPOINT.refused, CHECKPOINT.tally)
 
 
 @given(st.integers(0, len(CONTENT) - 1), st.integers(1, 255))

@@ -8,7 +8,7 @@ import numpy as np
 
 from bus.lockstep.registers import RegisterFrame, encode_registers
 from bus.transports.memory import MemoryBus
-from deploy.control.registers import KEYS, gather, ranges
+from deploy.control.registers import KEYS, collect, ranges
 
 
 def frame(tick: int, cells: list[list[int]], **registers: list[float]) -> bytes:
@@ -29,6 +29,6 @@ def test_frames_that_are_none_are_passed_over_and_the_last_word_of_a_cell_stands
     put = cells.publisher("mdms/run-1/shard/0/registers").put
     for payload in (b"\xc1", frame(3, [[0, 1]], a=[1.0]), b"", frame(4, [[0, 1], [2, 2]], a=[2.0, 3.0])):
         put(payload)
-    seen = gather(viewer, {(0, 1), (2, 2)}, time.monotonic() + 5.0)
+    seen = collect(viewer, {(0, 1), (2, 2)}, time.monotonic() + 5.0)
     assert (seen.run, seen.tick) == ("run-1", 4)
     assert seen.cells == {(0, 1): {"a": 2.0}, (2, 2): {"a": 3.0}}

@@ -14,10 +14,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from deploy.errors import DeployError
-from deploy.plots.map_view import RAIL, colour, extent, incidents, struck_cells
+from deploy.plots.map_view import RAIL, colour, event_annotations, extent, struck_cells
 from deploy.plots.overview import draw_overview, draw_times
 from deploy.recordings.reader import load
-from deploy.recordings.trace import Track
+from deploy.recordings.trace import RunTrace
 from deploy.util.signals import Interrupted
 
 Make = Callable[..., Any]
@@ -35,8 +35,8 @@ def draw(tmp_path: Path) -> Callable[[Any], np.ndarray]:
 
 
 @pytest.fixture
-def track(tmp_path: Path, made_up_run: Make) -> Track:
-    return load(made_up_run().record(tmp_path)).track()
+def track(tmp_path: Path, made_up_run: Make) -> RunTrace:
+    return load(made_up_run().record(tmp_path)).run_trace()
 
 
 def _like(picture: np.ndarray, shade: str, within: float) -> np.ndarray:
@@ -49,7 +49,7 @@ def pixels(picture: np.ndarray, shade: str) -> int:
     return int(_like(picture, shade, 0.06).sum())
 
 
-def test_guide_rails_are_drawn(draw: Callable[[Any], np.ndarray], track: Track) -> None:
+def test_guide_rails_are_drawn(draw: Callable[[Any], np.ndarray], track: RunTrace) -> None:
     shade, (x, y) = RAIL, track.positions_m.mean(axis=0)
     rails = [((x - 0.2, y), (x + 0.2, y)), ((x, y), (x + 0.1, y), (x, y + 0.1))]
     before = pixels(draw(track), shade)
@@ -79,7 +79,7 @@ def test_a_recording_cut_before_its_first_instant_shows_its_array(
     path = made_up_run().record(tmp_path)
     recording = load(path)
     empty = dataclasses.replace(
-        recording.track(), time_s=np.zeros(0), parcels=np.zeros((0, 1, 6)), wheel_speeds=None, status=None
+        recording.run_trace(), time_s=np.zeros(0), parcels=np.zeros((0, 1, 6)), wheel_speeds=None, status=None
     )
     picture = draw(empty)
     assert pixels(picture, "#eceff3") > 10_000
@@ -89,7 +89,7 @@ def test_a_recording_cut_before_its_first_instant_shows_its_array(
 LOST_CELL = "#fbd9d3"
 
 
-def test_lost_cells_are_marked(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+def test_lost_cells_are_marked(track: RunTrace, draw: Callable[[Any], np.ndarray]) -> None:
     red = "#c1121f"
     assert pixels(draw(track), red) == 0
     faulty = dataclasses.replace(track, faults=[{"time_s": 0.01, "kind": "crash", "cell": [2, 3]}])
@@ -97,7 +97,7 @@ def test_lost_cells_are_marked(track: Track, draw: Callable[[Any], np.ndarray]) 
 
 
 def test_a_cell_that_came_back_is_struck_and_not_lost(
-    track: Track, draw: Callable[[Any], np.ndarray]
+    track: RunTrace, draw: Callable[[Any], np.ndarray]
 ) -> None:
     lost = {"time_s": 0.01, "kind": "token_lost", "cell": [2, 3], "detail": ""}
     back = {"time_s": 0.02, "kind": "respawn", "phase": "happens", "cell": [2, 3], "cells": [[2, 3]]}
@@ -108,8 +108,10 @@ def test_a_cell_that_came_back_is_struck_and_not_lost(
     assert pixels(gone, LOST_CELL) > pixels(draw(told), LOST_CELL) + 1_000
 
 
-def test_cells_that_were_pulled_or_struck_are_marked(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
-    def with_fault(kind: str, *phases: str) -> Track:
+def test_cells_that_were_pulled_or_struck_are_marked(
+    track: RunTrace, draw: Callable[[Any], np.ndarray]
+) -> None:
+    def with_fault(kind: str, *phases: str) -> RunTrace:
         fault = {"kind": kind, "cell": [2, 3], "cells": [[2, 3]], "number": 0, "fault": {}}
         told = [{**fault, "phase": phase, "time_s": 0.01 * step} for step, phase in enumerate(phases, 1)]
         return dataclasses.replace(track, faults=told, wheel_speeds=None)
@@ -123,15 +125,15 @@ def test_cells_that_were_pulled_or_struck_are_marked(track: Track, draw: Callabl
     assert pixels(draw(stuck), "#c1121f") > 100
 
 
-def test_a_tipped_parcel_is_marked_and_changes_of_support_are_not(track: Track) -> None:
+def test_a_tipped_parcel_is_marked_and_changes_of_support_are_not(track: RunTrace) -> None:
     events = [
         {"time_s": 0.01, "kind": "support", "parcel": 0},
         {"time_s": 0.02, "kind": "tipped", "parcel": 0},
     ]
-    assert incidents(dataclasses.replace(track, events=events)) == [(0.02, "tipped", 0)]
+    assert event_annotations(dataclasses.replace(track, events=events)) == [(0.02, "tipped", 0)]
 
 
-def test_missing_cells_leave_a_gap(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+def test_missing_cells_leave_a_gap(track: RunTrace, draw: Callable[[Any], np.ndarray]) -> None:
     bare = dataclasses.replace(track, wheel_speeds=None, footprints_m=[], parcels=np.zeros((13, 0, 6)))
     fewer = dataclasses.replace(
         bare, cells=[*bare.cells[:5], *bare.cells[6:]], positions_m=np.delete(bare.positions_m, 5, axis=0)
@@ -140,7 +142,7 @@ def test_missing_cells_leave_a_gap(track: Track, draw: Callable[[Any], np.ndarra
     assert share == pytest.approx(11 / 12, abs=0.01)
 
 
-def test_the_view_holds_the_array_and_the_whole_of_the_way(track: Track) -> None:
+def test_the_view_holds_the_array_and_the_whole_of_the_way(track: RunTrace) -> None:
     left, right, bottom, top = extent(track)
     assert left < -0.05
     assert right > 0.35
@@ -164,7 +166,7 @@ def test_a_parcel_is_shown_from_when_it_is_fed_until_it_leaves(tmp_path: Path, m
         "exits": [{"name": "e", "corners_m": [[0.0, 0.0], [0.2, 0.0], [0.2, 0.1]]}],
     }
     recording = load(run.record(tmp_path))
-    track = recording.track()
+    track = recording.run_trace()
     there = np.isfinite(track.parcels).all(axis=2)
     assert there[:, 0].all()
     assert np.flatnonzero(there[:, 1]).tolist() == [4, 5, 6, 7, 8, 9]
@@ -188,14 +190,14 @@ def test_who_waits_is_not_drawn_and_who_has_left_is_drawn_on_its_way_only(
     filled = mpl.colors.to_hex(
         0.22 * np.array(mpl.colors.to_rgb(colour(1))) + 0.78 * np.array(mpl.colors.to_rgb("#eceff3"))
     )
-    track = load(tmp_path).track()
+    track = load(tmp_path).run_trace()
     stays = draw(dataclasses.replace(track, events=COMES_AND_GOES[:1]))
     leaves = draw(dataclasses.replace(track, events=COMES_AND_GOES))
     assert _like(stays, filled, 0.01).sum() > 1000
     assert _like(leaves, filled, 0.01).sum() < 100
 
 
-def test_times_are_shown_from_the_start_to_the_end_whoever_is_there(track: Track) -> None:
+def test_times_are_shown_from_the_start_to_the_end_whoever_is_there(track: RunTrace) -> None:
     from matplotlib.figure import Figure
 
     nobody = dataclasses.replace(track, parcels=np.full_like(track.parcels, np.nan))
@@ -204,7 +206,7 @@ def test_times_are_shown_from_the_start_to_the_end_whoever_is_there(track: Track
     assert panels[0].get_xlim() == (track.time_s[0], track.time_s[-1])
 
 
-def test_exits_are_drawn(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+def test_exits_are_drawn(track: RunTrace, draw: Callable[[Any], np.ndarray]) -> None:
     green = "#4b7a3f"
     corners = np.array([[0.1, 0.1], [0.3, 0.1], [0.3, 0.2], [0.1, 0.2]])
     assert pixels(draw(track), green) == 0
@@ -212,7 +214,7 @@ def test_exits_are_drawn(track: Track, draw: Callable[[Any], np.ndarray]) -> Non
 
 
 def test_a_parcel_flung_away_leaves_the_array_in_sight(
-    track: Track, draw: Callable[[Any], np.ndarray]
+    track: RunTrace, draw: Callable[[Any], np.ndarray]
 ) -> None:
     flung = track.parcels.copy()
     flung[5:, 0, 0] = 1e6
@@ -249,24 +251,26 @@ def test_arrows_of_every_other_cell_stay_inside_the_array(
     assert arrows[-1] <= cells[-1]
 
 
-def test_a_title_may_hold_dollar_signs_and_be_long(track: Track, draw: Callable[[Any], np.ndarray]) -> None:
+def test_a_title_may_hold_dollar_signs_and_be_long(
+    track: RunTrace, draw: Callable[[Any], np.ndarray]
+) -> None:
     picture = draw(dataclasses.replace(track, title="costs $1 and \\frac{ $" + "x" * 300))
     assert pixels(picture, colour(0)) > 100
 
 
-def test_the_same_run_gives_the_same_picture(tmp_path: Path, track: Track) -> None:
+def test_the_same_run_gives_the_same_picture(tmp_path: Path, track: RunTrace) -> None:
     for name in ("one.png", "two.png"):
         draw_overview(track, tmp_path / name)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
-def test_a_picture_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path, track: Track) -> None:
+def test_a_picture_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path, track: RunTrace) -> None:
     with pytest.raises(DeployError, match=r"can't write .*overview\.png: No such file"):
         draw_overview(track, tmp_path / "absent" / "overview.png")
 
 
 def test_a_picture_that_is_given_up_leaves_the_one_before(
-    tmp_path: Path, track: Track, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, track: RunTrace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def give_up(canvas: FigureCanvasAgg, path: str, **_: object) -> None:
         Path(path).write_bytes(b"half")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus.lockstep.registers import Shown
+from bus.lockstep.registers import RegisterSnapshot
 from deploy.protocol_report.plot import _figure, _layout, _range, draw_protocol
 from deploy.protocol_report.reporter import Reporter
 from deploy.scenes.files import load_scene
@@ -23,7 +23,7 @@ def watched(rows: int, columns: int, width: int, ticks: int = 60) -> Reporter:
     field = np.random.default_rng(3).normal(size=(rows * columns, width))
     for tick in range(ticks):
         live = live & (tick < 40 or np.arange(len(live)) > 0)
-        reporter.take(Shown(tick, live, {"firmware.speed_m_s": field * 0.9**tick}))
+        reporter.take(RegisterSnapshot(tick, live, {"firmware.speed_m_s": field * 0.9**tick}))
     return reporter
 
 
@@ -71,6 +71,6 @@ def test_a_field_that_never_was_and_one_that_never_changes_are_drawn_too(tmp_pat
     draw_protocol(nothing, nothing.report(0, {}, {}), tmp_path / "nothing.png")
     still = watched(2, 2, 1, ticks=0)
     for tick in range(3):
-        still.take(Shown(tick, np.ones(4, dtype=np.bool_), {"firmware.speed_m_s": np.zeros(4)}))
+        still.take(RegisterSnapshot(tick, np.ones(4, dtype=np.bool_), {"firmware.speed_m_s": np.zeros(4)}))
     draw_protocol(still, still.report(3, {}, {}), tmp_path / "still.png")
     assert len(list(tmp_path.glob("*.png"))) == 2

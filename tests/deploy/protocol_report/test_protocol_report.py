@@ -13,7 +13,7 @@ import pytest
 
 from cell_firmware.errors import FirmwareError
 from deploy.cli import main
-from deploy.protocol_report.from_recording import replayed
+from deploy.protocol_report.from_recording import report_from_recording
 from deploy.recordings.reader import load
 from deploy.runs.run import run
 from deploy.runs.summary import Summary
@@ -178,7 +178,7 @@ def test_a_recording_with_registers_tells_the_same_but_of_messages(
 ) -> None:
     dead = [{"kind": "crash", "at_s": 0.7, "cell": [0, 2]}]
     live = without_times(reported(scene(faults=dead), tmp_path, registers=1))
-    _, report = replayed(load(tmp_path))
+    _, report = report_from_recording(load(tmp_path))
     assert asdict(report) == {key: live[key] for key in asdict(report)} | {"links": None}
     assert main(["plot", str(tmp_path), "--kind", "protocol"]) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'protocol.png'}\n"
@@ -191,7 +191,7 @@ def test_a_recording_with_registers_tells_the_same_but_of_messages(
 def test_a_recording_always_has_the_drives(plain: str, tmp_path: Path) -> None:
     live = reported(scene(0.1, {}, cells__firmware=f"{plain}:Unnamed"), tmp_path).protocol
     assert live is not None
-    _, report = replayed(load(tmp_path))
+    _, report = report_from_recording(load(tmp_path))
     assert asdict(report) == asdict(live)
 
 
@@ -200,7 +200,7 @@ from cell_firmware.cell import CellFirmware, CellOutputs
 from cell_firmware.program import Theory
 
 class Counter(CellFirmware):
-    observed = "count"
+    observable = "count"
 
     def init(self, cell):
         return {"count": 0, "column": cell.column}
@@ -214,7 +214,7 @@ class Counter(CellFirmware):
 
 
 class Unnamed(Counter):
-    observed = None
+    observable = None
 
     def theory(self, lattice):
         return None

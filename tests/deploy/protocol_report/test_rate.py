@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from deploy.protocol_report.residuals import Rate, _slope, fitted
+from deploy.protocol_report.residuals import Rate, _slope, fit_rate
 
 Floats = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ ROUNDING = 4096 * 2.0**-52
 
 
 def found(residual: Floats, scale: float = 1.0) -> Rate:
-    rate = fitted(np.arange(len(residual)), residual, np.full(len(residual), scale))
+    rate = fit_rate(np.arange(len(residual)), residual, np.full(len(residual), scale))
     assert rate is not None
     return rate
 
@@ -27,7 +27,7 @@ def found(residual: Floats, scale: float = 1.0) -> Rate:
 def test_an_exponential_decay_has_its_factor_however_it_is_sampled(
     factor: float, ticks: int, every: int
 ) -> None:
-    rate = fitted(np.arange(ticks) * every, factor ** (np.arange(ticks) * every), np.ones(ticks))
+    rate = fit_rate(np.arange(ticks) * every, factor ** (np.arange(ticks) * every), np.ones(ticks))
     if rate is None:  # it was rounding before there were ticks enough
         assert factor ** (5 * every) < ROUNDING
         return
@@ -75,7 +75,7 @@ def test_what_oscillates_counts_by_its_size() -> None:
 def test_growth_is_a_factor_above_one_and_no_floor() -> None:
     tick = np.arange(900)
     grows = 1e-12 + 1e-15 * 1.08**tick
-    rate = fitted(tick, grows, 1.0 + grows)
+    rate = fit_rate(tick, grows, 1.0 + grows)
     assert rate is not None
     assert rate.factor == pytest.approx(1.08, rel=1e-6)
     assert rate.decades < -2
@@ -92,7 +92,7 @@ def test_ticks_a_decade() -> None:
 
 @pytest.mark.parametrize("residual", [[], [1.0, 0.5, 0.25], [0.0] * 50, [np.nan] * 50, [1.0] + [0.0] * 50])
 def test_of_too_little_there_is_no_rate(residual: list[float]) -> None:
-    assert fitted(np.arange(len(residual)), np.array(residual), np.ones(len(residual))) is None
+    assert fit_rate(np.arange(len(residual)), np.array(residual), np.ones(len(residual))) is None
 
 
 @given(st.integers(6, 40), st.integers(0, 100))

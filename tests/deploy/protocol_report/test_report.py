@@ -7,7 +7,7 @@ import pytest
 
 from cell_firmware.program import Theory
 from deploy.protocol_report.report import course, ratio, verdict
-from deploy.protocol_report.residuals import ERROR, Residuals, fitted
+from deploy.protocol_report.residuals import ERROR, Residuals, fit_rate
 
 ALL = np.ones(1, dtype=np.bool_)
 
@@ -21,7 +21,7 @@ def decaying(factor: float, ticks: int = 400) -> Residuals:
 
 def said(measured: float, predicted: float, *reasons: str) -> str:
     residuals = decaying(measured)
-    rate = fitted(np.array(residuals.tick), np.array(residuals.rms[ERROR]), np.array(residuals.scale))
+    rate = fit_rate(np.array(residuals.tick), np.array(residuals.rms[ERROR]), np.array(residuals.scale))
     return verdict(Theory("a law", factor=predicted), residuals, rate, reasons, 0)
 
 
@@ -44,7 +44,7 @@ def test_what_stays_as_it_is_agrees_by_its_factor() -> None:
 
 def test_a_ratio_is_of_rates_that_are_some() -> None:
     residuals = decaying(0.98)
-    rate = fitted(np.array(residuals.tick), np.array(residuals.rms[ERROR]), np.array(residuals.scale))
+    rate = fit_rate(np.array(residuals.tick), np.array(residuals.rms[ERROR]), np.array(residuals.scale))
     assert ratio(rate, 0.98**2) == pytest.approx(0.5)
     assert ratio(rate, 1.0) is ratio(rate, None) is ratio(None, 0.5) is ratio(rate, 0.0) is None
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from deploy.recordings.checks import check_comings, check_end, check_faults, check_header, check_records
+from deploy.recordings.checks import check_end, check_faults, check_header, check_records, check_traffic
 
 HEADER: dict[str, Any] = {
     "run": "one",
@@ -76,10 +76,10 @@ def test_a_fault_says_whom_it_strikes(fault: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("parcel", [None, -1, 2, True, 1.0, "0"])
 def test_whatever_comes_or_leaves_is_one_of_the_parcels(parcel: object) -> None:
-    check_comings([{"kind": "fed", "parcel": 0}, {"kind": "left", "parcel": 1}, {"kind": "tipped"}], 2)
+    check_traffic([{"kind": "fed", "parcel": 0}, {"kind": "left", "parcel": 1}, {"kind": "tipped"}], 2)
     for kind in ("fed", "left"):
         with pytest.raises(ValueError, match=f"an event {kind} must name one of 2 parcels"):
-            check_comings([{"kind": kind, "parcel": parcel}], 2)
+            check_traffic([{"kind": kind, "parcel": parcel}], 2)
 
 
 def test_an_end_has_a_status_and_perhaps_a_digest() -> None:

@@ -8,7 +8,7 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from bus.state import recall, remember
+from bus.state import load_state, save_state
 from deploy.errors import DeployError
 from deploy.recordings.digest import Digest
 
@@ -65,7 +65,7 @@ def test_a_checkpoint_carries_the_chain_on() -> None:
     whole = Digest(b"scene")
     whole.tick(0, PRESENCE, DRIVES, PARCELS)
     resumed = Digest(b"another")
-    recall(resumed, remember(whole))
+    load_state(resumed, save_state(whole))
     for digest in (whole, resumed):
         digest.tick(1, PRESENCE, DRIVES, PARCELS)
     assert resumed.hexdigest == whole.hexdigest

@@ -9,7 +9,7 @@ import pytest
 
 from cell_firmware.errors import FirmwareError
 from deploy.cli import main
-from deploy.runs.setup import cautions_of, prepared
+from deploy.runs.setup import prepare_run, warnings_of
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
@@ -25,12 +25,12 @@ class Worried(CellFirmware):
     def step(self, state, inputs):
         return state, CellOutputs((0.0, 0.0))
 
-    def cautions(self, lattice):
+    def warnings(self, lattice):
         return (f"{len(lattice)} cells are too many: nothing will move",)
 
 
 class Confused(Worried):
-    def cautions(self, lattice):
+    def warnings(self, lattice):
         raise ZeroDivisionError("pitch")
 """
 
@@ -79,12 +79,12 @@ def test_a_firmware_that_can_not_say_is_bad_input_with_its_traceback(worried: st
     with pytest.raises(
         FirmwareError, match=r"(?s): cautions\(\) raised ZeroDivisionError: pitch\n.*worried.py.*pitch$"
     ):
-        cautions_of(Scene.model_validate({**dict(scene), "cells": cells}))
+        warnings_of(Scene.model_validate({**dict(scene), "cells": cells}))
 
 
 def test_bundled_scenes_have_nothing_to_be_careful_of() -> None:
     for name in ("heat", "elliptic", "serial", "potential", "prototype", "breadboard"):
-        assert cautions_of(load_scene(name)) == ()
+        assert warnings_of(load_scene(name)) == ()
 
 
 QUIET = """
@@ -107,13 +107,13 @@ def test_what_of_a_plain_program_is_not_recorded_is_said_before_the_run(tmp_path
     cells = scene.cells.model_copy(update={"firmware": str(path), "parameters": {}})
     plain = Scene.model_validate({**dict(scene), "cells": cells})
     line = "--registers: quiet.py: of its state some is not recorded: name is a str, not numbers"
-    assert prepared(plain, RunOptions(0, "memory", registers=1), None).cautions == (line,)
-    assert prepared(plain, RunOptions(0, "memory"), None).cautions == ()
-    assert prepared(scene, RunOptions(0, "memory", registers=1), None).cautions == ()
+    assert prepare_run(plain, RunOptions(0, "memory", registers=1), None).warnings == (line,)
+    assert prepare_run(plain, RunOptions(0, "memory"), None).warnings == ()
+    assert prepare_run(scene, RunOptions(0, "memory", registers=1), None).warnings == ()
 
 
 def processor(*changes: str, name: str = "prototype") -> tuple[str, ...]:
-    return cautions_of(load_scene(name, [Override.parse(change) for change in changes]))
+    return warnings_of(load_scene(name, [Override.parse(change) for change in changes]))
 
 
 def test_boards_that_no_processor_could_serve_are_told_with_what_takes_its_time() -> None:

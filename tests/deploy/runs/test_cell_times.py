@@ -9,18 +9,18 @@ import pytest
 from numpy.typing import NDArray
 
 from bus.partition import Partition
-from cell_firmware.clocks import NEVER
+from cell_firmware.clocks import NOT_IN_WINDOW
 from cell_firmware.effects.clock.spec import ClockSpec
 from cell_firmware.firmware import Cells
 from cell_firmware.shard import Shard
 from deploy.recordings.reader import load
 from deploy.runs.run import run
-from deploy.runs.setup import CellTimes, cell_times
+from deploy.runs.setup import CellTimingSource, cell_times
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
 from deploy.workers.plan import RunOptions
-from deploy.workers.worker import controller_of
+from deploy.workers.worker import make_controller
 from plant.plant import Plant
 
 PERIOD_NS = 4_096_000
@@ -55,14 +55,17 @@ def test_ticks_of_a_scene_with_clocks_are_windows() -> None:
 
 def test_the_plant_lets_cells_act_a_window_after_they_read() -> None:
     lattice = _scene("motors", 1.0).lattice()
-    clocks = ClockSpec(error_ppm=60_000).clocks(lattice, PERIOD_NS, 3).all
-    times, read = CellTimes(clocks), np.full(len(lattice), NEVER)
+    clocks = ClockSpec(error_ppm=60_000).clocks(lattice, PERIOD_NS, 3).clocks
+    times, read = CellTimingSource(clocks), np.full(len(lattice), NOT_IN_WINDOW)
     rests = 0
     for tick in range(200):
         acts_ns, reads_ns = times(tick)
-        assert acts_ns.tolist() == np.where(read == NEVER, NEVER, read + clocks.window_ns).tolist()
+        assert (
+            acts_ns.tolist()
+            == np.where(read == NOT_IN_WINDOW, NOT_IN_WINDOW, read + clocks.window_ns).tolist()
+        )
         read = reads_ns
-        begin, there = tick * clocks.window_ns, read != NEVER
+        begin, there = tick * clocks.window_ns, read != NOT_IN_WINDOW
         assert reads_ns.tolist() == clocks.instants(tick).tolist()
         assert ((begin <= read[there]) & (read[there] < begin + clocks.window_ns)).all()
         rests += int((~there).sum())
@@ -84,7 +87,7 @@ def test_equal_clocks_are_the_lockstep_with_drives_that_act_a_window_later(name:
     plant, drives = Plant(scene.plant_spec()), np.zeros((n, 2))
     array = plant.array
     cells = Cells.of(array.lattice, array.positions_m, scene.cells.period_s)
-    shard = Shard(controller_of(scene), cells, Partition.even(array.lattice, 1), 0)
+    shard = Shard(make_controller(scene), cells, Partition.even(array.lattice, 1), 0)
     states = [plant.state]
     for tick in range(scene.ticks):
         sense = plant.sense()

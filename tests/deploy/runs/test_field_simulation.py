@@ -10,7 +10,7 @@ import pytest
 
 from deploy.cli import main
 from deploy.errors import InputError
-from deploy.runs.field_simulation import field_speeds, ideal, simulate
+from deploy.runs.field_simulation import field_speeds, simulate, without_cells
 from deploy.runs.run import run
 from deploy.scenes.fault_schedule import active
 from deploy.scenes.files import load_scene
@@ -142,7 +142,7 @@ def test_a_wheel_that_runs_away_does_so_at_the_speed_of_the_motors_that_are_left
     fault = {"kind": "wheel_runaway", "rectangle": [[0, 0], [19, 19]], "wheel": "x"}
     scene = _scene("elliptic", duration_s=0.05, faults=[fault], effects={"motors": motors})
     simulate(scene, output=tmp_path, picture=False, quiet=True)
-    (ideal_fault,) = ideal(scene).faults
+    (ideal_fault,) = without_cells(scene).faults
     assert ideal_fault.model_dump()["speed_m_s"] == pytest.approx(0.45)
     ideal_one = _scene("elliptic", duration_s=0.05, faults=[{**fault, "speed_m_s": 0.45}])
     courses = [

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bus.wire.keys import check_run
-from deploy.runs.output import header, run_name, versions
+from deploy.runs.output import recording_header, run_name, versions
 from deploy.runs.output_folder import output_folder
 from deploy.scenes.files import load_scene, scene_text
 from plant.array import CellArray
@@ -57,7 +57,7 @@ def test_the_header_has_the_whole_scene_and_where_everything_is(tmp_path: Path) 
     scene = load_scene(str(path))
     array = CellArray(scene.array)
     rectangle = np.array([[-0.25, -0.2], [0.25, -0.2], [0.25, 0.2], [-0.25, 0.2]])
-    made = header("r", scene, array, [rectangle])
+    made = recording_header("r", scene, array, [rectangle])
     assert made["cells"][:3] == [[0, 0], [0, 1], [0, 3]]
     assert np.array_equal(made["positions_m"], array.positions_m)
     assert made["footprints_m"] == [rectangle.tolist()]

@@ -8,8 +8,8 @@ from typing import Any, cast
 
 from rich.console import Console
 
-from bus.lockstep.counters import Counts
-from deploy.runs.rejections import DENIED, MALFORMED, MESSAGE, Refused, total
+from bus.lockstep.counters import MessageCounters
+from deploy.runs.rejections import DENIED, MALFORMED, MESSAGE, RejectionMonitor, total
 from deploy.runs.summary import Messages
 from deploy.runs.summary_table import print_summary
 from tests.deploy.runs.test_summary import summary
@@ -32,22 +32,22 @@ class Watched:
 
 
 def test_each_peer_and_kind_is_told_once_and_counted_every_time() -> None:
-    watch, counts, told = Watched(), Counts(), list[str]()
-    refused = Refused(cast("Any", watch), told.append)
+    watch, counts, told = Watched(), MessageCounters(), list[str]()
+    refused = RejectionMonitor(cast("Any", watch), told.append)
     for _ in range(3):
         watch.refuse("cells-0", MESSAGE)
         watch.refuse("a stranger", "connection: no certificate")
         counts.refused["shard 0", "drive: type"] += 1
-        refused.look(counts)
+        refused.poll(counts)
     counts.refused["shard 1", "drive: type"] += 1
-    refused.look(counts)
+    refused.poll(counts)
     assert told == [
         "refused: shard 0: drive: type malformed (the summary has how many)",
         "denied: cells-0: message (the summary has how many)",
         "denied: a stranger: connection: no certificate (the summary has how many)",
         "refused: shard 1: drive: type malformed (the summary has how many)",
     ]
-    rows = refused.rows(counts)
+    rows = refused.summary_rows(counts)
     assert [(row["why"], row["whose"], row["what"], row["number"]) for row in rows] == [
         (MALFORMED, "shard 0", "drive: type", 3),
         (MALFORMED, "shard 1", "drive: type", 1),

@@ -44,7 +44,7 @@ def test_the_plant_gets_its_sections_and_no_others() -> None:
     spec = scene.plant_spec()
     assert isinstance(spec, PlantSpec)
     assert spec.parcels == scene.parcels
-    assert dict(spec.effects.asked()) == dict(scene.effects.asked())
+    assert dict(spec.effects.enabled()) == dict(scene.effects.enabled())
     assert spec.gravity_m_s2 == scene.gravity_m_s2
 
 

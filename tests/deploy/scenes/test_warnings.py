@@ -8,20 +8,20 @@ import pytest
 
 from deploy.cli import main
 from deploy.errors import InputError
-from deploy.runs.setup import cautions_of
+from deploy.runs.setup import warnings_of
 from deploy.scenes.files import bundled_names, load_scene
 from deploy.scenes.overrides import Override
-from deploy.scenes.warnings import scene_cautions
+from deploy.scenes.warnings import scene_warnings
 from deploy.studies.campaign.runner import Campaign
 
 
 def _of(*changes: str, scene: str = "elliptic") -> list[str]:
-    return list(scene_cautions(load_scene(scene, [Override.parse(text) for text in changes])))
+    return list(scene_warnings(load_scene(scene, [Override.parse(text) for text in changes])))
 
 
 def test_no_bundled_scene_looks_mistaken() -> None:
     assert {
-        name: found for name in bundled_names() if (found := list(scene_cautions(load_scene(name))))
+        name: found for name in bundled_names() if (found := list(scene_warnings(load_scene(name))))
     } == {}
 
 
@@ -61,7 +61,7 @@ def test_a_simulation_tells_them_too(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_a_run_is_told_those_of_the_scene_and_those_of_its_firmware() -> None:
-    assert cautions_of(load_scene("elliptic", [Override.parse("cells.period_s=2")]))[0].startswith(
+    assert warnings_of(load_scene("elliptic", [Override.parse("cells.period_s=2")]))[0].startswith(
         "cells.period_s = 2"
     )
 

@@ -11,8 +11,8 @@ import pytest
 import zenoh
 
 from bus.errors import TransportError
-from bus.transports.zenoh import Certificate, Gate, Identity, hub_config, open_client
-from deploy.security.certificates import Authority, Made
+from bus.transports.zenoh import AccessPolicy, Certificate, Identity, hub_config, open_client
+from deploy.security.certificates import Authority, CertificatePair
 
 Opened = Callable[[Identity], str]
 
@@ -26,7 +26,7 @@ def listening() -> Iterator[Opened]:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             where = f"tls/127.0.0.1:{probe.getsockname()[1]}"
-        opened.append(zenoh.open(hub_config(where, gate=Gate(identity, '{"enabled": false}'))))
+        opened.append(zenoh.open(hub_config(where, gate=AccessPolicy(identity, '{"enabled": false}'))))
         return where
 
     yield listen
@@ -39,7 +39,7 @@ def test_who_has_a_cell_s_certificate_or_another_host_s_is_not_taken_for_the_pla
 ) -> None:
     authority = Authority(1)
 
-    def written(name: str, made: Made) -> Certificate:
+    def written(name: str, made: CertificatePair) -> Certificate:
         files = {"authority": authority.certificate, "certificate": made.certificate, "key": made.key}
         for part, content in files.items():
             (tmp_path / f"{name}-{part}").write_bytes(content)

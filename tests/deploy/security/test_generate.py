@@ -12,21 +12,21 @@ import pytest
 from bus.lattice import Lattice
 from bus.partition import Partition
 from deploy.errors import InputError
-from deploy.security.generate import make
+from deploy.security.generate import generate_keys
 from deploy.security.keyring import Keyring, identity_of, operator_of
 from deploy.security.manifest import Kind
-from deploy.security.roles import Cut
+from deploy.security.roles import ProcessLayout
 from deploy.security.verify import check_certificate
 from deploy.util.output_lock import OutputLock
 
 ROOT = Path(__file__).parents[3]
 LATTICE = Lattice((r, c) for r in range(2) for c in range(2))
-CUT = Cut(Partition.even(LATTICE, 2), "packed", ("cells 0", "cells 1"))
+CUT = ProcessLayout(Partition.even(LATTICE, 2), "packed", ("cells 0", "cells 1"))
 ROLES = ["plant", "cells-0", "cells-1", "operator"]
 
 
 def made(folder: Path, kind: Kind = "certificate", *, days: int = 1, force: bool = False) -> Path:
-    make(folder, "scene", CUT, kind, hosts=["plant.example"], days=days, force=force)
+    generate_keys(folder, "scene", CUT, kind, hosts=["plant.example"], days=days, force=force)
     return folder
 
 
@@ -84,7 +84,7 @@ def test_a_folder_of_something_else_is_never_replaced(tmp_path: Path) -> None:
 
 def test_what_can_t_be_made_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--host ä: must be"):
-        make(tmp_path / "keys", "scene", CUT, "certificate", hosts=["ä"], days=1, force=False)
+        generate_keys(tmp_path / "keys", "scene", CUT, "certificate", hosts=["ä"], days=1, force=False)
     assert not list(tmp_path.iterdir())
 
 
@@ -97,7 +97,7 @@ def test_keys_fit_the_cut_that_they_were_made_for_and_the_hosts(tmp_path: Path) 
     keyring.check(CUT, "plant.example")
     with pytest.raises(InputError, match=r"is for .*, not for 10.0.0.9: mdms keys --host 10.0.0.9"):
         keyring.check(CUT, "10.0.0.9")
-    other = Cut(Partition.even(LATTICE, 1), "packed", ("cells 0",))
+    other = ProcessLayout(Partition.even(LATTICE, 1), "packed", ("cells 0",))
     with pytest.raises(
         InputError, match=r"made for 4 cells in 2 processes.*not for these 4 cells in 1 process"
     ):
@@ -183,7 +183,7 @@ def test_keys_are_not_made_in_the_working_folder(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"DIR must name a folder to be made, not '\.', the working one"):
-        make(Path(name), "scene", CUT, "certificate", hosts=[], days=1, force=False)
+        generate_keys(Path(name), "scene", CUT, "certificate", hosts=[], days=1, force=False)
     assert not list(tmp_path.iterdir())
 
 

@@ -9,25 +9,25 @@ import pytest
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from bus.sensors import Readings
-from bus.wire.format import Wiring
-from bus.wire.formats import FORMS, FormName
+from bus.sensors import SensorSchema
+from bus.wire.format import RunSchema
+from bus.wire.formats import FORMATS, WireFormat
 from bus.wire.frames import TALLY_LIMIT, TEXT_LIMIT, DriveFrame, LinkFrame, Report, encode_report
 from bus.wire.keys import intersects, plant_key, shard_key
 from deploy.security.policy import access_control, size_limits
-from deploy.security.roles import OPERATOR, PLANT, Cut, Role, roles_of
+from deploy.security.roles import OPERATOR, PLANT, ProcessLayout, Role, roles_of
 
 MESSAGE = np.dtype([("u", "<f8")])
 LATTICE = Lattice((r, c) for r in range(4) for c in range(3) if (r, c) != (1, 1))
-CUTS = [(form, shards) for form in FORMS for shards in (1, 3, len(LATTICE))]
+CUTS = [(form, shards) for form in FORMATS for shards in (1, 3, len(LATTICE))]
 
 
-def cut(form: FormName, shards: int) -> Cut:
+def cut(form: WireFormat, shards: int) -> ProcessLayout:
     names = tuple(f"cells {shard}" for shard in range(shards))
-    return Cut(Partition.even(LATTICE, shards), form, names)
+    return ProcessLayout(Partition.even(LATTICE, shards), form, names)
 
 
-def cells_of(made: Cut) -> tuple[Role, ...]:
+def cells_of(made: ProcessLayout) -> tuple[Role, ...]:
     plant, *cells, operator = roles_of(made)
     assert (plant.name, operator.name) == (PLANT, OPERATOR)
     return tuple(cells)
@@ -38,11 +38,11 @@ def covered(keys: set[str], leave: tuple[str, ...]) -> bool:
 
 
 @pytest.mark.parametrize(("form", "shards"), CUTS)
-def test_a_process_may_do_all_that_its_shard_does(form: FormName, shards: int) -> None:
+def test_a_process_may_do_all_that_its_shard_does(form: WireFormat, shards: int) -> None:
     made = cut(form, shards)
-    wiring = Wiring("some-run", made.partition, Readings(1), MESSAGE)
+    wiring = RunSchema("some-run", made.partition, SensorSchema(1), MESSAGE)
     for shard, role in enumerate(cells_of(made)):
-        member = FORMS[form].member(wiring, shard)
+        member = FORMATS[form].participant(wiring, shard)
         own = {shard_key("some-run", shard, leaf) for leaf in ("report", "registers", "memory")}
         assert covered({*member.drive_keys, *member.out_keys} | own, role.puts)
         control = plant_key("some-run", "control")
@@ -52,11 +52,11 @@ def test_a_process_may_do_all_that_its_shard_does(form: FormName, shards: int) -
 
 
 @pytest.mark.parametrize(("form", "shards"), CUTS)
-def test_no_process_may_put_what_is_another_s_or_the_plant_s(form: FormName, shards: int) -> None:
+def test_no_process_may_put_what_is_another_s_or_the_plant_s(form: WireFormat, shards: int) -> None:
     made = cut(form, shards)
     roles = cells_of(made)
-    wiring = Wiring("some-run", made.partition, Readings(1), MESSAGE)
-    of_plant = {*FORMS[form].host(wiring).sense_keys, plant_key("some-run", "control")}
+    wiring = RunSchema("some-run", made.partition, SensorSchema(1), MESSAGE)
+    of_plant = {*FORMATS[form].coordinator(wiring).sense_keys, plant_key("some-run", "control")}
     of_plant |= {plant_key("some-run", "state"), plant_key("some-run", "alive")}
     for role in roles:
         assert not any(intersects(key, one) for key in of_plant for one in (*role.puts, *role.shows))
@@ -91,11 +91,11 @@ def test_the_access_control_names_each_role_once_and_denies_the_rest(kind: str, 
 
 @pytest.mark.parametrize(("form", "shards"), CUTS)
 def test_what_a_process_puts_is_within_the_limits_and_little_more_than_it_needs(
-    form: FormName, shards: int
+    form: WireFormat, shards: int
 ) -> None:
     made = cut(form, shards)
     large = np.dtype([(f"a_field_of_some_length_{i}", "<f8") for i in range(64)])
-    wiring = Wiring("some-run", made.partition, Readings(1), large)
+    wiring = RunSchema("some-run", made.partition, SensorSchema(1), large)
     limits = {limit["id"]: limit for limit in size_limits(made)}
 
     def limit_of(key: str) -> int:
@@ -103,7 +103,7 @@ def test_what_a_process_puts_is_within_the_limits_and_little_more_than_it_needs(
         return found["size_limit"]
 
     for shard in range(shards):
-        member = FORMS[form].member(wiring, shard)
+        member = FORMATS[form].participant(wiring, shard)
         drive = DriveFrame(2**40, np.full((len(made.cells(shard)), 2), 1e300))
         for key, payload in zip(member.drive_keys, member.drive_payloads(drive), strict=True):
             assert len(payload) <= limit_of(key) <= 4 * len(payload) + 1024 + 16 * len(LATTICE)

@@ -21,42 +21,42 @@ def _send(number: signal.Signals) -> None:
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_is_noted_and_raised_at_the_next_check(number: signal.Signals) -> None:
     interruption = Interruption()
-    with interruption.watching():
-        interruption.check()
+    with interruption.handling():
+        interruption.raise_if_requested()
         _send(number)
         assert interruption.requested
         with pytest.raises(Interrupted):
-            interruption.check()
+            interruption.raise_if_requested()
 
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_raises_at_once_where_that_is_allowed(number: signal.Signals) -> None:
     interruption = Interruption()
-    with interruption.watching():
-        with pytest.raises(Interrupted), interruption.allowed():
+    with interruption.handling():
+        with pytest.raises(Interrupted), interruption.interruptible():
             _send(number)
         _send(number)  # a second one disturbs nobody
 
 
 def test_no_signal_no_interruption() -> None:
     interruption = Interruption()
-    with interruption.watching(), interruption.allowed():
-        interruption.check()
+    with interruption.handling(), interruption.interruptible():
+        interruption.raise_if_requested()
     assert not interruption.requested
 
 
 def test_a_signal_raises_at_once_while_the_run_waits() -> None:
     interruption = Interruption()
-    interruption.waits = lambda: True
-    with interruption.watching(), pytest.raises(Interrupted):
+    interruption.is_idle = lambda: True
+    with interruption.handling(), pytest.raises(Interrupted):
         _send(signal.SIGINT)
 
 
 def test_a_signal_that_came_before_raises_on_the_way_in() -> None:
     interruption = Interruption()
-    with interruption.watching():
+    with interruption.handling():
         _send(signal.SIGINT)
-        with pytest.raises(Interrupted), interruption.allowed():
+        with pytest.raises(Interrupted), interruption.interruptible():
             pytest.fail("must not be entered")
 
 
@@ -65,13 +65,13 @@ def test_an_interruption_that_a_c_library_drops_is_not_lost_and_says_nothing(
 ) -> None:
     callback = ctypes.CFUNCTYPE(None)(lambda: _send(signal.SIGINT))
     interruption = Interruption()
-    with interruption.watching():
-        with interruption.allowed():
+    with interruption.handling():
+        with interruption.interruptible():
             callback()
             with pytest.raises(Interrupted):
                 _send(signal.SIGINT)  # an impatient one is heeded, as the first had no effect
         with pytest.raises(Interrupted):
-            interruption.check()
+            interruption.raise_if_requested()
     assert capfd.readouterr().err == ""
 
 
@@ -83,13 +83,13 @@ def test_an_interruption_of_which_a_c_library_makes_an_error_of_its_own_is_one()
             raise ValueError("Invalid affine transformation matrix") from None
 
     interruption = Interruption()
-    with interruption.watching(), pytest.raises(Interrupted), interruption.allowed():
+    with interruption.handling(), pytest.raises(Interrupted), interruption.interruptible():
         convert()
 
 
 def test_an_error_without_a_signal_stays_one() -> None:
     interruption = Interruption()
-    with interruption.watching(), pytest.raises(ValueError, match="really"), interruption.allowed():
+    with interruption.handling(), pytest.raises(ValueError, match="really"), interruption.interruptible():
         raise ValueError("really")
 
 
@@ -97,7 +97,7 @@ def test_who_ignores_signals_for_good_in_another_s_watch_has_the_last_word() -> 
     before = [signal.getsignal(number) for number in SIGNALS]
     inner = Interruption()
     try:
-        with Interruption().watching(), inner.watching(last=True):
+        with Interruption().handling(), inner.handling(last=True):
             _send(signal.SIGINT)
         assert [signal.getsignal(number) for number in SIGNALS] == [signal.SIG_IGN] * 2
     finally:
@@ -111,7 +111,7 @@ def test_an_interruption_is_no_exception_that_others_catch() -> None:
 
 def test_handlers_are_put_back() -> None:
     before = [signal.getsignal(number) for number in SIGNALS]
-    with Interruption().watching():
+    with Interruption().handling():
         assert [signal.getsignal(number) for number in SIGNALS] != before
     assert [signal.getsignal(number) for number in SIGNALS] == before
 
@@ -120,7 +120,7 @@ def test_after_the_last_interruption_further_signals_are_ignored() -> None:
     before = [signal.getsignal(number) for number in SIGNALS]
     interruption = Interruption()
     try:
-        with interruption.watching(last=True):
+        with interruption.handling(last=True):
             _send(signal.SIGINT)
         for number in SIGNALS:
             _send(number)  # neither raises nor ends this process
@@ -134,7 +134,7 @@ def test_other_threads_leave_signals_alone() -> None:
 
     def look() -> None:
         before = signal.getsignal(signal.SIGINT)
-        with Interruption().watching():
+        with Interruption().handling():
             seen.append(signal.getsignal(signal.SIGINT) is before)
 
     thread = threading.Thread(target=look)

@@ -16,9 +16,9 @@ import pytest
 import zenoh
 
 from bus.spec import StallSpec
-from bus.transports.base import Alive, Received
+from bus.transports.base import LivelinessChange, Received
 from bus.transports.zenoh import ZenohEndpoint, open_client
-from bus.transports.zenoh.requests import ask
+from bus.transports.zenoh.requests import send_request
 from deploy.errors import InputError
 from deploy.scenes.files import load_scene
 from deploy.scenes.scene import Scene
@@ -170,10 +170,10 @@ def test_operators_ask_where_listeners_listen(motors: Scene) -> None:
         operator = open_client(access.locator)
         answers: list[bytes] = []
         asking = threading.Thread(
-            target=lambda: answers.append(ask(operator, "mdms/*/plant/operator", b"?", PATIENCE_S))
+            target=lambda: answers.append(send_request(operator, "mdms/*/plant/operator", b"?", PATIENCE_S))
         )
         asking.start()
-        while (question := questions.take()) is None:
+        while (question := questions.drain()) is None:
             time.sleep(0.002)
         question.answer(json.dumps("!").encode())
         asking.join()
@@ -201,7 +201,7 @@ def test_a_token_of_the_run_is_known_to_its_own(motors: Scene) -> None:
         hub.watch_alive("mdms/test/shard/*/alive")
         cells = open_client(access.join)
         cells.declare_alive("mdms/test/shard/0/alive")
-        assert hub.receive(PATIENCE_S) == Alive("mdms/test/shard/0/alive", True)
+        assert hub.receive(PATIENCE_S) == LivelinessChange("mdms/test/shard/0/alive", True)
         cells.close()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deploy.errors import InputError
-from deploy.workers.plan import Kind, check_listening, check_opened, host_of, near, socket_in
+from deploy.workers.plan import Kind, check_listening, check_opened, host_of, loopback_address, socket_in
 
 HERE = (
     "tcp/127.0.0.1:7447",
@@ -104,7 +104,7 @@ def test_certificates_and_tls_go_together() -> None:
 
 
 def test_who_listens_everywhere_is_reached_on_loopback() -> None:
-    assert near("tls/0.0.0.0:7447") == "tls/127.0.0.1:7447"
-    assert near("tcp/[::]:7447") == "tcp/[::1]:7447"
-    assert near("tcp/10.0.0.5:7447") == "tcp/10.0.0.5:7447"
+    assert loopback_address("tls/0.0.0.0:7447") == "tls/127.0.0.1:7447"
+    assert loopback_address("tcp/[::]:7447") == "tcp/[::1]:7447"
+    assert loopback_address("tcp/10.0.0.5:7447") == "tcp/10.0.0.5:7447"
     assert [host_of(endpoint) for endpoint in HERE[:3]] == ["127.0.0.1", "localhost", "::1"]

@@ -14,12 +14,12 @@ import pytest
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells
 from cell_firmware.program import NoParameters
 from cell_firmware.shard import Shard
-from deploy.workers.overrun import Overseer
+from deploy.workers.overrun import Watchdog
 
 LIMIT_S = 0.4
 
@@ -71,10 +71,10 @@ def _shard(program: type[CellFirmware]) -> Shard:
     lattice = Lattice((0, column) for column in range(4))
     position_m = np.stack((0.1 * lattice.columns, 0.1 * lattice.rows), axis=1)
     cells = Cells.of(lattice, position_m, 0.004096)
-    return Shard(Board(PerCell(program(NoParameters()))), cells, Partition.even(lattice, 1), 0)
+    return Shard(Board(PerCellAdapter(program(NoParameters()))), cells, Partition.even(lattice, 1), 0)
 
 
-def _step(shard: Shard, overseer: Overseer) -> tuple[FirmwareFailed, ...]:
+def _step(shard: Shard, overseer: Watchdog) -> tuple[FirmwareFailed, ...]:
     with overseer:
         return shard.step(0, np.zeros((4, 1), dtype=np.bool_)).failures
 
@@ -82,7 +82,7 @@ def _step(shard: Shard, overseer: Overseer) -> tuple[FirmwareFailed, ...]:
 @pytest.mark.parametrize("program", [Slow, Stubborn])
 def test_programs_that_loop_are_interrupted_named_and_the_others_stepped(program: type[CellFirmware]) -> None:
     busy: list[float] = []
-    with closing(Overseer(LIMIT_S, "a rule", lambda: busy.append(time.monotonic()))) as overseer:
+    with closing(Watchdog(LIMIT_S, "a rule", lambda: busy.append(time.monotonic()))) as overseer:
         failures = _step(_shard(program), overseer)
     assert [failure.cell for failure in failures] == [(0, 1), (0, 3)]
     for failure in failures:
@@ -100,7 +100,7 @@ def test_a_program_that_can_not_be_interrupted_is_given_up_by_name(until: thread
         told.append(what)
         until.set()
 
-    with closing(Overseer(LIMIT_S, "a rule", hopeless=hopeless)) as overseer:
+    with closing(Watchdog(LIMIT_S, "a rule", hopeless=hopeless)) as overseer:
         _step(_shard(Asleep), overseer)
         assert overseer.given_up
     ((cell, problem, trace),) = told
@@ -111,7 +111,7 @@ def test_a_program_that_can_not_be_interrupted_is_given_up_by_name(until: thread
 
 def test_steps_that_return_in_time_are_let_be_however_many_there_are() -> None:
     told: list[object] = []
-    with closing(Overseer(LIMIT_S, "a rule", lambda: told.append("busy"))) as overseer:
+    with closing(Watchdog(LIMIT_S, "a rule", lambda: told.append("busy"))) as overseer:
         for _ in range(10):
             with overseer:
                 time.sleep(LIMIT_S / 8)
@@ -119,7 +119,7 @@ def test_steps_that_return_in_time_are_let_be_however_many_there_are() -> None:
 
 
 def test_an_interruption_that_comes_too_late_hits_nothing() -> None:
-    with closing(Overseer(LIMIT_S, "a rule")) as overseer:
+    with closing(Watchdog(LIMIT_S, "a rule")) as overseer:
         shard = _shard(Slow)
         _step(shard, overseer)
         ended = time.monotonic() + LIMIT_S

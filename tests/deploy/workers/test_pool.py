@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from cell_firmware.errors import FirmwareFailed
-from deploy.workers.pool import Crew, WorkerError, describe_exit
+from deploy.workers.pool import WorkerError, WorkerPool, describe_exit
 
 
-def _until_started(crew: Crew, workers: int) -> None:
+def _until_started(crew: WorkerPool, workers: int) -> None:
     deadline = time.monotonic() + 20.0
     while len(crew.pids) + len(crew.ended) < workers:
         assert time.monotonic() < deadline
@@ -31,7 +31,7 @@ def _gone(pid: int) -> bool:
 
 
 def test_a_worker_ends_when_its_order_returns() -> None:
-    with Crew() as crew:
+    with WorkerPool() as crew:
         crew.start(time.sleep, ["only"])  # worker 0 sleeps 0 s
         assert crew.wait(20.0)
         assert crew.ended == {0: 0}
@@ -39,14 +39,14 @@ def test_a_worker_ends_when_its_order_returns() -> None:
 
 
 def test_every_worker_is_called_with_its_own_number() -> None:
-    with Crew() as crew:
+    with WorkerPool() as crew:
         crew.start(os._exit, ["zero", "one", "two"])
         assert crew.wait(20.0)
         assert crew.ended == {0: 0, 1: 1, 2: 2}
 
 
 def test_a_worker_that_raises_is_reported_with_one_line_and_its_traceback() -> None:
-    with Crew() as crew:
+    with WorkerPool() as crew:
         crew.start(partial(divmod, 1), ["cells 0"])
         assert crew.wait(20.0)
         (failure,) = crew.failures
@@ -61,7 +61,7 @@ def _fail_as_firmware(worker: int) -> None:
 
 
 def test_of_a_firmware_that_fails_the_line_is_said_once_and_its_own_traceback_shown() -> None:
-    with Crew() as crew:
+    with WorkerPool() as crew:
         crew.start(_fail_as_firmware, ["cells 0"])
         assert crew.wait(20.0)
         (failure,) = crew.failures
@@ -70,7 +70,7 @@ def test_of_a_firmware_that_fails_the_line_is_said_once_and_its_own_traceback_sh
 
 
 def test_a_worker_that_is_killed_is_reported_with_the_signal() -> None:
-    with Crew() as crew:
+    with WorkerPool() as crew:
         crew.start(_sleep_long, ["sleeper"])
         _until_started(crew, 1)
         os.kill(crew.pids[0], signal.SIGKILL)
@@ -81,7 +81,7 @@ def test_a_worker_that_is_killed_is_reported_with_the_signal() -> None:
 
 
 def test_closing_ends_workers_that_go_on_and_their_parent() -> None:
-    crew = Crew()
+    crew = WorkerPool()
     crew.start(_sleep_long, ["one", "two"])
     _until_started(crew, 2)
     pids = list(crew.pids.values())
@@ -92,7 +92,7 @@ def test_closing_ends_workers_that_go_on_and_their_parent() -> None:
 
 
 def test_a_stopped_worker_is_killed_in_the_end() -> None:
-    crew = Crew()
+    crew = WorkerPool()
     crew.start(_sleep_long, ["stopped"])
     _until_started(crew, 1)
     pid = crew.pids[0]
@@ -106,7 +106,7 @@ def test_a_stopped_worker_is_killed_in_the_end() -> None:
 
 
 def test_workers_show_their_names_and_share_a_parent() -> None:
-    with Crew() as crew:
+    with WorkerPool() as crew:
         crew.start(_tell_name_and_parent, ["cell 0,0", "cell 0,1"])
         assert crew.wait(20.0)
         told = sorted(failure.error.split("/") for failure in crew.failures)
@@ -118,7 +118,7 @@ def test_workers_show_their_names_and_share_a_parent() -> None:
 def test_the_workers_parent_has_neither_numba_nor_a_session(tmp_path: Path) -> None:
     from deploy.workers.groups import PRELOAD
 
-    with Crew(PRELOAD) as crew:
+    with WorkerPool(PRELOAD) as crew:
         crew.start(partial(_write_modules, str(tmp_path / "modules")), ["only"])
         assert crew.wait(20.0), crew.failures
     modules = set((tmp_path / "modules").read_text().split())

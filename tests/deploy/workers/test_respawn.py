@@ -9,7 +9,7 @@ import pytest
 from bus.lattice import Lattice
 from bus.lockstep.counters import Loss, Reason
 from bus.partition import Partition
-from deploy.workers.respawn import Respawn
+from deploy.workers.respawn import Respawner
 
 PARTITION = Partition.even(Lattice((0, column) for column in range(4)), 2)
 
@@ -23,7 +23,7 @@ class Processes:
         self.back: list[int] = []
         self.asked: list[int] = []
         self.warned: list[str] = []
-        self.respawn = Respawn(self, cast("Any", self), PARTITION, most, self.warned.append)
+        self.respawn = Respawner(self, cast("Any", self), PARTITION, most, self.warned.append)
 
     def restart(self, shard: int) -> None:
         self.restarted.append(shard)
@@ -37,7 +37,7 @@ class Processes:
         return self.back
 
     def lose(self, *cells: int, reason: Reason = "token lost") -> None:
-        self.respawn.lost([Loss(cell, 5, reason) for cell in cells])
+        self.respawn.on_lost([Loss(cell, 5, reason) for cell in cells])
 
 
 def test_a_process_is_started_once_however_many_of_its_cells_were_lost() -> None:
@@ -55,19 +55,19 @@ def test_a_program_that_failed_fails_again_and_is_not_started() -> None:
     processes = Processes(9)
     processes.lose(0, reason="failed")
     assert processes.restarted == []
-    assert processes.respawn.admitted(6) == processes.asked == []
+    assert processes.respawn.poll_rejoined(6) == processes.asked == []
 
 
 def test_who_took_part_again_and_is_lost_once_more_is_started_once_more() -> None:
     processes = Processes(9)
     processes.lose(0, 2)
     processes.back = [0, 1]
-    assert processes.respawn.admitted(7) == [0, 1]
+    assert processes.respawn.poll_rejoined(7) == [0, 1]
     processes.lose(3, 1)
     assert processes.restarted == [0, 1, 0]
     processes.back = [0, 1, 2, 3]
-    assert processes.respawn.admitted(8) == [0, 1, 2, 3]
-    assert processes.respawn.admitted(9) == []
+    assert processes.respawn.poll_rejoined(8) == [0, 1, 2, 3]
+    assert processes.respawn.poll_rejoined(9) == []
     assert processes.asked == [7, 8]
 
 
@@ -77,7 +77,7 @@ def test_a_process_that_ends_before_it_takes_part_is_started_as_often_as_is_allo
     processes.over = {1}
     processes.lose(2)
     for tick in range(6, 9):
-        assert processes.respawn.admitted(tick) == []
+        assert processes.respawn.poll_rejoined(tick) == []
     assert processes.restarted == [1] * most
     assert processes.warned[most:] == [
         f"the process of cell 0,2 is not started anew: {most} times were allowed"

@@ -5,31 +5,31 @@ from __future__ import annotations
 import numpy as np
 
 from bus.partition import Partition
-from cell_firmware.effects.clock.wrapper import Clocked
-from deploy.runs.setup import readings_of
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
+from deploy.runs.setup import sensor_schema
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
-from deploy.workers.worker import Order, controller_of, make_shard
+from deploy.workers.worker import WorkerConfig, build_shard, make_controller
 from plant.plant import Plant
 
 
-def _order(scene: Scene, shards: int) -> Order:
+def _order(scene: Scene, shards: int) -> WorkerConfig:
     plant = Plant(scene.plant_spec())
-    return Order(
+    return WorkerConfig(
         scene=scene,
         array=plant.array,
         partition=Partition.even(plant.array.lattice, shards),
         wire="packed",
         run="r",
         connect="",
-        readings=readings_of(scene, plant.sense()),
-        wanted=(),
+        sensors=sensor_schema(scene, plant.sense()),
+        register_requests=(),
         metered=False,
-        live=False,
-        joins=False,
+        byte_accurate_links=False,
+        joins_running=False,
         keys=(),
-        alone=False,
+        own_process=False,
     )
 
 
@@ -46,8 +46,8 @@ def test_a_shard_and_its_stages_have_the_clocks_of_their_own_cells() -> None:
     assert every is not None
     order = _order(scene, 3)
     for index in range(3):
-        shard, site = make_shard(order, index)
-        own = every.all.take(order.partition.cells(index))
+        shard, site = build_shard(order, index)
+        own = every.clocks.take(order.partition.cells(index))
         assert site.clocks is not None
         for name in ("ppb", "phase_ns"):
             np.testing.assert_array_equal(getattr(site.clocks, name), getattr(own, name))
@@ -58,7 +58,7 @@ def test_a_shard_and_its_stages_have_the_clocks_of_their_own_cells() -> None:
 
 
 def test_a_controller_has_the_scene_s_clocks_and_none_without() -> None:
-    assert isinstance(controller_of(_scene(CLOCK)), Clocked)
-    assert not isinstance(controller_of(_scene()), Clocked)
-    _, site = make_shard(_order(_scene(), 2), 0)
+    assert isinstance(make_controller(_scene(CLOCK)), LocalClockWrapper)
+    assert not isinstance(make_controller(_scene()), LocalClockWrapper)
+    _, site = build_shard(_order(_scene(), 2), 0)
     assert site.clocks is None

@@ -8,10 +8,10 @@ import pytest
 from plant import geometry
 from plant.analysis.constants import constants_of_motion
 from plant.analysis.crossings import crossings
-from plant.analysis.equilibrium import continuous_torque, linear_field, loaded_moments, resting_place
+from plant.analysis.equilibrium import continuous_torque, equilibrium_point, linear_field, loaded_moments
 from plant.analysis.orientations import Orientation, TorqueProfile
 from plant.analysis.static_supports import footprint
-from plant.analysis.torque_profile import Turntable
+from plant.analysis.torque_profile import TorqueProfiler
 from plant.errors import PlantError
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
@@ -41,7 +41,7 @@ def _positions(scene: PlantSpec) -> np.ndarray:
 
 def _profile(scene: PlantSpec, speed: np.ndarray | None = None, centre: np.ndarray = CENTRE) -> TorqueProfile:
     speed = _positions(scene) * FIELD if speed is None else speed
-    return Turntable(scene, speed).turn(scene.parcels[0], centre)
+    return TorqueProfiler(scene, speed).profile(scene.parcels[0], centre)
 
 
 def _degrees(found: tuple[Orientation, ...]) -> list[tuple[float, float]]:
@@ -95,7 +95,7 @@ def test_a_turn_on_the_spot_meets_the_same_176_angles() -> None:
     """On wheels that drive nothing: every change of the support set, merged by angle."""
     scene = _scene(LARGE, 0.05, angular_velocity_rad_s=1.0)
     plant = Plant(scene)
-    plant.lose(range(len(plant.array)), "coast")
+    plant.release_wheels(range(len(plant.array)), "coast")
     drives = np.zeros((len(plant.array), 2))
     _, events = plant.advance(drives, round(2.0 * np.pi * SECOND))
     angles = 0.05 + np.array([event.time_s for event in events])
@@ -318,7 +318,7 @@ def test_a_field_that_is_not_linear_and_a_load_that_would_pull_have_no_continuou
 def test_in_a_linear_field_the_centre_of_mass_comes_to_rest_where_the_field_stands_still() -> None:
     scene = spec(parcel())
     drives = (_positions(scene) - [0.13, -0.27]) * (-1.0, -2.0)
-    place = resting_place(scene, 0, drives)
+    place = equilibrium_point(scene, 0, drives)
     assert place == pytest.approx([0.13, -0.27], abs=1e-14)
     assert _profile(scene, drives, place).largest_force_n() == 0.0
 
@@ -326,13 +326,13 @@ def test_in_a_linear_field_the_centre_of_mass_comes_to_rest_where_the_field_stan
 def test_where_the_field_draws_along_one_axis_only_the_other_stays() -> None:
     scene = spec(parcel())
     drives = _positions(scene) * (-1.0, 0.0)
-    assert resting_place(scene, 0, drives) == pytest.approx([0.0, 0.5], abs=1e-14)
+    assert equilibrium_point(scene, 0, drives) == pytest.approx([0.0, 0.5], abs=1e-14)
 
 
 def test_in_any_other_field_it_is_where_no_force_is_left_on_the_supports_there() -> None:
     scene = spec(parcel())
     drives = 0.05 - _positions(scene) * (1.0 + 4.0 * _positions(scene) ** 2)
-    place = resting_place(scene, 0, drives)
+    place = equilibrium_point(scene, 0, drives)
     moved = spec(parcel(position_m=tuple(place.tolist())))
     motion = constants_of_motion(moved, 0, drives)
     assert motion.equilibrium_inside
@@ -344,7 +344,7 @@ def test_in_any_other_field_it_is_where_no_force_is_left_on_the_supports_there()
 def test_a_field_that_drives_away_or_past_has_no_resting_place(rates: tuple[float, float]) -> None:
     scene = spec(parcel())
     with pytest.raises(PlantError, match=r"parcels\[0\]: from its start no point is found"):
-        resting_place(scene, 0, _positions(scene) * rates + 0.1)
+        equilibrium_point(scene, 0, _positions(scene) * rates + 0.1)
 
 
 # --- where parcels do come to rest ------------------------------------------------------------------
@@ -394,7 +394,9 @@ def test_parcels_come_to_rest_at_a_stable_orientation_or_where_nothing_turns_the
         plant.advance(drives, 60 * SECOND)
         assert plant.status[0].state == "at_rest"
         found = (
-            Turntable(scene, drives).turn(scene.parcels[0], resting_place(scene, 0, drives)).orientations()
+            TorqueProfiler(scene, drives)
+            .profile(scene.parcels[0], equilibrium_point(scene, 0, drives))
+            .orientations()
         )
         rests = [one.away_from(plant.state[0, 2]) for one in found if one.stable or one.is_interval]
         assert min(rests) < 1e-6
@@ -416,6 +418,6 @@ def test_polygons_on_arrays_with_holes_come_to_rest_at_attracting_angles() -> No
         plant.advance(drives, 90 * SECOND)
         if plant.status[0].state == "at_rest":
             rested += 1
-            stable = Turntable(scene, drives).turn(body, resting_place(scene, 0, drives)).stable()
+            stable = TorqueProfiler(scene, drives).profile(body, equilibrium_point(scene, 0, drives)).stable()
             assert min(one.away_from(plant.state[0, 2]) for one in stable) < 1e-9
     assert rested > 40

@@ -11,7 +11,7 @@ from plant.effects.roller_impacts import starts
 from plant.kernels.common import layout
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
-from plant.solver_api import Leg
+from plant.solver_api import Segment
 from plant.solvers.implicit import Implicit
 from plant.specs import PlantSpec
 from plant.wheels import WheelMotion
@@ -143,7 +143,7 @@ def test_a_parcel_at_the_wheels_speed_is_never_struck() -> None:
 
 def test_wheels_that_coast_strike_nothing() -> None:
     plant = bumpy(1e-3, 1e-3, parcel(velocity_m_s=(0.1, 0.0)))
-    plant.lose(range(len(plant.array.positions_m)), "coast")
+    plant.release_wheels(range(len(plant.array.positions_m)), "coast")
     plant.advance(uniform(plant, (0.0, 0.0)), SECOND)
     assert plant.state[0, 3:].tolist() == [0.1, 0.0, 0.0]
 
@@ -201,7 +201,7 @@ def test_a_parcel_taken_back_to_where_it_was_meets_the_same_rollers_again() -> N
     kept, ends = solver.keep(one), list[bytes]()
     for _ in range(2):
         solver.restore(kept)
-        solver.advance(one, Leg.through(motion, np.ones(len(elliptic(plant))), 1.0, 1))
+        solver.advance(one, Segment.through(motion, np.ones(len(elliptic(plant))), 1.0, 1))
         ends.append(solver.state.tobytes())
     assert ends[0] == ends[1]
 

@@ -12,7 +12,7 @@ from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.motors import MotorsSpec
 from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.effects.registry import PlantEffects
-from plant.faults.base import Harm
+from plant.faults.base import WheelFaults
 from plant.friction.coulomb_sliding import CoulombSliding
 from plant.observations import Event
 from plant.plant import Plant
@@ -53,9 +53,9 @@ def solver(request: pytest.FixtureRequest) -> dict[str, object]:
 
 def pull(plant: Plant, cells: Sequence[tuple[int, int]], drives: Floats | None = None) -> None:
     """These cells, and no others, are not in the array from now on."""
-    harm = Harm.none(len(plant.array))
+    harm = WheelFaults.healthy(len(plant.array))
     harm.gone[cells_of(plant, cells)] = True
-    plant.suffer(harm, np.zeros((len(plant.array), 2)) if drives is None else drives)
+    plant.apply_faults(harm, np.zeros((len(plant.array), 2)) if drives is None else drives)
 
 
 def named(events: Sequence[Event]) -> list[tuple[float, str, tuple[tuple[int, int], ...]]]:
@@ -160,14 +160,14 @@ def test_a_pulled_cell_senses_nothing_whatever_it_has_for_sensors() -> None:
     before = plant.sense()
     assert before.presence[under].all()
     pull(plant, cells)
-    for sense in (plant.told, plant.sense()):
+    for sense in (plant.last_readings, plant.sense()):
         assert not sense.presence[under].any()
         assert sense.level is not None
         assert np.all(sense.level[under] == 0.0)
         others = np.delete(np.arange(400), under)
         assert np.array_equal(sense.presence[others], before.presence[others])
     pull(plant, [])
-    assert np.array_equal(plant.told.presence, before.presence)
+    assert np.array_equal(plant.last_readings.presence, before.presence)
 
 
 def test_cells_that_read_at_instants_of_their_own_are_told_nothing_while_they_are_gone() -> None:

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bus.fault import Injected
-from bus.lattice import NEVER
+from bus.fault import FaultInstance
+from bus.lattice import NO_TICK_LIMIT
 from plant.effects.motors import MotorsSpec
 from plant.effects.registry import PlantEffects
-from plant.faults.base import Harm, PlantFault
+from plant.faults.base import PlantFault, WheelFaults
 from plant.faults.kinds.wheel_reversed import WheelReversedFault
 from plant.faults.kinds.wheel_runaway import WheelRunawayFault
 from plant.faults.kinds.wheel_stuck import WheelStuckFault
 from plant.faults.kinds.wheel_weak import WheelWeakFault
-from plant.faults.schedule import ActiveFaults
+from plant.faults.schedule import FaultSchedule
 
 CELL: dict[str, Any] = {"cell": (0, 0)}
 IDEAL, DRIVEN = PlantEffects(), PlantEffects.model_validate({"motors": {}})
@@ -33,8 +33,8 @@ def runaway(speed_m_s: float | None = None) -> WheelRunawayFault:
     ("wheel", "struck"), [("x", [True, False]), ("y", [False, True]), ("both", [True, True])]
 )
 def test_a_fault_strikes_the_wheel_that_it_names(wheel: Any, struck: list[bool]) -> None:
-    harm = Harm.none(2)
-    WheelStuckFault(kind="wheel_stuck", cell=(0, 0), wheel=wheel).harm(np.array([1]), harm)
+    harm = WheelFaults.healthy(2)
+    WheelStuckFault(kind="wheel_stuck", cell=(0, 0), wheel=wheel).apply(np.array([1]), harm)
     assert harm.stuck.tolist() == [[False, False], struck]
 
 
@@ -52,7 +52,7 @@ def test_a_fault_strikes_the_wheel_that_it_names(wheel: Any, struck: list[bool])
 def test_a_fault_is_at_odds_with_effects_in_which_it_can_not_be(
     fault: PlantFault, effects: PlantEffects, told: list[str]
 ) -> None:
-    rules = [rule for _, _, rule in fault.at_odds(effects)]
+    rules = [rule for _, _, rule in fault.setting_problems(effects)]
     assert len(rules) == len(told)
     assert all(rule.startswith(word) for rule, word in zip(rules, told, strict=True))
 
@@ -73,31 +73,31 @@ def test_without_motors_a_wheel_runs_away_at_what_the_supply_gives_without_load(
 
 
 def test_the_scene_s_last_fault_says_where_a_wheel_runs() -> None:
-    harm = Harm.none(1)
+    harm = WheelFaults.healthy(1)
     for fault in (runaway(1.0), runaway(2.0).model_copy(update={"way": "negative"})):
-        fault.harm(np.array([0]), harm)
+        fault.apply(np.array([0]), harm)
     assert harm.runs_m_s.tolist() == [[-2.0, -2.0]]
 
 
 def test_something_changes_when_a_fault_begins_or_ends_and_at_no_other_tick() -> None:
     reversed_ = WheelReversedFault(kind="wheel_reversed", cell=(0, 0))
-    active = ActiveFaults(
-        2, [Injected(0, STUCK, np.array([0]), 3, 7), Injected(1, reversed_, np.array([1]), 0, 8)]
+    active = FaultSchedule(
+        2, [FaultInstance(0, STUCK, np.array([0]), 3, 7), FaultInstance(1, reversed_, np.array([1]), 0, 8)]
     )
-    assert (active.turns, active.next_turn) == ([0, 3, 7, 8], 0)
-    assert active.turn(0).factor.tolist() == [[1.0, 1.0], [-1.0, -1.0]]
-    live = Injected(2, STUCK, np.array([1]), 2, NEVER, live=True)
+    assert (active.transitions, active.next_transition) == ([0, 3, 7, 8], 0)
+    assert active.at_transition(0).factor.tolist() == [[1.0, 1.0], [-1.0, -1.0]]
+    live = FaultInstance(2, STUCK, np.array([1]), 2, NO_TICK_LIMIT, injected_at_runtime=True)
     active.add(live)
     active.plan(2)
-    assert (active.turns, active.next_turn) == ([2, 3, 7, 8], 2)
-    assert active.turn(2).stuck.tolist() == [[False, False], [True, True]]
-    assert active.turn(3).stuck.all()
-    live.end = 5
+    assert (active.transitions, active.next_transition) == ([2, 3, 7, 8], 2)
+    assert active.at_transition(2).stuck.tolist() == [[False, False], [True, True]]
+    assert active.at_transition(3).stuck.all()
+    live.end_tick = 5
     active.plan(5)
-    assert active.next_turn == 5
-    assert active.turn(5).stuck.tolist() == [[True, True], [False, False]]
-    assert not active.turn(7).stuck.any()
-    assert active.next_turn == 8
-    assert (active.turn(8).factor == 1.0).all()
-    assert (active.turns, active.next_turn) == ([], NEVER)
-    assert active.harm(6).stuck.tolist() == [[True, True], [False, False]]
+    assert active.next_transition == 5
+    assert active.at_transition(5).stuck.tolist() == [[True, True], [False, False]]
+    assert not active.at_transition(7).stuck.any()
+    assert active.next_transition == 8
+    assert (active.at_transition(8).factor == 1.0).all()
+    assert (active.transitions, active.next_transition) == ([], NO_TICK_LIMIT)
+    assert active.state_at(6).stuck.tolist() == [[True, True], [False, False]]

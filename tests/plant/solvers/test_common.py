@@ -36,7 +36,7 @@ def test_motors_and_coasting_cells_are_those_of_the_exact_solver(name: str) -> N
     motors = MotorsSpec(time_constant_s=0.05)
     ends: list[Floats] = []
     for plant in (Plant(spec(BODY, motors=motors)), solved(SOLVERS[name], BODY, motors=motors)):
-        plant.lose(cells_of(plant, [(9, 9), (10, 11)]), "coast")
+        plant.release_wheels(cells_of(plant, [(9, 9), (10, 11)]), "coast")
         volts = 10.0 * elliptic(plant)
         for tick in range(1, 101):
             plant.advance(volts if tick < 50 else -volts, tick * TICK_NS)
@@ -104,7 +104,7 @@ def test_a_blow_up_ends_the_run_and_says_where_and_when(name: str) -> None:
     plant = solved(SOLVERS[name])
     wheels = elliptic(plant)
     plant.advance(wheels, SECOND // 4)
-    wheels[plant._solver.under(0)[3]] = np.nan
+    wheels[plant._solver.covered_cells(0)[3]] = np.nan
     with pytest.raises(
         PlantUnstable, match=r"parcel 0 at t = 0\.25 s, x = \S+ m, y = \S+ m: the motion is no longer finite"
     ):

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from plant.effects.motors import MotorsSpec
 from plant.friction.registry import FrictionSpec
 from plant.plant import Plant
-from plant.solvers.restarting import RestartedSolver
+from plant.solvers.restarting import RestartingSolver
 from tests.plant.laws import COULOMB, ROLLING, SLIDING, VISCOUS
 from tests.plant.scenes import SECOND, TICK_NS, Floats, elliptic, parcel, solved
 from tests.plant.test_laws import ALL, SMALL, drive
@@ -34,7 +34,7 @@ def potential(plant: Plant, law: FrictionSpec, wheels: Floats, velocity: Floats)
     traction, body = law.traction(), plant.state[0]
     at_rest = parcel(position_m=tuple(body[:2]), angle_rad=float(body[2]))
     solver = solved({"name": "scipy"}, at_rest)._solver
-    assert isinstance(solver, RestartedSolver)
+    assert isinstance(solver, RestartingSolver)
     (one,) = solver._parcels
     assert one.supports is not None
     away = body[:2] - one.supports.centroid_m
@@ -92,7 +92,7 @@ def test_where_all_wheels_are_dead_the_parcel_goes_on_as_it_went(name: str) -> N
     plant = quasi(body, law=ALL[name])
     plant.advance(drive(plant, 0.2, 0.1), TICK_NS)
     before = plant.state[0]
-    plant.lose(range(400), "coast")
+    plant.release_wheels(range(400), "coast")
     plant.advance(drive(plant, -0.5), 101 * TICK_NS)
     assert plant.state[0, 3:] == pytest.approx(before[3:], abs=1e-15)
     assert plant.state[0, :2] == pytest.approx(before[:2] + 100 * TICK_NS * 1e-9 * before[3:5], abs=1e-12)
@@ -103,9 +103,9 @@ def test_one_driven_cell_gives_the_parcel_its_speed_and_turns_it_no_more_than_it
     """All other wheels turn freely: the underside follows the one cell, the rest is least change from rest."""
     body = parcel(position_m=(0.02, 0.01), angle_rad=0.2)
     plant = quasi(body)
-    under = plant._solver.under(0)
+    under = plant._solver.covered_cells(0)
     cell = int(under[np.argmax(plant.array.positions_m[under, 0])])
-    plant.lose([i for i in range(400) if i != cell], "coast")
+    plant.release_wheels([i for i in range(400) if i != cell], "coast")
     plant.advance(drive(plant, 0.0, 0.2), 1)
     vx, vy, turning = plant.state[0, 3:]
     lever = plant.array.positions_m[cell] - plant.state[0, :2]
@@ -186,8 +186,8 @@ def test_motors_are_followed() -> None:
 def test_cells_that_turn_freely_carry_and_pull_nothing() -> None:
     body = parcel(position_m=(0.05, 0.03), angle_rad=0.4)
     plant = quasi(body)
-    dead = [int(cell) for cell in plant._solver.under(0)[::2]]
-    plant.lose(dead, "coast")
+    dead = [int(cell) for cell in plant._solver.covered_cells(0)[::2]]
+    plant.release_wheels(dead, "coast")
     wheels = elliptic(plant)
     wheels[dead] = 1e3
     plant.advance(wheels, 1)

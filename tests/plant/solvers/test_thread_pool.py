@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from plant.solvers.thread_pool import Crew
+from plant.solvers.thread_pool import ThreadPool
 
 ROOT = Path(__file__).resolve().parents[3]
 PATIENCE_S = 20.0
@@ -25,20 +25,20 @@ def _helpers() -> set[threading.Thread]:
 @pytest.mark.parametrize("threads", [1, 2, 3, 7])
 @pytest.mark.parametrize("count", [0, 1, 9, 100, 101])
 def test_all_is_done_once_and_told_in_order(threads: int, count: int) -> None:
-    shares = Crew(threads).share(count, lambda _, share: list(range(count))[share], 5)
+    shares = ThreadPool(threads).map_ranges(count, lambda _, share: list(range(count))[share], 5)
     assert [k for share in shares for k in share] == list(range(count))
     assert all(len(share) >= min(5, count) for share in shares)
 
 
 def test_what_is_worth_no_waking_is_done_by_the_caller_alone() -> None:
-    crew, before = Crew(4), _helpers()
-    shares = crew.share(15, lambda thread, _: (thread, threading.get_ident()), 8)
+    crew, before = ThreadPool(4), _helpers()
+    shares = crew.map_ranges(15, lambda thread, _: (thread, threading.get_ident()), 8)
     assert shares == [(0, threading.get_ident())]
     assert _helpers() <= before
 
 
 def test_threads_work_at_the_same_time_and_each_under_its_own_number() -> None:
-    crew = Crew(3)
+    crew = ThreadPool(3)
     meeting = threading.Barrier(3)
 
     def meet(thread: int, _: slice) -> tuple[int, int]:
@@ -46,14 +46,14 @@ def test_threads_work_at_the_same_time_and_each_under_its_own_number() -> None:
         meeting.wait(PATIENCE_S)
         return thread, threading.get_ident()
 
-    met = crew.share(12, meet, 1)
+    met = crew.map_ranges(12, meet, 1)
     assert {thread for thread, _ in met} == {0, 1, 2}
     assert len(set(met)) == 3
 
 
 def test_helpers_end_with_their_crew() -> None:
-    crew, before = Crew(2), _helpers()
-    crew.share(4, lambda *_: None, 1)
+    crew, before = ThreadPool(2), _helpers()
+    crew.map_ranges(4, lambda *_: None, 1)
     (helper,) = _helpers() - before
     del crew
     gc.collect()
@@ -71,7 +71,7 @@ def test_what_a_helper_raises_reaches_the_caller() -> None:
         begun.wait(PATIENCE_S)
 
     with pytest.raises(ValueError, match="what went wrong"):
-        Crew(2).share(8, fail, 1)
+        ThreadPool(2).map_ranges(8, fail, 1)
 
 
 def test_an_interrupted_caller_leaves_nobody_at_work_and_nothing_begun_behind() -> None:
@@ -88,7 +88,7 @@ def test_an_interrupted_caller_leaves_nobody_at_work_and_nothing_begun_behind() 
         ended.append(share.start)
 
     with pytest.raises(KeyboardInterrupt):
-        Crew(2).share(8, work, 1)
+        ThreadPool(2).map_ranges(8, work, 1)
     assert len(ended) == 1
 
 

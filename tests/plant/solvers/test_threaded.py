@@ -13,7 +13,7 @@ from plant.kernels.common.parcels import LOG_CAPACITY
 from plant.observations import Event
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
-from plant.solver_api import Leg
+from plant.solver_api import Segment
 from plant.solvers import compiled as threaded
 from plant.specs import PlantSpec
 from tests.plant.scenes import SECOND, TICK_NS, Floats, parcel, spec
@@ -150,7 +150,7 @@ def test_a_solver_tells_of_none_but_those_to_whom_something_happened(solver: str
     def move(speeds: Floats, which: NDArray[np.int64], span_s: float) -> list[int]:
         before = inner.state.copy()
         motion = plant._wheels.command(speeds, span_s).motion
-        news = inner.advance(which, Leg.through(motion, np.ones(n), span_s, len(everyone)))
+        news = inner.advance(which, Segment.through(motion, np.ones(n), span_s, len(everyone)))
         unmoved = np.setdiff1d(everyone, which)
         assert np.array_equal(inner.state[unmoved], before[unmoved])
         return [done.parcel for done in news]

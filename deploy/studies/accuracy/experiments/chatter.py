@@ -25,7 +25,13 @@ from deploy.studies.accuracy.experiments.markdown import (
     prose,
     table,
 )
-from deploy.studies.accuracy.experiments.runs import Run, apart_m, changes_at, run, scene_with
+from deploy.studies.accuracy.experiments.runs import (
+    ExperimentTrace,
+    changes_at,
+    max_displacement_m,
+    run,
+    scene_with,
+)
 from plant.array import CellArray
 
 if TYPE_CHECKING:
@@ -63,7 +69,7 @@ _LEAST_M = 1e-15
 
 @final
 @dataclass(frozen=True, slots=True)
-class Row:
+class ChatterRow:
     """A size of parcel at one ``capture_m``.
 
     Attributes:
@@ -93,12 +99,12 @@ class Row:
     course_m: Floats
 
 
-def measure(repeats: int) -> list[Row]:
+def measure(repeats: int) -> list[ChatterRow]:
     """Every size and capture."""
     return [row for size in SIZES_M for row in _size(size, repeats)]
 
 
-def _size(size_m: tuple[float, float], repeats: int) -> list[Row]:
+def _size(size_m: tuple[float, float], repeats: int) -> list[ChatterRow]:
     scene = _scene(size_m, SECONDS)
     runs = {
         capture: run(scene, _solver(capture), sample_s=_SAMPLE_S, repeats=repeats)
@@ -138,14 +144,20 @@ def resting_angle(cell_m: Floats, size_m: tuple[float, float], near_rad: float) 
     return near_rad + min(away, key=abs)
 
 
-def _row(size_m: tuple[float, float], capture_m: float, one: Run, located: Run, rest_rad: float) -> Row:
+def _row(
+    size_m: tuple[float, float],
+    capture_m: float,
+    one: ExperimentTrace,
+    located: ExperimentTrace,
+    rest_rad: float,
+) -> ChatterRow:
     end = float(one.state[-1, 2])
-    apart = apart_m(one, located)
+    apart = max_displacement_m(one, located)
     off = None
     if capture_m != LOCATED_M:
         settled = run(_scene(size_m, AT_REST_S), _solver(capture_m), sample_s=AT_REST_S)
         off = abs(float(settled.state[-1, 2]) - rest_rad)
-    return Row(
+    return ChatterRow(
         size_m=size_m,
         capture_m=capture_m,
         changes=one.changes,
@@ -164,7 +176,7 @@ def section(repeats: int) -> Section:
     return describe(measure(repeats), repeats)
 
 
-def describe(rows: Sequence[Row], repeats: int) -> Section:
+def describe(rows: Sequence[ChatterRow], repeats: int) -> Section:
     """What was measured, in words."""
     first = [row for row in rows if row.size_m == SIZES_M[0]]
     located, captured = first[-1], next(row for row in first if row.capture_m == 1e-6)
@@ -188,7 +200,7 @@ def describe(rows: Sequence[Row], repeats: int) -> Section:
     )
 
 
-def _line(row: Row) -> tuple[str, ...]:
+def _line(row: ChatterRow) -> tuple[str, ...]:
     none = row.capture_m == LOCATED_M
     return (
         f"{row.size_m[0]:.2f} × {row.size_m[1]:.2f}",
@@ -201,7 +213,7 @@ def _line(row: Row) -> tuple[str, ...]:
     )
 
 
-def draw(rows: Sequence[Row]) -> Figure:
+def draw(rows: Sequence[ChatterRow]) -> Figure:
     """Changes so far, and what captured runs are off, against time; what is left of a coarser capture lies behind."""
     length, width = rows[0].size_m
     figure, (left, right) = panels(

@@ -44,7 +44,7 @@ _NAMES = {1.0: "1", 0.5: "½", 0.25: "¼", 0.125: "⅛"}
 
 @final
 @dataclass(frozen=True, slots=True)
-class Row:
+class ContinuumRow:
     """The array at one pitch.
 
     Attributes:
@@ -81,12 +81,12 @@ def sets(pitch_m: float) -> tuple[str, ...]:
     )
 
 
-def measure() -> list[Row]:
+def measure() -> list[ContinuumRow]:
     """Every pitch."""
     return [_row(pitch) for pitch in PITCHES_M]
 
 
-def _row(pitch_m: float) -> Row:
+def _row(pitch_m: float) -> ContinuumRow:
     asked = study(scene_with("elliptic", *sets(pitch_m)), 0, (0.0, 0.0))
     profile = asked.profile()
     angles = np.arange(0.0, TURN, _EVERY_RAD)
@@ -94,7 +94,7 @@ def _row(pitch_m: float) -> Row:
     assert smooth is not None
     peak = float(smooth[-1])
     sampled = profile.torque_at(angles) - smooth[:-1]
-    return Row(
+    return ContinuumRow(
         pitch_m=pitch_m,
         under=int(profile.supports[-1]),
         steps=len(profile.angles_rad),
@@ -122,7 +122,7 @@ def section(repeats: int) -> Section:
     return describe(measure())
 
 
-def describe(rows: Sequence[Row]) -> Section:
+def describe(rows: Sequence[ContinuumRow]) -> Section:
     """What was measured, in words."""
     orders = [f"{math.log2(one.rms / two.rms):.2f}" for one, two in pairwise(rows)]
     settings = " ".join(f"--set '{one}'" for one in sets(PITCHES_M[0]))
@@ -142,7 +142,7 @@ def describe(rows: Sequence[Row]) -> Section:
     )
 
 
-def _line(row: Row) -> tuple[str, ...]:
+def _line(row: ContinuumRow) -> tuple[str, ...]:
     return (
         _NAMES[row.pitch_m],
         f"{row.under:,}",
@@ -153,7 +153,7 @@ def _line(row: Row) -> tuple[str, ...]:
     )
 
 
-def draw(rows: Sequence[Row]) -> Figure:
+def draw(rows: Sequence[ContinuumRow]) -> Figure:
     """Two of the staircases over half a turn, and the error against pitch."""
     figure, (left, right) = panels(
         "The torque of cells tends to that of a surface",

@@ -26,8 +26,8 @@ from deploy.studies.accuracy.experiments.markdown import (
     prose,
     table,
 )
-from deploy.studies.accuracy.experiments.runs import Run, apart_m, run, scene_with
-from plant.analysis.static_supports import Footing
+from deploy.studies.accuracy.experiments.runs import ExperimentTrace, max_displacement_m, run, scene_with
+from plant.analysis.static_supports import StaticSupports
 from plant.array import CellArray
 from plant.friction.viscous import viscous_of
 from plant.geometry import edges
@@ -60,7 +60,7 @@ class Steps:
     ends: dict[float, Floats]
 
 
-def steps_past(cell: tuple[int, int], since_s: float, until_s: float) -> Steps:
+def steps_through(cell: tuple[int, int], since_s: float, until_s: float) -> Steps:
     """Integrate the scene ``elliptic`` on the supports that it has at one time.
 
     Args:
@@ -92,14 +92,14 @@ def steps_past(cell: tuple[int, int], since_s: float, until_s: float) -> Steps:
     return Steps(course, ends)
 
 
-def _rate(scene: Scene, last: Run) -> Callable[[float, Floats], Floats]:
+def _rate(scene: Scene, last: ExperimentTrace) -> Callable[[float, Floats], Floats]:
     """Eqs. 2, 14 and 15 on the cells that carry the parcel where the run ends."""
     spec = scene.plant_spec()
     array = CellArray(spec.array)
     x, y, angle = last.state[-1, :3].tolist()
     parcel = spec.parcels[0].model_copy(update={"position_m": (x, y), "angle_rad": angle})
-    footing = Footing(array, parcel)
-    cells = footing.carrying()
+    footing = StaticSupports(array, parcel)
+    cells = footing.supports()
     places, speeds = array.positions_m[cells], field_speeds(scene, array.positions_m)[cells]
     centroid = places.mean(axis=0)
     share = share_matrix(places - centroid)
@@ -116,7 +116,7 @@ def _rate(scene: Scene, last: Run) -> Callable[[float, Floats], Floats]:
     return rate
 
 
-def _depth(scene: Scene, last: Run, cell: tuple[int, int]) -> Callable[[Floats], Floats]:
+def _depth(scene: Scene, last: ExperimentTrace, cell: tuple[int, int]) -> Callable[[Floats], Floats]:
     """How deep the cell lies inside the footprint in states ``(6, k)``, m; negative outside."""
     array = CellArray(scene.array)
     place = array.positions_m[array.lattice.index(cell)]
@@ -262,7 +262,7 @@ _ROUNDING_S = 1e-9
 
 @final
 @dataclass(frozen=True, slots=True)
-class Row:
+class GrazeRow:
     """One solver at one tolerance.
 
     Attributes:
@@ -300,7 +300,7 @@ class Graze:
     agreement_m: float
     enters_s: float
     leaves_s: float
-    rows: Sequence[Row]
+    rows: Sequence[GrazeRow]
     steps: Steps
 
 
@@ -311,15 +311,15 @@ def measure(repeats: int) -> Graze:
     known, name = exact, "`exact` at 1e-14, for heyoka is not installed"
     if find_spec("heyoka") is not None:
         known, name = run(scene, {"name": "heyoka", "tolerance": 1e-16}), "heyoka at 1e-16"
-    enters, leaves = stay(exact)
+    enters, leaves = dwell_interval(exact)
     rows = [
         _row(solver, tolerance, run(scene, settings(solver, tolerance), repeats=repeats), known, enters)
         for solver, tolerances in SETTINGS.items()
         for tolerance in tolerances
     ]
     since = max(event.time_s for event in exact.events if event.time_s < enters)
-    steps = steps_past(CELL, since, leaves + 0.017)
-    return Graze(name, float(apart_m(exact, known).max()), enters, leaves, rows, steps)
+    steps = steps_through(CELL, since, leaves + 0.017)
+    return Graze(name, float(max_displacement_m(exact, known).max()), enters, leaves, rows, steps)
 
 
 def settings(solver: str, tolerance: float) -> dict[str, Any]:
@@ -329,17 +329,19 @@ def settings(solver: str, tolerance: float) -> dict[str, Any]:
     return {"name": "scipy", "method": solver, "tolerance": tolerance}
 
 
-def stay(one: Run) -> tuple[float, float]:
+def dwell_interval(one: ExperimentTrace) -> tuple[float, float]:
     """When the cell is found to come under the parcel and when to leave; NaN where it isn't."""
     found = [event for event in one.events if CELL in event.cells and _AFTER_S < event.time_s < 1.0]
     times = {event.kind: event.time_s for event in reversed(found)}
     return times.get("support_gained", np.nan), times.get("support_lost", np.nan)
 
 
-def _row(solver: str, tolerance: float, one: Run, known: Run, enters_s: float) -> Row:
-    apart, found = apart_m(one, known), stay(one)[0]
+def _row(
+    solver: str, tolerance: float, one: ExperimentTrace, known: ExperimentTrace, enters_s: float
+) -> GrazeRow:
+    apart, found = max_displacement_m(one, known), dwell_interval(one)[0]
     late = None if np.isnan(found) else found - enters_s
-    return Row(solver, tolerance, late, float(apart[-1]), float(apart.max()), one.spent_s)
+    return GrazeRow(solver, tolerance, late, float(apart[-1]), float(apart.max()), one.spent_s)
 
 
 def section(repeats: int) -> Section:
@@ -372,7 +374,7 @@ def describe(found: Graze, repeats: int) -> Section:
     return Section(_TITLE, text, {FILE: partial(write_picture, partial(draw_graze, found.steps, found.rows))})
 
 
-def _line(row: Row) -> tuple[str, ...]:
+def _line(row: GrazeRow) -> tuple[str, ...]:
     name = "`exact`" if row.solver == "exact" else f"`scipy`, {row.solver}"
     if row.late_s is None:
         late = "never"

@@ -14,11 +14,11 @@ import numpy as np
 
 from deploy.plots.map_view import INK, colour, draw_map
 from deploy.plots.theme import DPI, draw_heading, write_picture
-from deploy.recordings.trace import Track
+from deploy.recordings.trace import RunTrace
 from deploy.runs.field_simulation import field_speeds
 from deploy.studies.accuracy.closed_form import closed_form
 from deploy.studies.accuracy.experiments.markdown import GRID, Section, error, picture, power, prose, table
-from deploy.studies.accuracy.experiments.runs import Run, run, scene_with
+from deploy.studies.accuracy.experiments.runs import ExperimentTrace, run, scene_with
 from deploy.studies.orientations.study import study
 from plant.analysis.equilibrium import linear_field
 from plant.array import CellArray
@@ -77,7 +77,7 @@ _WIDTH, _HEIGHT, _MAP = 11.4, 5.35, 3.85
 
 
 def draw_scene(
-    track: Track, closed_m: Sequence[Floats | None], stable: Sequence[Orientation], subtitle: str
+    track: RunTrace, closed_m: Sequence[Floats | None], stable: Sequence[Orientation], subtitle: str
 ) -> Figure:
     """Draw one simulation.
 
@@ -113,7 +113,7 @@ def draw_scene(
     return figure
 
 
-def _draw_way(axes: Axes, track: Track, closed_m: Sequence[Floats | None]) -> None:
+def _draw_way(axes: Axes, track: RunTrace, closed_m: Sequence[Floats | None]) -> None:
     axes.axhline(0.0, color="#8b95a1", lw=0.8)
     for axis, name in enumerate("xy"):
         axes.plot(track.time_s, track.parcels[:, 0, axis], color=colour(axis), lw=1.7, label=name)
@@ -125,7 +125,7 @@ def _draw_way(axes: Axes, track: Track, closed_m: Sequence[Floats | None]) -> No
     axes.legend(frameon=False, fontsize=8, loc="upper right")
 
 
-def _draw_turn(axes: Axes, track: Track, stable: Sequence[Orientation]) -> None:
+def _draw_turn(axes: Axes, track: RunTrace, stable: Sequence[Orientation]) -> None:
     angle = np.degrees(track.parcels[:, 0, 2])
     axes.plot(track.time_s, angle, color=colour(2), lw=1.7)
     low, high = float(angle.min()), float(angle.max())
@@ -194,7 +194,7 @@ class Swing:
 
 @final
 @dataclass(frozen=True, slots=True)
-class Simulation:
+class PaperRun:
     """One scene, run.
 
     Attributes:
@@ -208,7 +208,7 @@ class Simulation:
     """
 
     scene: Scene
-    track: Track
+    track: RunTrace
     swings: Sequence[Swing]
     settled: tuple[float, float, float]
     rests_at: Orientation | None
@@ -222,12 +222,12 @@ class Simulation:
         return angle - _QUARTER * round(angle / _QUARTER)
 
 
-def measure() -> list[Simulation]:
+def measure() -> list[PaperRun]:
     """All three scenes."""
     return [_simulation(name) for name in FIGURES]
 
 
-def _simulation(name: str) -> Simulation:
+def _simulation(name: str) -> PaperRun:
     scene = scene_with(name)
     solver = {"name": "exact", "tolerance": TOLERANCE}
     course = run(scene, solver, sample_s=_SAMPLE_S)
@@ -235,12 +235,12 @@ def _simulation(name: str) -> Simulation:
     x, y, angle = settled.state[-1, :3].tolist()
     stable = study(scene, 0, (x, y)).profile().stable()
     rests = next((one for one in stable if one.away_from(angle) < 1e-9), None)
-    return Simulation(
+    return PaperRun(
         scene, _track(scene, course), _swings(scene, course), (x, y, angle), rests, stable, course.changes
     )
 
 
-def _swings(scene: Scene, course: Run) -> list[Swing]:
+def _swings(scene: Scene, course: ExperimentTrace) -> list[Swing]:
     positions = CellArray(scene.array).positions_m
     speeds = field_speeds(scene, positions)
     field, known = (
@@ -260,9 +260,9 @@ def _swings(scene: Scene, course: Run) -> list[Swing]:
     return swings
 
 
-def _track(scene: Scene, course: Run) -> Track:
+def _track(scene: Scene, course: ExperimentTrace) -> RunTrace:
     array = CellArray(scene.array)
-    return Track(
+    return RunTrace(
         title=scene.title,
         scene=scene.name,
         pitch_m=array.pitch_m,
@@ -282,7 +282,7 @@ def section(repeats: int) -> Section:
     return describe(measure())
 
 
-def describe(simulations: Sequence[Simulation]) -> Section:
+def describe(simulations: Sequence[PaperRun]) -> Section:
     """What was measured, in words."""
     by_name = {one.scene.name: one for one in simulations}
     x, y = by_name["elliptic"].swings
@@ -305,13 +305,13 @@ def describe(simulations: Sequence[Simulation]) -> Section:
     return Section("The paper's three simulations", text, drawn)
 
 
-def _draw(one: Simulation) -> Figure:
+def _draw(one: PaperRun) -> Figure:
     number, name = FIGURES[one.scene.name], one.scene.name
     facts = f"{name}  ·  after the paper's Fig. {number}, with values of ours  ·  {one.changes} changes of supports"
     return draw_scene(one.track, [swing.closed_m for swing in one.swings], one.stable, facts)
 
 
-def _swing(one: Simulation, swing: Swing) -> tuple[str, ...]:
+def _swing(one: PaperRun, swing: Swing) -> tuple[str, ...]:
     seen = "none" if swing.overshoot is None else f"{100.0 * swing.overshoot:.4f} %"
     at = "–" if swing.overshoot is None else f"{swing.overshoot_s:.3f}"
     own = swing.oscillator
@@ -329,7 +329,7 @@ def _swing(one: Simulation, swing: Swing) -> tuple[str, ...]:
     )
 
 
-def _rest(one: Simulation) -> tuple[str, ...]:
+def _rest(one: PaperRun) -> tuple[str, ...]:
     rests = one.rests_at
     if rests is None:
         where = "none"

@@ -30,7 +30,7 @@ SECOND = 1_000_000_000
 
 @final
 @dataclass(frozen=True, slots=True)
-class Run:
+class ExperimentTrace:
     """The course of a scene's first parcel.
 
     Attributes:
@@ -55,7 +55,9 @@ def scene_with(name: str, *sets: str) -> Scene:
     return load_scene(name, [Override.parse(text) for text in sets])
 
 
-def run(scene: Scene, solver: Mapping[str, Any], *, sample_s: float | None = None, repeats: int = 1) -> Run:
+def run(
+    scene: Scene, solver: Mapping[str, Any], *, sample_s: float | None = None, repeats: int = 1
+) -> ExperimentTrace:
     """Simulate a scene from its start to its end.
 
     Args:
@@ -73,7 +75,7 @@ def run(scene: Scene, solver: Mapping[str, Any], *, sample_s: float | None = Non
         spent.append(seconds)
     assert found is not None
     plant, course = found
-    return Run(
+    return ExperimentTrace(
         course.time_ns * 1e-9,
         course.state[:, 0],
         plant.footprints_m[0],
@@ -116,6 +118,6 @@ def _once(scene: Scene, spec: PlantSpec, until_ns: int, sample_ns: int) -> Any:
     return (plant, course), spent
 
 
-def apart_m(one: Run, other: Run) -> Floats:
+def max_displacement_m(one: ExperimentTrace, other: ExperimentTrace) -> Floats:
     """``(T,)`` the largest displacement of any corner between two runs that were looked at at the same times."""
     return displacement_m(one.state[:, None], other.state[:, None], [one.footprint_m])

@@ -18,8 +18,8 @@ from deploy.studies.accuracy.experiments.markdown import (
 )
 from deploy.studies.accuracy.experiments.runs import scene_with
 from deploy.studies.accuracy.plots import draw_sampling, draw_tolerance, draw_work_precision
-from deploy.studies.accuracy.report import Report, Row
-from deploy.studies.accuracy.study import Plan, study
+from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow
+from deploy.studies.accuracy.study import StudyPlan, study
 
 TARGETS_M = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 TIMING_S = 0.3
@@ -29,13 +29,13 @@ TIMING_S = 0.3
 def section(scene: str, repeats: int, *, sampling: bool) -> Section:
     """The section of the page on one bundled scene; ``sampling``: with the whole system, too."""
     return describe(
-        study(scene_with(scene), Plan(repeats=repeats, timing_s=TIMING_S, sampling=sampling)), repeats
+        study(scene_with(scene), StudyPlan(repeats=repeats, timing_s=TIMING_S, sampling=sampling)), repeats
     )
 
 
-def describe(report: Report, repeats: int) -> Section:
+def describe(report: AccuracyReport, repeats: int) -> Section:
     """What the study found, in words."""
-    drawn: dict[str, tuple[Callable[[Report, Path], None], str]] = {
+    drawn: dict[str, tuple[Callable[[AccuracyReport, Path], None], str]] = {
         f"{report.scene}_cost.png": (
             draw_work_precision,
             "error against wall time, a line a solver, both logarithmic",
@@ -67,7 +67,7 @@ def describe(report: Report, repeats: int) -> Section:
     return Section(f"What accuracy costs: `{report.scene}`", text, pictures)
 
 
-def _reached(report: Report) -> str:
+def _reached(report: AccuracyReport) -> str:
     """A line a solver, a column a target."""
     lines: list[list[str]] = []
     for line in report.lines:
@@ -77,7 +77,7 @@ def _reached(report: Report) -> str:
     return table(["solver", *(f"{power(target)} m" for target in TARGETS_M)], lines)
 
 
-def _coarsest(rows: list[Row], target_m: float) -> str:
+def _coarsest(rows: list[AccuracyRow], target_m: float) -> str:
     """The first, which is the coarsest, that reaches a target."""
     for row in rows:
         if row.error_max is not None and row.error_max <= target_m:
@@ -85,7 +85,7 @@ def _coarsest(rows: list[Row], target_m: float) -> str:
     return "–"
 
 
-def _worst(report: Report) -> str:
+def _worst(report: AccuracyReport) -> str:
     """How much more than asked the error of a solver is at most that has a tolerance."""
     found: list[str] = []
     for line in report.lines:
@@ -99,7 +99,7 @@ def _worst(report: Report) -> str:
     return f"Error over tolerance, at most: {'; '.join(found)}." if found else ""
 
 
-def _remarks(report: Report) -> list[str]:
+def _remarks(report: AccuracyReport) -> list[str]:
     """What the table can't show, each once: what solvers leave out, who is left out, whose events come otherwise."""
     rows = report.rows
     found = [f"{row.line} {row.note}." for row in rows if row.note and row.status == "ok"]
@@ -119,6 +119,6 @@ def _remarks(report: Report) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _named(row: Row) -> str:
+def _named(row: AccuracyRow) -> str:
     """A setting; what no setting of a solver is tried for, that solver."""
     return row.solver if row.value is None or row.status == "omitted" else f"{row.line} {power(row.value)}"

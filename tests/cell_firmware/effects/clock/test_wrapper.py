@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from bus.lattice import OPPOSITE, Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.clocks import ArrayClocks, Clocks
-from cell_firmware.controller import Instant
+from cell_firmware.clocks import ArrayClocks, CellClocks
+from cell_firmware.controller import StepTime
 from cell_firmware.effects.clock.mailbox import Mailbox
-from cell_firmware.effects.clock.wrapper import Clocked
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
@@ -60,10 +60,10 @@ class Counting(Firmware):
 
 def clocks_of(lattice: Lattice, ppb: list[int], phase_ns: list[int], exchanges: int = 1) -> ArrayClocks:
     window_ns = PERIOD_NS * (10**9 + min(ppb)) // 10**9 // exchanges
-    return ArrayClocks(lattice, Clocks(PERIOD_NS, window_ns, np.array(ppb), np.array(phase_ns)))
+    return ArrayClocks(lattice, CellClocks(PERIOD_NS, window_ns, np.array(ppb), np.array(phase_ns)))
 
 
-def instants(clocks: Clocks, cell: int, until_ns: int) -> list[int]:
+def instants(clocks: CellClocks, cell: int, until_ns: int) -> list[int]:
     """By definition."""
     factor = PERIOD_NS * (1 + Fraction(int(clocks.ppb[cell]), 10**9))
     found: list[int] = []
@@ -100,7 +100,9 @@ def test_every_cell_steps_as_often_as_its_clock_ticks(
     drives = run(Counting(), Partition.even(lattice, 2), 700, clocks=clocks).drives
     for cell in range(6):
         for ticks in (1, 2, 100, 699):
-            assert drives[ticks, cell, 0] == len(instants(clocks.all, cell, ticks * clocks.all.window_ns))
+            assert drives[ticks, cell, 0] == len(
+                instants(clocks.clocks, cell, ticks * clocks.clocks.window_ns)
+            )
 
 
 def expected(clocks: ArrayClocks, until_ns: int, delay_ns: int) -> tuple[Heard, int]:
@@ -109,7 +111,7 @@ def expected(clocks: ArrayClocks, until_ns: int, delay_ns: int) -> tuple[Heard, 
     At one instant messages are there before cells read.
     """
     lattice, found = clocks.lattice, {}
-    at = [instants(clocks.all, cell, until_ns) for cell in range(len(lattice))]
+    at = [instants(clocks.clocks, cell, until_ns) for cell in range(len(lattice))]
     boxes: dict[tuple[int, int], int] = {}
     replaced = 0
     happens: list[tuple[int, int, int, int]] = []
@@ -147,7 +149,7 @@ def test_a_message_is_read_once_a_window_after_it_was_sent_unless_a_newer_one_is
     effects = CellEffects(link_delay=LinkDelaySpec(ticks=delay))
     firmware = Counting()
     counted = run(firmware, Partition.even(lattice, 1), ticks, clocks=clocks, effects=effects).counted
-    window_ns = clocks.all.window_ns
+    window_ns = clocks.clocks.window_ns
     heard, replaced = expected(clocks, (ticks - 1) * window_ns, (1 + delay) * window_ns)
     assert firmware.heard == heard
     assert counted["clock.overwritten"] == replaced
@@ -209,9 +211,9 @@ def test_failures_are_told_by_row_and_tick(grid: Callable[..., Lattice], everyth
             raise ValueError("no")
 
     lattice, bits = grid(1, 3), np.zeros((3, 1), dtype=np.bool_)
-    controller = Clocked(Board(Failing()), clocks_of(lattice, [0] * 3, [PERIOD_NS // 2, 0, 0], 2))
+    controller = LocalClockWrapper(Board(Failing()), clocks_of(lattice, [0] * 3, [PERIOD_NS // 2, 0, 0], 2))
     state = controller.init(everything(lattice))
-    _, outputs = controller.step(Instant(1, np.array(0)), state, Inputs(bits))
+    _, outputs = controller.step(StepTime(1, np.array(0)), state, Inputs(bits))
     assert {i: (failure.cell, failure.tick) for i, failure in outputs.failures.items()} == {
         1: ((0, 1), 1),
         2: ((0, 2), 1),
@@ -221,7 +223,9 @@ def test_failures_are_told_by_row_and_tick(grid: Callable[..., Lattice], everyth
 def test_registers_tell_what_the_clocks_do(grid: Callable[..., Lattice], everything: Callable[..., Cells]):
     lattice = grid(1, 2)
     clocks = clocks_of(lattice, [0, 7], [0, 5])
-    controller = Clocked(Board(Counting(), None, Mailbox(Counting.message, clocks.all.window_ns)), clocks)
+    controller = LocalClockWrapper(
+        Board(Counting(), None, Mailbox(Counting.message, clocks.clocks.window_ns)), clocks
+    )
     registers = controller.registers(controller.init(everything(lattice)))
     assert registers["clock.ppb"].tolist() == [0, 7]
     assert registers["clock.count"].tolist() == [0, 0]

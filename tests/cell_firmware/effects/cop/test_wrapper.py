@@ -15,14 +15,14 @@ from pydantic import ValidationError
 
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCell
-from cell_firmware.clocks import ArrayClocks, Clocks
-from cell_firmware.components import WheelPart
-from cell_firmware.controller import Controller, Instant
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
+from cell_firmware.clocks import ArrayClocks, CellClocks
+from cell_firmware.components import WheelDriver
+from cell_firmware.controller import Controller, StepTime
 from cell_firmware.effects.clock.mailbox import Mailbox
-from cell_firmware.effects.clock.wrapper import Clocked
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.cop.spec import TIMEOUTS_S, CopSpec
-from cell_firmware.effects.cop.wrapper import Watchdog
+from cell_firmware.effects.cop.wrapper import WatchdogWrapper
 from cell_firmware.effects.serial.lines import SerialLines
 from cell_firmware.effects.serial.timing import LineSettings
 from cell_firmware.errors import FirmwareFailed
@@ -75,8 +75,10 @@ class Patient(Counting):
     silent: ClassVar[dict[int, int]] = {2: 10}
 
 
-def watchdog(firmware: Firmware, timeout_s: float, reboot_s: float = 0.0, **board: Any) -> Watchdog:
-    return Watchdog(Board(firmware, **board), CopSpec(timeout_s=timeout_s, reboot_s=reboot_s), PERIOD_NS)
+def watchdog(firmware: Firmware, timeout_s: float, reboot_s: float = 0.0, **board: Any) -> WatchdogWrapper:
+    return WatchdogWrapper(
+        Board(firmware, **board), CopSpec(timeout_s=timeout_s, reboot_s=reboot_s), PERIOD_NS
+    )
 
 
 def drives(controller: Controller, partition: Partition, cells: Cells, ticks: int) -> NDArray[np.float64]:
@@ -179,12 +181,12 @@ def test_a_cell_alone_gets_the_same_bytes_as_among_many(
     draw = np.random.default_rng(1)
     for tick in range(90):
         inbox = Inbox(draw.random((4, 4)) < 0.5, np.zeros((4, 4), dtype=Counting.message))
-        inputs, now = Inputs(np.zeros((4, 1), dtype=np.bool_), None, inbox), Instant(tick, np.array(0))
+        inputs, now = Inputs(np.zeros((4, 1), dtype=np.bool_), None, inbox), StepTime(tick, np.array(0))
         state, out = together.step(now, state, inputs)
         assert out.outbox is not None
         for i in range(4):
             mine = np.array([i])
-            states[i], single = alone[i].step(now, states[i], inputs.take(mine))
+            states[i], single = alone[i].step(now, states[i], inputs.select(mine))
             assert single.drive.tobytes() == out.drive[mine].tobytes()
             sent = np.zeros(4, bool) if single.outbox is None else single.outbox.sent[0]
             assert sent.tolist() == out.outbox.sent[i].tolist()
@@ -194,13 +196,13 @@ def test_a_cell_alone_gets_the_same_bytes_as_among_many(
                         assert array.tobytes() == state.parts[part][name][mine].tobytes(), (part, name, tick)
 
 
-class Odometer(WheelPart):
+class Odometer(WheelDriver):
     """Volts are the speed; remembers its steps, and through a reset how often it was reset."""
 
     def init(self, cells: Cells) -> State:
         return {"steps": np.zeros(len(cells)), "resets": np.zeros(len(cells))}
 
-    def after_reset(self, cells: Cells, state: State) -> State:
+    def reset(self, cells: Cells, state: State) -> State:
         return {**self.init(cells), "resets": state["resets"] + 1.0}
 
     def step(self, state: State, reference_m_s: Any, encoder_m: Any) -> tuple[State, Any]:
@@ -217,12 +219,12 @@ def test_a_reset_loses_what_power_on_makes_anew_and_keeps_what_a_part_says(
     inbox = Inbox(np.zeros((3, 4), dtype=np.bool_), np.zeros((3, 4), dtype=Counting.message))
     for tick in range(38):
         inputs = Inputs(np.zeros((3, 1), dtype=np.bool_), np.zeros((3, 2)), inbox)
-        state, _ = board.step(Instant(tick, np.array(0)), state, inputs)
+        state, _ = board.step(StepTime(tick, np.array(0)), state, inputs)
     assert firmware.begun == [[0, 1, 2], [1]]
     assert state.parts["speed_loop"]["resets"].tolist() == [0.0, 1.0, 0.0]
     assert state.parts["speed_loop"]["steps"].tolist() == [38.0, 2.0, 38.0]
     assert state.parts["firmware"]["steps"].tolist() == [38, 2, 38]
-    assert board.counted(state) == {"cop.hangs": 1, "cop.resets": 1}
+    assert board.counters(state) == {"cop.hangs": 1, "cop.resets": 1}
     shown = board.registers(state)
     assert shown["cop.resets"].tolist() == [0, 1, 0]
     assert shown["cop.hung"].tolist() == [False] * 3
@@ -237,10 +239,10 @@ def test_a_speed_loop_begins_anew_without_a_jump(everything: Any, grid: Any) -> 
     inbox = Inbox(np.zeros((3, 4), dtype=np.bool_), np.zeros((3, 4), dtype=Counting.message))
     for tick in range(36):
         inputs = Inputs(np.zeros((3, 1), dtype=np.bool_), np.full((3, 2), 0.01 * tick), inbox)
-        state, _ = board.step(Instant(tick, np.array(0)), state, inputs)
+        state, _ = board.step(StepTime(tick, np.array(0)), state, inputs)
     inputs = Inputs(np.zeros((3, 1), dtype=np.bool_), np.full((3, 2), 7.0), inbox)
-    _, after = board.step(Instant(36, np.array(0)), state, inputs)
-    _, first = plain.step(Instant(0, np.array(0)), fresh, inputs)
+    _, after = board.step(StepTime(36, np.array(0)), state, inputs)
+    _, first = plain.step(StepTime(0, np.array(0)), fresh, inputs)
     assert after.drive[1].tobytes() == first.drive[1].tobytes()
     assert after.drive[0].tobytes() != first.drive[0].tobytes()
 
@@ -256,10 +258,10 @@ def test_a_switch_between_four_lines_turns_whether_the_program_runs_or_not(
     for tick in range(70):
         shard.step(tick, np.zeros((4, 1), dtype=np.bool_))
         assert set(shard._state.parts["serial"]["periods"].tolist()) == {tick + 1}
-        unheard.append(shard.counted()["serial.unheard"])
+        unheard.append(shard.counters()["serial.unheard"])
     # hung from instant 30, up from 41: neighbours face each other as before, and hear all
     assert unheard[47] == unheard[69]
-    assert shard.counted()["cop.resets"] == 1
+    assert shard.counters()["cop.resets"] == 1
     received = shard.registers()[1]["serial.received"]
     assert (received[2] > 0).sum() == 2
 
@@ -267,7 +269,7 @@ def test_a_switch_between_four_lines_turns_whether_the_program_runs_or_not(
 def test_what_mailboxes_counted_outlives_a_reset(everything: Any, grid: Any) -> None:
     cells, lines = everything(grid(1, 2)), Mailbox(Counting.message, PERIOD_NS)
     state = {**lines.init(cells), "overwritten": np.full((2, 4), 3), "waits": np.ones((2, 4), dtype=np.bool_)}
-    after = lines.after_reset(cells, state)
+    after = lines.reset(cells, state)
     assert (after["overwritten"] == 3).all()
     assert not after["waits"].any()
 
@@ -277,9 +279,9 @@ def test_in_its_own_time_a_cell_is_reset_alike_however_far_its_crystal_is_off(
 ) -> None:
     partition, cells = row
     ppb = np.array([0, 50_000_000, -50_000_000, 0])
-    clocks = Clocks(PERIOD_NS, PERIOD_NS * 95 // 100, ppb, np.array([0, 3_000_000, 10, 0]))
+    clocks = CellClocks(PERIOD_NS, PERIOD_NS * 95 // 100, ppb, np.array([0, 3_000_000, 10, 0]))
     lines = Mailbox(Counting.message, clocks.window_ns)
-    clocked = Clocked(
+    clocked = LocalClockWrapper(
         watchdog(Counting(), TIMEOUTS_S[0], 0.02, links=lines), ArrayClocks(partition.lattice, clocks)
     )
     shard = Shard(clocked, cells, partition, 0)
@@ -310,9 +312,9 @@ def test_hangs_are_told_when_they_begin_and_no_cell_is_lost(row: tuple[Partition
     # reset at instant 36, and 30 steps later it hangs again
     assert told == {tick: [((0, 1), tick, "RuntimeError: stuck")] for tick in (30, 66)}
     assert len(shard.alive) == 4
-    assert shard.counted() == {"cop.hangs": 2, "cop.resets": 1}
+    assert shard.counters() == {"cop.hangs": 2, "cop.resets": 1}
     shard.retire([(0, 1)])
-    assert shard.counted() == {"cop.hangs": 2, "cop.resets": 1}
+    assert shard.counters() == {"cop.hangs": 2, "cop.resets": 1}
 
 
 @settings(max_examples=40, deadline=None)
@@ -327,12 +329,12 @@ def test_resets_are_those_of_a_counter_that_ticks_with_the_divider(
     """Against the chip's own way: a counter that a service clears, and that the divider's boundaries advance."""
     cells = everything(grid(1, 1))
     reboot_s = float(reboot_periods * 4_096_000 // 1000 * Fraction(1, 1_000_000))
-    board = watchdog(PerCell(_Script(serves)), timeout, reboot_s)
+    board = watchdog(PerCellAdapter(_Script(serves)), timeout, reboot_s)
     state, resets = board.init(cells), []
     inputs = Inputs(np.zeros((1, 1), dtype=np.bool_))
     for tick in range(80):
         before = int(state.parts["cop"]["resets"][0])
-        state, _ = board.step(Instant(tick, np.array(0)), state, inputs)
+        state, _ = board.step(StepTime(tick, np.array(0)), state, inputs)
         if state.parts["cop"]["resets"][0] > before:
             resets.append(tick)
     assert resets == _by_counter(serves, round(timeout / 0.016384), round(reboot_s * 1e9))
@@ -384,7 +386,7 @@ def test_what_firmware_says_of_its_service_must_be_a_bit_a_cell(everything: Any,
 
     board = Board(Odd(Odd.Parameters()))
     _, out = board.step(
-        Instant(0, np.array(0)), board.init(everything(grid(1, 1))), Inputs(np.zeros((1, 1), dtype=np.bool_))
+        StepTime(0, np.array(0)), board.init(everything(grid(1, 1))), Inputs(np.zeros((1, 1), dtype=np.bool_))
     )
     assert "served must be None or bool of shape (1,), not int64 of shape (1,)" in out.failures[0].problem
 
@@ -420,15 +422,15 @@ def test_memory_that_a_program_sets_aside_survives_a_watchdogs_reset(
     row: tuple[Partition, Cells], monkeypatch: pytest.MonkeyPatch, keeps: bool
 ) -> None:
     monkeypatch.setattr(Survivor, "keeps", keeps)
-    found = drives(watchdog(PerCell(Survivor(NoParameters())), TIMEOUTS_S[0]), *row, 40)[:, :, 0]
+    found = drives(watchdog(PerCellAdapter(Survivor(NoParameters())), TIMEOUTS_S[0]), *row, 40)[:, :, 0]
     assert sorted(set(found.ravel().tolist())) == ([1.0, 2.0, 3.0, 4.0, 5.0] if keeps else [1.0])
 
 
 def test_memory_does_not_survive_a_loss_of_power(row: tuple[Partition, Cells]) -> None:
-    controller = watchdog(PerCell(Survivor(NoParameters())), TIMEOUTS_S[0])
+    controller = watchdog(PerCellAdapter(Survivor(NoParameters())), TIMEOUTS_S[0])
     state = controller.init(row[1])
-    kept = controller.controller.after_reset(controller.inner(state), warm=True)
-    lost = controller.controller.after_reset(kept)
+    kept = controller.controller.reset(controller.unwrap_state(state), warm=True)
+    lost = controller.controller.reset(kept)
     assert [one.parts["firmware"]["cell"][0] for one in (kept, lost)] == [(2, 0), (1, 0)]
 
 
@@ -438,4 +440,4 @@ def test_a_program_that_does_not_start_after_a_reset_is_named(row: tuple[Partiti
             return state if cell.column != 2 else (1 // 0, 0)
 
     with pytest.raises(FirmwareFailed, match=r"cell 0,2 failed.*warm_start: ZeroDivisionError"):
-        drives(watchdog(PerCell(Lost(NoParameters())), TIMEOUTS_S[0]), *row, 12)
+        drives(watchdog(PerCellAdapter(Lost(NoParameters())), TIMEOUTS_S[0]), *row, 12)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
-from cell_firmware.controller import Instant
+from cell_firmware.controller import StepTime
 from cell_firmware.effects.serial.bursts import BurstType
 from cell_firmware.effects.serial.lines import SerialLines
 from cell_firmware.effects.serial.timing import LineSettings
@@ -67,7 +67,7 @@ class Heard:
             place += len(data)
         received = np.zeros((2, 4), dtype=np.bool_)
         received[1, WEST] = place > 0
-        now = Instant(tick + self._exchange, np.array([at_ns, at_ns]))
+        now = StepTime(tick + self._exchange, np.array([at_ns, at_ns]))
         self.state, inbox = self.part.receive(now, self.state, Inbox(received, lines.view(self._type.wire)))
         self.messages.append(inbox.message[1, WEST].item() if inbox.received[1, WEST] else None)
 
@@ -132,7 +132,7 @@ class Pair:
 
     def step(self, say: Any = None, *, lose: bool = False, back: Any = None) -> None:
         """A period: cell 0,0 says ``say`` to the east, cell 0,1 ``back`` to the west; their bytes may get lost."""
-        now = Instant(self.tick, np.array(self.tick * self._period_ns))
+        now = StepTime(self.tick, np.array(self.tick * self._period_ns))
         self.state, inbox = self.part.receive(now, self.state, self._lines)
         if inbox.received[1, WEST]:
             self.heard.append((self.tick, inbox.message[1, WEST].item()))

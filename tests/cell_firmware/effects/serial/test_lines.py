@@ -145,7 +145,7 @@ def test_both_directions_of_a_link_are_lines_of_their_own() -> None:
     assert pair.counted("received", 0, 1) == pair.counted("received")
     for name in ("overruns", "framing", "damaged", "unheard"):
         assert not pair.state[name].any()
-    assert pair.part.counted(pair.state)["sent"] == pair.state["sent"].sum() == 4 * 6
+    assert pair.part.counters(pair.state)["sent"] == pair.state["sent"].sum() == 4 * 6
     assert pair.part.registers(pair.state)["sent"].tolist() == [[0, 12, 0, 0], [0, 0, 0, 12]]
 
 
@@ -154,7 +154,7 @@ def test_a_reset_forgets_what_is_under_way_and_the_observer_s_counts_stay() -> N
     for k in range(3):
         pair.step((float(k), 0.0))
     before = pair.state
-    pair.state = pair.part.after_reset(two_cells(), before)
+    pair.state = pair.part.reset(two_cells(), before)
     assert pair.state["sent"].tolist() == before["sent"].tolist()
     assert pair.state["sent"].any()
     assert not pair.state["waits"].any()

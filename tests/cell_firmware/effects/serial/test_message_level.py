@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.clocks import ArrayClocks, Clocks
-from cell_firmware.components import LinkPart
-from cell_firmware.effects.clock.wrapper import Clocked
+from cell_firmware.clocks import ArrayClocks, CellClocks
+from cell_firmware.components import LinkDriver
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.cop.spec import CopSpec
-from cell_firmware.effects.cop.wrapper import Watchdog
+from cell_firmware.effects.cop.wrapper import WatchdogWrapper
 from cell_firmware.effects.serial.lines import SerialLines
-from cell_firmware.effects.serial.message_level import WholeMessages, undisturbed
+from cell_firmware.effects.serial.message_level import MessageLevelLines, is_exact_for
 from cell_firmware.effects.serial.timing import LineSettings, bit_ns
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
@@ -91,20 +91,24 @@ class Scenario:
         return PERIOD_NS if self.ppb is None else PERIOD_NS * 99 // 100 // self.exchanges
 
     def heard(
-        self, kind: type[SerialLines] | type[WholeMessages], ticks: int
+        self, kind: type[SerialLines] | type[MessageLevelLines], ticks: int
     ) -> list[dict[str, NDArray[Any]]]:
         """Registers of all cells, tick by tick."""
         firmware, errors, clocks = Chatty(self.length, self.often, self.hangs), None, None
         if self.ppb is not None:
-            own = Clocks(PERIOD_NS, self.window_ns, np.array(self.ppb), np.array(self.phase_ns))
+            own = CellClocks(PERIOD_NS, self.window_ns, np.array(self.ppb), np.array(self.phase_ns))
             clocks = ArrayClocks(LATTICE, own)
             errors = clocks.ppb
-        links: LinkPart = kind(self.lines, firmware.words, None if clocks is None else self.window_ns, errors)
+        links: LinkDriver = kind(
+            self.lines, firmware.words, None if clocks is None else self.window_ns, errors
+        )
         controller: Any = Board(firmware, None, links)
         if self.reboot_s is not None:
-            controller = Watchdog(controller, CopSpec(timeout_s=0.016384, reboot_s=self.reboot_s), PERIOD_NS)
+            controller = WatchdogWrapper(
+                controller, CopSpec(timeout_s=0.016384, reboot_s=self.reboot_s), PERIOD_NS
+            )
         if clocks is not None:
-            controller = Clocked(controller, clocks)
+            controller = LocalClockWrapper(controller, clocks)
         shard = Shard(controller, CELLS, Partition.even(LATTICE, 1), 0)
         told: list[dict[str, NDArray[Any]]] = []
         for tick in range(ticks):
@@ -147,8 +151,8 @@ LONG = Scenario(
 def test_programs_hear_what_they_would_hear_of_bytes_when_they_would(scenario: Scenario, ticks: int) -> None:
     if scenario.reboot_s is None:
         scenario.hangs = (99, 0)
-    assume(undisturbed(scenario.lines, scenario.window_ns, 9_000_000))
-    by_bytes, whole = (scenario.heard(kind, ticks) for kind in (SerialLines, WholeMessages))
+    assume(is_exact_for(scenario.lines, scenario.window_ns, 9_000_000))
+    by_bytes, whole = (scenario.heard(kind, ticks) for kind in (SerialLines, MessageLevelLines))
     for tick, (one, other) in enumerate(zip(by_bytes, whole, strict=True)):
         for name in ("firmware.came", "firmware.word", "serial.replaced"):
             np.testing.assert_array_equal(one[name], other[name], err_msg=f"{name} in tick {tick}")
@@ -156,7 +160,7 @@ def test_programs_hear_what_they_would_hear_of_bytes_when_they_would(scenario: S
 
 def test_counters_tell_of_whole_messages() -> None:
     scenario = Scenario(9615, 9, 3, 1, None, [], (0, 999), (99, 0), None)
-    by_bytes, whole = (scenario.heard(kind, 200)[-1] for kind in (SerialLines, WholeMessages))
+    by_bytes, whole = (scenario.heard(kind, 200)[-1] for kind in (SerialLines, MessageLevelLines))
     for name in ("serial.sent", "serial.received"):
         short = by_bytes[name] - whole[name]
         assert (whole[name] % 10 == 0).all()
@@ -181,5 +185,5 @@ def test_lines_on_which_something_may_happen_to_a_byte_are_none_of_these(
     changes: dict[str, Any], window_ns: int, worst_ppb: int
 ) -> None:
     usual = {"bit_ns": bit_ns(9615), "period_ns": PERIOD_NS}
-    assert undisturbed(LineSettings(**usual), PERIOD_NS, 25_000_000)
-    assert not undisturbed(LineSettings(**{**usual, **changes}), window_ns, worst_ppb)
+    assert is_exact_for(LineSettings(**usual), PERIOD_NS, 25_000_000)
+    assert not is_exact_for(LineSettings(**{**usual, **changes}), window_ns, worst_ppb)

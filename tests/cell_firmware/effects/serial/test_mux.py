@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bus.lattice import OPPOSITE, Lattice
-from cell_firmware.effects.serial.mux import Scan
+from cell_firmware.effects.serial.mux import LineMultiplexer
 from cell_firmware.effects.serial.timing import LineSettings
 from cell_firmware.firmware import Cells
 from tests.cell_firmware.effects.serial.line import BIT_NS, EAST, ONE_BYTE, PERIOD_NS, Heard, Pair
@@ -19,11 +19,11 @@ def test_neighbours_whose_counts_agree_face_each_other_and_every_side_has_its_dw
     grid: Callable[..., Lattice], everything: Callable[..., Cells]
 ) -> None:
     lattice, dwell = grid(3, 4), 3
-    cells, scan = everything(lattice), Scan(dwell)
+    cells, scan = everything(lattice), LineMultiplexer(dwell)
     state = scan.init(cells)
     turns = np.zeros((len(lattice), 4), dtype=int)
     for period in range(4 * dwell):
-        state, left = scan.turn(np.array([period * PERIOD_NS]), state)
+        state, left = scan.advance(np.array([period * PERIOD_NS]), state)
         assert ((left > 0).sum(axis=1) == 1).all()
         assert (left.max(axis=1) == dwell - period % dwell).all()
         faces = left > 0

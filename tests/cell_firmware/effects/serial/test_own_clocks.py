@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell_firmware.controller import Instant
+from cell_firmware.controller import StepTime
 from cell_firmware.effects.serial.bursts import BurstType
 from cell_firmware.effects.serial.framing import check_of
 from cell_firmware.effects.serial.lines import SerialLines
@@ -53,7 +53,7 @@ class OwnClocks:
         lines = Inbox(np.zeros((2, 4), dtype=np.bool_), np.zeros((2, 4), dtype=self.part.line))
         for tick in range(ticks):  # the window; its exchange is the next
             at = [self._instant(cell, tick) for cell in (0, 1)]
-            self.state, inbox = self.part.receive(Instant(tick + 1, np.array(at)), self.state, lines)
+            self.state, inbox = self.part.receive(StepTime(tick + 1, np.array(at)), self.state, lines)
             if inbox.received[1, WEST]:
                 self.heard.append((at[1], int(inbox.message["a"][1, WEST])))
             lines = Inbox(np.zeros((2, 4), dtype=np.bool_), np.zeros((2, 4), dtype=self.part.line))
@@ -76,7 +76,7 @@ class OwnClocks:
         outbox.message["a"] = [[len(self.steps[row])] * 4 for row in rows]
         outbox.sent[:] = True
         taken = {name: array[rows] for name, array in self.state.items()}
-        after, out = self.part.send(Instant(tick + 1, at[rows]), taken, outbox)
+        after, out = self.part.send(StepTime(tick + 1, at[rows]), taken, outbox)
         state = {name: array.copy() for name, array in self.state.items()}
         for name, array in after.items():
             state[name][rows] = array

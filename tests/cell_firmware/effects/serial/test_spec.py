@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.clocks import ArrayClocks, Clocks
+from cell_firmware.clocks import ArrayClocks, CellClocks
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
@@ -72,7 +72,7 @@ def test_cells_hear_and_count_the_same_however_they_are_cut(
         rng = np.random.default_rng(3)
         ppb, phase = rng.integers(-60_000_000, 60_000_000, n), rng.integers(0, PERIOD_NS, n)
         window_ns = PERIOD_NS * 94 // 100
-        clocks = ArrayClocks(lattice, Clocks(PERIOD_NS, window_ns, ppb, phase))
+        clocks = ArrayClocks(lattice, CellClocks(PERIOD_NS, window_ns, ppb, phase))
     ran: list[Any] = []
     for shards in (1, n):
         firmware = Stamper()
@@ -96,7 +96,7 @@ def test_with_good_crystals_at_any_phase_nothing_is_lost_and_words_take_a_window
     lattice = grid(2, 3)
     phase = np.random.default_rng(5).integers(0, PERIOD_NS, 6)
     ppb = np.array([50_000, -50_000, 20_000, 0, 7, -33_333])
-    clocks = ArrayClocks(lattice, Clocks(PERIOD_NS, PERIOD_NS * 999 // 1000, ppb, phase))
+    clocks = ArrayClocks(lattice, CellClocks(PERIOD_NS, PERIOD_NS * 999 // 1000, ppb, phase))
     firmware = Stamper()
     counted = run(firmware, Partition.even(lattice, 1), 200, effects=serial(), clocks=clocks).counted
     assert [counted[name] for name in CLEAN] == [0, 0, 0, 0]
@@ -145,8 +145,8 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], rule:
 def test_lines_that_would_never_bring_a_message_are_refused_with_the_scene() -> None:
     heat = CellsSpec(firmware="heat_diffusion")
     effects = serial(sharing="mux", dwell_periods=4)
-    ((path, _, rule),) = effects.unfit(heat)
+    ((path, _, rule),) = effects.fit_problems(heat)
     assert path == ("serial",)
     assert rule == "a message of 17 bytes takes 5 periods, and the switch stays on a side for 4"
-    assert not list(serial(sharing="mux", dwell_periods=5).unfit(heat))
-    assert not list(effects.unfit(CellsSpec(firmware="velocity_field")))  # which doesn't talk
+    assert not list(serial(sharing="mux", dwell_periods=5).fit_problems(heat))
+    assert not list(effects.fit_problems(CellsSpec(firmware="velocity_field")))  # which doesn't talk

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from deploy.commands.options import load_scene
-from deploy.runs.field_simulation import field_speeds, ideal
+from deploy.runs.field_simulation import field_speeds, without_cells
 from deploy.studies.accuracy.closed_form import closed_form, oscillation
-from deploy.studies.accuracy.trace import follow
+from deploy.studies.accuracy.trace import run_trace
 from plant.analysis.equilibrium import LinearField
 from plant.array import CellArray
 
@@ -49,8 +49,8 @@ def test_a_field_with_one_direction_only_has_none() -> None:
 
 
 def test_the_plant_follows_it_through_its_support_changes() -> None:
-    scene = ideal(load_scene("elliptic", duration=1.0))
-    course = follow(scene)
+    scene = without_cells(load_scene("elliptic", duration=1.0))
+    course = run_trace(scene)
     assert sum(event.kind.startswith("support") for event in course.events) > 20
     speeds = field_speeds(scene, CellArray(scene.array).positions_m)
     known = closed_form(scene, speeds, course.state[0], course.time_s)

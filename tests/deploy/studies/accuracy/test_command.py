@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy.cli import main
-from deploy.recordings.run_log import Ledger
+from deploy.recordings.run_log import RunLog
 from deploy.studies.accuracy import sampling_cost as sampling
 from deploy.studies.accuracy import trace as course
 from deploy.studies.accuracy.plots import CSV_NAME, JSON_NAME, SAMPLING, TOLERANCE, WORK_PRECISION
@@ -112,7 +112,7 @@ def test_a_signal_in_the_middle_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    inner = course.in_parts
+    inner = course.iterate_field_motion
 
     def interrupted(*arguments: object, **options: object) -> object:
         os.kill(os.getpid(), number)
@@ -128,13 +128,13 @@ def test_a_signal_in_the_middle_leaves_nothing(
 def test_a_signal_that_a_run_of_the_whole_system_takes_ends_the_study_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    inner = Ledger.tick
+    inner = RunLog.tick
 
-    def interrupted(self: Ledger, record: TickRecord) -> None:
+    def interrupted(self: RunLog, record: TickRecord) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         inner(self, record)
 
-    monkeypatch.setattr(Ledger, "tick", interrupted)
+    monkeypatch.setattr(RunLog, "tick", interrupted)
     assert main([*QUICK, "--output", str(tmp_path / "new")]) == 130
     assert tuple(capsys.readouterr()) == ("", "mdms: interrupted\n")
     assert not (tmp_path / "new").exists()

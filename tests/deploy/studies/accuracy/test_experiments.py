@@ -9,25 +9,25 @@ import pytest
 
 from deploy.studies.accuracy.experiments import chatter, continuum, graze, paper
 from deploy.studies.accuracy.experiments.paper import Oscillator
-from deploy.studies.accuracy.experiments.runs import apart_m, changes_at, run, scene_with
+from deploy.studies.accuracy.experiments.runs import changes_at, max_displacement_m, run, scene_with
 from plant.array import CellArray
 
 # --- from cells to a continuous surface -----------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def pitches() -> list[continuum.Row]:
+def pitches() -> list[continuum.ContinuumRow]:
     return continuum.measure()
 
 
 def test_the_torque_tends_to_that_of_the_continuous_surface_by_the_printed_digits(
-    pitches: list[continuum.Row],
+    pitches: list[continuum.ContinuumRow],
 ) -> None:
     assert [f"{row.rms:.4f}" for row in pitches] == ["0.0877", "0.0257", "0.0115", "0.0029"]
     assert [row.steps for row in pitches] == [176, 800, 3200, 13168]
 
 
-def test_at_unit_pitch_it_is_what_a_sum_over_the_lattice_gives(pitches: list[continuum.Row]) -> None:
+def test_at_unit_pitch_it_is_what_a_sum_over_the_lattice_gives(pitches: list[continuum.ContinuumRow]) -> None:
     """With the centre on a cell loads are equal, and the torque is that of the mean of x y over the cells below."""
     grid = np.arange(-8.0, 9.0)
     x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
@@ -42,7 +42,9 @@ def test_at_unit_pitch_it_is_what_a_sum_over_the_lattice_gives(pitches: list[con
     assert pitches[0].most == pytest.approx(np.abs(mean).max() / peak, rel=1e-12)
 
 
-def test_the_integral_of_the_error_is_the_limit_of_ever_finer_samples(pitches: list[continuum.Row]) -> None:
+def test_the_integral_of_the_error_is_the_limit_of_ever_finer_samples(
+    pitches: list[continuum.ContinuumRow],
+) -> None:
     row = pitches[0]
     angles = (np.arange(400_000) + 0.5) * (2.0 * np.pi / 400_000)
     error = row.profile.torque_at(angles) - row.peak_n_m * np.sin(2.0 * angles)
@@ -53,27 +55,31 @@ def test_the_integral_of_the_error_is_the_limit_of_ever_finer_samples(pitches: l
 
 
 @pytest.fixture(scope="module")
-def elliptic() -> graze.Run:
+def elliptic() -> graze.ExperimentTrace:
     return run(scene_with("elliptic", f"duration_s={graze.SECONDS}"), graze.settings("exact", 1e-12))
 
 
-def test_the_corner_clips_the_cell_for_six_milliseconds(elliptic: graze.Run) -> None:
-    assert graze.stay(elliptic) == pytest.approx((0.8035599651, 0.8098409086), abs=1e-9)
+def test_the_corner_clips_the_cell_for_six_milliseconds(elliptic: graze.ExperimentTrace) -> None:
+    assert graze.dwell_interval(elliptic) == pytest.approx((0.8035599651, 0.8098409086), abs=1e-9)
 
 
-def test_dop853_finds_the_graze_late_at_a_tolerance_of_1e_12_and_stays_off(elliptic: graze.Run) -> None:
+def test_dop853_finds_the_graze_late_at_a_tolerance_of_1e_12_and_stays_off(
+    elliptic: graze.ExperimentTrace,
+) -> None:
     pytest.importorskip("scipy")
     scene = scene_with("elliptic", f"duration_s={graze.SECONDS}")
     found = run(scene, graze.settings("DOP853", 1e-12))
-    assert graze.stay(found)[0] - graze.stay(elliptic)[0] > 1e-3
-    assert apart_m(found, elliptic)[-1] > 1e-6
+    assert graze.dwell_interval(found)[0] - graze.dwell_interval(elliptic)[0] > 1e-3
+    assert max_displacement_m(found, elliptic)[-1] > 1e-6
 
 
-def test_every_first_step_of_dop853_ends_past_the_graze_with_the_cell_outside(elliptic: graze.Run) -> None:
+def test_every_first_step_of_dop853_ends_past_the_graze_with_the_cell_outside(
+    elliptic: graze.ExperimentTrace,
+) -> None:
     pytest.importorskip("scipy")
-    enters, leaves = graze.stay(elliptic)
+    enters, leaves = graze.dwell_interval(elliptic)
     since = max(event.time_s for event in elliptic.events if event.time_s < enters)
-    steps = graze.steps_past(graze.CELL, since, leaves)
+    steps = graze.steps_through(graze.CELL, since, leaves)
     time, depth = steps.course
     # on these supports, written again from the equations, the cell comes in when the exact solver says
     inside = int(np.argmax(depth > 0.0))
@@ -130,11 +136,11 @@ def test_located_crossings_grow_until_a_run_in_ticks_may_not_go_on() -> None:
 
 
 @pytest.fixture(scope="module")
-def simulations() -> dict[str, paper.Simulation]:
+def simulations() -> dict[str, paper.PaperRun]:
     return {one.scene.name: one for one in paper.measure()}
 
 
-def test_x_and_y_are_underdamped_and_of_second_order(simulations: dict[str, paper.Simulation]) -> None:
+def test_x_and_y_are_underdamped_and_of_second_order(simulations: dict[str, paper.PaperRun]) -> None:
     for name in ("elliptic", "misaligned"):
         for swing in simulations[name].swings:
             assert swing.oscillator is not None
@@ -145,7 +151,7 @@ def test_x_and_y_are_underdamped_and_of_second_order(simulations: dict[str, pape
             assert swing.overshoot_s == pytest.approx(swing.oscillator.overshoot_s, abs=1e-3)
 
 
-def test_parcels_settle_aligned_well_off_zero_and_off_zero(simulations: dict[str, paper.Simulation]) -> None:
+def test_parcels_settle_aligned_well_off_zero_and_off_zero(simulations: dict[str, paper.PaperRun]) -> None:
     askew = {name: math.degrees(one.askew_rad) for name, one in simulations.items()}
     assert abs(askew["elliptic"]) < 1.0
     assert askew["misaligned"] == pytest.approx(13.26, abs=0.01)
@@ -153,7 +159,7 @@ def test_parcels_settle_aligned_well_off_zero_and_off_zero(simulations: dict[str
     assert simulations["squeeze"].swings[0].oscillator is None
 
 
-def test_each_rests_at_an_orientation_that_attracts(simulations: dict[str, paper.Simulation]) -> None:
+def test_each_rests_at_an_orientation_that_attracts(simulations: dict[str, paper.PaperRun]) -> None:
     for one in simulations.values():
         assert one.rests_at is not None
         assert one.rests_at in one.stable

@@ -9,13 +9,13 @@ import pytest
 
 from deploy.studies.accuracy.experiments import sweep
 from deploy.studies.accuracy.reference import Agreement, Reference
-from deploy.studies.accuracy.report import Report, Row
+from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow
 
 
 def _row(
     line: str, key: str, value: float, error: float | None, wall_s: float | None, status: str = "ok"
-) -> Row:
-    return Row(
+) -> AccuracyRow:
+    return AccuracyRow(
         solver=line.split(maxsplit=1)[0],
         line=line,
         setting=f"{key} {value:g}",
@@ -32,7 +32,7 @@ def _row(
 
 
 @pytest.fixture
-def report() -> Report:
+def report() -> AccuracyReport:
     rows = [
         replace(_row("exact", "tolerance", 1e-4, 3e-6, 0.001), order_until=2.5, error_before=1e-9),
         _row("exact", "tolerance", 1e-6, 2e-9, 0.002),
@@ -51,10 +51,10 @@ def report() -> Report:
         None,
         ("A note.",),
     )
-    return Report("elliptic", "Title", 10.0, 400, 1, 0.004, False, reference, rows, ())
+    return AccuracyReport("elliptic", "Title", 10.0, 400, 1, 0.004, False, reference, rows, ())
 
 
-def test_the_coarsest_setting_that_reaches_each_target_is_told_with_its_time(report: Report) -> None:
+def test_the_coarsest_setting_that_reaches_each_target_is_told_with_its_time(report: AccuracyReport) -> None:
     text = sweep.describe(report, 5).text
     assert "| solver | 1e-3 m | 1e-5 m | 1e-7 m | 1e-9 m | 1e-11 m |" in text
     assert "| exact | 1e-4: 1 ms | 1e-4: 1 ms | 1e-6: 2 ms | – | – |" in text
@@ -64,7 +64,7 @@ def test_the_coarsest_setting_that_reaches_each_target_is_told_with_its_time(rep
     assert "| scipy Radau" not in text
 
 
-def test_errors_over_tolerances_reference_and_what_failed_are_told(report: Report) -> None:
+def test_errors_over_tolerances_reference_and_what_failed_are_told(report: AccuracyReport) -> None:
     text = sweep.describe(report, 5).text
     assert "exact 3.0e-2; scipy DOP853 1.5e4." in text
     assert "Reference: heyoka, tolerance 1e-14:" in text
@@ -78,7 +78,7 @@ def test_errors_over_tolerances_reference_and_what_failed_are_told(report: Repor
 
 
 def test_the_price_of_sampling_has_a_picture_only_where_it_was_asked_for(
-    report: Report, tmp_path: Path
+    report: AccuracyReport, tmp_path: Path
 ) -> None:
     section = sweep.describe(report, 5)
     assert set(section.pictures) == {"elliptic_cost.png", "elliptic_tolerance.png"}

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from deploy.commands.options import load_scene
-from deploy.runs.field_simulation import ideal
+from deploy.runs.field_simulation import without_cells
 from deploy.studies.accuracy.report import Sampling
-from deploy.studies.accuracy.sampling_cost import price_of_sampling
-from deploy.studies.accuracy.trace import follow
+from deploy.studies.accuracy.sampling_cost import sampling_cost
+from deploy.studies.accuracy.trace import run_trace
 
 
 def price(*changes: str) -> list[Sampling]:
     array = ("array.rows=12", "array.columns=12", "parcels.0.position_m=[0.1,0.2]")
     scene = load_scene("elliptic", [*array, *changes], duration=0.32768)
-    reference = follow(ideal(scene))
-    return price_of_sampling(scene, reference, quick=True, limit_s=60.0, look=lambda: None)
+    reference = run_trace(without_cells(scene))
+    return sampling_cost(scene, reference, quick=True, limit_s=60.0, look=lambda: None)
 
 
 def test_with_ideal_wheels_cells_and_bus_change_nothing_at_any_period() -> None:
@@ -41,7 +41,7 @@ def test_clocks_of_cells_are_left_out() -> None:
 
 def test_after_a_run_that_takes_too_long_no_shorter_period_is_tried() -> None:
     scene = load_scene("elliptic", duration=0.065536)
-    reference = follow(ideal(scene))
-    (found,) = price_of_sampling(scene, reference, quick=True, limit_s=0.0, look=lambda: None)
+    reference = run_trace(without_cells(scene))
+    (found,) = sampling_cost(scene, reference, quick=True, limit_s=0.0, look=lambda: None)
     assert [row.status for row in found.rows] == ["ok", "omitted", "omitted", "omitted"]
     assert all("the run at 0.032768 s took" in (row.reason or "") for row in found.rows[1:])

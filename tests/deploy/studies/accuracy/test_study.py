@@ -11,36 +11,36 @@ import pytest
 
 from deploy.commands.options import load_scene
 from deploy.errors import InputError
-from deploy.runs.field_simulation import ideal
+from deploy.runs.field_simulation import without_cells
 from deploy.studies.accuracy import study as studied
 from deploy.studies.accuracy.errors import compare_events, displacement_m
-from deploy.studies.accuracy.reference import METHODS, Referee
-from deploy.studies.accuracy.report import Report, Row
-from deploy.studies.accuracy.study import Plan, study
+from deploy.studies.accuracy.reference import METHODS, ReferenceSolver
+from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow
+from deploy.studies.accuracy.study import StudyPlan, study
 from deploy.studies.accuracy.sweep import lines, with_solver
-from deploy.studies.accuracy.trace import follow
+from deploy.studies.accuracy.trace import run_trace
 from plant.solvers import restarting as restarted
 
-PLAN = Plan(quick=True, repeats=1, limit_s=20.0, sampling=False)
+PLAN = StudyPlan(quick=True, repeats=1, limit_s=20.0, sampling=False)
 TIMES = ("wall_s", "wall_low_s", "wall_high_s", "speed")
 
 
 @pytest.fixture(scope="module")
-def short() -> Report:
+def short() -> AccuracyReport:
     """Of the first 0.9 s of ``elliptic``, a graze among them."""
     return study(load_scene("elliptic", duration=0.9), PLAN)
 
 
-def timeless(row: Row) -> Row:
+def timeless(row: AccuracyRow) -> AccuracyRow:
     return replace(row, **dict.fromkeys(TIMES))
 
 
 def test_the_error_of_exact_never_exceeds_ten_times_the_tolerance_asked_on_elliptic() -> None:
-    scene = ideal(load_scene("elliptic"))
-    reference = Referee(scene, limit_s=60.0, methods=METHODS[2:]).find()
+    scene = without_cells(load_scene("elliptic"))
+    reference = ReferenceSolver(scene, limit_s=60.0, methods=METHODS[2:]).solve()
     (line,) = (line for line in lines(scene) if line[0].solver == "exact")
     for trial in line:
-        course = follow(with_solver(scene, trial.settings))
+        course = run_trace(with_solver(scene, trial.settings))
         judge, known = reference.judge("exact")
         assert judge == "implicit"
         off = displacement_m(course.state, known.state, known.footprints_m)
@@ -49,13 +49,13 @@ def test_the_error_of_exact_never_exceeds_ten_times_the_tolerance_asked_on_ellip
         assert (events.found, events.missed, events.order_until_s) == (86, 0, None)
 
 
-def test_two_studies_agree_in_all_but_their_times(short: Report) -> None:
+def test_two_studies_agree_in_all_but_their_times(short: AccuracyReport) -> None:
     again = study(load_scene("elliptic", duration=0.9), PLAN)
     assert [timeless(row) for row in again.rows] == [timeless(row) for row in short.rows]
     assert again.reference.agreement == short.reference.agreement
 
 
-def test_every_solver_that_claims_the_scene_is_judged_timed_and_counted(short: Report) -> None:
+def test_every_solver_that_claims_the_scene_is_judged_timed_and_counted(short: AccuracyReport) -> None:
     judged = [row for row in short.rows if row.status == "ok"]
     assert {row.solver for row in judged} >= {"exact", "implicit", "quasi_static", "fixed_step"}
     for row in judged:
@@ -70,7 +70,7 @@ def test_every_solver_that_claims_the_scene_is_judged_timed_and_counted(short: R
         assert row.judged_by != row.solver
 
 
-def test_finer_settings_of_exact_err_less_and_find_every_event(short: Report) -> None:
+def test_finer_settings_of_exact_err_less_and_find_every_event(short: AccuracyReport) -> None:
     rows = [row for row in short.rows if row.solver == "exact"]
     errors = [row.error_max or 0.0 for row in rows]
     assert 1e-10 > errors[0] > 10.0 * errors[1] > 1e-13
@@ -81,20 +81,20 @@ def test_finer_settings_of_exact_err_less_and_find_every_event(short: Report) ->
 
 def test_the_graze_that_scipy_s_long_steps_hide_is_found_late_and_shows_at_any_tolerance() -> None:
     pytest.importorskip("scipy")
-    scene = ideal(load_scene("elliptic", duration=0.9))
-    known = follow(with_solver(scene, {"name": "exact", "tolerance": 1e-12}))
-    lost = follow(with_solver(scene, {"name": "scipy", "method": "DOP853", "tolerance": 1e-9}))
+    scene = without_cells(load_scene("elliptic", duration=0.9))
+    known = run_trace(with_solver(scene, {"name": "exact", "tolerance": 1e-12}))
+    lost = run_trace(with_solver(scene, {"name": "scipy", "method": "DOP853", "tolerance": 1e-9}))
     found = compare_events(lost.events, known.events, 0.9)
     assert found.time_error_s == pytest.approx(0.002494, abs=1e-6)
     assert displacement_m(lost.state, known.state, known.footprints_m).max() > 1e-7
 
 
-def test_a_model_without_inertia_is_said_to_be_one(short: Report) -> None:
+def test_a_model_without_inertia_is_said_to_be_one(short: AccuracyReport) -> None:
     notes = {row.solver: row.note for row in short.rows if row.note}
     assert set(notes) == {"quasi_static"}
 
 
-def test_after_the_order_of_events_parts_distributions_are_compared(short: Report) -> None:
+def test_after_the_order_of_events_parts_distributions_are_compared(short: AccuracyReport) -> None:
     parted = [row for row in short.rows if row.solver == "quasi_static"]
     for row in parted:
         assert row.order_until is not None

@@ -12,23 +12,23 @@ import pytest
 from deploy.scenes.files import scene_text
 from deploy.scenes.scene import Scene
 from deploy.studies.campaign.cases import cases_of
-from deploy.studies.campaign.result import Ending
+from deploy.studies.campaign.result import CaseEnd
 from deploy.studies.campaign.runner import Campaign, Journal
-from deploy.studies.campaign.spec import asked_for
+from deploy.studies.campaign.spec import read_options
 from deploy.util.signals import Interrupted, Interruption
 
-OK = Ending(status="ok")
+OK = CaseEnd(status="ok")
 
 
 @dataclass
 class Executor:
     """Runs nothing, last scene first; ends as it is told after so many runs."""
 
-    ending: Ending = OK
+    ending: CaseEnd = OK
     interrupted_after: int = 10**9
     ran: list[Scene] = field(default_factory=list)
 
-    def carry_out(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, Ending]]:
+    def carry_out(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
         for place, scene in reversed(list(enumerate(scenes))):
             if len(self.ran) == self.interrupted_after:
                 raise Interrupted
@@ -37,7 +37,7 @@ class Executor:
 
 
 def campaign(folder: Path, **given: Any) -> Campaign:
-    asked = asked_for({"scene": "noisy", "fault": "crash", "share": "0.1,0.2", "seeds": "2", **given})
+    asked = read_options({"scene": "noisy", "fault": "crash", "share": "0.1,0.2", "seeds": "2", **given})
     return Campaign(asked, cases_of(asked, scene_text("noisy")), folder, quiet=True)
 
 
@@ -46,12 +46,12 @@ def test_undisturbed_runs_come_first_each_once_and_those_that_are_over_are_not_r
 ) -> None:
     first, second, third = Executor(interrupted_after=4), Executor(), Executor()
     with Journal(tmp_path) as journal, pytest.raises(Interrupted):
-        campaign(tmp_path).carry_out(first, journal)
+        campaign(tmp_path).execute(first, journal)
     assert [(len(scene.faults), scene.seed) for scene in first.ran] == [(0, 2), (0, 1), (1, 2), (1, 1)]
     with Journal(tmp_path) as journal:
-        campaign(tmp_path).carry_out(second, journal)
+        campaign(tmp_path).execute(second, journal)
         assert len(journal.runs) == 4
-        campaign(tmp_path).carry_out(third, journal)
+        campaign(tmp_path).execute(third, journal)
     assert [(scene.faults[0].share, scene.seed) for scene in second.ran] == [(0.1, 2), (0.1, 1)]
     assert third.ran == []
 
@@ -59,7 +59,7 @@ def test_undisturbed_runs_come_first_each_once_and_those_that_are_over_are_not_r
 def test_a_campaign_none_of_whose_runs_comes_to_its_end_has_failed(tmp_path: Path) -> None:
     wanted = campaign(tmp_path)
     with Journal(tmp_path) as journal:
-        wanted.carry_out(Executor(Ending(status="unstable", reason="why")), journal)
+        wanted.execute(Executor(CaseEnd(status="unstable", reason="why")), journal)
     report = wanted.run(1, Interruption())
     assert (report.status, report.reason) == (
         "failed",

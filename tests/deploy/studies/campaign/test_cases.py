@@ -10,11 +10,11 @@ from deploy.errors import InputError
 from deploy.scenes.files import load_scene, scene_text
 from deploy.scenes.overrides import Override
 from deploy.studies.campaign.cases import Cases, cases_of, with_seed
-from deploy.studies.campaign.spec import asked_for
+from deploy.studies.campaign.spec import read_options
 
 
 def cases(**given: Any) -> Cases:
-    return cases_of(asked_for({"scene": "noisy", **given}), scene_text("noisy"))
+    return cases_of(read_options({"scene": "noisy", **given}), scene_text("noisy"))
 
 
 def test_a_seed_put_in_later_makes_the_scene_that_it_makes_at_once() -> None:
@@ -32,13 +32,13 @@ def test_the_fault_is_added_to_those_of_the_scene_and_is_not_in_the_undisturbed_
         assert before.at_s == 0.5
         assert (added.kind, added.at_s, added.until_s) == ("crash", 1.0, 2.0)
         assert added.share == case.values["fault.share"]
-        assert case.undisturbed is not None
-        assert [fault.at_s for fault in case.undisturbed.faults] == [0.5]
+        assert case.baseline is not None
+        assert [fault.at_s for fault in case.baseline.faults] == [0.5]
 
 
 def test_cases_that_differ_in_the_fault_alone_have_one_undisturbed_run_a_seed() -> None:
     found = cases(fault="crash", share="0,0.5", vary=("duration_s=1,2",), seeds="2")
-    keys = {case.undisturbed_key(seed) for case in found.cases for seed in found.seeds}
+    keys = {case.baseline_id(seed) for case in found.cases for seed in found.seeds}
     assert (found.runs, len(keys)) == (8, 4)
 
 
@@ -58,7 +58,7 @@ def test_against_gives_the_undisturbed_run_other_values() -> None:
         vary=("effects.link_loss.probability=0.1,0.2",), against=("effects.link_loss.probability=0",)
     )
     losses = [
-        (case.scene.effects.link_loss, case.undisturbed and case.undisturbed.effects.link_loss)
+        (case.scene.effects.link_loss, case.baseline and case.baseline.effects.link_loss)
         for case in found.cases
     ]
     assert [(own and own.probability, other and other.probability) for own, other in losses] == [
@@ -69,8 +69,8 @@ def test_against_gives_the_undisturbed_run_other_values() -> None:
 
 def test_without_a_fault_and_without_against_nothing_is_compared() -> None:
     found = cases(vary=("duration_s=1,2",))
-    assert [case.undisturbed for case in found.cases] == [None, None]
-    assert found.cases[0].undisturbed_key(1) == ""
+    assert [case.baseline for case in found.cases] == [None, None]
+    assert found.cases[0].baseline_id(1) == ""
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from deploy.scenes.files import bundled_names, load_scene, scene_text
 from deploy.scenes.overrides import Override
 from deploy.studies.campaign.cases import cases_of
 from deploy.studies.campaign.criterion import Criterion
-from deploy.studies.campaign.spec import asked_for
+from deploy.studies.campaign.spec import read_options
 
 WITHOUT_GOAL = "bumpy"
 FAULT: dict[str, Any] = {"fault": "crash", "share": "0.1"}
@@ -21,7 +21,7 @@ PLACE = ("goal={ place_m = [0.1, 0.0], within_m = 0.02 }",)
 
 
 def _criterion(scene: str = WITHOUT_GOAL, **given: Any) -> Criterion:
-    return cases_of(asked_for({"scene": scene, **given}), scene_text(scene)).cases[0].criterion
+    return cases_of(read_options({"scene": scene, **given}), scene_text(scene)).cases[0].criterion
 
 
 def test_a_campaign_for_which_nothing_says_what_success_is_is_refused_before_anything_runs(
@@ -58,7 +58,7 @@ def test_the_command_line_or_the_scenes_goal_says_what_success_is_and_which_is_t
 
 
 def test_a_goal_can_be_varied() -> None:
-    asked = asked_for({"scene": "elliptic", **FAULT, "vary": ("goal.within_m=0.01,0.1",)})
+    asked = read_options({"scene": "elliptic", **FAULT, "vary": ("goal.within_m=0.01,0.1",)})
     found = cases_of(asked, scene_text("elliptic"))
     assert [case.criterion.within_m for case in found.cases] == [0.01, 0.1]
 

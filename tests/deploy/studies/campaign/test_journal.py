@@ -12,11 +12,11 @@ import pytest
 from deploy.errors import DeployError, InputError
 from deploy.scenes.files import scene_text
 from deploy.studies.campaign.cases import Case, cases_of
-from deploy.studies.campaign.result import Ending, Outcome, ParcelEnd
+from deploy.studies.campaign.result import CaseEnd, CaseOutcome, ParcelEnd
 from deploy.studies.campaign.runner import FILE_NAME, Journal
-from deploy.studies.campaign.spec import asked_for
+from deploy.studies.campaign.spec import read_options
 
-OUTCOME = Outcome(
+OUTCOME = CaseOutcome(
     status="failed",
     reason="“why”\nand more",
     succeeded=False,
@@ -26,20 +26,20 @@ OUTCOME = Outcome(
     digest="d",
     wall_s=0.5,
 )
-ENDING = Ending(status="ok", parcels=(ParcelEnd("at_rest", 1 / 3, (0.1, 1 / 7), ((0.1, 2.0),)),), digest="e")
+ENDING = CaseEnd(status="ok", parcels=(ParcelEnd("at_rest", 1 / 3, (0.1, 1 / 7), ((0.1, 2.0),)),), digest="e")
 
 
 @pytest.fixture
 def case() -> Case:
-    return cases_of(asked_for({"scene": "heat", "vary": ("duration_s=1,2",)}), scene_text("heat")).cases[1]
+    return cases_of(read_options({"scene": "heat", "vary": ("duration_s=1,2",)}), scene_text("heat")).cases[1]
 
 
 def test_what_was_added_is_there_again_to_the_last_digit(tmp_path: Path, case: Case) -> None:
     with Journal(tmp_path) as journal:
-        journal.add_undisturbed("key", 3, ENDING)
+        journal.add_baseline("key", 3, ENDING)
         journal.add_run(case, 3, OUTCOME)
     with Journal(tmp_path) as journal:
-        assert journal.undisturbed == {"key": ENDING}
+        assert journal.baselines == {"key": ENDING}
         assert journal.runs == {(1, 3): OUTCOME}
 
 

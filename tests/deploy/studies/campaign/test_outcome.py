@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from deploy.studies.campaign.criterion import Criterion
-from deploy.studies.campaign.result import Ending, ParcelEnd, judged
+from deploy.studies.campaign.result import CaseEnd, ParcelEnd, evaluate
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
 REST = ParcelEnd("at_rest", 2.0, (0.5, 0.4), CORNERS)
@@ -17,8 +17,8 @@ ANY = Criterion()
 WAITS = replace(REST, state="waiting", time_s=0.0)
 
 
-def ending(*parcels: ParcelEnd, **more: object) -> Ending:
-    return replace(Ending(status="ok", parcels=parcels, digest="d"), **more)
+def ending(*parcels: ParcelEnd, **more: object) -> CaseEnd:
+    return replace(CaseEnd(status="ok", parcels=parcels, digest="d"), **more)
 
 
 @pytest.mark.parametrize(
@@ -40,67 +40,67 @@ def ending(*parcels: ParcelEnd, **more: object) -> Ending:
 def test_a_run_succeeds_whose_parcels_stand_and_come_to_what_they_come_to_undisturbed(
     here: ParcelEnd, there: ParcelEnd, why: str
 ) -> None:
-    outcome = judged(ending(here), ending(there), ANY)
+    outcome = evaluate(ending(here), ending(there), ANY)
     assert (outcome.succeeded, outcome.reason, outcome.status) == (not why, why, "ok")
 
 
 def test_a_misrouted_parcel_is_no_success() -> None:
-    outcome = judged(ending(GONE, misrouted=1), ending(GONE), ANY)
+    outcome = evaluate(ending(GONE, misrouted=1), ending(GONE), ANY)
     assert (outcome.succeeded, outcome.reason) == (False, "1 misrouted")
 
 
 def test_without_an_undisturbed_run_only_falls_and_wrong_exits_count_and_there_is_no_error() -> None:
-    outcome = judged(ending(MOVES), None, Criterion(within_m=0.1, compared=False))
+    outcome = evaluate(ending(MOVES), None, Criterion(within_m=0.1, compared=False))
     assert outcome.succeeded
     assert outcome.error_m is None
-    assert not judged(ending(replace(REST, state="tipped")), None, ANY).succeeded
+    assert not evaluate(ending(replace(REST, state="tipped")), None, ANY).succeeded
 
 
 def test_the_error_is_the_farthest_corner_of_parcels_that_are_there_in_both() -> None:
     moved = replace(REST, corners_m=((0.0, 0.0), (1.0, 0.0), (1.3, 1.4)))
-    assert judged(ending(REST, moved), ending(REST, REST), ANY).error_m == pytest.approx(0.5)
-    assert judged(ending(GONE), ending(REST), ANY).error_m is None
-    assert judged(ending(replace(moved, state="tipped")), ending(REST), ANY).error_m == pytest.approx(0.5)
+    assert evaluate(ending(REST, moved), ending(REST, REST), ANY).error_m == pytest.approx(0.5)
+    assert evaluate(ending(GONE), ending(REST), ANY).error_m is None
+    assert evaluate(ending(replace(moved, state="tipped")), ending(REST), ANY).error_m == pytest.approx(0.5)
 
 
 def test_within_makes_a_success_of_no_run_that_ends_farther_off() -> None:
     moved = replace(REST, corners_m=((0.0, 0.0), (1.0, 0.0), (1.3, 1.4)))
-    assert judged(ending(moved), ending(REST), Criterion(within_m=0.6)).succeeded
-    outcome = judged(ending(moved), ending(REST), Criterion(within_m=0.4))
+    assert evaluate(ending(moved), ending(REST), Criterion(within_m=0.6)).succeeded
+    outcome = evaluate(ending(moved), ending(REST), Criterion(within_m=0.4))
     assert (outcome.succeeded, outcome.reason) == (False, "0.5 m from where the undisturbed run ends")
 
 
 def test_without_an_undisturbed_run_the_error_is_the_distance_from_the_goals_place() -> None:
     near = Criterion(within_m=0.6, place_m=(0.1, 0.1), compared=False)
     far = replace(REST, place_m=(0.1, -0.6))
-    outcome = judged(ending(REST, far, GONE, WAITS), None, near)
+    outcome = evaluate(ending(REST, far, GONE, WAITS), None, near)
     assert (outcome.succeeded, outcome.error_m) == (False, pytest.approx(0.7))
     assert outcome.reason == "0.7 m from (0.1, 0.1) m"
-    assert judged(ending(REST, GONE), None, near).succeeded
-    assert judged(ending(REST, far), ending(REST, REST), near).error_m == 0.0
+    assert evaluate(ending(REST, GONE), None, near).succeeded
+    assert evaluate(ending(REST, far), ending(REST, REST), near).error_m == 0.0
 
 
 def test_a_goal_may_demand_rest_and_delivery() -> None:
     rest, delivery = Criterion(at_rest=True), Criterion(delivered=True)
-    assert judged(ending(REST, GONE), ending(MOVES, MOVES), rest).succeeded
-    assert judged(ending(MOVES), ending(MOVES), rest).reason == "parcel 0 is moving"
-    assert judged(ending(GONE, WAITS), ending(MOVES, MOVES), delivery).succeeded
-    assert judged(ending(GONE, REST), None, delivery).reason == "parcel 1 is at_rest, not delivered"
+    assert evaluate(ending(REST, GONE), ending(MOVES, MOVES), rest).succeeded
+    assert evaluate(ending(MOVES), ending(MOVES), rest).reason == "parcel 0 is moving"
+    assert evaluate(ending(GONE, WAITS), ending(MOVES, MOVES), delivery).succeeded
+    assert evaluate(ending(GONE, REST), None, delivery).reason == "parcel 1 is at_rest, not delivered"
 
 
 def test_the_time_is_that_of_the_last_to_rest_or_leave_and_there_is_none_until_all_have() -> None:
-    assert judged(ending(REST, GONE), None, ANY).time_s == 5.0
-    assert judged(ending(REST, MOVES), None, ANY).time_s is None
-    assert judged(ending(replace(REST, state="tipped")), None, ANY).time_s is None
-    assert judged(ending(), None, ANY).time_s is None
+    assert evaluate(ending(REST, GONE), None, ANY).time_s == 5.0
+    assert evaluate(ending(REST, MOVES), None, ANY).time_s is None
+    assert evaluate(ending(replace(REST, state="tipped")), None, ANY).time_s is None
+    assert evaluate(ending(), None, ANY).time_s is None
 
 
 def test_a_run_that_did_not_come_to_its_end_is_kept_with_its_reason_and_nothing_measured() -> None:
-    outcome = judged(Ending(status="unstable", reason="why", wall_s=2.0), ending(REST), ANY)
+    outcome = evaluate(CaseEnd(status="unstable", reason="why", wall_s=2.0), ending(REST), ANY)
     assert (outcome.status, outcome.reason, outcome.wall_s) == ("unstable", "why", 2.0)
     assert (outcome.succeeded, outcome.error_m, outcome.time_s, outcome.digest) == (False, None, None, None)
 
 
 def test_a_run_without_its_undisturbed_one_fails_and_says_why_that_did() -> None:
-    outcome = judged(ending(REST), Ending(status="failed", reason="why"), ANY)
+    outcome = evaluate(ending(REST), CaseEnd(status="failed", reason="why"), ANY)
     assert (outcome.status, outcome.reason) == ("failed", "the undisturbed run: failed: why")

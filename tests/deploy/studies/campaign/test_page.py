@@ -13,7 +13,7 @@ import typer
 from deploy.cli import main
 from deploy.commands.campaign import campaign
 from deploy.studies.campaign.cases import cases_of
-from deploy.studies.campaign.spec import Asked
+from deploy.studies.campaign.spec import CampaignSpec
 
 PAGE = (Path(__file__).resolve().parents[4] / "docs" / "campaigns.md").read_text(encoding="utf-8")
 COMMANDS = [
@@ -31,7 +31,7 @@ def test_the_command_is_understood_and_its_scenes_are_valid(
 ) -> None:
     found: list[int] = []
 
-    def only_plan(asked: Asked, text: str, *_: Any, **__: Any) -> None:
+    def only_plan(asked: CampaignSpec, text: str, *_: Any, **__: Any) -> None:
         found.append(cases_of(asked, text).runs)
         raise typer.Exit(0)
 

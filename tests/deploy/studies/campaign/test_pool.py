@@ -11,8 +11,8 @@ from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
-from deploy.studies.campaign.pool import Pool
-from deploy.studies.campaign.result import Ending, ending_of
+from deploy.studies.campaign.pool import ExecutorPool
+from deploy.studies.campaign.result import CaseEnd, run_case
 from deploy.workers.plan import RunOptions
 from deploy.workers.pool import WorkerError
 
@@ -66,7 +66,7 @@ def nothing() -> None:
 
 
 @pytest.fixture(scope="module")
-def endings(tmp_path_factory: pytest.TempPathFactory) -> list[Ending]:
+def endings(tmp_path_factory: pytest.TempPathFactory) -> list[CaseEnd]:
     """Of a run each: in order, what misbehaves before what doesn't, in the same two workers."""
     folder = tmp_path_factory.mktemp("programs")
     scenes = [
@@ -79,30 +79,30 @@ def endings(tmp_path_factory: pytest.TempPathFactory) -> list[Ending]:
         scene(folder, "is well"),
         scene(folder, "is well"),
     ]
-    with Pool(2, LIMIT_S, nothing) as pool:
-        found = dict(pool.carry_out(scenes))
+    with ExecutorPool(2, LIMIT_S, nothing) as pool:
+        found = dict(pool.map(scenes))
     assert found.keys() == set(range(len(scenes)))
     return [found[place] for place in range(len(scenes))]
 
 
-def test_a_run_whose_process_is_killed_is_tried_once_more(endings: list[Ending]) -> None:
-    assert endings[0] == Ending(
+def test_a_run_whose_process_is_killed_is_tried_once_more(endings: list[CaseEnd]) -> None:
+    assert endings[0] == CaseEnd(
         status="ok", parcels=endings[6].parcels, digest=endings[0].digest, wall_s=endings[0].wall_s
     )
 
 
-def test_a_run_whose_process_is_killed_twice_has_failed(endings: list[Ending]) -> None:
+def test_a_run_whose_process_is_killed_twice_has_failed(endings: list[CaseEnd]) -> None:
     assert (endings[2].status, endings[2].reason) == (
         "failed",
         "its process was lost twice: killed by SIGKILL",
     )
 
 
-def test_a_run_that_hangs_is_ended_at_the_limit(endings: list[Ending]) -> None:
+def test_a_run_that_hangs_is_ended_at_the_limit(endings: list[CaseEnd]) -> None:
     assert (endings[1].status, endings[1].reason) == ("failed", "not over after 15 s")
 
 
-def test_a_run_that_fails_says_why(endings: list[Ending]) -> None:
+def test_a_run_that_fails_says_why(endings: list[CaseEnd]) -> None:
     assert [ending.status for ending in endings[3:5]] == ["failed", "failed"]
     assert "NeverReturned" in endings[3].reason
     assert endings[4].cells_lost == 18
@@ -110,7 +110,7 @@ def test_a_run_that_fails_says_why(endings: list[Ending]) -> None:
     assert endings[5].reason
 
 
-def test_runs_after_those_end_as_if_they_had_been_alone(endings: list[Ending]) -> None:
+def test_runs_after_those_end_as_if_they_had_been_alone(endings: list[CaseEnd]) -> None:
     assert endings[6].status == "ok"
     assert endings[6].digest == endings[7].digest is not None
 
@@ -118,7 +118,7 @@ def test_runs_after_those_end_as_if_they_had_been_alone(endings: list[Ending]) -
 def test_a_run_of_a_campaign_has_the_digest_and_the_parcels_of_mdms_run(tmp_path: Path) -> None:
     asked = load_scene("noisy", [Override(("duration_s",), 0.1, ""), Override(("seed",), 9, "")])
     alone = run(asked, RunOptions(transport="memory", output=tmp_path, picture=False), quiet=True).summary
-    ending = ending_of(asked)
+    ending = run_case(asked)
     assert (ending.status, ending.digest) == ("ok", alone.digest)
     assert [parcel.state for parcel in ending.parcels] == [parcel.state for parcel in alone.parcels]
 
@@ -127,13 +127,16 @@ def test_a_pool_without_workers_says_why(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("deploy.studies.campaign.pool.PRELOAD", ())
     monkeypatch.setattr("deploy.studies.campaign.pool.Work", lambda address: partial(int, "no number"))
     with (
-        Pool(2, LIMIT_S, nothing) as pool,
+        ExecutorPool(2, LIMIT_S, nothing) as pool,
         pytest.raises(WorkerError, match=r"end before they have run anything: .*no number"),
     ):
-        list(pool.carry_out([load_scene("motors")]))
+        list(pool.map([load_scene("motors")]))
 
 
 def test_a_pool_whose_workers_cant_be_forked_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("deploy.studies.campaign.pool.PRELOAD", ("no_such_module",))
-    with Pool(1, LIMIT_S, nothing) as pool, pytest.raises(WorkerError, match="process that starts workers"):
-        list(pool.carry_out([load_scene("motors")]))
+    with (
+        ExecutorPool(1, LIMIT_S, nothing) as pool,
+        pytest.raises(WorkerError, match="process that starts workers"),
+    ):
+        list(pool.map([load_scene("motors")]))

@@ -11,21 +11,21 @@ from deploy.scenes.files import scene_text
 from deploy.studies.campaign.cases import cases_of
 from deploy.studies.campaign.console import print_report
 from deploy.studies.campaign.plot import draw_campaign, why_none
-from deploy.studies.campaign.report import Report, rows_of
-from deploy.studies.campaign.result import Outcome
-from deploy.studies.campaign.spec import asked_for
+from deploy.studies.campaign.report import CampaignReport, aggregate
+from deploy.studies.campaign.result import CaseOutcome
+from deploy.studies.campaign.spec import read_options
 
 ONE = "cells.parameters.diffusion_number=0.05:0.25:0.05"
 TWO = "parcels.0.mass_kg=1,2,3"
 WORDS = "stall.policy=coast,brake,hold"
 
 
-def made_up(folder: Path, *vary: str, seeds: int = 3, **more: Any) -> Report:
+def made_up(folder: Path, *vary: str, seeds: int = 3, **more: Any) -> CampaignReport:
     """A campaign that never was: a run in four fails, errors and times rise with the case."""
-    asked = asked_for({"scene": "heat", "vary": vary, "seeds": str(seeds), **more})
+    asked = read_options({"scene": "heat", "vary": vary, "seeds": str(seeds), **more})
     cases = cases_of(asked, scene_text("heat"))
     outcomes = {
-        (case.number, seed): Outcome(
+        (case.number, seed): CaseOutcome(
             status="failed" if (case.number + seed) % 4 == 0 else "ok",
             reason=f"[bold] of {case.number}",
             succeeded=(case.number + seed) % 4 > 1,
@@ -38,8 +38,8 @@ def made_up(folder: Path, *vary: str, seeds: int = 3, **more: Any) -> Report:
         for case in cases.cases
         for seed in cases.seeds
     }
-    rows = tuple(rows_of(cases, outcomes, asked.confidence))
-    return Report(
+    rows = tuple(aggregate(cases, outcomes, asked.confidence))
+    return CampaignReport(
         status="ok", reason="", asked=asked, cases=cases, outcomes=outcomes, rows=rows, folder=folder
     )
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from deploy.errors import InputError
-from deploy.studies.campaign.spec import Asked, asked_for, check_same, check_versions, read, write
+from deploy.studies.campaign.spec import CampaignSpec, check_same, check_versions, read, read_options, write
 
-ASKED = asked_for(
+ASKED = read_options(
     {
         "scene": "a b/ä.toml",
         "folder": "/home",
@@ -53,7 +53,7 @@ def test_other_versions_are_refused_by_name() -> None:
 def test_a_folder_without_a_campaign_or_with_a_spoilt_one_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no campaign there: campaign\.toml is missing"):
         read(tmp_path)
-    write(Asked(scene="heat"), "", {}, tmp_path)
+    write(CampaignSpec(scene="heat"), "", {}, tmp_path)
     path = tmp_path / "campaign.toml"
     path.write_text(path.read_text().replace("seeds", "seed_s"))
     with pytest.raises(InputError, match=r"seed_s .*unknown key; nearest: seeds"):

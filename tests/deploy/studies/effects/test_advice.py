@@ -8,12 +8,12 @@ import pytest
 
 from deploy.commands.options import load_scene
 from deploy.studies.effects.advice import advise
-from deploy.studies.effects.sensitivity import Influence
-from deploy.studies.effects.study import Row, Study
+from deploy.studies.effects.sensitivity import Sensitivity
+from deploy.studies.effects.study import AblationRow, EffectStudy
 
 
-def moved(metres: float | None, parcels: int = 0) -> Influence:
-    return Influence(
+def moved(metres: float | None, parcels: int = 0) -> Sensitivity:
+    return Sensitivity(
         displacement_m=metres,
         turn_rad=0.0,
         parcels=parcels,
@@ -24,16 +24,16 @@ def moved(metres: float | None, parcels: int = 0) -> Influence:
     )
 
 
-def row(name: str, metres: float | None, *, on: bool, error: float = 0.0, **more: Any) -> Row:
-    return Row(name=name, on=on, influence=moved(metres, **more), error=moved(error))
+def row(name: str, metres: float | None, *, on: bool, error: float = 0.0, **more: Any) -> AblationRow:
+    return AblationRow(name=name, on=on, influence=moved(metres, **more), error=moved(error))
 
 
 @pytest.fixture
-def study() -> Study:
-    return Study(load_scene("elliptic", duration=0.05), 1, lambda line: None)
+def study() -> EffectStudy:
+    return EffectStudy(load_scene("elliptic", duration=0.05), 1, lambda line: None)
 
 
-def test_effects_are_sorted_by_the_tolerance_and_by_whether_they_are_on(study: Study) -> None:
+def test_effects_are_sorted_by_the_tolerance_and_by_whether_they_are_on(study: EffectStudy) -> None:
     rows = [
         row("motors", 2e-3, on=True),
         row("contact_width", 1e-3, on=False),
@@ -44,24 +44,24 @@ def test_effects_are_sorted_by_the_tolerance_and_by_whether_they_are_on(study: S
     assert found.together is None
 
 
-def test_a_parcel_more_or_less_is_another_answer(study: Study) -> None:
+def test_a_parcel_more_or_less_is_another_answer(study: EffectStudy) -> None:
     assert advise(study, [row("feeders", None, on=False, parcels=1)], 1e-3).missing == ("feeders",)
 
 
-def test_nothing_is_said_of_what_the_solver_can_t_tell(study: Study) -> None:
+def test_nothing_is_said_of_what_the_solver_can_t_tell(study: EffectStudy) -> None:
     found = advise(study, [row("motors", 2e-4, on=True, error=1e-3)], 1e-3)
     assert (found.can_go, found.missing, found.unclear) == ((), (), ("motors",))
 
 
-def test_nothing_is_said_of_what_could_not_be_toggled(study: Study) -> None:
-    found = advise(study, [Row(name="feeders", on=False, reason="only a scene can say")], 1e-3)
+def test_nothing_is_said_of_what_could_not_be_toggled(study: EffectStudy) -> None:
+    found = advise(study, [AblationRow(name="feeders", on=False, reason="only a scene can say")], 1e-3)
     assert (found.can_go, found.missing, found.unclear) == ((), (), ())
 
 
 @pytest.mark.slow
 def test_effects_that_can_go_are_left_out_all_at_once_too() -> None:
     scene = load_scene("loaded", duration=0.15)
-    study = Study(scene, 1, lambda line: None)
+    study = EffectStudy(scene, 1, lambda line: None)
     rows = study.rows(["motors", "wheel_load"])
     influences = {one.name: one.influence for one in rows}
     found = advise(study, rows, 1.0)

@@ -19,8 +19,8 @@ EFFECTS = effect_types()
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_has_typical_settings_or_says_why_not(name: str) -> None:
     kind = EFFECTS[name]
-    assert kind.typical.__func__ is not EffectSpec.typical.__func__  # type: ignore[attr-defined]
-    typical = kind.typical(0.1)
+    assert kind.default_settings.__func__ is not EffectSpec.default_settings.__func__  # type: ignore[attr-defined]
+    typical = kind.default_settings(0.1)
     assert isinstance(typical, kind) or " " in typical
 
 
@@ -35,7 +35,7 @@ def test_declared_events_are_events_of_the_plant() -> None:
 
 
 def test_effects_with_a_place_in_the_ladder_come_first_and_in_its_order() -> None:
-    places = [effect.rung for effect in EFFECTS.values()]
+    places = [effect.fidelity_rank for effect in EFFECTS.values()]
     ordered = [place for place in places if place is not None]
     assert places[: len(ordered)] == sorted(ordered)
     assert len(set(ordered)) == len(ordered)

@@ -9,13 +9,13 @@ import pytest
 
 from deploy.commands.options import load_scene
 from deploy.errors import InputError
-from deploy.runs.headless import Course, follow
+from deploy.runs.headless import HeadlessResult, run_headless
 from deploy.scenes.scene import Scene
 from deploy.studies.effects import ladder as ladder_module
 from deploy.studies.effects.ablation import effect_types, tables
-from deploy.studies.effects.ladder import Climbed, climb, rungs
+from deploy.studies.effects.ladder import RungResult, run_ladder, rungs
 from deploy.studies.effects.plot import draw_ladder
-from deploy.studies.effects.sensitivity import Influence, compare
+from deploy.studies.effects.sensitivity import Sensitivity, compare
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
 from plant.effects.wheel_load import WheelLoadSpec
@@ -24,7 +24,7 @@ BASE = ["quasi_static", "viscous", "stick_slip"]
 
 
 def test_every_effect_with_a_place_is_a_rung_in_that_order() -> None:
-    placed = [name for name, kind in effect_types().items() if kind.rung is not None]
+    placed = [name for name, kind in effect_types().items() if kind.fidelity_rank is not None]
     assert [rung.name for rung in rungs(load_scene("ladder"))] == BASE + placed
 
 
@@ -60,7 +60,7 @@ def test_an_effect_that_doesn_t_go_with_one_below_stands_beside_the_ladder(
 
 def test_the_top_is_never_a_rung_beside_the_ladder() -> None:
     low, top, beside = rungs(load_scene("ladder", duration=0.1))[:3]
-    climbed = climb([low, top, replace(beside, instead=("motors",))], 1, lambda line: None)
+    climbed = run_ladder([low, top, replace(beside, instead=("motors",))], 1, lambda line: None)
     assert [one.distance is not None and one.distance.none for one in climbed] == [False, True, False]
 
 
@@ -86,14 +86,14 @@ def test_a_rung_has_the_scene_s_own_settings_and_what_has_no_place_stays() -> No
 
 
 def test_an_effect_s_declared_place_is_where_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ContactWidthSpec, "rung", 5)
+    monkeypatch.setattr(ContactWidthSpec, "fidelity_rank", 5)
     assert [rung.name for rung in rungs(load_scene("ladder"))][3] == "contact_width"
 
 
 def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
     ladder = rungs(load_scene("ladder", duration=0.3))
     refused = replace(ladder[0], name="refused", scene=None, reason="it doesn't fit")
-    climbed = climb([*ladder[:3], refused], 1, lambda line: None)
+    climbed = run_ladder([*ladder[:3], refused], 1, lambda line: None)
     assert climbed[3].distance is None
     assert climbed[3].reason == refused.reason
     top, quasi = climbed[2], climbed[0]
@@ -102,7 +102,7 @@ def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
     scenes = [rung.scene for rung in ladder[:3]]
     assert scenes[0] is not None
     assert scenes[2] is not None
-    wanted = compare(*(follow(scene, cells=True) for scene in (scenes[0], scenes[2])))
+    wanted = compare(*(run_headless(scene, cells=True) for scene in (scenes[0], scenes[2])))
     assert quasi.distance == wanted
     assert wanted.displacement_m is not None
     assert wanted.displacement_m > 1e-4
@@ -110,21 +110,21 @@ def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
 
 
 def test_a_rung_that_blows_up_is_left_out_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def followed(scene: Scene, *, cells: bool) -> Course:
+    def followed(scene: Scene, *, cells: bool) -> HeadlessResult:
         if scene.friction.law == "stick_slip":
             raise InputError("it doesn't stand")
-        course = follow(scene, cells=cells)
+        course = run_headless(scene, cells=cells)
         quasi = scene.solver.name == "quasi_static"
         return replace(course, status="unstable", reason="it blew up") if quasi else course
 
     monkeypatch.setattr(ladder_module, "follow", followed)
-    climbed = climb(rungs(load_scene("ladder", duration=0.05))[:3], 1, lambda line: None)
+    climbed = run_ladder(rungs(load_scene("ladder", duration=0.05))[:3], 1, lambda line: None)
     assert [one.reason for one in climbed] == ["it blew up", "", "it doesn't stand"]
     assert [one.distance is None for one in climbed] == [True, False, True]
 
 
-def _at(metres: float) -> Influence:
-    return Influence(
+def _at(metres: float) -> Sensitivity:
+    return Sensitivity(
         displacement_m=metres,
         turn_rad=0.0,
         parcels=0,
@@ -140,9 +140,9 @@ def test_a_ladder_of_any_height_is_drawn(tmp_path: Path, distances: tuple[float,
     scene = load_scene("ladder")
     ladder = rungs(scene)
     climbed = [
-        Climbed(rung, 0.1 * (n + 1), _at(d))
+        RungResult(rung, 0.1 * (n + 1), _at(d))
         for n, (rung, d) in enumerate(zip(ladder, distances, strict=False))
     ]
-    climbed += [Climbed(rung, reason="left out") for rung in ladder[len(distances) :]]
+    climbed += [RungResult(rung, reason="left out") for rung in ladder[len(distances) :]]
     draw_ladder(scene, climbed, tmp_path / "ladder.png")
     assert (tmp_path / "ladder.png").read_bytes().startswith(b"\x89PNG")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from deploy.runs.headless import Course
+from deploy.runs.headless import HeadlessResult
 from deploy.studies.effects.sensitivity import compare
 from plant.observations import Event, ParcelState, ParcelStatus
 
@@ -19,12 +19,12 @@ def course(
     *poses: tuple[float, float, float],
     fates: Sequence[tuple[ParcelState, float]] | None = None,
     events: Sequence[Event] = (),
-) -> Course:
-    return Course(
+) -> HeadlessResult:
+    return HeadlessResult(
         status="ok",
         reason="",
         states=np.array([[*pose, 0.0, 0.0, 0.0] for pose in poses]).reshape(-1, 6),
-        fates=[ParcelStatus(*fate) for fate in fates or [("moving", 0.0)] * len(poses)],
+        parcel_status=[ParcelStatus(*fate) for fate in fates or [("moving", 0.0)] * len(poses)],
         footprints_m=[SQUARE] * len(poses),
         events=events,
         wall_s=1.0,

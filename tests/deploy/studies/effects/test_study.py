@@ -10,14 +10,14 @@ import pytest
 
 from deploy.commands.options import load_scene
 from deploy.errors import InputError
-from deploy.runs.headless import follow, needs_cells
+from deploy.runs.headless import needs_cells, run_headless
 from deploy.scenes.errors import SceneError
 from deploy.scenes.files import bundled_names
 from deploy.scenes.scene import Scene
 from deploy.studies.effects import study as study_module
-from deploy.studies.effects.ablation import NotPossible, effect_types, refined, tables, toggled, variant
+from deploy.studies.effects.ablation import VariantRejected, ablate, effect_types, refined, tables, variant
 from deploy.studies.effects.sensitivity import compare
-from deploy.studies.effects.study import Study
+from deploy.studies.effects.study import EffectStudy
 
 SHOWN = {
     "uneven_supports": ("uneven", 1.5),
@@ -44,8 +44,8 @@ ASKED_FOR = {"scanners", "camera"}
 """What programs ask for: a scene whose cells make something of it can't do without."""
 
 
-def study(scene: Scene) -> Study:
-    return Study(scene, 1, lambda line: None)
+def study(scene: Scene) -> EffectStudy:
+    return EffectStudy(scene, 1, lambda line: None)
 
 
 def loaded(name: str, *sets: str, duration: float | None = None) -> Scene:
@@ -106,7 +106,7 @@ def test_contacts_that_are_only_reported_move_nothing_but_are_told() -> None:
 
 
 def test_an_effect_that_the_scene_lacks_is_tried_with_what_it_needs_on_both_sides() -> None:
-    pair = toggled(loaded("elliptic"), "wheel_load")
+    pair = ablate(loaded("elliptic"), "wheel_load")
     assert pair.beside == ("motors",)
     assert tables(pair.on).keys() - tables(pair.off).keys() == {"wheel_load"}
     assert tables(pair.off).keys() == {"motors"}
@@ -116,23 +116,23 @@ def test_an_effect_that_the_scene_lacks_is_tried_with_what_it_needs_on_both_side
 
 
 def test_an_effect_goes_with_those_that_build_on_it() -> None:
-    pair = toggled(loaded("loaded"), "motors")
+    pair = ablate(loaded("loaded"), "motors")
     assert pair.along == ("wheel_load",)
     assert tables(pair.off) == {}
     assert pair.off.cells.speed_loop is None
 
 
 def test_what_asks_more_of_an_effect_by_its_settings_goes_with_it() -> None:
-    pair = toggled(loaded("spots"), "analogue_sensors")
+    pair = ablate(loaded("spots"), "analogue_sensors")
     assert pair.along == ("adc", "sensor")
     # a sensor that asks nothing of levels stays
-    pair = toggled(loaded("noisy", "effects.analogue_sensors.spot_radius_m=0.01"), "analogue_sensors")
+    pair = ablate(loaded("noisy", "effects.analogue_sensors.spot_radius_m=0.01"), "analogue_sensors")
     assert pair.along == ()
-    assert toggled(loaded("noisy"), "adc").beside == ("analogue_sensors",)
+    assert ablate(loaded("noisy"), "adc").beside == ("analogue_sensors",)
 
 
 def test_both_sides_differ_in_nothing_but_the_effect() -> None:
-    pair = toggled(loaded("uneven"), "uneven_supports")
+    pair = ablate(loaded("uneven"), "uneven_supports")
     assert variant(pair.off, tables(pair.on)).canonical() == pair.on.canonical()
     assert not pair.cells
 
@@ -152,8 +152,8 @@ def test_every_bundled_scene_can_be_varied_and_stays_the_same_if_it_is_not(name:
     ],
 )
 def test_what_can_t_be_toggled_says_why(scene: str, sets: Sequence[str], effect: str, reason: str) -> None:
-    with pytest.raises(NotPossible) as caught:
-        toggled(loaded(scene, *sets), effect)
+    with pytest.raises(VariantRejected) as caught:
+        ablate(loaded(scene, *sets), effect)
     assert str(caught.value) == reason
     row = study(loaded(scene, *sets)).row(effect)
     assert (row.influence, row.cost_ratio, row.reason) == (None, None, reason)
@@ -182,7 +182,7 @@ def test_a_contradiction_between_effects_names_both(sets: Sequence[str], names: 
 def test_the_plant_alone_moves_a_field_s_parcels_as_with_cells_to_the_last_bit() -> None:
     scene = loaded("elliptic", duration=0.4)
     assert not needs_cells(scene)
-    found = compare(follow(scene, cells=True), follow(scene, cells=False))
+    found = compare(run_headless(scene, cells=True), run_headless(scene, cells=False))
     assert found.none
     assert found.events > 0
 
@@ -222,10 +222,10 @@ def test_the_solver_s_own_error_is_told_by_a_tenth_of_its_tolerance_or_step(
 @pytest.mark.slow
 def test_the_solver_s_error_is_that_of_the_worse_side() -> None:
     scene = loaded("uneven", "solver.tolerance=1e-3", duration=0.6)
-    pair = toggled(scene, "uneven_supports")
+    pair = ablate(scene, "uneven_supports")
     finer = [refined(side) for side in (pair.on, pair.off)]
     errors = [
-        compare(follow(side, cells=False), follow(fine, cells=False)).displacement_m or 0.0
+        compare(run_headless(side, cells=False), run_headless(fine, cells=False)).displacement_m or 0.0
         for side, fine in zip((pair.on, pair.off), finer, strict=True)
         if fine is not None
     ]
@@ -235,14 +235,14 @@ def test_the_solver_s_error_is_that_of_the_worse_side() -> None:
 
 
 def test_the_cost_is_the_median_with_over_the_median_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    course = follow(loaded("elliptic", duration=0.05), cells=False)
+    course = run_headless(loaded("elliptic", duration=0.05), cells=False)
     spans = {True: iter([7.0, 9.0, 3.0, 50.0, 7.0]), False: iter([7.0, 9.0, 1.0, 1.5, 7.0])}
 
     def timed(scene: Scene, *, cells: bool) -> Any:
         return replace(course, wall_s=next(spans[scene.effects.parcel_contact is not None]))
 
     monkeypatch.setattr(study_module, "follow", timed)
-    row = Study(loaded("elliptic", duration=0.05), 3, lambda line: None).row("parcel_contact")
+    row = EffectStudy(loaded("elliptic", duration=0.05), 3, lambda line: None).row("parcel_contact")
     # the first of either side, which may compile, and the last, under a finer solver, don't count
     assert row.wall_s == (9.0, 1.5)
     assert row.cost_ratio == 6.0
@@ -259,7 +259,7 @@ def test_a_plant_that_refuses_one_side_is_a_reason(monkeypatch: pytest.MonkeyPat
 
 def test_a_run_that_ends_early_is_a_reason_and_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(scene: Scene, *, cells: bool) -> Any:
-        course = follow(scene, cells=cells)
+        course = run_headless(scene, cells=cells)
         return (
             replace(course, status="unstable", reason="it blew up")
             if scene.effects.parcel_contact

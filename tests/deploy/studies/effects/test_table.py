@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 
 from deploy.commands.options import load_scene
-from deploy.studies.effects.ladder import Climbed, Rung
+from deploy.studies.effects.ladder import Rung, RungResult
 from deploy.studies.effects.report import print_ladder, print_rows
-from deploy.studies.effects.sensitivity import Influence
-from deploy.studies.effects.study import Row
+from deploy.studies.effects.sensitivity import Sensitivity
+from deploy.studies.effects.study import AblationRow
 
 
-def influence(metres: float, settled_s: tuple[float | None, float | None] = (None, None)) -> Influence:
-    return Influence(
+def influence(metres: float, settled_s: tuple[float | None, float | None] = (None, None)) -> Sensitivity:
+    return Sensitivity(
         displacement_m=metres,
         turn_rad=3e-3,
         parcels=0,
@@ -25,7 +25,7 @@ def influence(metres: float, settled_s: tuple[float | None, float | None] = (Non
     )
 
 
-def rows(capsys: pytest.CaptureFixture[str], row: Row) -> tuple[list[str], str]:
+def rows(capsys: pytest.CaptureFixture[str], row: AblationRow) -> tuple[list[str], str]:
     print_rows(load_scene("elliptic"), [row])
     out = capsys.readouterr().out
     (line,) = (line.split() for line in out.splitlines() if line.startswith(f"{row.name} "))
@@ -45,7 +45,7 @@ def rows(capsys: pytest.CaptureFixture[str], row: Row) -> tuple[list[str], str]:
 def test_a_row_is_in_millimetres_and_milliradians(
     capsys: pytest.CaptureFixture[str], settled_s: tuple[float | None, float | None], rests: str
 ) -> None:
-    row = Row(
+    row = AblationRow(
         name="motors",
         on=True,
         solver="exact",
@@ -59,7 +59,7 @@ def test_a_row_is_in_millimetres_and_milliradians(
 
 
 def test_notes_say_under_what_an_effect_was_tried(capsys: pytest.CaptureFixture[str]) -> None:
-    row = Row(
+    row = AblationRow(
         name="wheel_load",
         on=False,
         settings={"inertia_kg": 0.1 * 0.1},
@@ -79,8 +79,8 @@ def test_notes_say_under_what_an_effect_was_tried(capsys: pytest.CaptureFixture[
 
 def test_a_rung_that_was_not_run_says_why(capsys: pytest.CaptureFixture[str]) -> None:
     scene = load_scene("ladder")
-    run = Climbed(Rung("viscous", "inertia", scene), 0.5, influence(4e-3))
-    print_ladder(scene, [run, Climbed(Rung("fog", "fog", None), reason="it is dry")])
+    run = RungResult(Rung("viscous", "inertia", scene), 0.5, influence(4e-3))
+    print_ladder(scene, [run, RungResult(Rung("fog", "fog", None), reason="it is dry")])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["viscous", "inertia", "0.5", "4", "3"] in lines
     assert ["fog", "left", "out:", "it", "is", "dry", "–", "–", "–"] in lines

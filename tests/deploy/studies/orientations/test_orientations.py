@@ -15,7 +15,7 @@ import pytest
 from deploy.cli import main
 from deploy.commands.options import load_scene
 from deploy.studies.orientations.study import size_map, study
-from plant.analysis.torque_profile import Turntable
+from plant.analysis.torque_profile import TorqueProfiler
 
 TIPS = ("motors", "--set", "parcels.0.size_m=[0.4,0.2]", "--at", "0.1,0")
 """Where some angles have no cells all round the centre of mass."""
@@ -170,7 +170,7 @@ def test_a_map_over_sizes_says_in_a_log_how_far_it_is(
 def test_interrupted_a_map_leaves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    turn, done = Turntable.turn, []
+    turn, done = TorqueProfiler.profile, []
 
     def turn_twice(*arguments: Any) -> Any:
         done.append(arguments)
@@ -178,7 +178,7 @@ def test_interrupted_a_map_leaves_nothing(
             os.kill(os.getpid(), signal.SIGINT)
         return turn(*arguments)
 
-    monkeypatch.setattr(Turntable, "turn", turn_twice)
+    monkeypatch.setattr(TorqueProfiler, "profile", turn_twice)
     assert main(["orientations", "elliptic", *SIZES, "--output", str(tmp_path)]) == 130
     assert len(done) == 3
     assert tuple(capsys.readouterr()) == ("", "mdms: interrupted\n")

@@ -14,7 +14,7 @@ from deploy.cli import main
 from deploy.commands.options import load_scene
 from deploy.plots.map_view import colour
 from deploy.studies.orientations.plots import draw_orientations, draw_sizes
-from deploy.studies.orientations.study import SizeMap, Study, size_map, study
+from deploy.studies.orientations.study import OrientationStudy, SizeMap, size_map, study
 from plant.analysis.orientations import TorqueProfile
 
 CONTINUOUS = "#8fa0b2"
@@ -28,11 +28,13 @@ def _pixels(path: Path, shade: str) -> int:
 
 
 @pytest.fixture
-def misaligned() -> Study:
+def misaligned() -> OrientationStudy:
     return study(load_scene("misaligned"), 0, (0.0, 0.0))
 
 
-def test_every_stable_orientation_is_drawn_in_its_colour(misaligned: Study, tmp_path: Path) -> None:
+def test_every_stable_orientation_is_drawn_in_its_colour(
+    misaligned: OrientationStudy, tmp_path: Path
+) -> None:
     draw_orientations(misaligned, misaligned.profile(), tmp_path / "o.png")
     shown = [_pixels(tmp_path / "o.png", colour(number)) for number in range(6)]
     assert min(shown) > 100
@@ -60,7 +62,7 @@ def test_the_continuous_curve_is_drawn_where_the_field_is_linear(tmp_path: Path)
     assert drawn["squeeze"] < 50
 
 
-def test_angles_at_which_the_parcel_tips_are_hatched(misaligned: Study, tmp_path: Path) -> None:
+def test_angles_at_which_the_parcel_tips_are_hatched(misaligned: OrientationStudy, tmp_path: Path) -> None:
     whole = misaligned.profile()
     cut = whole.torque_n_m.copy()
     cut[:12] = np.nan
@@ -71,7 +73,7 @@ def test_angles_at_which_the_parcel_tips_are_hatched(misaligned: Study, tmp_path
     assert next(hatched) > next(hatched) + 300
 
 
-def test_sizes_without_a_stable_orientation_are_grey(misaligned: Study, tmp_path: Path) -> None:
+def test_sizes_without_a_stable_orientation_are_grey(misaligned: OrientationStudy, tmp_path: Path) -> None:
     sizes = size_map(misaligned, np.array([0.5, 0.6]), np.array([0.32, 0.42]))
     nothing = SizeMap(sizes.lengths_m, sizes.widths_m, ((None, ()), ((), None)))
     for name, shown in (("some", sizes), ("none", nothing)):
@@ -79,7 +81,7 @@ def test_sizes_without_a_stable_orientation_are_grey(misaligned: Study, tmp_path
     assert _pixels(tmp_path / "some.png", NONE) < 0.05 * _pixels(tmp_path / "none.png", NONE)
 
 
-def test_a_single_size_is_a_map_too(misaligned: Study, tmp_path: Path) -> None:
+def test_a_single_size_is_a_map_too(misaligned: OrientationStudy, tmp_path: Path) -> None:
     draw_sizes(misaligned, size_map(misaligned, np.array([0.5]), np.array([0.4])), tmp_path / "one.png")
     assert _pixels(tmp_path / "one.png", NONE) < 1000
 
@@ -96,7 +98,7 @@ def test_pictures_go_beside_what_a_folder_holds(tmp_path: Path, capsys: pytest.C
     ]
 
 
-def test_the_same_study_gives_the_same_pictures(misaligned: Study, tmp_path: Path) -> None:
+def test_the_same_study_gives_the_same_pictures(misaligned: OrientationStudy, tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
         draw_orientations(misaligned, misaligned.profile(), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from bus.sensors import Picture
+from bus.sensors import CameraFrame
 from plant.effects.camera.camera import Camera
 from plant.effects.camera.spec import CameraSpec
 from plant.effects.registry import PlantEffects
@@ -26,7 +26,7 @@ def state(tick: int) -> np.ndarray:
     return np.arange(18.0).reshape(3, 6) * 0.01 + 0.1 * tick
 
 
-def film(spec: CameraSpec, ticks: int, seed: int = 1, later: int = 0) -> dict[int, Picture]:
+def film(spec: CameraSpec, ticks: int, seed: int = 1, later: int = 0) -> dict[int, CameraFrame]:
     camera = Camera(spec, TICK_NS, seed, later)
     shown = {tick: camera.look(tick, state(tick), ALL) for tick in range(ticks)}
     return {tick: picture for tick, picture in shown.items() if picture is not None}

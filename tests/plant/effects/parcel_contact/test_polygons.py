@@ -103,7 +103,7 @@ def test_what_is_certain_to_stay_apart_does_at_every_instant_between(
     ]
     ends = np.stack([[ways[0][0], ways[1][0]], [ways[0][-1], ways[1][-1]]])
     pair = np.array([[0, 1]])
-    _, unsure = contact_entry.first_unsure(shapes, pair, pull, 0.0, t[[0, -1]], ends, 0)
+    _, unsure = contact_entry.first_uncertain(shapes, pair, pull, 0.0, t[[0, -1]], ends, 0)
     if unsure < 0:
         gaps = [contact_entry.gap(shapes, 0, 1, *states)[0] for states in zip(*ways, strict=True)]
         assert min(gaps) > 0.0

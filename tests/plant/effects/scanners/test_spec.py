@@ -12,7 +12,7 @@ from plant.array import CellArray
 from plant.effects.feeders.spec import FeedersSpec, FeedSpec
 from plant.effects.registry import PlantEffects
 from plant.effects.scanners.scanners import Scanners
-from plant.faults.base import Harm
+from plant.faults.base import WheelFaults
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from plant.sampling import Timing
@@ -172,7 +172,7 @@ def test_scanners_need_cells_that_exist_and_feeders() -> None:
     with pytest.raises(ValidationError, match="twice"):
         scanning(cells=[(0, 0), (0, 0)])
     effects = PlantEffects.model_validate({"scanners": {"cells": [(0, 0)]}})
-    assert [path for path, _, _ in effects.at_odds()] == [("effects", "feeders")]
+    assert [path for path, _, _ in effects.problems()] == [("effects", "feeders")]
     with pytest.raises(ValidationError):
         PlantEffects.model_validate({"scanners": {"cells": []}, "feeders": {}})
     assert FeedersSpec.model_validate({"exits": EXITS}).number("south") == 2
@@ -183,15 +183,15 @@ def test_the_scanner_of_a_cell_that_is_pulled_reads_nothing_and_reads_again_when
     before = plant.sense().label
     assert before is not None
     read = np.flatnonzero(before)
-    harm, drives = Harm.none(160), np.zeros((160, 2))
+    harm, drives = WheelFaults.healthy(160), np.zeros((160, 2))
     harm.gone[read[0]] = True
-    plant.suffer(harm, drives)
-    for label in (plant.told.label, plant.sense().label):
+    plant.apply_faults(harm, drives)
+    for label in (plant.last_readings.label, plant.sense().label):
         assert label is not None
         assert np.flatnonzero(label).tolist() == read[1:].tolist()
-    plant.suffer(Harm.none(160), drives)
-    assert plant.told.label is not None
-    assert np.array_equal(plant.told.label, before)
+    plant.apply_faults(WheelFaults.healthy(160), drives)
+    assert plant.last_readings.label is not None
+    assert np.array_equal(plant.last_readings.label, before)
 
 
 def test_a_parcel_is_fed_onto_the_cells_that_are_there_when_it_comes() -> None:
@@ -203,10 +203,10 @@ def test_a_parcel_is_fed_onto_the_cells_that_are_there_when_it_comes() -> None:
         "mass_kg": 1.0,
     }
     plant = Plant(scanning(cells=[(0, 0)], feed=[feed]))
-    under = plant._solver.under(0)
-    harm, drives = Harm.none(160), np.zeros((160, 2))
+    under = plant._solver.covered_cells(0)
+    harm, drives = WheelFaults.healthy(160), np.zeros((160, 2))
     harm.gone[under[:1]] = True
-    plant.suffer(harm, drives)
+    plant.apply_faults(harm, drives)
     _, events = plant.advance(drives, 10 * TICK_NS)
     assert [event.kind for event in events] == ["fed"]
-    assert set(plant._solver.under(0)) == set(under[1:])
+    assert set(plant._solver.covered_cells(0)) == set(under[1:])

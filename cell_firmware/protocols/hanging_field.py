@@ -14,7 +14,7 @@ from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outputs, Sta
 from cell_firmware.specs import CellName, Spec
 
 
-class StumblingFieldParameters(Spec):
+class HangingFieldParameters(Spec):
     """The field, and who hangs when."""
 
     field: FieldSpec
@@ -25,10 +25,10 @@ class StumblingFieldParameters(Spec):
 
 
 @final
-class StumblingField(Firmware):
+class HangingField(Firmware):
     """Drives the field's velocity until a counter of periods, which some cells have, runs over: the program raises."""
 
-    Parameters = StumblingFieldParameters
+    Parameters = HangingFieldParameters
 
     def check(self, lattice: Lattice) -> None:
         """Every cell that is named must exist."""
@@ -38,12 +38,12 @@ class StumblingField(Firmware):
             if cell not in lattice
         )
         if problems:
-            raise ParametersError("stumbling_field", problems)
+            raise ParametersError("hanging_field", problems)
 
-    def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
+    def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """The field must be a number at every cell."""
         del pitch_m
-        self.parameters.field.check_places("stumbling_field", lattice, position_m)
+        self.parameters.field.check_places("hanging_field", lattice, position_m)
 
     def init(self, cells: Cells) -> State:
         """Each cell's speed, ``(n, 2)`` m/s, and the periods left, ``(n,)``; negative without the bug."""

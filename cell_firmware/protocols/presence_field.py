@@ -11,34 +11,34 @@ from bus.lattice import Lattice
 from cell_firmware.fields import FieldSpec
 from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
 from cell_firmware.specs import Spec
-from cell_firmware.toolkit.hold import Patience, last_word, still_counts
+from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 
 
-class WakingFieldParameters(Spec):
+class PresenceFieldParameters(Spec):
     """The field, and how far ahead of a parcel it is awake."""
 
     field: FieldSpec
     reach: Annotated[int, Field(ge=0, le=100)] = 1
     """How many cells away from one that senses a parcel wheels run, counted along rows and columns."""
-    patience: Patience = 1
+    ttl_periods: Ttl = 1
     """For how many periods a neighbour's word counts: more than 1 where messages may come late."""
 
 
 @final
-class WakingField(Firmware):
+class PresenceField(Firmware):
     """Runs where a parcel is sensed, and passes the word on as many cells as it reaches.
 
     A cell's level is ``reach + 1`` where it senses a parcel, else one less than the highest that its neighbours have
     told last and not too long ago, at least 0. It tells its own, and drives the field's velocity while that is above 0.
     """
 
-    Parameters = WakingFieldParameters
+    Parameters = PresenceFieldParameters
     message = np.dtype([("level", "u1")])
 
-    def check_places(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
+    def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """The field must be a number at every cell."""
         del pitch_m
-        self.parameters.field.check_places("waking_field", lattice, position_m)
+        self.parameters.field.check_places("presence_field", lattice, position_m)
 
     def init(self, cells: Cells) -> State:
         """Each cell's speed while it is awake, ``(n, 2)`` m/s; what each side told last, and for how long it counts."""
@@ -54,8 +54,8 @@ class WakingField(Firmware):
         """Wake or sleep, and tell the neighbours."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
-        counts = still_counts(inbox.received, state["counts"], self.parameters.patience)
-        told = last_word(inbox.received, counts, inbox.message["level"], state["told"])
+        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
+        told = hold_last(inbox.received, counts, inbox.message["level"], state["told"])
         highest = np.maximum(np.maximum(told[:, 0], told[:, 1]), np.maximum(told[:, 2], told[:, 3]))
         here = inputs.presence[:, 0]
         for sensor in range(1, inputs.presence.shape[1]):

@@ -7,12 +7,12 @@ import pytest
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.firmware import Cells, Inbox, Inputs
-from cell_firmware.protocols.waking_field import WakingField, WakingFieldParameters
+from cell_firmware.protocols.presence_field import PresenceField, PresenceFieldParameters
 
 
-def waking(reach: int) -> WakingField:
+def waking(reach: int) -> PresenceField:
     field = {"kind": "uniform", "velocity_m_s": [0.2, -0.1]}
-    return WakingField(WakingFieldParameters.model_validate({"field": field, "reach": reach}))
+    return PresenceField(PresenceFieldParameters.model_validate({"field": field, "reach": reach}))
 
 
 def steps_apart(lattice: Lattice, cell: tuple[int, int]) -> np.ndarray:
@@ -65,10 +65,12 @@ def test_any_of_a_cell_s_sensors_wakes_it() -> None:
 
 
 def test_a_word_counts_for_as_many_periods_as_the_cell_has_patience(grid: Callable[..., Lattice]) -> None:
-    def awake(patience: int) -> list[bool]:
+    def awake(ttl_periods: int) -> list[bool]:
         """Of a cell that is told once, and then nothing more."""
         field = {"kind": "uniform", "velocity_m_s": [1.0, 0.0]}
-        firmware = WakingField(WakingFieldParameters.model_validate({"field": field, "patience": patience}))
+        firmware = PresenceField(
+            PresenceFieldParameters.model_validate({"field": field, "ttl_periods": ttl_periods})
+        )
         state = firmware.init(Cells.of(grid(1, 1), np.zeros((1, 2)), 0.004))
         found: list[bool] = []
         for tick in range(6):
