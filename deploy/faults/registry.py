@@ -60,7 +60,7 @@ AnyFault = (
 Fault = Annotated[Annotated[AnyFault, Field(discriminator="kind")], BeforeValidator(tagged("kind", "crash"))]
 """A scene's ``[[faults]]`` are told apart by ``kind``."""
 
-KINDS: dict[str, type[AnyFault]] = {kind.called: kind for kind in get_args(AnyFault)}
+KINDS: dict[str, type[AnyFault]] = {kind.kind_name: kind for kind in get_args(AnyFault)}
 
 
 def gist(kind: str) -> str:
