@@ -1,4 +1,4 @@
-"""What solvers tell of parcels, as the plant tells it: events with names and places, and how parcels fare."""
+"""Event log and rest detector: conversion of solver results to plant events and parcel states."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ class EventLog:
         self.halted: PlantHalted | None = None
 
     def tipped(self, there: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Those of some parcels that tipped on the array, and stand there."""
+        """Return the parcels among ``there`` that tipped and lie on the array."""
         return there[[self._status[int(i)].state == "tipped" for i in there]]
 
     def events(self, done: AdvanceResult, start_s: float) -> list[Event]:
-        """What happened to a parcel in a move that began at ``start_s``.
+        """Convert a parcel's advance result, of a move that began at ``start_s``, to events.
 
-        Where its motion can't be followed, or was to end, ``halted`` says so.
+        If the motion can't be followed, or had to end, a ``halted`` event is added.
         """
         i = done.parcel
         self.support_changes += done.changes
@@ -80,7 +80,7 @@ class EventLog:
         return events
 
     def _place(self, i: int) -> tuple[float, float]:
-        """Where a parcel's centre of mass is."""
+        """Return the position of a parcel's centre of mass, m."""
         x, y = self._solver.state[i, :2].tolist()
         return x, y
 

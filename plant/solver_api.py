@@ -1,4 +1,4 @@
-"""What the plant asks of a solver."""
+"""Interface between the plant and its solvers."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class Body(NamedTuple):
 
 
 class SolverEvent(NamedTuple):
-    """Something that happened to one parcel on the way.
+    """Event of one parcel during a call.
 
     Attributes:
-        after_s: seconds after the start of the call.
+        after_s: time after the start of the call, s.
         kind: one of ``plant.observations.Event.kind``.
-        cell: index, or -1.
+        cell: index of the cell, or -1.
     """
 
     after_s: float
@@ -119,12 +119,12 @@ class SegmentedCall(NamedTuple):
 
 
 class SolverSnapshot(NamedTuple):
-    """What a solver knows of some parcels at an instant.
+    """Snapshot of a solver's state of some parcels.
 
     Attributes:
-        indices: which.
-        rows: of every array with a row a parcel, those of these parcels.
-        members: cells under each, with what the kernels note of them.
+        indices: indices of the parcels.
+        rows: rows of the parcels, from every array with a row a parcel.
+        members: cells under each parcel, with the kernels' marks.
     """
 
     indices: NDArray[np.int64]
@@ -151,7 +151,7 @@ class Solver(Protocol):
 
     @property
     def effort(self) -> int:
-        """What it has done so far, for all parcels together: steps, or evaluations of the right-hand side."""
+        """Work done so far, for all parcels together: steps, or evaluations of the right-hand side."""
         ...
 
     @property
@@ -173,15 +173,15 @@ class Solver(Protocol):
         ...
 
     def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
-        """Move parcels, changing their states; what becomes of one doesn't depend on which others are moved with it.
+        """Advance parcels in place; the result for each parcel doesn't depend on the other indices.
 
         Args:
-            indices: ``(b,)`` which parcels, none twice.
-            leg: how far, and on which wheels.
+            indices: indices of the parcels, unique, ``(b,)``.
+            leg: segment to advance through, with its wheel motion.
 
         Returns:
-            Those to which something happened, in the order of ``indices``: all others moved the whole leg, on the
-            supports they had.
+            Results of parcels with events or an early end, in the order of ``indices``. All other parcels moved through
+            the whole segment on unchanged supports.
         """
         ...
 

@@ -54,11 +54,11 @@ class WheelChanges(NamedTuple):
 @final
 @dataclass(frozen=True)
 class WheelRun:
-    """What all wheels do over an interval, in closed form.
+    """Closed-form motion of all wheels over an interval.
 
     Attributes:
-        motion: from its start on.
-        changes: of single wheels on the way; None where there are none.
+        motion: motion from the start of the interval.
+        changes: changes of single wheels within the interval; None without changes.
     """
 
     motion: WheelMotion
@@ -153,16 +153,16 @@ class WheelIntegrator:
 
 
 class Wheels(Protocol):
-    """What turns drives into wheel motion. Physics: lives in the plant, never in firmware."""
+    """Model of wheels that converts drives to wheel motion. Part of the plant, never of firmware."""
 
     def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
-        """What they do from now on for ``span_s`` seconds.
+        """Apply drives and return the wheels' motion for ``span_s`` seconds.
 
         Args:
-            drives: ``(n, 2)``; the wheels' own from here on.
-            span_s: how long they stand.
-            acts_s: ``(n,)`` in ``[0, span_s)``: when each cell's take effect, its last ones going on until then; None:
-                all now.
+            drives: drives of all wheels, ``(n, 2)``. The wheels take ownership of the array.
+            span_s: duration of the drives, s.
+            acts_s: time at which each cell's drives take effect, ``(n,)``, s, in ``[0, span_s)``. The previous drives
+                act until then. None: all take effect now.
         """
         ...
 

@@ -100,7 +100,7 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress an
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
-    """What both ``run`` and ``simulate`` are asked for, an option a field."""
+    """Options common to ``run`` and ``simulate``, an option a field."""
 
     scene: SceneArgument
     sets: SetOption = None
@@ -121,13 +121,13 @@ class SceneOptions:
 @final
 @dataclass(frozen=True, slots=True)
 class AskedOfRun(SceneOptions):
-    """The same of a run, which may have its scene from one that it goes on with."""
+    """Options of ``run``, in which a resumed run can provide the scene."""
 
     scene: Annotated[str, typer.Argument(metavar="[SCENE]", help=_SCENE, autocompletion=scenes)] = ""
 
     @property
     def changes(self) -> dict[str, object]:
-        """What is asked for that only a run from its beginning can have, by option."""
+        """Given options, by name, that are allowed only for a run from its beginning."""
         given = {
             "SCENE": self.scene,
             "--set": self.sets,

@@ -58,7 +58,7 @@ def describe_faults(faults: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def plot_marks(faults: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
-    """When faults begin or end, cells are lost or come back, and a few words, as a picture's marks have them."""
+    """Return times and labels of plot marks: faults begin or end, cells are lost or rejoin."""
     return [
         (
             float(alike[0]["time_s"]),
@@ -97,7 +97,7 @@ def out_of_array(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], f
 
 
 def _together(faults: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
-    """Faults one by one, but cells that were lost at once, and alike."""
+    """Group records of cells lost at the same time; every other record is a group by itself."""
     found: dict[object, list[Mapping[str, Any]]] = {}
     for place, fault in enumerate(faults):
         found.setdefault(place if "phase" in fault else (fault["kind"], fault["time_s"]), []).append(fault)

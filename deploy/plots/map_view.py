@@ -158,9 +158,10 @@ def struck_cells(track: RunTrace) -> set[tuple[int, int]]:
 
 
 def _draw_faults(axes: Axes, track: RunTrace) -> None:
-    """Cells that were pulled, white and dashed; that a fault struck, with a red rim; that are lost, with a cross too.
+    """Mark affected cells: white and dashed for removed modules, a red rim for faults, a cross for lost cells.
 
-    One that was plugged in, or in again, has its arrow; one that isn't there at the end has none.
+    A module that was added, for the first time or again, keeps its arrow. A module that is absent at the end has no
+    arrow.
     """
     if not track.faults:
         return

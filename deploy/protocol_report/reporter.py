@@ -102,12 +102,12 @@ class Reporter:
     def report(
         self, ticks: int, dead: Mapping[tuple[int, int], int], tally: Mapping[str, int] | None
     ) -> ProtocolReport:
-        """What the protocol did.
+        """Build the report of the protocol.
 
         Args:
-            ticks: Of the run.
-            dead: Of every cell that died, in which tick.
-            tally: What the cells counted; None if that is not known.
+            ticks: Number of ticks of the run.
+            dead: Tick of death of every dead cell.
+            tally: Counters of the cells; None if unknown.
         """
         self.deaths = dead
         residuals, theory = self.residuals, self.theory

@@ -116,7 +116,7 @@ def _level(log: Floats) -> float | None:
 
 
 def _first(log: Floats) -> int:
-    """Where the last decades begin; the middle if there are no more than those."""
+    """Find the start of the last decades, or the middle if the series spans no more."""
     far = np.flatnonzero(np.abs(log - np.median(log[-3:])) > _FIT_DECADES)
     first = int(far[-1]) + 1 if len(far) else len(log) // 2
     return max(min(first, len(log) - _FEW_POINTS), 0)

@@ -1,4 +1,4 @@
-"""What is wrong with a scene, in the words of its file: path, value, rule; all of it at once."""
+"""Errors in a scene in terms of its file: path, value, rule. All errors are reported at once."""
 
 from __future__ import annotations
 

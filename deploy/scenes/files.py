@@ -126,7 +126,7 @@ def _change_solver(data: dict[str, Any], overrides: Sequence[Override]) -> None:
 
 
 def _cross_problems(data: dict[str, Any]) -> list[Problem]:
-    """What does not agree between those sections that are valid by themselves."""
+    """Find disagreements between sections that are valid by themselves."""
     return cross_problems(
         _part(ArraySpec, data.get("array")),
         _part(CellsSpec, data.get("cells", {})),
@@ -154,7 +154,7 @@ def _part(model: Any, data: Any) -> Any:
 
 
 def _blame(problem: Problem, overrides: Sequence[Override]) -> Problem:
-    """Name the option that set the value, or something inside it or around it."""
+    """Attribute a problem to the option that set the value, a part of the value, or a containing table."""
     for override in reversed(overrides):
         shared = min(len(problem.path), len(override.path))
         if shared and problem.path[:shared] == override.path[:shared]:

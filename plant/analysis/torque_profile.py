@@ -94,7 +94,7 @@ class TorqueProfiler:
 def _all_pressed(
     offset: Floats, speed: Floats, passed: Crossings
 ) -> tuple[Floats, Floats, NDArray[np.intp], Floats]:
-    """What each set of cells below does to the parcel if all of it carries.
+    """Compute torque and force for each set of cells under the parcel, as if every cell carried load.
 
     Sums over cells change by those that come and leave, so that a step costs the same however many cells there are.
 

@@ -43,12 +43,12 @@ class FaultSchedule:
         self.next_transition = self.transitions[0] if self.transitions else NO_TICK_LIMIT
 
     def at_transition(self, tick: int) -> WheelFaults:
-        """What is the matter from ``tick`` on, which is ``next_turn``."""
+        """Return the fault state from the transition at ``tick`` on; ``tick`` equals ``next_turn``."""
         self.plan(tick + 1)
         return self.state_at(tick)
 
     def state_at(self, tick: int, *, live: bool = True) -> WheelFaults:
-        """What is the matter in a tick, because of the scene's faults alone if ``live`` is false."""
+        """Return the fault state in a tick. ``live``: include faults injected at run time."""
         harm = WheelFaults.healthy(self._cells)
         for injected in self._faults:
             if injected.active_at(tick) and (live or not injected.injected_at_runtime):

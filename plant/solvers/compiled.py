@@ -1,4 +1,4 @@
-"""What solvers whose parcels live in the kernels' arrays have in common."""
+"""Base classes of solvers whose parcels live in the kernels' arrays."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class CompiledSolver(ABC):
         return members(self.parcels[index])
 
     def find_supports(self, index: int, grip: Floats) -> bool:
-        """Find a parcel's loads where it is. False where its supports can't carry it."""
+        """Compute a parcel's loads at its pose. False if its supports can't carry it."""
         still = WheelMotion(self._still, self._still, 0.0)
         news = self.advance(np.array([index]), Segment.through(still, grip, 0.0, len(self.parcels)))
         return not news or news[0].termination == "moving"
@@ -151,7 +151,7 @@ class CompiledSolver(ABC):
         return Surface(self._array.positions_m, self._array.grid, motion.steady, motion.decay, grip)
 
     def _done(self, index: int, moved_s: float, changes: int, events: Sequence[SolverEvent]) -> AdvanceResult:
-        """What a call of a kernel came to for one parcel, ``changes`` being those of its supports."""
+        """Build the result of a kernel call for one parcel; ``changes``: number of support changes."""
         ctl: list[int] = self.packed.ctl[index].tolist()
         return AdvanceResult(
             index,
@@ -173,7 +173,7 @@ SENSED_WORTH_WAKING = 128
 
 
 class AdvanceArgs(NamedTuple):
-    """What is the same for all parcels of a call."""
+    """Arguments shared by all parcels of a call."""
 
     surface: Surface
     span_s: float
@@ -182,7 +182,7 @@ class AdvanceArgs(NamedTuple):
 
 
 class ThreadWorkspace(NamedTuple, Generic[Workspace]):
-    """What one thread works with.
+    """Workspace of one thread.
 
     Attributes:
         work: scratch of the solver's kernels.
@@ -229,7 +229,7 @@ class ThreadedSolver(CompiledSolver, Generic[Workspace]):
         """
 
     def workspace(self, thread: int) -> ThreadWorkspace[Workspace]:
-        """What a thread works with, made when it first does."""
+        """Return a thread's workspace, created on first use."""
         if thread not in self._desks:
             log, report = np.zeros((2 * LOG_CAPACITY, 4)), np.zeros((len(self.parcels), REPORT_SIZE))
             self._desks[thread] = ThreadWorkspace(self._make_workspace(), log, report)

@@ -1,7 +1,7 @@
-"""Threads that share the parcels of one call between them.
+"""Thread pool that distributes the parcels of one call.
 
-Kernels hold no lock of the interpreter while they run (``nogil``), so plain threads do; and unlike threads of numba's
-own they leave nothing behind that a process could not be forked with.
+Kernels release the interpreter lock while they run (``nogil``), so plain threads suffice. Unlike numba's own threads,
+plain threads leave no state behind that prevents a process from forking.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def load_wheels(scene: PlantSpec, law: Floats, mass_kg: float) -> None:
 
 
 class WheelLoadSum:
-    """What the parcels of one call have changed of the wheels, whichever thread moved them."""
+    """Changes of wheel speeds by the parcels of one call, summed independently of threads."""
 
     def __init__(self) -> None:
         self._blocks: dict[int, tuple[NDArray[np.int64], Floats]] = {}

@@ -139,7 +139,7 @@ def _lasting(invented: Mapping[Key, Sequence[float]]) -> list[float]:
 
 
 def _out_of_order(pairs: Sequence[tuple[float, float]]) -> list[float]:
-    """Own times of events that come before one that the reference has earlier."""
+    """Return the solver's times of events that precede an event which the reference has earlier."""
     latest, early = -np.inf, list[float]()
     rising = sorted(pairs)
     for number, (there, here) in enumerate(rising):

@@ -44,12 +44,12 @@ class Camera:
         self._under_way: deque[tuple[int, CameraFrame]] = deque()
 
     def look(self, tick: int, state: Floats, there: NDArray[np.int64]) -> CameraFrame | None:
-        """What cells are shown in a tick; to be called in every one, in order.
+        """Take a frame if due and return the frame that cells receive in this tick; call in every tick, in order.
 
         Args:
-            tick: which.
-            state: ``(m, 6)`` of all parcels, at its start.
-            there: numbers of those that can be seen, ascending.
+            tick: current tick.
+            state: states of all parcels at the start of the tick, ``(m, 6)``.
+            there: indices of visible parcels, ascending.
         """
         now_ns = tick * self._tick_ns
         if now_ns >= self._next_ns:

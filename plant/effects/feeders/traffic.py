@@ -1,4 +1,4 @@
-"""Parcels that come and go: who is there, who is due, who finds no room, who has left and how long that took."""
+"""Parcel traffic: feeding, queues at feeders, exits, and transit times."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Traffic:
         return self._event(time_ns, "fed", i, f"by feeder {queue.name}{held}")
 
     def _hold_back(self, queue: _Queue, called: int, other: int) -> Iterator[Event]:
-        """Those of a queue, but its first ``called``, that are due from now on and find parcel ``other`` in the way."""
+        """Count and report newly due parcels of a queue, after the first ``called``, that parcel ``other`` blocks."""
         for place in range(max(called, queue.fed), len(queue.called_ns)):
             queue.held_back += 1
             i = queue.first + place
@@ -185,7 +185,7 @@ class Traffic:
         return Event(time_ns * 1e-9, kind, i, (), (x, y), detail)
 
     def count(self, time_ns: int) -> TrafficCount:
-        """What has come and gone until now."""
+        """Return the traffic statistics up to ``time_ns``."""
         feeders = [_feed_count(queue, time_ns) for queue in self._queues]
         exits = [
             ExitCount(gate.name, len(gate.transit_ns), gate.misrouted, Transit.of(gate.transit_ns))

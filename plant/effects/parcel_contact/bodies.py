@@ -1,4 +1,4 @@
-"""What can touch: parcels and rails; and those of them that may do so within a span, by themselves."""
+"""Rigid bodies that can touch, parcels and rails, and their independent groups within a span."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class Group(NamedTuple):
         return self.names[self.moving]
 
     def stopped(self, body: int, state: Floats) -> Group:
-        """The same with a body that stands from now on."""
+        """Return a copy of the group in which ``body`` stands still at ``state``."""
         inverse, still = self.inverse.copy(), self.still.copy()
         inverse[body] = 0.0
         still[body, :3] = state[:3]

@@ -1,4 +1,4 @@
-"""Where the parcels of a group go in a span when nothing touches them, at any instant asked for."""
+"""Free motion of a group's parcels within a span, without contact, at arbitrary instants."""
 
 from __future__ import annotations
 

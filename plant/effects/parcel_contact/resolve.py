@@ -41,13 +41,13 @@ MANY: Final = 10_000
 
 
 class ContactDrive(NamedTuple):
-    """What acts on the parcels of a call.
+    """Wheel motion and traction that act on the parcels of a call.
 
     Attributes:
-        motion: of the wheels, from the start of the call.
+        motion: motion of the wheels, from the start of the call.
         grip: as for ``Solver.advance``.
-        wheels: m/s, the fastest wheel.
-        start_s: when the call begins.
+        wheels: speed of the fastest wheel, m/s.
+        start_s: start of the call, s.
     """
 
     motion: WheelMotion
@@ -132,7 +132,7 @@ class Resolution:
         return states
 
     def _put(self, states: Floats) -> None:
-        """Give those parcels their states that have others now."""
+        """Write changed states of the group's moving parcels to the solver."""
         for body, parcel in zip(self.group.moving.tolist(), self.group.parcels.tolist(), strict=True):
             if not np.array_equal(states[body], self._solver.state[parcel]):
                 self._solver.set_state(parcel, states[body])

@@ -203,7 +203,7 @@ def violated(surface, parcel, seg, mark):
 
 @kernel
 def exchange(surface, parcel, seg, mark):
-    """Turn round the mark that is farthest from what its load says.
+    """Toggle the support mark that contradicts its computed load most.
 
     ``contact`` finds the supports to the rounding of its potential, half the digits of a load; loads nearer to zero
     than that are sorted out here, one by one.

@@ -1,4 +1,4 @@
-"""One parcel out of all, and what happened to it."""
+"""Selection of one parcel from the arrays of all, and reports of its changes."""
 
 from __future__ import annotations
 

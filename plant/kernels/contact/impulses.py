@@ -32,13 +32,13 @@ def along(row, x, y, u, v):
 
 @kernel
 def leaving(row, u, v):
-    """The same along the normal."""
+    """Compute the separation speed at a contact point along its normal, m/s."""
     return along(row, row[to.NORMAL_X], row[to.NORMAL_Y], u, v)
 
 
 @kernel
 def sliding(row, u, v):
-    """The same along the normal turned by 90 degrees."""
+    """Compute the relative speed at a contact point along its tangent, the normal turned by 90 degrees, m/s."""
     return along(row, -row[to.NORMAL_Y], row[to.NORMAL_X], u, v)
 
 

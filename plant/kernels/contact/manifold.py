@@ -128,7 +128,7 @@ def build_rows(group, marks, mark, states, reach, rows, ends):
 
 @kernel
 def move_row(rows, ends, source, target):
-    """Move a row forward, over one that isn't wanted."""
+    """Move a contact row from index ``source`` to ``target``, overwriting the row there."""
     if source != target:
         for k in range(to.ROW_SIZE):
             rows[target, k] = rows[source, k]

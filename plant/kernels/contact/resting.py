@@ -1,4 +1,4 @@
-"""Pairs that stay together through a step: what they press on each other, and what that does to their places."""
+"""Resting contact: pairs that stay in contact through a step, and the corrections of velocities and places."""
 
 from __future__ import annotations
 

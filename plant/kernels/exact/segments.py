@@ -21,16 +21,16 @@ Floats = NDArray[np.float64]
 
 
 class CallSchedule(NamedTuple):
-    """What happens on the way of a call.
+    """Wheel changes and sensor readings scheduled within one call.
 
     Attributes:
-        after: ``(c, n, 2)`` when wheels change; see ``plant.wheels.Changes``.
+        after: times of wheel changes, ``(c, n, 2)``, s; see ``plant.wheels.WheelChanges``.
         steady: ``(c, n, 2)``.
         decay: ``(c, n, 2)``.
-        reads: ``(n,)`` s after the start when cells read; infinite: not on the way.
-        margin: ``(m,)`` m, how far from its footprint at the start each parcel can matter to a cell.
-        sensors: ``(s, 2)`` m, from a cell's centre.
-        bits: ``(n, s)``: set where a sensor is under a parcel when its cell reads.
+        reads: times after the start at which cells read sensors, ``(n,)``, s; infinite: not within the call.
+        margin: distance from each parcel's initial footprint within which a cell can be affected, ``(m,)``, m.
+        sensors: sensor positions from a cell's centre, ``(s, 2)``, m.
+        bits: set where a sensor is under a parcel when its cell reads, ``(n, s)``.
     """
 
     after: Floats
@@ -105,7 +105,7 @@ def collect_changes(surface, way, hand, near):
 
 @kernel
 def change(way, hand, now, done, changes):
-    """Have those wheels change whose instant it is. Returns how many have by now."""
+    """Apply the wheel changes due up to ``now``. Returns the number of changes applied so far."""
     cells = hand.steady.shape[0]
     while done < changes and hand.when[done] <= now:
         wheel = hand.which[done]
@@ -155,7 +155,7 @@ def restore_wheels(surface, hand, near):
 
 @kernel
 def local_surface(surface, hand):
-    """The surface with the wheels as the parcel whose turn it is finds them."""
+    """Build the surface with the wheels' state for the parcel being moved."""
     return Surface(
         surface.pos,
         surface.grid,

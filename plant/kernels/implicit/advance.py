@@ -67,7 +67,7 @@ def find_loads(surface, parcel, work):
 
 @kernel
 def decay(par, time):
-    """What is left after ``time`` of the motors' transient."""
+    """Compute the decay factor of the motors' transient after ``time``; 0 without motors."""
     return exp(-par[at.RATE] * time) if par[at.RATE] > 0.0 else 0.0
 
 
@@ -220,7 +220,7 @@ def controlled(surface, parcel, work, now, h, before):
 
 @kernel
 def rounding(y):
-    """What extrapolation leaves of a place by rounding alone, m: its weights add up to some 20."""
+    """Bound the rounding error of an extrapolated position, m. The weights of the extrapolation add up to about 20."""
     return 20.0 * EPSILON * (abs(y[0]) + abs(y[1]))
 
 

@@ -15,7 +15,7 @@ def speed(work, surface, cell, e):
 
 
 def begun(work, surface, cell, e):
-    """The same where the step began that was ``keep``'s, ``e`` being the factor then."""
+    """Surface speed (vx, vy) of a cell's wheels at the stored start of the step; ``e`` is the decay factor then."""
 
 
 def lightness(work):

@@ -201,7 +201,7 @@ def controlled(surface, parcel, work, now, left):
 
 @kernel
 def step(surface, parcel, work, now, left, events):
-    """One step of at most ``left`` seconds and what it changed. Returns (status, seconds)."""
+    """Advance by at most ``left`` seconds and log changes of supports. Returns (status, seconds)."""
     y, pace, ctl = parcel.y, work.pace, parcel.ctl
     for k in range(6):
         work.begin[k] = y[k]

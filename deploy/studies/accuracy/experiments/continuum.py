@@ -69,7 +69,7 @@ class ContinuumRow:
 
 
 def sets(pitch_m: float) -> tuple[str, ...]:
-    """What ``--set`` makes of ``elliptic``: the parcel on a cell in the middle, and no more cells than it can reach."""
+    """Return the ``--set`` values for ``elliptic``: the parcel on a central cell, and the cells within reach."""
     cells = 2 * math.ceil(5.8 / pitch_m) + 1
     return (
         f"array.rows={cells}",
@@ -123,7 +123,7 @@ def section(repeats: int) -> Section:
 
 
 def describe(rows: Sequence[ContinuumRow]) -> Section:
-    """What was measured, in words."""
+    """Describe the measurements in Markdown."""
     orders = [f"{math.log2(one.rms / two.rms):.2f}" for one, two in pairwise(rows)]
     settings = " ".join(f"--set '{one}'" for one in sets(PITCHES_M[0]))
     text = prose(

@@ -1,4 +1,4 @@
-"""What a section of the page is, and the small Markdown that all of them are written with."""
+"""Sections of the accuracy page and helpers that write Markdown."""
 
 # pyright: reportUnknownMemberType=false
 

@@ -68,7 +68,7 @@ class Oscillator:
 
     @property
     def overshoot_s(self) -> float:
-        """When it is there: half a period."""
+        """Time of the overshoot: half a period, s."""
         return float(np.pi / self.swing_rad_s)
 
 
@@ -283,7 +283,7 @@ def section(repeats: int) -> Section:
 
 
 def describe(simulations: Sequence[PaperRun]) -> Section:
-    """What was measured, in words."""
+    """Describe the measurements in Markdown."""
     by_name = {one.scene.name: one for one in simulations}
     x, y = by_name["elliptic"].swings
     assert x.oscillator is not None
