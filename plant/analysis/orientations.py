@@ -79,11 +79,11 @@ class TorqueProfile:
         return self.torque_n_m[step]
 
     def largest_force_n(self) -> float:
-        """Largest net force over all angles, N; 0 where the point is an equilibrium at every angle."""
+        """Return the largest net force over all angles, N; 0 where the point is an equilibrium at every angle."""
         return float(np.nanmax(np.hypot(self.force_n[:, 0], self.force_n[:, 1])))
 
     def orientations(self) -> tuple[Orientation, ...]:
-        """Zeros and sign changes of the torque, by ascending angle."""
+        """Find the zeros and sign changes of the torque, by ascending angle."""
         # 1, 0, -1, or NaN where the parcel doesn't stand
         sign = np.sign(self.torque_n_m)
         begins = np.flatnonzero(sign != np.roll(sign, 1))

@@ -94,7 +94,7 @@ class CompiledSolver(ABC):
         return members(self.parcels[index])
 
     def find_supports(self, index: int, grip: Floats) -> bool:
-        """Compute a parcel's loads at its pose. False if its supports can't carry it."""
+        """Compute a parcel's loads at its pose. False if the supports can't carry the parcel."""
         still = WheelMotion(self._still, self._still, 0.0)
         news = self.advance(np.array([index]), Segment.through(still, grip, 0.0, len(self.parcels)))
         return not news or news[0].termination == "moving"

@@ -162,7 +162,7 @@ class RestartingSolver(ABC):
         return self._parcels[index].under
 
     def find_supports(self, index: int, grip: Floats) -> bool:
-        """Compute a parcel's loads at its start. False if its supports can't carry it."""
+        """Compute a parcel's loads at its start. False if the supports can't carry the parcel."""
         del grip  # a wheel that turns freely carries all the same
         parcel = self._parcels[index]
         return self._find_supports(parcel)
@@ -195,7 +195,7 @@ class RestartingSolver(ABC):
         return [one for one in done if one.termination != "moving" or one.events]
 
     def _advance_one(self, index: int, leg: Segment) -> AdvanceResult:
-        """Advance one parcel; ``leg.out`` ``(k, 6)`` receives its states."""
+        """Advance one parcel and write its sampled states to ``leg.out`` ``(k, 6)``."""
         parcel, now = self._parcels[index], 0.0
         ending: Ending = "moving"
         events: list[SolverEvent] = []

@@ -1,4 +1,4 @@
-"""Thread pool that distributes the parcels of one call.
+"""Thread pool that distributes a call's parcels.
 
 Kernels release the interpreter lock while they run (``nogil``), so plain threads suffice. Unlike numba's own threads,
 plain threads leave no state behind that prevents a process from forking.

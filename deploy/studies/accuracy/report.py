@@ -1,4 +1,4 @@
-"""What a study of accuracy found, as data: for tables, JSON, CSV and pictures."""
+"""Results of an accuracy study as data, for tables, JSON, CSV and plots."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ class AccuracyReport:
 
 
 def versions() -> dict[str, str]:
-    """Of what computes, as far as it is installed."""
+    """Return the versions of Python and of the installed numerical packages."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:

@@ -76,7 +76,7 @@ class Axis:
         return cls(key.strip(), path, values_of(values.strip(), option), option)
 
     def override(self, value: Any) -> Override:
-        """What puts a value where the key says."""
+        """Return the override that sets the axis' key to a value."""
         return Override(self.path, value, f"{self.option}, value {value}")
 
 
@@ -219,12 +219,12 @@ class Cases:
 
     @property
     def baseline_runs(self) -> int:
-        """How many of those, each once for all cases that share it."""
+        """Number of baseline runs; a baseline that several cases share counts once."""
         return len({case.baseline_result for case in self.cases} - {""}) * len(self.seeds)
 
 
 def with_seed(scene: Scene, seed: int) -> Scene:
-    """The same scene, left to another chance; what is valid with one seed is with all."""
+    """Return a copy of the scene with another seed; validity doesn't depend on the seed."""
     return scene.model_copy(update={"seed": seed})
 
 
@@ -271,7 +271,7 @@ def cases_of(asked: CampaignSpec, text: str) -> Cases:
 
 
 def _sets(asked: CampaignSpec) -> tuple[list[Override], list[Override]]:
-    """What ``--set`` changes in the scene, and in the campaign's fault."""
+    """Split ``--set`` options into overrides of the scene and of the campaign's fault."""
     sets = [Override.parse(text) for text in asked.set]
     if asked.duration_s is not None:
         sets.append(Override(("duration_s",), asked.duration_s, f"--duration {asked.duration_s:g}"))

@@ -103,7 +103,7 @@ def print_report(report: CampaignReport) -> None:
 
 
 def heading(report: CampaignReport) -> str:
-    """What was run, in one line."""
+    """Format the campaign's heading: scene, fault and number of runs."""
     asked, cases = report.asked, report.cases
     facts = [f"scene {asked.scene}"]
     if asked.fault:

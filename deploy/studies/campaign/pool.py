@@ -48,10 +48,10 @@ _CELLS = "cells"
 @final
 @dataclass(frozen=True, slots=True)
 class WorkerLoop:
-    """What a worker does until nobody hands it anything more.
+    """Main loop of a worker: runs scenes until the connection closes.
 
     Args:
-        address: Path of the socket on which scenes are handed out.
+        address: Path of the socket from which scenes are received.
     """
 
     address: str
@@ -125,12 +125,12 @@ class _Job:
 @final
 @dataclass(slots=True)
 class _WorkerSlot:
-    """A worker that has come, and what it is at.
+    """Connected worker and its current job.
 
     Attributes:
-        worker: Its number.
-        line: To it.
-        job: None: nothing.
+        worker: Number of the worker.
+        connection: Connection to the worker.
+        job: Job in progress; None: idle.
     """
 
     worker: int
@@ -243,7 +243,7 @@ class ExecutorPool:
                     desk.connection.send(desk.job.scene)
 
     def _receive(self, desk: _WorkerSlot, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
-        """What a worker tells, or that it has gone."""
+        """Receive a worker's result, or handle the loss of the worker."""
         job, desk.job = desk.job, None
         try:
             told: tuple[CaseEnd, bool] = desk.connection.recv()
@@ -259,7 +259,7 @@ class ExecutorPool:
         yield job.place, ending
 
     def _lost(self, worker: int, job: _Job, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
-        """What becomes of a run whose worker has gone."""
+        """Requeue the job of a lost worker, or fail the job at the second loss."""
         if job.tried:
             reason = f"its process was lost twice: {self._how(worker)}"
             yield job.place, CaseEnd(status="failed", reason=reason)

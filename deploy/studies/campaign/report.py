@@ -1,4 +1,4 @@
-"""What a campaign came to: for programs as JSON and CSV."""
+"""Results of a campaign: statistics, JSON and CSV."""
 
 from __future__ import annotations
 
@@ -251,7 +251,7 @@ def criterion_words(cases: Cases) -> str:
 
 
 def _against(asked: CampaignSpec) -> str | None:
-    """What runs are compared with, in words; None: with nothing."""
+    """Describe the baseline that runs are compared with; None without a baseline."""
     parts = ["without the fault"] if asked.fault else []
     parts += [f"with {one}" for one in asked.against]
     return ", ".join(parts) or None

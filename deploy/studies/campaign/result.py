@@ -1,4 +1,4 @@
-"""What a run is judged by: whether it succeeded, how far its parcels are off, how long they took."""
+"""Evaluation of runs: success, parcels' errors, and completion times."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ParcelEnd:
 
     @property
     def there(self) -> bool:
-        """Whether it has come and has not left; one that tipped lies where it tipped."""
+        """Whether the parcel is on the array, tipped parcels included."""
         return self.state != "waiting" and not self.left
 
 
@@ -115,17 +115,17 @@ def _parcels(course: HeadlessResult) -> tuple[ParcelEnd, ...]:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseOutcome:
-    """What one run came to.
+    """Evaluated result of one run.
 
     Attributes:
         status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
-        reason: Why it isn't ``ok``, or why it did not succeed; empty where it did.
-        succeeded: See `judged`.
-        error_m: The same.
-        time_s: The same.
-        cells_lost: Cells that were lost though no fault struck them.
-        digest: Of all ticks, as ``mdms run`` has it; None where the run did not come to its end.
-        wall_s: Of the run itself, without start-up.
+        reason: Reason for another status than ``ok``, or for a failure of the criterion; empty after a success.
+        succeeded: See `evaluate`.
+        error_m: See `evaluate`.
+        time_s: See `evaluate`.
+        cells_lost: Number of cells that were lost without a fault.
+        digest: Digest of all ticks, as of ``mdms run``; None where the run did not come to its end.
+        wall_s: Wall time of the run itself, without start-up, s.
     """
 
     status: str
@@ -242,7 +242,7 @@ def distance_of(ending: CaseEnd, place_m: tuple[float, float]) -> float | None:
 
 
 def time_of(ending: CaseEnd) -> float | None:
-    """When the last parcel came to rest or left, s; None unless every parcel did, and where there is none."""
+    """Return when the last parcel came to rest or left, s; None if some parcel didn't, or without parcels."""
     if not all(_done(parcel) for parcel in ending.parcels):
         return None
     return max((parcel.time_s for parcel in ending.parcels), default=None)

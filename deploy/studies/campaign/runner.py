@@ -1,4 +1,4 @@
-"""A campaign from what was asked to its report."""
+"""Campaign runner: from a campaign's specification to its report."""
 
 from __future__ import annotations
 
@@ -120,13 +120,12 @@ class Journal:
 @final
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """What is run, and where its results go.
+    """A campaign: its cases, and the folder of its results.
 
     Attributes:
-        asked: What was asked for.
-        cases: What that means.
-        folder: Where results go, those of runs done before included; locked by the caller
-            (``deploy.util.output_lock``).
+        asked: Specification of the campaign.
+        cases: Cases that the specification expands to.
+        folder: Folder of results, including those of earlier runs; locked by the caller (``deploy.util.output_lock``).
         quiet: Show no progress and no warnings on stderr.
     """
 
@@ -170,11 +169,11 @@ class Campaign:
             self.execute(pool, journal)
 
     def execute(self, executor: Executor, journal: Journal) -> None:
-        """Do all runs that are missing: first the undisturbed ones, each once, then those that are judged by them.
+        """Execute all missing runs: first each baseline once, then the runs compared with a baseline.
 
         Args:
-            executor: Who runs scenes.
-            journal: Of the runs that are over; continued.
+            executor: Executor of scenes.
+            journal: Journal of completed runs, which is extended.
         """
         runs = [
             (case, seed)

@@ -42,7 +42,7 @@ def effect_types() -> dict[str, type[EffectSpec]]:
 
 
 def summary(name: str) -> str:
-    """What an effect is: the first line of its docstring."""
+    """Return an effect's summary: the first line of its docstring."""
     return (effect_types()[name].__doc__ or "").partition("\n")[0].rstrip(".").replace("`", "")
 
 
@@ -142,10 +142,10 @@ class AblationPair:
 
 
 def ablate(scene: Scene, name: str) -> AblationPair:
-    """A scene with and without one effect: its own settings, or where it lacks the effect typical ones.
+    """Return a scene with and without one effect, with the scene's settings, or typical settings if the scene has none.
 
     Raises:
-        NotPossible: Says why it can't be toggled in this scene.
+        VariantRejected: The effect can't be toggled in this scene; the message has the reason.
     """
     own = tables(scene)
     return _taken_out(scene, name, own) if name in own else _put_in(scene, name, own)
@@ -175,7 +175,7 @@ def _solver_table(scene: Scene) -> Table:
 
 
 def _needs(name: str, settings: Table, scene: Scene) -> set[str]:
-    """All effects that one with these settings builds on, these with typical settings."""
+    """Return all effects that an effect with these settings requires, directly or through typical settings."""
     found: set[str] = set()
     waiting = list(_needed(name, settings))
     while waiting:
@@ -191,7 +191,7 @@ def _needed(name: str, settings: Table) -> tuple[str, ...]:
 
 
 def dependents(name: str, own: Mapping[str, Table]) -> set[str]:
-    """The effect, and those of the scene's that build on it as they are set."""
+    """Return the effect and all effects of the scene that require it, directly or indirectly."""
     found, size = {name}, 0
     while len(found) > size:
         size = len(found)

@@ -73,7 +73,7 @@ def compare(one: HeadlessResult, other: HeadlessResult) -> Sensitivity:
 
 
 def _there(course: HeadlessResult) -> set[int]:
-    """Parcels that have come and have not left by an exit; one that tipped lies where it tipped."""
+    """Return the indices of parcels on the array, tipped parcels included."""
     return {n for n, fate in enumerate(course.parcel_status) if fate.state not in ("waiting", "delivered")}
 
 
@@ -108,7 +108,7 @@ def _shifts(events: Sequence[Event], others: Sequence[Event]) -> tuple[list[floa
 
 
 def _times_s(events: Sequence[Event]) -> dict[tuple[object, ...], list[float]]:
-    """When what happened, in order."""
+    """Group event times by kind, parcel and cells, s, in order."""
     found: dict[tuple[object, ...], list[float]] = defaultdict(list)
     for event in events:
         found[event.kind, event.parcel, event.cells].append(event.time_s)
