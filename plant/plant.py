@@ -146,7 +146,7 @@ class Plant:
         return _read_only(self._wheels.speed)
 
     def traffic(self) -> TrafficCount | None:
-        """Traffic statistics up to now; None where the scene has no feeders."""
+        """Return the traffic statistics up to now; None where the scene has no feeders."""
         return None if self._traffic is None else self._traffic.count(self._now_ns)
 
     def sense(self) -> Sense:

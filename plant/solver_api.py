@@ -180,8 +180,8 @@ class Solver(Protocol):
             leg: segment to advance through, with its wheel motion.
 
         Returns:
-            Results of parcels with events or an early end, in the order of ``indices``. All other parcels moved through
-            the whole segment on unchanged supports.
+            Results of parcels with events, changed supports or an early end, in the order of ``indices``. All other
+            parcels moved through the whole segment on unchanged supports.
         """
         ...
 

@@ -89,7 +89,7 @@ class SciPy(RestartingSolver):
 
     @staticmethod
     def _outrun(parcel: ParcelState, forces: Forces, since_s: float | None, found: Any) -> list[SolverEvent]:
-        """Find where the parcel begins to outrun a wheel; ``since_s``: time if it does so from the integration's start."""
+        """Report the onset of outrunning a wheel; ``since_s``: start of the integration if outrun then, else None."""
         if since_s is None and len(found.t_events[-1]):
             since_s = float(found.t_events[-1][0])
         began, parcel.outrun = not parcel.outrun, forces.drive_at(float(found.t[-1]), found.y[:, -1]) < 0.0

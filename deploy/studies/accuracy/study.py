@@ -194,7 +194,7 @@ class _Study:
         return None
 
     def _row(self, trial: Trial, reference: Reference) -> AccuracyRow:
-        """Run, evaluate and time one solver at one setting."""
+        """Run, evaluate and time a solver at a single setting."""
         if time.process_time() > self._over_s:
             return _bare(trial, "omitted", "not begun, for lack of time: the study is quick")
         self._say(f"{trial.solver} {trial.setting}")

@@ -20,7 +20,7 @@ SCENE_NAME = "scene.toml"
 
 @final
 class CampaignSpec(Spec):
-    """The arguments of ``mdms campaign`` that determine its runs and their evaluation.
+    """Arguments of ``mdms campaign`` that determine the campaign's runs and their evaluation.
 
     Strings are kept as they were typed.
     """

@@ -140,7 +140,7 @@ def _law(scene: Scene, usual: Table) -> Table:
 
 
 def _solver(scene: Scene) -> Table:
-    """Return the solver of the rungs with inertia: the scene's ``implicit`` solver with its settings, or the default."""
+    """Return the solver of the rungs with inertia: the scene's if ``implicit``, else ``implicit`` by default settings."""
     return scene.solver.model_dump(mode="json") if scene.solver.name == "implicit" else {"name": "implicit"}
 
 
@@ -159,7 +159,7 @@ def run_ladder(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]
             ladder.
         repeats: Timed runs of each rung, at least 1, after one untimed run. The rungs take turns, so that a slower
             machine affects all rungs alike.
-        tell: Called with one line of progress a rung.
+        tell: Called with one line at the start of each run.
     """
     there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
     cells = any(needs_cells(scene) for scene in there.values())

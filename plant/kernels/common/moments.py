@@ -84,7 +84,7 @@ def resistance(branch, constant, share):
 
 @kernel
 def slopes(par, seg):
-    """Coefficients of ``resistance`` for a wheel within its limit: (the coefficient of a, the part per share alone)."""
+    """Compute coefficients of ``resistance`` for a wheel within its limit: (of a, of the part per share alone)."""
     return par[at.PER_SHARE] + seg[at.N_ACTIVE] * par[at.CONSTANT], par[at.PER_SHARE]
 
 

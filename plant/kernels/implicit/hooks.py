@@ -15,7 +15,7 @@ def speed(work, surface, cell, e):
 
 
 def begun(work, surface, cell, e):
-    """Surface speed (vx, vy) of a cell's wheels at the stored start of the step; ``e`` is the decay factor then."""
+    """Return the wheels' surface speed (vx, vy) at the stored start of the step; ``e`` is the decay factor then."""
 
 
 def lightness(work):
