@@ -72,20 +72,20 @@ def segment_ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span
 
 @final
 class Propagator:
-    """Moves parcels on wheels.
+    """Advances parcels on wheels through calls of the plant.
 
     Args:
         spec: the scene's physics.
         array: the cells.
-        solver: that moves parcels.
-        chronicle: puts into words what becomes of them.
-        there: parcels on the surface, ascending.
+        solver: solver that moves parcels.
+        chronicle: log that converts results to events.
+        there: indices of parcels on the surface, ascending.
 
     Attributes:
-        there: those that neither wait to be fed nor have left through an exit.
-        live: those of them that move: neither tipped nor off the array.
-        grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
-        contact: what moves those that touch; None where they don't.
+        on_surface: parcels that have been fed and have not left through an exit.
+        moving: parcels of ``on_surface`` that neither tipped nor left the array.
+        driven: 1 for a driven cell, 0 for a cell whose wheels turn freely, ``(n,)``.
+        contact: mover of touching parcels; None without parcel contact.
     """
 
     remembers: ClassVar[StateFields] = StateFields(

@@ -112,7 +112,7 @@ class SensorSampler:
         self._presence[self._inside] = presence[self._inside]
 
     def set_encoders(self, encoder_m: Floats | None) -> None:
-        """Store encoder values ``(n, 2)`` of the cells that read, each at its instant, corrected for slowing by loads."""
+        """Store encoder values ``(n, 2)`` of reading cells, each at its instant, corrected for slowing by loads."""
         if self._encoder_m is not None and encoder_m is not None:
             if self._slowed_m is not None:
                 encoder_m = encoder_m + self._slowed_m

@@ -171,16 +171,16 @@ _MOST_RUNS = 1_000_000
 @final
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One combination of values, whatever the seed.
+    """One combination of values, for all seeds.
 
     Attributes:
-        number: Its place in the grid, the last key fastest.
-        values: What is varied, by key.
-        scene: What runs.
-        undisturbed: What that is compared with; None: with nothing.
-        criterion: What makes a run of it a success.
-        beside: Names the undisturbed scene, seed aside: cases that are compared with the same have the same; empty
-            where there is none.
+        number: Position in the grid, the last key fastest.
+        values: Varied values, by key.
+        scene: Scene of the runs.
+        baseline: Scene that the runs are compared with; None: no comparison.
+        criterion: Success criterion of the runs.
+        baseline_result: Identifier of the baseline scene without the seed, equal for cases with the same baseline;
+            empty without a baseline.
     """
 
     number: int
@@ -191,7 +191,7 @@ class Case:
     baseline_result: str = ""
 
     def baseline_id(self, seed: int) -> str:
-        """Names the run that the one with this seed is compared with; empty where there is none."""
+        """Return the identifier of the baseline run for a seed; empty without a baseline."""
         return f"{self.baseline_result}-{seed}" if self.baseline_result else ""
 
 

@@ -34,21 +34,21 @@ _OUTCOME = TypeAdapter(CaseOutcome)
 
 @final
 class Journal:
-    """The runs that are over, in the file and at hand.
+    """Journal of completed runs, in the file and in memory.
 
-    A line is written in one go and flushed: whatever ends the campaign, only the last can be torn, and that is dropped
-    when the file is opened again.
+    Each line is written in one call and flushed. However the campaign ends, at most the last line is incomplete; it is
+    dropped when the file is opened again.
 
     Args:
-        folder: The campaign's, locked by the caller (``deploy.util.output_lock``).
+        folder: Folder of the campaign, locked by the caller (``deploy.util.output_lock``).
 
     Raises:
         InputError: A line of the file makes no sense.
         DeployError: The file can't be opened.
 
     Attributes:
-        runs: What each run came to, by the case's number and the seed.
-        undisturbed: How each undisturbed run ended, by its key.
+        runs: Outcome of each run, by the case's number and the seed.
+        baselines: End of each baseline run, by its identifier.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -140,7 +140,7 @@ def _law(scene: Scene, usual: Table) -> Table:
 
 
 def _solver(scene: Scene) -> Table:
-    """Return the solver of the rungs with inertia: the scene's if ``implicit``, else ``implicit`` by default settings."""
+    """Return the solver of the rungs with inertia: the scene's own if ``implicit``, else a default ``implicit``."""
     return scene.solver.model_dump(mode="json") if scene.solver.name == "implicit" else {"name": "implicit"}
 
 

@@ -76,23 +76,23 @@ class _Gate:
 
 @final
 class Traffic:
-    """Feeds parcels and lets them leave, at the instants at which it is asked to look.
+    """Feeds parcels and removes parcels in exits, at the instants of its updates.
 
-    A parcel is fed at the first look that is not before its time and at which it would overlap nobody, each feeder's in
-    their order; it leaves at the first look that finds its centre of mass in an exit. At one look those who leave make
-    room for those who come; feeders take their turns, and exits are asked, in the order of the scene.
+    A parcel is fed at the first update at or after its feed time at which it overlaps no other parcel, in the order of
+    each feeder's queue. A parcel leaves at the first update at which its centre of mass lies in an exit. Within one
+    update, leaving parcels make room for fed parcels; feeders and exits are processed in the order of the scene.
 
     Args:
         spec: feeders and exits.
-        seed: of the scene.
-        state: ``(parcels, 6)`` of all parcels, the scene's own first and then the feeders'; the solver's own array:
-            those that wait lose their velocity here and get it back when they are fed.
-        status: how every parcel fares; kept up to date.
-        overlaps: knows the parcels' footprints.
-        destinations: of each parcel, the exit that it is meant for, if any.
+        seed: seed of the scene.
+        state: states of all parcels, ``(parcels, 6)``, the scene's own first and then the feeders'. The array is the
+            solver's: waiting parcels have velocity 0 and get their velocity when they are fed.
+        status: status of every parcel, kept up to date.
+        overlaps: overlap detector of the parcels' footprints.
+        destinations: exit that each parcel is meant for, if any.
 
     Attributes:
-        there: ascending indices of the parcels that neither wait nor have left.
+        on_surface: ascending indices of the parcels that neither wait nor have left.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_queues", "_gates", "_since_ns", "on_surface")

@@ -58,21 +58,21 @@ class ContactDrive(NamedTuple):
 
 @final
 class Resolution:
-    """One group in one call.
+    """Contact resolution of one group in one call.
 
     Args:
-        solver: that moves parcels.
-        group: which bodies.
-        drive: what acts on them.
-        rules: of the scene.
-        met: pairs of the group that touch, by their numbers in the group.
+        solver: solver that moves parcels.
+        group: bodies of the group.
+        drive: wheel motion and traction.
+        rules: contact settings of the scene.
+        met: touching pairs at the start, by their numbers in the group.
 
     Attributes:
-        group: the bodies, with those stopped that tipped.
-        met: those that touch by now.
-        news: what happened to parcels, times from the start of the call.
+        group: bodies of the group; tipped bodies are stopped.
+        met: touching pairs now.
+        news: results of parcels with events, times from the start of the call.
         told: contacts that began or ended.
-        strayed: ``(b,)`` m, how far each body has come.
+        displacement_m: length of each body's path, ``(b,)``, m.
     """
 
     def __init__(

@@ -84,7 +84,7 @@ def hold(group, before, states, step, friction, work):
         states: at its end, moved freely; changed in place.
         step: s.
         friction: Coulomb's coefficient.
-        work: ``plant.effects.parcel_contact.bodies.Work``, with the marks of ``together``.
+        work: ``plant.effects.parcel_contact.bodies.ContactWorkspace``, with the marks of ``together``.
 
     Returns:
         Outcome.
