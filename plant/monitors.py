@@ -25,19 +25,20 @@ WHY = {
 
 @final
 class EventLog:
-    """Puts what becomes of parcels into words.
+    """Converts solver results to events and parcel states. Stops parcels that tip.
 
     Args:
         array: the cells.
-        solver: where parcels are; one that tips is stopped there.
-        status: of each parcel; changed as they tip.
-        spec: the scene's physics, with parcels that are fed: says why a motion is hard to follow.
+        solver: solver that holds the parcels' states; tipping parcels are stopped there.
+        status: status of each parcel, changed when the parcel tips.
+        spec: the scene's physics including fed parcels, used to explain why a motion is hard to integrate.
 
     Attributes:
         support_changes: changes of support sets so far.
         left_out: events that solvers found and did not list so far.
-        outrun_s: ``(m,)`` when each parcel first outran a wheel that its law takes to be faster, s; NaN: never.
-        halted: the first that ended a parcel's motion which is no outcome; None: nothing did.
+        outrun_s: time at which each parcel first outran a wheel that its law assumes to be faster, ``(m,)``, s; NaN:
+            never.
+        halted: first error that ended a parcel's motion; None: no error.
     """
 
     remembers: ClassVar[StateFields] = StateFields("support_changes", "left_out", "outrun_s")
@@ -127,7 +128,7 @@ Numbers = NDArray[np.int64]
 
 @final
 class RestDetector:
-    """Tells which parcels rest, from their states at instants.
+    """Detects parcels at rest from sampled states.
 
     Args:
         radius: ``(m,)`` farthest corner of each parcel from its centre of mass, m.

@@ -70,13 +70,13 @@ class Event(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True)
 class ParcelStatus:
-    """How a parcel fares.
+    """Status of a parcel.
 
     Attributes:
         state: ``waiting`` off the surface to be fed; ``moving``; ``at_rest``; ``tipped``, and it stays where it tipped
             and carries no wheel; ``off_array``, tipped across the outer edge; ``delivered``, carried through an exit.
-        time_s: since when.
-        detail: about which edge it tipped, for which feeder it waits, through which exit it left.
+        time_s: time of the last change of ``state``, s.
+        detail: edge about which the parcel tipped, feeder at which it waits, or exit through which it left.
     """
 
     state: ParcelState
@@ -92,12 +92,12 @@ class ParcelStatus:
 @final
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A plant's course under constant drives.
+    """Sampled states and events of a plant under constant drives.
 
     Attributes:
-        time_ns: ``(T,)`` instants.
-        state: ``(T, parcels, 6)``.
-        events: all of them.
+        time_ns: instants, ``(T,)``, ns.
+        state: states of all parcels, ``(T, parcels, 6)``.
+        events: all events.
     """
 
     time_ns: NDArray[np.int64]
@@ -108,7 +108,7 @@ class Trajectory:
 @final
 @dataclass(frozen=True, slots=True)
 class Transit:
-    """How long parcels were there before they left, s."""
+    """Statistics of transit times, s."""
 
     mean: float
     shortest: float
@@ -116,7 +116,7 @@ class Transit:
 
     @classmethod
     def of(cls, spans_ns: Sequence[int]) -> Transit | None:
-        """Of these; None where nobody left."""
+        """Summarise transit times; None if no parcel left."""
         if not spans_ns:
             return None
         return cls(sum(spans_ns) / len(spans_ns) * 1e-9, min(spans_ns) * 1e-9, max(spans_ns) * 1e-9)

@@ -1,4 +1,4 @@
-"""Parcels that come to overlap: noticed and reported, not resolved."""
+"""Detection of overlapping parcels: reported, not resolved."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def meeting(time_s: float, kind: str, first: int, second: int, depth_m: float, p
 
 @final
 class OverlapDetector:
-    """Watches all pairs of parcels, at the instants it is shown.
+    """Detects overlaps of all pairs of parcels at sampled instants.
 
     Args:
-        footprints: ``(v, 2)`` corners of each parcel about its centre of mass, counter-clockwise.
-        radius: ``(m,)`` farthest corner of each.
+        footprints: corners of each parcel about its centre of mass, counter-clockwise, ``(v, 2)``, m.
+        radius: distance of each parcel's farthest corner, ``(m,)``, m.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_met")

@@ -1,4 +1,4 @@
-"""How parcels are moved through a call: in one go, all leg by leg, or each through legs of its own."""
+"""Propagation of all parcels through a call: in one segment, in common segments, or in segments a parcel."""
 
 from __future__ import annotations
 

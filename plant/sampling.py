@@ -93,7 +93,7 @@ class SensorSampler:
         return np.where(self._inside, self.instants_s, 0.0) if self.any_inside else None
 
     def sample_at(self, now_s: float, sense: Sense, slowed_m: Floats | None) -> None:
-        """Let those read whose instant it is.
+        """Sample the sensors of the cells whose reading instant is ``now_s``.
 
         Args:
             now_s: s after the call's start.
@@ -119,7 +119,7 @@ class SensorSampler:
             self._encoder_m[self._inside] = encoder_m[self._inside]
 
     def start(self, sense: Sense) -> None:
-        """Let those read that do as the call begins, ``sense`` being what all would read then."""
+        """Sample the sensors of the cells that read at the start of the call; ``sense``: readings of all cells then."""
         self._take(self._at_start, sense)
 
     def sense(self, end: Sense) -> Sense:

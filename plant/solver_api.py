@@ -135,7 +135,7 @@ class SolverSnapshot(NamedTuple):
 
 
 class Solver(Protocol):
-    """Moves parcels that don't touch, each by itself.
+    """Solver that advances parcels independently, without contact between parcels.
 
     A solver knows the law of traction by its ``plant.friction.law.Traction`` only, and the wheels by their
     ``WheelMotion`` over an interval. Parcels are named by their number in the scene.
@@ -188,7 +188,7 @@ class Solver(Protocol):
         ...
 
     def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
-        """Look anew at what lies under parcels: cells have come to the array, or gone from it.
+        """Find the supports of all parcels again after cells were added to or removed from the array.
 
         Args:
             cells: which.
@@ -204,23 +204,23 @@ class Solver(Protocol):
 
 
 class Rewindable(Solver, Protocol):
-    """A solver that can take parcels back to where they were, and elsewhere: for effects that act between parcels."""
+    """Solver that can restore earlier states of parcels and set new ones, for effects between parcels."""
 
     def snapshot(self, indices: NDArray[np.int64]) -> SolverSnapshot:
-        """All that moving these parcels changes, to be able to go back."""
+        """Save all solver state that an advance of these parcels changes."""
         ...
 
     def restore(self, kept: SolverSnapshot) -> None:
-        """Go back to what was kept, bit for bit."""
+        """Restore a snapshot bit for bit."""
         ...
 
     def set_state(self, index: int, state: Floats) -> None:
-        """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
+        """Set a parcel's state ``(6,)``; cells under the parcel and loads are computed again."""
         ...
 
 
 class SegmentingSolver(Solver, Protocol):
-    """A solver that divides a call for each parcel by itself, where wheels near it change."""
+    """Solver that divides a call into segments for each parcel, at wheel changes within its reach."""
 
     def advance_segmented(self, indices: NDArray[np.int64], outing: SegmentedCall) -> list[AdvanceResult]:
         """Move parcels as ``advance`` does, none hanging on which others are moved with it.

@@ -1,4 +1,4 @@
-"""How commands become wheel motion, and what ideal wheels do with them."""
+"""Interface of wheel models: drives to wheel motion. Includes ideal wheels."""
 
 from __future__ import annotations
 
@@ -38,11 +38,12 @@ class WheelMotion:
 
 
 class WheelChanges(NamedTuple):
-    """Wheels that go over to other motions on the way; c times at most, each at instants of its own.
+    """Changes of single wheels' motion within an interval, at most c a wheel, each at its own instant.
 
     Attributes:
-        after_s: ``(c, n, 2)`` when, from the start of the interval, ascending for every wheel; infinite: not so often.
-        steady: ``(c, n, 2)`` m/s: it goes on at ``steady + decay exp(-rate t)``, t from ``after_s``.
+        after_s: times of the changes from the start of the interval, ascending for every wheel, ``(c, n, 2)``, s;
+            infinite: fewer changes.
+        steady: ``(c, n, 2)`` m/s: the wheel continues at ``steady + decay exp(-rate t)``, t from ``after_s``.
         decay: ``(c, n, 2)`` m/s.
     """
 
@@ -107,10 +108,10 @@ def _way(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
 
 @final
 class WheelIntegrator:
-    """The wheels of a run from one instant to the next: every leg of the way has a motion of its own.
+    """Wheel motion of a run segment by segment.
 
     Args:
-        run: of all wheels; what loads take from them on the legs is added to its ``slowing``.
+        run: motion of all wheels; speed losses by loads in the segments are added to its ``slowing``.
     """
 
     def __init__(self, run: WheelRun) -> None:

@@ -1,4 +1,4 @@
-"""``mdms effects``: what every effect adds, costs and changes."""
+"""``mdms effects``: additions, cost and influence of every effect."""
 
 from __future__ import annotations
 

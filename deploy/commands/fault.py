@@ -1,4 +1,4 @@
-"""``mdms fault``: a fault injected into a running system."""
+"""``mdms fault``: inject a fault into a running system."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def load_scene(
     tolerance: float | None = None,
     step: float | None = None,
 ) -> Scene:
-    """The scene with what the options change in it, validated as if the file had said so.
+    """Load a scene and apply the options, validated together.
 
     Args:
         scene: A scene file, or the name of a bundled scene.
@@ -231,7 +231,7 @@ def numbers(option: str, text: str, form: str) -> list[float]:
 
 
 def expand_dataclass(command: Callable[..., None]) -> Callable[..., None]:
-    """A command as typer reads it: its first parameter, a dataclass of options, as one parameter a field.
+    """Return the command with its first parameter, a dataclass of options, expanded to one parameter a field.
 
     Args:
         command: Takes an instance of a dataclass with typer's annotations, and options of its own by keyword.

@@ -1,4 +1,4 @@
-"""Faults that begin and end, as recordings, summaries and pictures have them, and in words."""
+"""Records of fault transitions for recordings, summaries and plots, and their descriptions."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def lost_for_good(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], 
 
 
 def out_of_array(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], float | None]:
-    """Each cell that was out of the array, and when it came back or came; None: it isn't there at the end."""
+    """Return each cell that was out of the array and the time of its return; None: absent at the end."""
     out: dict[tuple[int, int], float | None] = {}
     away: dict[tuple[int, int], int] = {}
     for fault in faults:

@@ -1,4 +1,4 @@
-"""The overhead view: array, wheel velocities, the parcels' paths and outlines."""
+"""Map view: array, wheel velocities, the parcels' paths and outlines."""
 
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -148,7 +148,7 @@ def _draw_arrows(axes: Axes, track: RunTrace) -> None:
 
 
 def struck_cells(track: RunTrace) -> set[tuple[int, int]]:
-    """Cells that a fault struck which begins and ends, and that were in the array all the time."""
+    """Return the cells affected by a fault with begin and end, except cells that were out of the array."""
     return {
         (row, column)
         for fault in track.faults
@@ -289,7 +289,7 @@ def _left(track: RunTrace) -> set[int]:
 
 
 def event_annotations(track: RunTrace) -> list[tuple[float, str, int | None]]:
-    """Time, words and parcel of the events worth a mark: outcomes, not every change of support."""
+    """Return time, label and parcel of annotated events: outcomes, without changes of support."""
     return [
         (float(event["time_s"]), str(event["kind"]).replace("_", " "), event.get("parcel"))
         for event in track.events

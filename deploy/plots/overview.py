@@ -1,4 +1,4 @@
-"""The picture of a run: the overhead view and, beside it, x, y and angle against time."""
+"""Overview plot of a run: the map view, with x, y and angle against time beside it."""
 
 # pyright: reportUnknownMemberType=false
 

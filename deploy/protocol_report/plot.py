@@ -1,4 +1,4 @@
-"""The picture of a protocol: its field over the array at some ticks, and below it how its residuals fell."""
+"""Plot of a protocol: maps of its field at some ticks, and its residuals against time below."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)

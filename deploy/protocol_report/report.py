@@ -130,7 +130,7 @@ class ResidualHistory:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProtocolReport:
-    """A protocol's run, held against theory.
+    """Report of a protocol's run, compared with theory.
 
     Attributes:
         observed: Its field: a variable of the program, or ``drive`` where the program names none.
@@ -195,7 +195,7 @@ def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> 
 
 
 def dominant_residual(residuals: Residuals) -> str:
-    """The residual whose rate says most: one that no drift of a common value keeps up."""
+    """Name the residual that the rate is fitted to: disagreement if known, else error, else change."""
     return next(name for name in (DISAGREEMENT, ERROR, CHANGE) if name in residuals.rms)
 
 

@@ -1,4 +1,4 @@
-"""Watches a protocol through a run, and says in the end what it did."""
+"""Reporter that observes a protocol through a run and reports at the end."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _PROGRAM: Final = "firmware."
 
 @final
 class Reporter:
-    """Takes a protocol's field tick by tick; what it keeps does not grow with the array's size times the run's length.
+    """Collects a protocol's field tick by tick, in memory that doesn't grow with array size times run length.
 
     Args:
         scene: What runs.
@@ -192,7 +192,7 @@ class Reporter:
 
 
 def deaths_of(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], int]:
-    """Of every cell that died for good its tick, from a run's faults."""
+    """Return the tick of every permanently dead cell, from a run's fault records."""
     return {
         (fault["cell"][0], fault["cell"][1]): int(fault["tick"]) for fault in faults if "phase" not in fault
     }

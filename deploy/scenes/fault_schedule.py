@@ -25,12 +25,12 @@ class Timetable(Protocol):
 
     @property
     def faults(self) -> Sequence[FaultSpec]:
-        """All of them, in the scene's order."""
+        """All faults, in the scene's order."""
         ...
 
     @property
     def seed(self) -> int:
-        """Of everything that is left to chance."""
+        """Seed of all random streams."""
         ...
 
     def lattice(self) -> Lattice:
@@ -43,7 +43,7 @@ class Timetable(Protocol):
 
 
 def instances(scene: Timetable) -> tuple[FaultInstance[FaultSpec], ...]:
-    """The scene's faults with the cells that they strike and their ticks, in the scene's order."""
+    """Bind the scene's faults to affected cells and ticks, in the scene's order."""
     if not scene.faults:
         return ()
     lattice = scene.lattice()
@@ -83,7 +83,7 @@ def crash_wheel_policies(scene: Timetable) -> dict[int, LossPolicy]:
 
 
 def in_run_faults(scene: Timetable) -> tuple[FaultInstance[FaultSpec], ...]:
-    """All but deaths: what happens to cells that stay in the lockstep."""
+    """Select all faults except permanent crashes: faults of cells that stay in the lockstep."""
     return tuple(one for one in instances(scene) if not is_permanent_crash(one))
 
 
@@ -136,6 +136,6 @@ def is_permanent_crash(one: FaultInstance[FaultSpec]) -> bool:
 
 
 def crash_aborts(cell: tuple[int, int], at_s: float) -> str:
-    """Why a run is over, a cell of which crashed as the scene says, where the policy is ``abort``."""
+    """Describe why a scheduled crash ends a run under the policy ``abort``."""
     row, column = cell
     return f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"

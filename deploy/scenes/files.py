@@ -1,4 +1,4 @@
-"""Scenes by name: bundled ones and files; reading, overriding, and every error at once."""
+"""Scene files: bundled and user scenes, loading, overrides, and error reports."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _resolve_firmware(data: dict[str, Any], folder: Path) -> None:
 
 
 def _change_solver(data: dict[str, Any], overrides: Sequence[Override]) -> None:
-    """Another solver than the file's is asked for: what the file sets that only its own one has is left out."""
+    """Replace the file's solver; settings that only the previous solver has are dropped."""
     table: Any = data.get("solver")
     chosen = [override.value for override in overrides if override.path == ("solver", "name")]
     if not chosen or not isinstance(table, dict):

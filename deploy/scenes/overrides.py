@@ -1,4 +1,4 @@
-"""``--set KEY=VALUE``: one value of a scene, changed before the scene is validated."""
+"""Overrides ``--set KEY=VALUE``: changes of single values before validation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scene: everything a run is told, composed of the specs that the packages own."""
+"""The scene: complete specification of a run, composed of the packages' specs."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class Scene(Spec):
 
     @property
     def parcel_count(self) -> int:
-        """How many parcels there are or will be: the scene's own and those that are fed."""
+        """Number of parcels, the scene's own and fed parcels."""
         feeders = self.effects.feeders
         return len(self.parcels) + (0 if feeders is None else feeders.total)
 

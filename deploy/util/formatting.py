@@ -1,4 +1,4 @@
-"""Texts for people: numbers in words, lines on stderr."""
+"""Text formatting for people, and lines on stderr."""
 
 from __future__ import annotations
 

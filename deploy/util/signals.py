@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, taken when it is safe to."""
+"""Handling of Ctrl-C and SIGTERM at safe points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a parcel comes to lie: where the torque that turns it changes its sign, and where there is none."""
+"""Rest orientations of a parcel: angles at which its torque changes sign, and intervals without torque."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Orientation:
 @final
 @dataclass(frozen=True, slots=True)
 class TorqueProfile:
-    """Torque against angle of a parcel whose centre of mass stays at one point: a staircase.
+    """Torque of a parcel over its angle, a step function, with the centre of mass fixed at one point.
 
     Attributes:
         centre_m: ``(2,)`` that point.

@@ -48,7 +48,7 @@ class WheelFaults:
 
     @staticmethod
     def healthy(cells: int) -> WheelFaults:
-        """All is well."""
+        """Return the state without faults."""
         return WheelFaults(
             dead=np.zeros(cells, dtype=np.bool_),
             gone=np.zeros(cells, dtype=np.bool_),

@@ -168,7 +168,7 @@ class RestartingSolver(ABC):
         return self._find_supports(parcel)
 
     def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
-        """Look anew at what lies under parcels, where cells have come or gone; see ``plant.solver_api.Solver``."""
+        """Find supports again where cells were added or removed; see ``plant.solver_api.Solver``."""
         news: list[AdvanceResult] = []
         for i, parcel in enumerate(self._parcels):
             changes = cells_changed(parcel.shape, parcel.under, cells, self.array)

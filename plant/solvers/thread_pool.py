@@ -19,18 +19,18 @@ TURNS = 4
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Return the number of processors available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @final
 class ThreadPool:
-    """This thread and its helpers, which start when they are first needed and end with the crew.
+    """Calling thread and helper threads, started on demand and stopped with the pool.
 
-    What is computed must not depend on who computes it: shares are taken by whoever is free.
+    Results must not depend on which thread computes a share: free threads take the next share.
 
     Args:
-        threads: how many at most, this one included; None: one for every processor.
+        threads: maximum number of threads including the calling one; None: one a processor.
     """
 
     def __init__(self, threads: int | None = None) -> None:

@@ -1,4 +1,4 @@
-"""A study of accuracy in words for a terminal."""
+"""Terminal output of an accuracy study."""
 
 from __future__ import annotations
 

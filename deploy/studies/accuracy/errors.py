@@ -1,4 +1,4 @@
-"""How far one course of a scene is from another: displacement of corners, events, and distributions."""
+"""Errors of a trace against a reference: displacement of corners, events, and distributions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def displacement_m(states: Floats, others: Floats, footprints_m: Sequence[Floats
 @final
 @dataclass(frozen=True, slots=True)
 class EventErrors:
-    """How the events of a course agree with those of a reference.
+    """Agreement of a trace's events with a reference.
 
     Attributes:
         found: events of the reference that the course has.

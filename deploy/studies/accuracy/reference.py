@@ -40,7 +40,7 @@ LOCATED_M = 1e-12
 @final
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How far a check is from the reference.
+    """Difference between a check and the reference.
 
     Attributes:
         method: of the check.
@@ -152,7 +152,7 @@ class ReferenceSolver:
     # --- courses --------------------------------------------------------------------------------------------------
 
     def _try(self, settings: Settings, until_s: float | None = None) -> AccuracyTrace | None:
-        """A course, or None and a note where it is not to be had."""
+        """Run a method and return its trace, or None and a note if that fails."""
         why = refusal(self._scene, settings)
         left_s = min(self._limit_s, self._over_s - time.process_time())
         if why is None and left_s <= 0.0:

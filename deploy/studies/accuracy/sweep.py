@@ -1,4 +1,4 @@
-"""Which solvers, at which settings, a study runs: what each solver's spec says of itself."""
+"""Solvers and settings of a study, from the sweeps in each solver's spec."""
 
 from __future__ import annotations
 

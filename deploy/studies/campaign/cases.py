@@ -1,4 +1,4 @@
-"""The runs of a campaign: a scene for every combination of values, and the undisturbed one beside it."""
+"""Cases of a campaign: a scene for every combination of values, and its baseline."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _WHOLE = re.compile(r"[+-]?\d+")
 @final
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A key and the values that it takes in turn.
+    """Axis of the grid: a key and its values.
 
     Attributes:
         key: As it was given, with dots.
@@ -198,7 +198,7 @@ class Case:
 @final
 @dataclass(frozen=True, slots=True)
 class Cases:
-    """All that runs.
+    """All cases of a campaign.
 
     Attributes:
         scene: As it is where nothing is varied, without the campaign's fault.
@@ -214,7 +214,7 @@ class Cases:
 
     @property
     def runs(self) -> int:
-        """How many, undisturbed ones not counted."""
+        """Number of runs, without baselines."""
         return len(self.cases) * len(self.seeds)
 
     @property

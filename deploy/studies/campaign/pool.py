@@ -94,7 +94,7 @@ _REPORT_S = 2.0
 
 
 class Executor(Protocol):
-    """Runs scenes, wherever that is."""
+    """Executor of scenes, local or remote."""
 
     def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
         """Run scenes; how each ended comes with its place among them, in any order.
@@ -107,7 +107,7 @@ class Executor(Protocol):
 @final
 @dataclass(slots=True)
 class _Job:
-    """A run that is to be done or is being done.
+    """Run that is queued or in progress.
 
     Attributes:
         place: Among the scenes that were given.
@@ -140,7 +140,7 @@ class _WorkerSlot:
 
 @final
 class ExecutorPool:
-    """Worker processes, each with one run at a time; leaving the context ends them, whatever they are at.
+    """Pool of worker processes, each with one run at a time; leaving the context terminates all workers.
 
     They are forked by a nursery, which runs nothing itself, and end with this process however that ends.
 
@@ -203,7 +203,7 @@ class ExecutorPool:
             todo.extend(itertools.islice(more, max(0, self._jobs - len(todo))))
 
     def _scale_up(self, todo: int) -> None:
-        """Have as many workers as there is work for, and no more than were asked for."""
+        """Start workers up to the number of queued runs, at most the requested number."""
         while self._crew.poll():
             pass
         if self._crew.pipe_closed:
@@ -273,7 +273,7 @@ class ExecutorPool:
         desk.connection.close()
 
     def _how(self, worker: int) -> str:
-        """How a worker ended."""
+        """Describe how a worker ended."""
         deadline = time.monotonic() + _REPORT_S
         while worker not in self._crew.ended and (left := deadline - time.monotonic()) > 0.0:
             self._crew.poll(left)

@@ -27,7 +27,7 @@ _LEAST = 2
 @final
 @dataclass(frozen=True, slots=True)
 class Share:
-    """A share of runs.
+    """Share of runs with its confidence interval.
 
     Attributes:
         share: In [0, 1]; None of no runs.
@@ -43,7 +43,7 @@ class Share:
 @final
 @dataclass(frozen=True, slots=True)
 class Mean:
-    """A mean over runs.
+    """Mean over runs with its confidence interval.
 
     Attributes:
         mean: None of no runs.
@@ -97,7 +97,7 @@ def mean_of(values: Sequence[float], confidence: float) -> Mean:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignRow:
-    """One case.
+    """Aggregated results of one case.
 
     Attributes:
         values: What is varied, by key.
@@ -160,7 +160,7 @@ CSV_NAME = "campaign.csv"
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignReport:
-    """A campaign that is over, or was interrupted.
+    """Report of a completed or interrupted campaign.
 
     Attributes:
         status: ``ok``, ``failed`` (no run came to its end) or ``interrupted``.

@@ -21,7 +21,7 @@ Corners = tuple[tuple[float, float], ...]
 @final
 @dataclass(frozen=True, slots=True)
 class ParcelEnd:
-    """How one parcel ended.
+    """Final state of one parcel.
 
     Attributes:
         state: As ``plant.observations.ParcelStatus`` has it.
@@ -37,7 +37,7 @@ class ParcelEnd:
 
     @property
     def left(self) -> bool:
-        """Whether it left through an exit."""
+        """Whether the parcel left through an exit."""
         return self.state == "delivered"
 
     @property
@@ -49,7 +49,7 @@ class ParcelEnd:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseEnd:
-    """How one run ended.
+    """End of one run.
 
     Attributes:
         status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
@@ -72,7 +72,7 @@ class CaseEnd:
 
 
 def run_case(scene: Scene) -> CaseEnd:
-    """Run a scene, the whole system in this process; whatever goes wrong in it is how it ended."""
+    """Run a scene with the whole system in this process; errors are part of the result."""
     from cell_firmware.errors import FirmwareError
     from deploy.recordings.digest import Digest
     from deploy.runs.headless import run_headless
@@ -187,7 +187,7 @@ def evaluate(ending: CaseEnd, undisturbed: CaseEnd | None, criterion: Criterion)
 
 
 def _failure_reason(ending: CaseEnd, undisturbed: CaseEnd | None) -> str:
-    """Why a run that came to its end did not succeed, as far as its parcels' states tell; empty: it may have."""
+    """Return why a completed run failed, as far as parcels' states show; empty if no state does."""
     for number, parcel in enumerate(ending.parcels):
         if parcel.state == "tipped":
             return f"parcel {number} tipped"
@@ -220,7 +220,7 @@ def _of(ending: CaseEnd | None) -> tuple[ParcelEnd, ...]:
 
 
 def _done(parcel: ParcelEnd) -> bool:
-    """Whether it came to rest or left."""
+    """Whether the parcel came to rest or left."""
     return parcel.left or parcel.state == "at_rest"
 
 

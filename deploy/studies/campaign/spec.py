@@ -73,7 +73,7 @@ def read_options(given: dict[str, Any]) -> CampaignSpec:
 
 
 def write(asked: CampaignSpec, scene: str, versions: dict[str, str], folder: Path) -> None:
-    """Keep what was asked for, and the scene's text, in the campaign's folder.
+    """Write the specification and the scene's text to the campaign's folder.
 
     Raises:
         DeployError: It can't be written.

@@ -1,4 +1,4 @@
-"""A scene with some of its effects taken out or put in, its law or its solver changed; validated as its file is."""
+"""Variants of a scene: effects added or removed, law or solver changed, validated like a scene file."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Table = Mapping[str, Any]
 
 @final
 class VariantRejected(Exception):
-    """The scene refuses the change; says why."""
+    """The scene refuses the change; the message has the reason."""
 
 
 def effect_types() -> dict[str, type[EffectSpec]]:
-    """Every registered effect by name: those with a place in the ladder in its order, then the others."""
+    """Return every registered effect by name: effects with a rung in the order of the ladder, then all others."""
     found: dict[str, type[EffectSpec]] = {}
     for name, field in EffectsSpec.model_fields.items():
         (kind,) = (
@@ -55,7 +55,7 @@ def typical(name: str, scene: Scene) -> Table:
     """Settings with which a scene that lacks an effect tries it.
 
     Raises:
-        NotPossible: Only a scene can say.
+        VariantRejected: Only a scene can say.
     """
     settings = effect_types()[name].default_settings(scene.array.pitch_m)
     if isinstance(settings, str):
@@ -78,7 +78,7 @@ def variant(
         solver: Its ``solver``.
 
     Raises:
-        NotPossible: The scene refuses it.
+        VariantRejected: The scene refuses it.
     """
     data = scene.model_dump(mode="json")
     data["effects"] = dict(effects)
@@ -119,7 +119,7 @@ def refined(scene: Scene, factor: float = 0.1) -> Scene | None:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AblationPair:
-    """An effect, on and off.
+    """Scenes with and without an effect.
 
     Attributes:
         on: The scene with it.

@@ -1,4 +1,4 @@
-"""Which effects a scene could go without, and which it lacks though they would change its answer."""
+"""Advice on effects: removable effects of a scene, and missing effects that would change the result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A ladder of fidelity: one scene from a quasi-static motion to all effects, cost against distance from the top."""
+"""Ladder of fidelity: one scene from quasi-static motion to all effects, cost against distance from the top rung."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Rung:
 @final
 @dataclass(frozen=True, slots=True)
 class RungResult:
-    """A rung, run.
+    """Result of a rung.
 
     Attributes:
         rung: Which.

@@ -1,4 +1,4 @@
-"""The picture of a ladder of fidelity: what each rung costs against how far its answer is from the top one's."""
+"""Plot of a ladder of fidelity: cost of each rung against its distance from the top rung."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)

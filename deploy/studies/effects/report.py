@@ -1,4 +1,4 @@
-"""Effects, their influence, advice and the ladder, in words for a terminal."""
+"""Terminal and JSON output of effects, their influence, advice and the ladder."""
 
 from __future__ import annotations
 

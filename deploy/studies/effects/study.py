@@ -67,7 +67,7 @@ class AblationRow:
 @final
 @dataclass(frozen=True, slots=True)
 class EffectStudy:
-    """Runs a scene with and without each effect; runs that several comparisons need are run once.
+    """Ablation study of a scene; runs needed by several comparisons are executed once.
 
     Args:
         scene: What is studied.

@@ -1,4 +1,4 @@
-"""The orientations of a parcel, or of many sizes, in words for a terminal."""
+"""Terminal output of rest orientations, of one parcel or of many sizes."""
 
 from __future__ import annotations
 

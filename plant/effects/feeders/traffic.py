@@ -58,7 +58,7 @@ class _Queue:
 @final
 @dataclass(slots=True)
 class _Gate:
-    """An exit: its edges, how long those who left by it had been there, and how many were meant for another."""
+    """Exit with its edges, the transit times of parcels that left, and the number of misrouted parcels."""
 
     remembers: ClassVar[StateFields] = StateFields("transit_ns", "misrouted")
 

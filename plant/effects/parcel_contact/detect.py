@@ -30,11 +30,11 @@ PARTS: Final = 8
 
 
 class Turn(NamedTuple):
-    """A pair that comes to touch, or parts.
+    """Instant at which a pair begins to touch, or parts.
 
     Attributes:
-        known: which of the instants known.
-        pair: which of the group's.
+        known: index of the instant among the known instants.
+        pair: index of the pair in the group.
     """
 
     known: int
@@ -43,18 +43,18 @@ class Turn(NamedTuple):
 
 @final
 class ContactSearch:
-    """Contacts of a group along its course.
+    """Search for contacts of a group along its free motion.
 
     Args:
-        course: of the group.
-        group: its bodies.
-        wheels: m/s, the fastest wheel.
-        times: ``(T,)`` instants known, s, the first being 0.
-        states: ``(T, b, 6)``.
+        course: free motion of the group.
+        group: bodies of the group.
+        wheels: speed of the fastest wheel, m/s.
+        times: known instants, ``(T,)``, s, the first being 0.
+        states: states at the known instants, ``(T, b, 6)``.
 
     Attributes:
-        times: instants known by now.
-        states: at these.
+        times: instants known so far.
+        states: states at ``times``.
     """
 
     def __init__(

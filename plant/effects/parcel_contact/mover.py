@@ -1,4 +1,4 @@
-"""Moves parcels as a solver does, and knows what touches: the effect ``parcel_contact``.
+"""Mover of touching parcels, on top of a solver: the effect ``parcel_contact``.
 
 Only parcels that may come near another, or a rail, within a call are looked at: their circles, widened by how far they
 can get, overlap. All others are the solver's alone.
@@ -37,15 +37,15 @@ MARGIN_M: Final = 1e-6
 
 @final
 class ContactMover:
-    """Parcels that touch.
+    """Advances parcels with contacts, on top of a solver for free motion.
 
     Args:
-        parcels: those fed included.
-        traction: the law of friction.
+        parcels: parcels of the scene, including fed parcels.
+        traction: the traction law.
         gravity: m/s².
-        pitch: of the array, m.
-        rules: of contact.
-        solver: that moves them.
+        pitch: pitch of the array, m.
+        rules: contact settings.
+        solver: solver that moves the parcels.
 
     Attributes:
         resolves: whether contacts change the motion.

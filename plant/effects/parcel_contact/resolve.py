@@ -1,4 +1,4 @@
-"""A group of bodies through a span, contacts resolved.
+"""Contact resolution of one group of bodies over a span.
 
 Parcels that are apart move freely up to the instant at which a pair touches. There all points that touch are struck at
 once (``plant.kernels.contact.impact``). Pairs that stay together go on in steps of at most ``step_s``: all move
@@ -58,7 +58,7 @@ class ContactDrive(NamedTuple):
 
 @final
 class Resolution:
-    """Contact resolution of one group in one call.
+    """Contact resolution of a group in a single call.
 
     Args:
         solver: solver that moves parcels.

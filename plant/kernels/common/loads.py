@@ -1,4 +1,4 @@
-"""Which cells carry load: the exact unilateral solution, and whether the parcel still stands.
+"""Load-carrying cells of a parcel: the exact unilateral solution, and whether the parcel still stands.
 
 Springs push, never pull: the loads are the least-norm ones that are not negative, which is a strictly convex
 problem in the three unknowns of the springs' plane. All supports being in contact is tried first; only when some

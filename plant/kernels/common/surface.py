@@ -1,4 +1,4 @@
-"""The cells as kernels read them."""
+"""Cells and wheels as kernel data."""
 
 from __future__ import annotations
 

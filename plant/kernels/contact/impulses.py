@@ -1,4 +1,4 @@
-"""Impulses at touching points: what keeps bodies from going on into each other, and friction with them.
+"""Contact impulses at touching points: non-penetration and friction.
 
 One problem serves velocities (impulses in N s) and places (shifts times mass): bodies have a motion ``u`` of three
 entries each, every point asks that the second body leaves the first along the normal by at least ``WANTED``, and may
@@ -25,7 +25,7 @@ ACCEPTED: Final = 1e-9
 
 @kernel
 def along(row, x, y, u, v):
-    """How fast the second body leaves the first at the point, along ``(x, y)``."""
+    """Compute the separation velocity of two bodies at a contact point along ``(x, y)``, m/s."""
     first = x * (u[0] - u[2] * row[to.AY]) + y * (u[1] + u[2] * row[to.AX])
     return x * (v[0] - v[2] * row[to.BY]) + y * (v[1] + v[2] * row[to.BX]) - first
 

@@ -1,4 +1,4 @@
-"""The points at which two bodies touch, or nearly do: one, or two where edges lie along each other."""
+"""Contact manifold of two bodies: one point, or two points where edges lie along each other."""
 
 from __future__ import annotations
 

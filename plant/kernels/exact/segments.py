@@ -1,7 +1,7 @@
-"""One parcel's way through a call on which wheels change and cells read: its own legs, from each change to the next.
+"""Segmented advance of one parcel through a call: one segment between successive wheel changes or sensor readings.
 
-Only what is within its reach matters to it. The wheels as it finds them are kept in scratch: others, in other threads,
-find them at other instants.
+Only changes and readings within the parcel's reach end a segment. The present state of the wheels is kept in the
+thread's workspace, because parcels in other threads reach the same change at other times.
 """
 
 from __future__ import annotations
@@ -43,16 +43,17 @@ class CallSchedule(NamedTuple):
 
 
 class SegmentWorkspace(NamedTuple):
-    """Scratch of one thread.
+    """Workspace of one thread.
 
     Attributes:
-        steady: ``(n, 2)`` of the wheels as the parcel whose turn it is finds them; between turns as at the start.
-        decay: likewise.
-        when: ``(2 c n,)`` s, changes that can matter to it, in order.
-        which: which: their index into ``CallSchedule.after``, flat.
-        times: ``(n,)`` s, when cells read that it can matter to, in order.
-        cells: ``(n,)`` which.
-        poses: ``(n, 1, 6)`` where it is then.
+        steady: ``(n, 2)``, of the wheels at the time of the current parcel; between parcels as at the start of the
+            call.
+        decay: ``(n, 2)``, as ``steady``.
+        when: times of wheel changes within the parcel's reach, ascending, ``(2 c n,)``, s.
+        which: flat indices of these changes in ``CallSchedule.after``.
+        times: reading times of cells within the parcel's reach, ascending, ``(n,)``, s.
+        cells: cells that read at ``times``, ``(n,)``.
+        poses: states of the parcel at ``times``, ``(n, 1, 6)``.
     """
 
     steady: Floats

@@ -70,7 +70,7 @@ _LEAST_M = 1e-15
 @final
 @dataclass(frozen=True, slots=True)
 class ChatterRow:
-    """A size of parcel at one ``capture_m``.
+    """Result for a parcel size and a ``capture_m``.
 
     Attributes:
         size_m: length and width.

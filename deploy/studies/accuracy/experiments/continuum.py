@@ -1,4 +1,4 @@
-"""How the torque of an array tends to that of a continuous surface as its pitch shrinks."""
+"""Convergence of an array's torque to a continuous surface's as the pitch shrinks."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -45,7 +45,7 @@ _NAMES = {1.0: "1", 0.5: "½", 0.25: "¼", 0.125: "⅛"}
 @final
 @dataclass(frozen=True, slots=True)
 class ContinuumRow:
-    """The array at one pitch.
+    """Result for the array at one pitch.
 
     Attributes:
         pitch_m: between cells.

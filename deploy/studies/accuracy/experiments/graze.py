@@ -1,4 +1,4 @@
-"""A corner that clips a cell for milliseconds, and what an integrator loses that looks at the ends of its steps."""
+"""Corner that grazes a cell for milliseconds, and the errors of integrators that check at step ends only."""
 
 # pyright: reportUnknownMemberType=false
 
@@ -140,12 +140,12 @@ class Point(Protocol):
 
     @property
     def solver(self) -> str:
-        """Its name."""
+        """Name of the solver."""
         ...
 
     @property
     def tolerance(self) -> float:
-        """Asked for."""
+        """Requested tolerance."""
         ...
 
     @property

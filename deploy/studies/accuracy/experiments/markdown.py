@@ -49,7 +49,7 @@ PICTURES = "images/accuracy"
 @final
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of the page: what was measured, already put into words.
+    """Section of the page, with its text.
 
     Attributes:
         title: its heading.

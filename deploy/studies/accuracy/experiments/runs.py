@@ -1,4 +1,4 @@
-"""A bundled scene's first parcel under some solver, timed, and how far two such runs are apart."""
+"""Timed runs of a bundled scene's first parcel, and differences between two runs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SECOND = 1_000_000_000
 @final
 @dataclass(frozen=True, slots=True)
 class ExperimentTrace:
-    """The course of a scene's first parcel.
+    """Trace of a scene's first parcel.
 
     Attributes:
         time_s: ``(T,)``.
