@@ -1,4 +1,4 @@
-"""Every fault that a scene may schedule: a new one is a file and a line here."""
+"""Registry of all fault kinds; a new kind is a module and a line here."""
 
 from __future__ import annotations
 
