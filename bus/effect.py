@@ -1,4 +1,4 @@
-"""What every effect, and every registry of them, has in common."""
+"""Base classes of effect specifications and of their registries."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class EffectSpec(Spec):
         lattice: Lattice,  # noqa: ARG002
         pitch_m: float,  # noqa: ARG002
     ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """What does not fit the array: path from the effect's table, value, and the rule that it breaks."""
+        """Yield settings that do not fit the array: path from the effect's table, value, and violated rule."""
         yield from ()
 
 

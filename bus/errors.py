@@ -12,7 +12,7 @@ class BusError(Exception):
 
 @final
 class WireError(BusError):
-    """A payload that is not what its key promises.
+    """A payload in violation of its key's format.
 
     Args:
         kind: What was being read or written (``"sense"``, ``"drive"``, ``"link"``, ...).
@@ -79,4 +79,4 @@ class WaitInterrupted(BusError):
 
 @final
 class StateError(BusError):
-    """What something remembers can't be kept, or what was kept is not what it remembers; says what and where."""
+    """State that can't be saved or restored; names the attribute and the problem."""

@@ -1,4 +1,4 @@
-"""What is left to chance: random numbers for every purpose, from the scene's one seed."""
+"""Named random streams, all derived from the scene's seed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _WORDS: Final = 4
 
 
 def rng(seed: int, purpose: str) -> np.random.Generator:
-    """The generator named after what it is for: its numbers don't depend on what else a scene draws.
+    """Return the generator of a named stream, independent of all other streams of the scene.
 
     Args:
         seed: of the scene, >= 0.

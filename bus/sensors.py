@@ -1,4 +1,4 @@
-"""What cells can read besides their clocks and their neighbours: agreed on once by both sides of a run."""
+"""Sensor schema of a run: readings beyond clocks and neighbours' messages, agreed on by both sides."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Labels = NDArray[np.int64]
 @final
 @dataclass(frozen=True, slots=True)
 class SensorSchema:
-    """What there is to read in a run; what there isn't, has no place on the bus.
+    """Sensors that exist in a run; readings of other sensors have no field on the bus.
 
     Attributes:
         sensors: Presence sensors a cell.
@@ -36,7 +36,7 @@ class SensorSchema:
 
 
 class CameraFrame(NamedTuple):
-    """What a camera saw.
+    """Frame of a camera: poses of the parcels in view.
 
     Attributes:
         parcel: ``(p,)`` int64, numbers of the parcels that were there, ascending.

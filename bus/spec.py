@@ -1,4 +1,4 @@
-"""What every part of a scene is made of, whichever package it concerns."""
+"""Base class and common types of all scene specifications."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 
 @final
 class StallSpec(Spec):
-    """What happens when a cell goes away or falls silent.
+    """Handling of cells that disconnect or stall: deadlines, and the policy for their wheels.
 
     The deadlines are wall time: a run that meets one is recorded as such and its digest promises nothing.
     """

@@ -1,4 +1,4 @@
-"""What the lockstep asks of a transport, and what every transport promises."""
+"""Transport interface of the lockstep: publishers, subscriptions, tokens, and delivery guarantees."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class Publisher(ABC):
 
     @abstractmethod
     def matched(self) -> bool:
-        """Whether at least one subscriber is known to this side. What is put before that may reach nobody."""
+        """Whether at least one subscriber is known; earlier payloads may reach no subscriber."""
 
 
 class Endpoint(ABC):
-    """One participant: what it subscribes to and the tokens it watches arrive in one inbox.
+    """Participant of a transport: one inbox for subscribed payloads and watched tokens.
 
     Every transport promises, and one conformance suite checks:
 
@@ -91,7 +91,7 @@ class Endpoint(ABC):
 
     @abstractmethod
     def declare_alive(self, key: str) -> None:
-        """Shows a token that stands until it is withdrawn or this process goes."""
+        """Declare a token; it stands until withdrawn or until this process ends."""
 
     @abstractmethod
     def withdraw(self, key: str) -> None:
@@ -121,7 +121,7 @@ class Endpoint(ABC):
 
     @abstractmethod
     def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
-        """What ``receive_all`` hands over; for a transport to say how."""
+        """Return all events in the inbox, as ``receive_all`` does; implemented by each transport."""
 
     @abstractmethod
     def wake(self) -> None:

@@ -66,7 +66,7 @@ class EventQueue:
 
 @final
 class MemoryBus:
-    """Where the endpoints of one process meet. Thread-safe; a put is delivered before it returns."""
+    """Rendezvous of the endpoints of one process. Thread-safe; ``put`` delivers before returning."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -82,7 +82,7 @@ class MemoryBus:
         return endpoint
 
     def route(self, key: str) -> tuple[Callable[[Event], None], ...]:
-        """Where to put what comes on ``key``: the inboxes of those who subscribed."""
+        """Return the ``put`` functions of all inboxes subscribed to ``key``."""
         route = self._routes.get(key)
         if route is None:
             with self._lock:
@@ -229,7 +229,7 @@ class MemoryEndpoint(Endpoint):
             self._closed = True
 
     def queue_of(self, key: str) -> Callable[[Event], None] | None:
-        """Where to put what comes on ``key``; None where no subscription matches."""
+        """Return the ``put`` function for payloads on ``key``; None if no subscription matches."""
         for expr, haste in self.subscriptions.items():
             if intersects(expr, key):
                 return self._doors[haste]

@@ -66,7 +66,7 @@ class FixedLayoutCodec:
         return payloads
 
     def decoder(self, make: Callable[..., Any], other: Decode) -> Decode:
-        """What decodes such payloads.
+        """Return a decoder of payloads in this layout.
 
         Args:
             make: From the values to what they stand for, or None if they are not what they should be; booleans
@@ -88,7 +88,7 @@ class FixedLayoutCodec:
 
 
 def _layout(places: Mapping[str, FieldLayout]) -> tuple[list[bytes], list[str], list[int]]:
-    """The bytes before, between and after the values; the values' types; where between both the booleans are."""
+    """Return the constant bytes around the values, the values' types, and the positions of booleans among both."""
     packer = cast("Any", msgpack).Packer()
     between, values, booleans = [b""], list[str](), list[int]()
 

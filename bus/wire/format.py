@@ -1,4 +1,4 @@
-"""What the lockstep asks of a wire form: frames to keys and payloads, and back.
+"""Wire format interface: frames to keys and payloads, and back.
 
 A form cuts the cells into *units*, each with its own keys: a shard in the packed form, a cell in the other. It
 cuts a shard's border links into *parts* likewise: a border between two shards, or a single link.
@@ -22,7 +22,7 @@ from bus.wire.keys import check_run
 @final
 @dataclass(frozen=True, slots=True)
 class RunSchema:
-    """What both sides of a run must agree on.
+    """Schema of a run: parameters that both sides must agree on.
 
     Args:
         run: Name of the run, second chunk of every key.
@@ -47,7 +47,7 @@ class RunSchema:
 
 
 class Senses(NamedTuple):
-    """What n cells sense; may be written.
+    """Sensor readings of n cells; the arrays are writable.
 
     Attributes:
         presence: ``(n, sensors)``.
@@ -131,7 +131,7 @@ class ParticipantCodec(ABC):
 
     @abstractmethod
     def join_senses(self, values: list[Any]) -> Senses:
-        """What the shard's cells sense."""
+        """Join the decoded senses of all units of the shard."""
 
     @abstractmethod
     def join_links(self, values: list[Any]) -> tuple[Mask, Message]:
@@ -151,7 +151,7 @@ class ParticipantCodec(ABC):
 
 
 def as_slice(index: Index) -> slice | Index:
-    """The same selection as a slice where it is one: NumPy then copies instead of gathering."""
+    """Return a selection as a slice where it is contiguous: NumPy then copies instead of gathering."""
     if len(index) and int(index[-1]) - int(index[0]) == len(index) - 1:
         return slice(int(index[0]), int(index[-1]) + 1)
     return index

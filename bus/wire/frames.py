@@ -1,4 +1,4 @@
-"""What goes over the bus: frames, which the two wire forms lay out as payloads, and records, alike in both."""
+"""Bus data types: frames, encoded differently by each wire format, and records, encoded alike by all."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MESSAGE_FIELDS: Final = 64
 
 
 class SenseFrame(NamedTuple):
-    """What the cells sense as a tick begins: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None.
+    """Sensor readings at the start of a tick: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None.
 
     ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue; ``label`` ``(n,)`` what scanners read,
     None where there are none; ``picture`` what a camera saw, in the ticks in which one comes in.
@@ -36,14 +36,14 @@ class SenseFrame(NamedTuple):
 
 
 class DriveFrame(NamedTuple):
-    """What the wheels are to do during a tick: ``(n, 2)`` float64, m/s or volts."""
+    """Wheel commands for a tick: ``(n, 2)`` float64, m/s or volts."""
 
     tick: int
     drive: Values
 
 
 class LinkFrame(NamedTuple):
-    """What links carried in a tick: ``sent`` ``(m,)`` says which; ``message`` ``(m,)`` is zero elsewhere."""
+    """Messages of a tick: ``sent`` ``(m,)`` marks links with a message; ``message`` ``(m,)`` is zero elsewhere."""
 
     tick: int
     sent: Mask

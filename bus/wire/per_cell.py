@@ -28,12 +28,12 @@ Sensed = tuple[bytes, bytes, bytes, int, CameraFrame | None]
 
 
 def blank(readings: SensorSchema) -> Sensed:
-    """What stands for a cell that senses nothing."""
+    """Return blank senses of a cell: no presence, zero travel, zero levels, no label, no camera frame."""
     return bytes(readings.sensors), bytes(PAIR.size), bytes(8 * readings.sensors), 0, None
 
 
 def _places(readings: SensorSchema) -> dict[str, FieldLayout]:
-    """What stands under each name, in a tick without a picture."""
+    """Return the field layout of a sense payload without a camera frame."""
     places: dict[str, FieldLayout] = {
         "presence": readings.sensors,
         "encoder_m": ("d", "d") if readings.encoders else None,
@@ -101,7 +101,7 @@ class SenseWriter:
 
 
 def joined(readings: SensorSchema, values: list[Sensed]) -> Senses:
-    """What so many cells sense; the picture is the first one's that has one: all are told the same."""
+    """Join the senses of all cells; the first camera frame found is used, as all cells get the same frame."""
     bits, travel, levels, labels, pictures = zip(*values, strict=True)
     each = (len(values), readings.sensors)
     presence, encoder_m, level, label = np.ndarray(each, np.bool_, bytearray().join(bits)), None, None, None
@@ -142,7 +142,7 @@ def sense_decoder(readings: SensorSchema) -> Decode:
 
 
 def _short(readings: SensorSchema, pack: Callable[..., bytes]) -> Callable[..., Sensed | None]:
-    """From the values as they come to what the cell senses; None if they are not what they should be."""
+    """Return a converter from decoded values to a cell's senses; the converter returns None for invalid values."""
     encoders, levels, largest = readings.encoders, readings.levels, readings.labels
 
     def sensed(marks: bytes, *values: float) -> Sensed | None:

@@ -1,8 +1,8 @@
-"""What Zenoh refuses on behalf of the plant's session, counted.
+"""Counters of denials: payloads and connections that Zenoh refuses in the plant's process.
 
-Zenoh drops what its access control denies without a word to anybody, and turns connections away with a word to its
-log alone. That log goes to the process's standard output and can be given no other way. While a ``Watch`` is kept, file
-descriptor 1 is therefore a pipe that a thread reads; what others write there goes on to where it went before.
+Zenoh reports neither payloads that its access control denies nor connections that it rejects, except in its log. The
+log goes to the process's standard output and can't be redirected. While an ``AccessLogMonitor`` is open, file
+descriptor 1 is therefore a pipe that a thread reads; other output is passed on to the original destination.
 
 Zenoh logs what it drops without the key. It does have a line with the key, but that one comes for every message
 that may pass, too: at 18 processes 100,000 lines a second.

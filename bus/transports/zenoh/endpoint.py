@@ -186,7 +186,7 @@ class ZenohEndpoint(Endpoint):
         self._mail.enqueue(Wakeup())
 
     def role(self, session: str) -> str | None:
-        """What the certificate says of the session whose identifier begins like this, if it is connected."""
+        """Return the certificate's name of the session whose identifier begins with ``session``; None if unknown."""
         links = self.session.info.links()
         return next((link.auth_identifier for link in links if str(link.zid).startswith(session)), None)
 
@@ -355,7 +355,7 @@ def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
 
 
 def free_port() -> int:
-    """Find a loopback TCP port that nobody listens on."""
+    """Find a free loopback TCP port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return cast("int", probe.getsockname()[1])

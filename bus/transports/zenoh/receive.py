@@ -1,4 +1,4 @@
-"""What a session's reader waits on.
+"""Receiving side of a Zenoh session: payload channels, events that end a wait, and a wakeup timer.
 
 A callback of ours makes Zenoh's receiving threads wait for the interpreter: measured, a tenth of the exchange where
 eighteen processes share two cores. Payloads therefore come through Zenoh's own channels, and the reader sleeps in
@@ -69,7 +69,7 @@ received = cast(
 
 @final
 class Channel:
-    """What comes on one subscription. Its reader waits outside Python, and needs no callback of ours.
+    """Payload channel of one subscription. The reader waits outside Python, without a Python callback.
 
     Args:
         session: The session.

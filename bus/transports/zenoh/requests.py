@@ -63,7 +63,7 @@ class RequestQueue:
         return None if query is None else IncomingRequest(query)
 
     def close(self) -> None:
-        """Take no more; those that wait get no answer."""
+        """Stop accepting requests; waiting ones get no answer."""
         self._queryable.undeclare()
 
 

@@ -64,7 +64,7 @@ Identity = Certificate | Password
 @final
 @dataclass(frozen=True, slots=True)
 class AccessPolicy:
-    """Whom a session that listens lets in, and what each may do.
+    """Access policy of a listening session: admitted identities, and the permissions of each role.
 
     Attributes:
         identity: The plant's own; None where nobody has to prove who they are.
@@ -179,6 +179,6 @@ def _set(config: zenoh.Config, key: str, value: str) -> None:
 
 
 def first_line(error: BaseException) -> str:
-    """What went wrong, without Zenoh's trace."""
+    """Return the first line of an error, without Zenoh's source location."""
     lines = str(error).splitlines()
     return re.sub(r" at \S+\.rs:\d+\.?", "", lines[0]) if lines else type(error).__name__
