@@ -55,7 +55,7 @@ class CellClocks:
         return self.due(window, self.count_before(window * self.window_ns))
 
     def due(self, window: int, count: Ints) -> Ints:
-        """Return the instants in a window, as ``instants`` does, given the number ``count`` ``(n,)`` of earlier instants."""
+        """Return the instants in a window, as ``instants`` does, given the number of earlier instants, ``count``, ``(n,)``."""
         at = self.instant(count)
         return np.where(at < (window + 1) * self.window_ns, at, NOT_IN_WINDOW)
 

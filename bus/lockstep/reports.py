@@ -17,7 +17,7 @@ Cell = tuple[int, int]
 
 @final
 class ReportPublisher:
-    """A shard's side: reports.
+    """Publisher of a shard's reports.
 
     Args:
         publisher: Publisher on the shard's report key.
@@ -62,7 +62,7 @@ class ReportPublisher:
 
 @final
 class ReportReceiver:
-    """The plant's side: takes reports in.
+    """Receiver of the shards' reports on the plant's side.
 
     Args:
         partition: How the cells are cut into shards.
