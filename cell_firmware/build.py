@@ -47,7 +47,7 @@ class CellFaults:
     seed: int = 0
 
     def stages(self, site: ShardContext) -> tuple[InputFilter, ...]:
-        """Return the input filters of all faults for a shard's cells, fault by fault; they follow the effects' filters."""
+        """Return the input filters of all faults for a shard's cells, fault by fault."""
         return tuple(
             stage for one in self.injected for stage in one.fault.input_filters(site, self.lattice, one)
         )

@@ -47,7 +47,7 @@ class CellClocks:
         return len(self.ppb)
 
     def take(self, cells: Ints) -> CellClocks:
-        """Select the clocks of ``cells``, in this order."""
+        """Select the clocks of ``cells``, in order."""
         return CellClocks(self.period_ns, self.window_ns, self.ppb[cells], self.phase_ns[cells])
 
     def instants(self, window: int) -> Ints:
@@ -55,7 +55,7 @@ class CellClocks:
         return self.due(window, self.count_before(window * self.window_ns))
 
     def due(self, window: int, count: Ints) -> Ints:
-        """Return the instants in a window, as ``instants`` does, given the number of earlier instants, ``count``, ``(n,)``."""
+        """Return the instants in a window, given the number of earlier instants, ``count``, ``(n,)``."""
         at = self.instant(count)
         return np.where(at < (window + 1) * self.window_ns, at, NOT_IN_WINDOW)
 

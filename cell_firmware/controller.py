@@ -30,7 +30,7 @@ class StepTime(NamedTuple):
     at_ns: NDArray[np.int64]
 
     def select(self, rows: NDArray[np.int64]) -> StepTime:
-        """Select the instants of these rows, in this order."""
+        """Select the instants of ``rows``, in order."""
         return self if self.at_ns.ndim == 0 else StepTime(self.tick, self.at_ns[rows])
 
 
@@ -48,7 +48,7 @@ class ControllerState:
     parts: Mapping[str, State]
 
     def select(self, rows: NDArray[np.int64]) -> ControllerState:
-        """Select the state of these rows, in this order."""
+        """Select the state of ``rows``, in order."""
         return ControllerState(
             self.cells.select(rows),
             {
@@ -58,7 +58,7 @@ class ControllerState:
         )
 
     def replace_rows(self, rows: NDArray[np.int64], other: ControllerState) -> ControllerState:
-        """Return this state with ``rows`` replaced by the rows of ``other``, in this order."""
+        """Return this state with ``rows`` replaced by the rows of ``other``, in order."""
         parts: dict[str, State] = {}
         for part, state in self.parts.items():
             changed: dict[str, NDArray[Any]] = {}

@@ -78,7 +78,7 @@ class Cells:
         return int(self.row[index]), int(self.column[index])
 
     def select(self, indices: NDArray[np.int64]) -> Cells:
-        """Select these cells, in this order."""
+        """Select the cells of ``indices``, in order."""
         return Cells(
             take_rows(self.row, indices),
             take_rows(self.column, indices),
@@ -149,7 +149,7 @@ class Inputs:
     camera: CameraFrame | None = None
 
     def select(self, indices: NDArray[np.int64]) -> Inputs:
-        """Select the inputs of these rows, in this order."""
+        """Select the inputs of ``indices``, in order."""
         encoder_m = None if self.encoder_m is None else take_rows(self.encoder_m, indices)
         inbox = self.inbox and Inbox(
             take_rows(self.inbox.received, indices), take_rows(self.inbox.message, indices)

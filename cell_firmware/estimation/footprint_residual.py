@@ -42,7 +42,7 @@ class Sensors(NamedTuple):
     age_s: Floats
 
     def take(self, rows: NDArray[np.int64]) -> Sensors:
-        """Select the readings of these leaders, in this order."""
+        """Select the readings of ``rows``, in order."""
         return Sensors(self.x_m[rows], self.y_m[rows], self.known[rows], self.covered[rows], self.age_s)
 
 

@@ -37,7 +37,7 @@ class OccupancyMap(NamedTuple):
     covered: Words
 
     def take(self, rows: Integers) -> OccupancyMap:
-        """Select the maps of these cells, in this order."""
+        """Select the maps of ``rows``, in order."""
         return OccupancyMap(self.known[rows], self.covered[rows])
 
 

@@ -87,7 +87,7 @@ class HopGradient(Firmware):
         return hop_distance(lattice, np.flatnonzero(self._is_goal(lattice.rows, lattice.columns)))
 
     def init(self, cells: Cells) -> State:
-        """Return the initial state: goals, distances, and each neighbour's last distance with its remaining validity."""
+        """Return the initial state: goals, distances, and last distances of neighbours with remaining validity."""
         goal, n = self._is_goal(cells.row, cells.column), len(cells)
         return {
             "goal": goal,

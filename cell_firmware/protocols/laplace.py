@@ -109,7 +109,7 @@ class Laplace(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """Return the initial state: current and previous potentials ``(n,)``, held cells, received potentials, and pitch."""
+        """Return the initial state: potentials ``(n,)`` of this tick and the last, held cells, messages, and pitch."""
         potential, held = self._start(cells.row, cells.column)
         sides = cells.has_neighbour.shape
         return {

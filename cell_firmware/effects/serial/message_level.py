@@ -140,7 +140,7 @@ class MessageLevelLines(LinkDriver):
     def _take(
         self, after: dict[str, NDArray[Any]], slot: int, at_ns: Ints, whole: Bools, message: Messages
     ) -> None:
-        """Deliver the messages of one exchange that have arrived."""
+        """Deliver the arrived messages of a slot."""
         there_ns = after[f"there_{slot}_ns"]
         come = there_ns <= at_ns
         row = np.flatnonzero(come)

@@ -1,4 +1,4 @@
-"""Fault ``babble``: cells that flood their links with noise."""
+"""Fault ``babble``: cells flood their links with noise."""
 
 from __future__ import annotations
 
