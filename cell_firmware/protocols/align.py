@@ -116,7 +116,7 @@ class Align(Firmware):
         return float(0.5 / np.sqrt(self.parameters.gain_per_s * self.parameters.response_s))
 
     def init(self, cells: Cells) -> State:
-        """Return the initial state: pose source, commanded motion ``(n, 3)``, remaining distance and sine of the angle."""
+        """Return the initial state: pose source, commanded motion ``(n, 3)``, remaining distance and angle's sine."""
         n = len(cells)
         source = self._estimator or self._sightings
         assert source is not None
