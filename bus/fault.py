@@ -22,9 +22,9 @@ Time = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 
 
 class FaultSpec(Spec):
-    """A fault of a scene: one of its ``[[faults]]``, told apart by ``kind``.
+    """A fault of a scene: one of its ``[[faults]]``, discriminated by ``kind``.
 
-    It acts from the first tick boundary not before ``at_s`` to the first not before ``until_s``, simulated time.
+    The fault is active from the first tick boundary not before ``at_s`` to the first not before ``until_s``, simulated time.
     """
 
     kind_name: ClassVar[str]
@@ -71,7 +71,7 @@ class FaultSpec(Spec):
 
 
 class CellTarget(FaultSpec):
-    """A fault that strikes cells: give one of ``cell``, ``cells``, ``rectangle`` and ``share``."""
+    """A fault that affects cells: give one of ``cell``, ``cells``, ``rectangle`` and ``share``."""
 
     cell: CellName | None = None
     """``[row, column]``."""
@@ -80,8 +80,8 @@ class CellTarget(FaultSpec):
     rectangle: tuple[CellName, CellName] | None = None
     """Two corners, ``[[row, column], [row, column]]``: all cells that exist from one to the other."""
     share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] | None = None
-    """Of all cells, to the nearest whole number, drawn by the scene's seed. A greater share strikes those of a
-    smaller one, and more."""
+    """Of all cells, to the nearest whole number, drawn by the scene's seed. A greater share includes the cells
+    of a smaller one."""
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
@@ -137,12 +137,12 @@ class CellTarget(FaultSpec):
 
 
 class LinkTarget(CellTarget):
-    """A fault that strikes links of cells: those on ``side``, or on every side."""
+    """A fault that affects links of cells: links on ``side``, or on every side."""
 
     side: Literal["north", "east", "south", "west"] | None = None
     """Of each cell; None: all four."""
     direction: Literal["both", "out", "in"] = "both"
-    """What the cells say (``out``), what they hear (``in``), or both."""
+    """Messages that the cells send (``out``), messages that the cells receive (``in``), or both."""
 
     def problems(self, lattice: Lattice) -> Iterator[Problem]:
         """Yield cells that don't exist, and a side on which the cell has no neighbour."""

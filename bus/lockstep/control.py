@@ -20,7 +20,7 @@ class ControlState:
         lattice: The run's cells.
         company: Membership to update.
         token: Key of the plant's token.
-        counts: Where to count.
+        counts: Counters to update.
 
     Attributes:
         resumed: Whether the run was resumed: its start record was counted before.

@@ -27,10 +27,10 @@ from bus.wire.frames import Control, DriveFrame, Mask, Report, SenseFrame, check
 from bus.wire.keys import plant_key, shard_key
 
 _POLL_S: Final = 0.01
-"""How often to ask for matches, of which no event tells."""
+"""Polling interval for matches, which cause no event, wall seconds."""
 _STATE_POLL_S: Final = 0.5
 _PATIENCE: Final = 9
-"""Deadlines more for a shard that says that it still computes."""
+"""Additional deadlines for a shard that reports ``busy``."""
 _BEFORE: Final = -1
 """In place of a tick: before the first. In place of a shard: all sides of a run before it was resumed."""
 
@@ -43,12 +43,12 @@ class Coordinator:
 
     Args:
         endpoint: The plant's endpoint.
-        partition: How the cells are cut into shards; the same on all sides.
+        partition: Partition of the cells into shards; the same on all sides.
         form: ``"packed"`` or ``"cells"``; the same on all sides.
         run: Name of the run.
-        readings: What sense frames carry.
-        message: The firmware's message type, None where cells send each other nothing.
-        wanted: Registers of the cells to take in.
+        readings: Contents of sense frames.
+        message: The firmware's message type; None for firmware without messages.
+        wanted: Requests for registers of the cells.
         keeps: Whether snapshots may be requested.
         stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
         clock: Monotonic wall seconds.
@@ -122,7 +122,7 @@ class Coordinator:
         take: Callable[[int, bytes], None],
         haste: Urgency = "quiet",
     ) -> None:
-        """Subscribes to what every shard sends on a key of its own."""
+        """Subscribe to a key of every shard."""
         run = self._wiring.run
         for shard in range(self._wiring.partition.count):
             self._inbox.routes[shard_key(run, shard, leaf)] = (take, shard)
@@ -131,13 +131,13 @@ class Coordinator:
     # --- the start ------------------------------------------------------------------------------
 
     def barrier(self, deadline_s: float | None = None) -> None:
-        """Waits until every cell is ready and can be sent to, then tells all to start.
+        """Wait until every cell is ready and subscribed, then send the start record.
 
         Args:
             deadline_s: Wall seconds from now; None: ``stall.start_s``.
 
         Raises:
-            BarrierError: Somebody is missing; names who, and whether they ever appeared.
+            BarrierError: Cells are missing; names the cells, and whether they ever appeared.
             WaitInterrupted: ``endpoint.wake`` was called.
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
@@ -161,10 +161,10 @@ class Coordinator:
             self.control(start)
 
     def absent(self, timeout_s: float) -> set[int]:
-        """Shards of which a cell has not appeared yet.
+        """Return the shards with a cell that has not appeared yet.
 
         Args:
-            timeout_s: Wall seconds to wait for news first.
+            timeout_s: Wall seconds to wait for events first.
         """
         # Whoever wakes us wants what is happening already.
         with contextlib.suppress(WaitInterrupted):
@@ -175,7 +175,7 @@ class Coordinator:
         """Resume at ``tick`` from another coordinator of the same run; call before the barrier.
 
         Args:
-            tick: The first to be published and gathered.
+            tick: First tick to publish and gather.
             dead: Indices of the cells that had died before ``tick``.
             counts: Counters of all sides before ``tick``.
         """
@@ -297,7 +297,7 @@ class Coordinator:
     # --- to all ---------------------------------------------------------------------------------
 
     def control(self, record: Control) -> None:
-        """Sends a control record to everybody."""
+        """Send a control record to all shards."""
         self._control.put(encode_control(record))
         self.counters.sent += len(self._muster.shards(self._tick))
 
@@ -311,16 +311,17 @@ class Coordinator:
             self._state.put(payload)
 
     def stop(self, detail: str = "", deadline_s: float = 2.0) -> MessageCounters:
-        """Tells the cells to stop, waits for their counts, takes the plant's token back, and waits for theirs to go.
+        """Stop the run: send the stop record, wait for counters, withdraw the token, and wait for the cells' tokens.
 
-        A cell keeps its session open until the plant's token has gone: what is queued in a session that closes is lost.
+        A cell keeps its session open until the plant's token is withdrawn, as payloads queued in a closing session are
+        lost.
 
         Args:
             detail: Why, for the cells' logs.
             deadline_s: Wall seconds to wait.
 
         Returns:
-            The counts of all sides: this one's, and those that the shards reported as they left.
+            The counters of all sides: the coordinator's own, and the shards' final reports.
         """
         self.control(Control("stop", self._tick, (), detail))
         counts = self._reported.counters

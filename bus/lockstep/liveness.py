@@ -114,9 +114,9 @@ class RejoinTracker:
     """Lost shards, and the progress of their rejoins.
 
     Args:
-        roll: Of the run.
-        units: Of each shard.
-        matched: Whether a unit can be sent to.
+        roll: Liveness of the run's units.
+        units: Units of each shard.
+        matched: Whether a unit is subscribed.
     """
 
     def __init__(

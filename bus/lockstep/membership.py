@@ -21,13 +21,13 @@ class CoordinatorMembership:
     """Membership on the coordinator's side: drops and readmits cells, and announces both to the shards.
 
     Args:
-        partition: How the cells are cut into shards.
-        form: The plant's side of the wire form.
-        roll: Of the run's tokens.
+        partition: Partition of the cells into shards.
+        form: The plant's side of the wire format.
+        roll: Liveness of the run's units.
         drives: Assembler of the drives of live cells.
-        counts: Where to count.
-        matched: Whether a unit can be sent to.
-        tell: Sends a record to everybody.
+        counts: Counters to update.
+        matched: Whether a unit is subscribed.
+        tell: Sends a control record to all shards.
 
     Attributes:
         rejoins: Progress of rejoins.

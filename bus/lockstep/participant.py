@@ -45,12 +45,12 @@ class Participant:
 
     Args:
         endpoint: The endpoint of the shard's process.
-        partition: How the cells are cut into shards; the same on all sides.
-        shard: Which of them this is.
+        partition: Partition of the cells into shards; the same on all sides.
+        shard: Number of the shard.
         form: ``"packed"`` or ``"cells"``; the same on all sides.
         run: Name of the run.
-        readings: What sense frames carry.
-        message: The firmware's message type, None where cells send each other nothing.
+        readings: Contents of sense frames.
+        message: The firmware's message type; None for firmware without messages.
         stall: Deadlines.
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
             None: as long as the token stands. A paused or compiling plant is silent too.
@@ -128,8 +128,8 @@ class Participant:
             deadline_s: Wall seconds from now; None: ``stall.start_s``.
 
         Raises:
-            BarrierError: The plant or a neighbour does not listen in time; names the keys.
-            CoordinatorLostError: The plant went away.
+            BarrierError: The plant or a neighbour has not subscribed in time; names the keys.
+            CoordinatorLostError: The plant is lost.
             WaitInterrupted: ``endpoint.wake`` was called.
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
@@ -166,7 +166,7 @@ class Participant:
 
         Raises:
             BarrierError: The coordinator does not admit the shard in time.
-            CoordinatorLostError: The plant went away.
+            CoordinatorLostError: The plant is lost.
             WaitInterrupted: ``endpoint.wake`` was called.
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
@@ -184,7 +184,7 @@ class Participant:
         """Resume at ``tick`` from another participant of the same shard; call before ``ready``.
 
         Args:
-            tick: The first to be gathered.
+            tick: First tick to gather.
             dead: Indices in the lattice of the cells that had died before ``tick``.
         """
         self._tick, self._told.resumed = tick, True
@@ -222,7 +222,7 @@ class Participant:
             The inputs; or a ``stop`` record: the plant's, or the participant's own when no cell of the shard is live.
 
         Raises:
-            CoordinatorLostError: The plant went away, or was silent for ``silence_s``.
+            CoordinatorLostError: The plant is lost, or was silent for ``silence_s``.
             WaitInterrupted: ``endpoint.wake`` was called; the call may be repeated.
         """
         self._tick = tick

@@ -12,7 +12,7 @@ from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.keys import owner_of
 
 EARLY_TICKS: Final = 64
-"""How far ahead a frame may be to be kept; in lockstep nobody gets further than one tick."""
+"""Ticks ahead up to which a frame is kept; in lockstep no sender is more than one tick ahead."""
 
 
 @final
@@ -38,10 +38,10 @@ class FrameAssembler:
     """Reassembly of frames of one kind from parts, one sender a part.
 
     Args:
-        kind: Name for errors.
+        kind: Name of the frames in errors.
         blank: Substitute for each part that does not arrive.
         decode: From a part and its payload to its tick and value; raises WireError.
-        counts: Where to count.
+        counts: Counters to update.
 
     Attributes:
         now: First tick that is not closed.

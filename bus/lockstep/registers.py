@@ -251,7 +251,7 @@ class RegisterReceiver:
     """Receiver of the shards' registers on the plant's side.
 
     Args:
-        partition: How the cells are cut into shards.
+        partition: Partition of the cells into shards.
         wanted: Requests of the plant.
         counts: Counters to update.
         now: Returns the current tick.

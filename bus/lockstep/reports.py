@@ -65,7 +65,7 @@ class ReportReceiver:
     """Receiver of the shards' reports on the plant's side.
 
     Args:
-        partition: How the cells are cut into shards.
+        partition: Partition of the cells into shards.
         now: Returns the current tick.
         linked: Called with a shard and the rejoining cells (indices) that it can send to.
 

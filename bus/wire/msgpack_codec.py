@@ -1,7 +1,7 @@
 """The MessagePack envelope of every payload, and readers of what is inside: bounded, typed, versioned.
 
-What a key promises is checked field by field: every payload becomes values or a ``WireError``, whoever
-wrote it. These run for every payload of every tick, hence the plain code and the few calls into NumPy.
+Every field of a payload is checked: a payload becomes values or a ``WireError``. These functions run for every
+payload of every tick, hence the plain code and the few calls into NumPy.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def reader(kind: str, limit: int, *layouts: frozenset[str]) -> Read:
     or without a sensible tick.
 
     Args:
-        kind: What it is, for the error.
+        kind: Kind of the payload, for the error.
         limit: Bytes that the values may take; the envelope comes on top.
         layouts: The sets of fields allowed (``layout``): one of them, no more and no less.
     """

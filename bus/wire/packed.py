@@ -18,7 +18,7 @@ from bus.wire.keys import shard_key, shard_link_key
 _DRIVE: Final = codec.layout("drive")
 _LINK: Final = codec.layout("sent", "message")
 _NAME: Final = 16
-"""Bytes that the name of a value takes at most, and what says how long the value is."""
+"""Most bytes of a value's name and length."""
 
 
 @final

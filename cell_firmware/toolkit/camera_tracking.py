@@ -60,5 +60,5 @@ class CameraTracker:
         }
 
     def pose(self, state: State) -> tuple[Bools, Floats, Floats]:
-        """Return whether a pose is known, ``(n,)``, its centre, ``(n, 2)``, and the unit vector along its x, ``(n, 2)``."""
+        """Return whether a pose is known, ``(n,)``, the centre, ``(n, 2)``, and the unit vector along x, ``(n, 2)``."""
         return state["counts"] > 0, state["centre_m"], state["direction"]
