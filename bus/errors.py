@@ -74,7 +74,7 @@ class CoordinatorLostError(BusError):
 
 @final
 class WaitInterrupted(BusError):
-    """``Endpoint.wake`` was called while the lockstep waited; the caller handles the reason."""
+    """``Endpoint.wake`` was called while the lockstep waited; the caller of ``wake`` knows the reason."""
 
 
 @final

@@ -23,8 +23,8 @@ _MESSAGE_FIELDS: Final = 64
 class SenseFrame(NamedTuple):
     """Sensor readings at the start of a tick: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None.
 
-    ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue; ``label`` ``(n,)`` the scanners' readings,
-    None without scanners; ``picture`` a camera frame, None in ticks without one.
+    ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue. ``label`` is ``(n,)``, None without
+    scanners. ``picture`` is a camera frame, None in ticks without one.
     """
 
     tick: int

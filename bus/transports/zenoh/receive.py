@@ -100,7 +100,7 @@ class Channel:
             events.append(received((self.key or str(sample.key_expr), payload)))
 
     def ring(self) -> None:
-        """End the current wait, or the next, by a deletion, which is used for nothing else and stays in this session."""
+        """End the current wait, or the next, by a deletion, which is not used otherwise and stays in this session."""
         with contextlib.suppress(zenoh.ZError):  # The session may be closed already.
             cast("Any", self._session).delete(self._bell, allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
