@@ -203,7 +203,7 @@ class _Agent:
         index = dict(zip(self._shard.cells, self._shard.indices.tolist(), strict=True))
         alike: dict[str, list[int]] = {}
         for failure in failed.failures:
-            alike.setdefault(_text(failure), []).append(index[failure.cell])
+            alike.setdefault(report_text(failure), []).append(index[failure.cell])
         for detail, cells in alike.items():
             self._member.fail(cells, failed.tick, detail)
         if failed.outputs is not None:
@@ -264,13 +264,7 @@ class _Agent:
 
     def _fail_all(self, tick: int, error: BaseException) -> None:
         """Fail all cells of the shard, as the step itself failed."""
-        if isinstance(error, FirmwareFailed):
-            failures = (error,)
-        else:
-            trace = "".join(traceback.format_exception(error))
-            problem = f"{type(error).__name__}: {error}"
-            failures = tuple(FirmwareFailed(cell, tick, problem, trace) for cell in self._shard.alive)
-        self._trouble(_Trouble(tick, failures, None))
+        self._trouble(_Trouble(tick, failures_of(self._shard, tick, error), None))
 
     def _trouble(self, trouble: _Trouble) -> None:
         """Hand the failed cells to the gather thread, which owns the participant's membership."""
@@ -309,7 +303,7 @@ class _Agent:
             if hung.problem not in self._reported:  # once for all that hang for the same reason
                 self._reported.add(hung.problem)
                 index = int(self._shard.indices[self._shard.cells.index(hung.cell)])
-                self._member.hang(index, hung.tick, _text(hung))
+                self._member.hang(index, hung.tick, report_text(hung))
         links = outputs.links
         frame = None if links is None else LinkFrame(tick, links.sent, links.message)
         self._member.publish_registers(tick, self._shard.registers)
@@ -320,7 +314,16 @@ class _Agent:
         return save_state(self._shard, self._records)
 
 
-def _text(failure: FirmwareFailed) -> str:
-    """Problem and traceback as one text that a report can carry; of a long traceback the end is kept."""
+def failures_of(shard: Shard, tick: int, error: BaseException) -> tuple[FirmwareFailed, ...]:
+    """Failures of the cells of a shard whose step raised: of one cell where the error names it, else of all alive."""
+    if isinstance(error, FirmwareFailed):
+        return (error,)
+    trace = "".join(traceback.format_exception(error))
+    problem = f"{type(error).__name__}: {error}"
+    return tuple(FirmwareFailed(cell, tick, problem, trace) for cell in shard.alive)
+
+
+def report_text(failure: FirmwareFailed) -> str:
+    """Problem and traceback as one text that fits a report; of a long traceback the end is kept."""
     problem = failure.problem[: TEXT_LIMIT // 2]
     return f"{problem}\n{failure.trace[-(TEXT_LIMIT - len(problem) - 1) :]}" if failure.trace else problem

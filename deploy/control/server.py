@@ -67,6 +67,7 @@ class ControlServer:
         faults: Sequence[FaultInstance[FaultSpec]],
         tell: Callable[[Control], None],
         ledger: RunLog,
+        process: Process,
         questions: RequestQueue | None = None,
         script: Sequence[Record] = (),
         *,
@@ -82,10 +83,6 @@ class ControlServer:
         self._script = sorted(script, key=lambda record: int(record["tick"]))
         self._deaf = scene.effects.serial is not None and not lines
         self._repaired: set[int] = set()
-        self._process: Process | None = None
-
-    def attach(self, process: Process) -> None:
-        """The plant's process, which calls ``attend``."""
         self._process = process
 
     def before_tick(self, tick: int) -> None:
@@ -196,7 +193,6 @@ class ControlServer:
         if isinstance(one.fault, CellFault):
             self._tell(Control("fault", one.start_tick, (), _text(one)))
         if isinstance(one.fault, PlantFault):
-            assert self._process is not None, "this is a bug: a console without a process"
             self._process.inject(cast("FaultInstance[PlantFault]", one))
         self._ledger.inject(one)
         self._ledger.control(
@@ -218,7 +214,6 @@ class ControlServer:
         if not one.fault.repairable or not one.active_at(tick):
             raise RequestError(f"number: fault {number} doesn't act now")
         one.end_tick = tick
-        assert self._process is not None, "this is a bug: a console without a process"
         self._repaired.add(number)
         self._process.replan()
         self._ledger.replan()

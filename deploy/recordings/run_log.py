@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deploy.recordings.writer import Recorder
     from deploy.util.progress import Progress
     from plant.observations import Event
-    from plant.process import TickRecord
+    from plant.tick import TickRecord
 
 
 @final

@@ -19,7 +19,8 @@ from deploy.recordings.run_log import event_record
 from deploy.recordings.trace import RunTrace, mask_absent
 from deploy.runs.output import draw_run_overview, exits, parcel_outcomes, validity
 from deploy.runs.output_folder import output_folder
-from deploy.runs.setup import load_plant, status_of, tell_cautions
+from deploy.runs.result import status_of
+from deploy.runs.setup import load_plant, tell_cautions
 from deploy.runs.summary import Outcome, Summary
 from deploy.scenes.fault_schedule import (
     active,

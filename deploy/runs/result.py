@@ -2,71 +2,134 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Self, final
 
 from bus.lockstep.counters import MessageCounters
-from deploy.recordings.losses import failure, lines, nobody
+from deploy.recordings.losses import Places, failure, lines, nobody
 from deploy.runs.output import parcel_outcomes, validity
 from deploy.runs.rejections import DENIED, MALFORMED, MESSAGE, RejectionMonitor, total
 from deploy.runs.summary import Messages, ProtocolMessages, Summary
 from deploy.scenes.fault_schedule import crash_aborts
+from deploy.util.signals import Interrupted
+from plant.errors import PlantError, PlantStopped, PlantUnstable
 
 if TYPE_CHECKING:
+    from bus.lockstep.counters import Loss
     from deploy.protocol_report.report import ProtocolReport
     from deploy.recordings.run_log import RunLog
     from deploy.scenes.scene import Scene
     from deploy.workers.plan import Plan
+    from plant.observations import Event, ParcelStatus
     from plant.plant import Plant
-    from plant.process import LoopResult
+    from plant.tick import LoopResult
+    from plant.wheels import Floats
 
 
 @final
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, kw_only=True, eq=False)
 class RunResult:
-    """What is known of a run's end, as far as it has come.
+    """How a run ended, and the state that it ended in.
 
     Attributes:
-        status: ``ok`` as long as nothing else ended it.
-        reason: Why, where it is not ``ok``.
-        detail: Several lines on what went wrong.
-        counts: Messages of all sides.
-        startup_s: Wall time until the first tick.
-        wall_s: Wall time of the run itself.
+        status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
+        reason: Why the status is not ``ok``, one line; empty where it is.
+        detail: More lines on what went wrong, such as a program's traceback.
+        losses: Cells that were lost in the tick that ended the run, and by ``run_headless`` all before.
+        failed: Of these losses, the cells whose program failed, where that ended the run.
+        died: Cells whose scheduled death ended the run.
+        events: Events of the plant, as far as somebody collected them: see ``run_headless``.
+        state: ``(m, 6)``, x, y, angle and their rates of every parcel, m, rad and s.
+        parcel_status: Status of every parcel.
+        footprints_m: ``(v, 2)`` each, corners of every parcel about its centre of mass, in its axes, m.
+        misrouted: Parcels that left by another exit than theirs.
+        counters: Messages of all sides; complete once the cells are stopped.
+        startup_s: Wall time until the first tick, s.
+        wall_s: Wall time of the run itself, s.
     """
 
     status: str = "ok"
-    reason: str | None = None
+    reason: str = ""
     detail: str = ""
-    counts: MessageCounters = field(default_factory=MessageCounters)
+    losses: Sequence[Loss] = ()
+    failed: Sequence[Loss] = ()
+    died: tuple[int, ...] = ()
+    events: Sequence[Event] = ()
+    state: Floats
+    parcel_status: Sequence[ParcelStatus] = ()
+    footprints_m: Sequence[Floats] = ()
+    misrouted: int = 0
+    counters: MessageCounters = field(default_factory=MessageCounters)
     startup_s: float = 0.0
     wall_s: float = 0.0
 
+    @classmethod
+    def of(cls, plant: Plant) -> Self:
+        """Result ``ok`` of a plant as it is now."""
+        traffic = plant.traffic()
+        return cls(
+            state=plant.state,
+            parcel_status=tuple(plant.status),
+            footprints_m=plant.footprints_m,
+            misrouted=0 if traffic is None else traffic.misrouted,
+        )
+
+    @property
+    def cells_lost(self) -> int:
+        """Number of ``losses``."""
+        return len(self.losses)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run reached the end of its scene."""
+        return self.status == "ok"
+
     def end(self, status: str, reason: str) -> None:
-        """It ended so, for this reason."""
+        """Set status and reason."""
         self.status, self.reason = status, reason
 
-    def from_loop(self, ended: LoopResult, ledger: RunLog) -> None:
-        """Tell what ended the run before its time, or that nobody was left at its end."""
-        cells, period_ns = ledger.cells, ledger.period_ns
+    def from_loop(
+        self, ended: LoopResult, cells: Places, tick: int, period_ns: int, found: Sequence[Loss] = ()
+    ) -> None:
+        """Take over how the tick loop ended.
+
+        Args:
+            ended: The end.
+            cells: ``(row, column)`` of every cell, in the lattice's order.
+            tick: Ticks that are over.
+            period_ns: Length of a tick, ns.
+            found: Losses before the last tick.
+        """
+        self.losses, self.failed, self.died = ended.losses, ended.failed, ended.died
         if ended.failed:
-            ledger.note(ended.losses)
             self.end("failed", failure(ended.failed, cells, period_ns))
             self.detail = ended.failed[0].detail
         elif ended.nobody:
-            self.end("failed", nobody(ledger.found, cells, period_ns))
-            self.detail = next((loss.detail for loss in ledger.found if loss.detail), "")
+            self.end("failed", nobody(found, cells, period_ns))
+            self.detail = next((loss.detail for loss in found if loss.detail), "")
         elif ended.died:
-            ledger.on_died(ledger.ticks, ended.died)
-            cell = ledger.cells_lost[-len(ended.died)]
-            self.end("failed", crash_aborts(cell, ledger.time_ns * 1e-9))
+            self.end("failed", crash_aborts(cells[ended.died[0]], tick * period_ns * 1e-9))
         elif ended.losses:
-            ledger.on_lost(ended.losses)
-            told = "; ".join(lines(ended.losses, cells, period_ns))
-            self.end(ended.status, f"{told}; stall.policy is abort")
+            lost = "; ".join(lines(ended.losses, cells, period_ns))
+            self.end(ended.status, f"{lost}; stall.policy is abort")
             self.detail = next((loss.detail for loss in ended.losses if loss.detail), "")
+
+    def from_error(self, error: BaseException, tick: int, time_ns: int) -> None:
+        """Take over the error that ended the tick loop.
+
+        Args:
+            error: Raised by the loop or one of its hooks.
+            tick: Ticks that are over.
+            time_ns: Simulated time reached, ns.
+        """
+        if isinstance(error, (Interrupted, PlantStopped)):
+            self.end("interrupted", f"interrupted at {time_ns * 1e-9:g} s of simulated time")
+        elif isinstance(error, PlantError):
+            self.end(status_of(error), f"{error} (tick {tick})")
+        else:
+            self.end("failed", str(error))
 
 
 def summary_of(
@@ -96,7 +159,7 @@ def summary_of(
         protocol: What the protocol did, where that was asked for.
         resumed: Ticks before which it was taken up again.
     """
-    counts = ending.counts
+    counts = ending.counters
     firmware = _firmware(scene)
     rows = refused.summary_rows(counts)
     messages = Messages(
@@ -110,7 +173,7 @@ def summary_of(
     )
     return Summary(
         status=ending.status,
-        reason=ending.reason,
+        reason=ending.reason or None,
         scene=scene.name,
         seed=scene.seed,
         duration_s=scene.duration_s,
@@ -161,3 +224,10 @@ def _protocol_messages(
 def _of_effects(tally: Mapping[str, int]) -> dict[str, int]:
     """What effects counted; what cells count of their messages stands with the bus's."""
     return {name: number for name, number in sorted(tally.items()) if not name.startswith("messages.")}
+
+
+def status_of(error: PlantError) -> str:
+    """``unstable`` where a motion can't be followed, ``interrupted`` where it was to end, else ``failed``."""
+    if isinstance(error, PlantStopped):
+        return "interrupted"
+    return "unstable" if isinstance(error, PlantUnstable) else "failed"

@@ -18,10 +18,10 @@ from deploy.recordings.run_log import RunLog
 from deploy.recordings.writer import Recorder
 from deploy.runs.output import draw_or_interrupt, draw_run_overview, recording_header, write_or_fail
 from deploy.runs.output_folder import output_folder, remove_results
+from deploy.runs.recorded import RecordedRun
 from deploy.runs.rejections import RejectionMonitor
 from deploy.runs.result import RunResult, summary_of
 from deploy.runs.setup import RunSetup, load_plant, prepare_run
-from deploy.runs.simulation import RecordedRun
 from deploy.runs.summary import Outcome, Summary
 from deploy.util.output_lock import OutputLock
 from deploy.util.progress import Progress
@@ -94,7 +94,7 @@ class _Run:
         self.locked = locked
         self.quiet = quiet
         self.about: CheckpointMetadata | None = None
-        self.result = RunResult()
+        self.result: RunResult
 
     def go(self) -> Outcome:
         """Everything; see `run`."""
@@ -180,10 +180,9 @@ class _Run:
                 recorder,
                 refused,
                 self.interruption,
-                self.result,
             )
             with advertise(run, system.locator, folder):
-                execution.run(self.begun)
+                self.result = execution.run(self.begun)
             self._close(recorder, ledger.digest)
         return ledger, refused
 
@@ -229,7 +228,7 @@ class _Run:
         from deploy.protocol_report.reporter import deaths_of
 
         return self.setup.reporter.report(
-            ledger.ticks, deaths_of(ledger.faults), self.result.counts.cell_counters
+            ledger.ticks, deaths_of(ledger.faults), self.result.counters.cell_counters
         )
 
     def _write_report(self, summary: Summary, folder: Path) -> Summary:

@@ -15,10 +15,10 @@ from bus.state import StateFields
 from cell_firmware.clocks import NOT_IN_WINDOW
 from deploy.errors import InputError
 from deploy.runs.output import run_name
-from deploy.scenes.fault_schedule import active, crash_wheel_policies, in_run_faults, permanent_crashes
+from deploy.scenes.fault_schedule import in_run_faults
 from deploy.scenes.warnings import scene_warnings
 from deploy.workers.plan import plan
-from plant.errors import PlantError, PlantStopped, PlantUnstable
+from plant.errors import PlantError
 from plant.sampling import Timing
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from plant.effects.camera.camera import Camera
     from plant.observations import Sense
     from plant.plant import Plant
-    from plant.process import LockstepPort, PlantProcess, TickRecord
 
 
 def warnings_of(scene: Scene) -> tuple[str, ...]:
@@ -291,53 +290,3 @@ def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
     if divided:
         plant.warm_up()
     return plant
-
-
-def process_of(
-    scene: Scene,
-    plant: Plant,
-    host: LockstepPort,
-    readings: SensorSchema,
-    observe: Callable[[TickRecord], None],
-    *,
-    lasts: Sequence[FaultInstance[FaultSpec]] | None = None,
-    pace: Callable[[int], None] | None = None,
-    attend: Callable[[int], None] | None = None,
-) -> PlantProcess:
-    """What runs a scene's plant in lockstep with its cells.
-
-    Args:
-        scene: What runs.
-        plant: At its start.
-        host: Of the lockstep.
-        readings: What cells have to read.
-        observe: Told of every tick.
-        lasts: The scene's faults that begin and end, where there is more to do with them; see ``active``.
-        pace: See ``PlantProcess``.
-        attend: Likewise.
-    """
-    from plant.process import PlantProcess
-
-    return PlantProcess(
-        plant,
-        host,
-        tick_ns=scene.tick_ns,
-        duration_ns=scene.duration_ns,
-        schedule=permanent_crashes(scene),
-        stall=scene.stall,
-        stops=scene.cells.on_failure == "stop",
-        timing=cell_times(scene),
-        camera=camera_of(scene, readings),
-        faults=active(scene, lasts),
-        rests=crash_wheel_policies(scene),
-        observer=observe,
-        pace=pace,
-        attend=attend,
-    )
-
-
-def status_of(error: PlantError) -> str:
-    """``unstable`` where a motion can't be followed, ``interrupted`` where it was to end, else ``failed``."""
-    if isinstance(error, PlantStopped):
-        return "interrupted"
-    return "unstable" if isinstance(error, PlantUnstable) else "failed"

@@ -1,208 +1,209 @@
-"""A run carried out: the cells started, ticks to whatever end, the cells stopped."""
+"""A scene as an object: opened, stepped or run to its end, saved and restored, closed."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, final
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, final
 
 from bus.errors import BusError
-from bus.lockstep.counters import MessageCounters
-from bus.lockstep.registers import RegisterRequest
-from bus.wire.keys import plant_key
-from deploy.checkpoints.checkpointer import make_checkpointer, restore_run
+from bus.state import load_state, save_state
 from deploy.errors import DeployError
-from deploy.recordings.losses import unreported
-from deploy.runs.hooks import RunHooks
-from deploy.runs.pace import Pace
-from deploy.runs.setup import process_of, sensor_schema, status_of
-from deploy.util.signals import Interrupted, Interruption
-from deploy.workers.worker import ResumePoint
-from plant.errors import PlantError, PlantStopped
+from deploy.runs.backends import CellsBackend, InProcess
+from deploy.runs.result import RunResult
+from deploy.runs.setup import camera_of, cell_times, load_plant, sensor_schema
+from deploy.scenes.fault_schedule import active, crash_wheel_policies, permanent_crashes
+from deploy.util.formatting import say
+from plant.errors import PlantError
+from plant.process import PlantProcess
+from plant.tick import DeathPolicy, RunClock, TickHooks, TickRecord
 
 if TYPE_CHECKING:
-    from bus.lockstep import Coordinator
-    from deploy.checkpoints.checkpointer import Checkpointer, CheckpointMetadata
-    from deploy.control.server import ControlServer
-    from deploy.recordings.run_log import RunLog
-    from deploy.recordings.writer import Recorder
-    from deploy.runs.rejections import RejectionMonitor
-    from deploy.runs.result import RunResult
-    from deploy.runs.setup import RunSetup
-    from deploy.workers.respawn import Respawner
-    from deploy.workers.system import System
+    from collections.abc import Callable, Sequence
+
+    from bus.fault import FaultInstance, FaultSpec
+    from bus.lockstep.counters import Loss
+    from deploy.scenes.scene import Scene
     from plant.plant import Plant
-    from plant.process import PlantProcess
+    from plant.tick import LoopResult
 
 
 @final
-@dataclass(slots=True, eq=False)
-class RecordedRun:
-    """Runs a prepared run once, and tells its ending.
+class Simulation:
+    """A scene, ready to run: the plant, the cells, and the lockstep between them.
+
+    ::
+
+        with Simulation.open(load_scene("elliptic")) as simulation:
+            result = simulation.run()
 
     Attributes:
-        asked: What is to be run.
-        about: What its checkpoints have in common; None: there are none.
-        system: Open.
-        plant: At its start.
-        ledger: Of the run.
-        recorder: Likewise.
-        refused: Likewise.
-        interruption: Heeded between ticks, and where the run only waits.
-        ending: Told how it ended, what was counted and how long it took.
+        scene: The scene.
+        plant: The plant, at ``time_s``.
+        process: The tick loop.
+        losses: Cells that were lost so far, in ticks that are over.
     """
 
-    setup: RunSetup
-    about: CheckpointMetadata | None
-    system: System
-    plant: Plant
-    ledger: RunLog
-    recorder: Recorder
-    refused: RejectionMonitor
-    interruption: Interruption
-    result: RunResult
-    _keeper: Checkpointer | None = field(default=None, init=False)
+    def __init__(self, scene: Scene, plant: Plant, cells: CellsBackend, process: PlantProcess) -> None:
+        self.scene = scene
+        self.plant = plant
+        self.process = process
+        self._cells = cells
+        self._record: TickRecord | None = None
+        self._result: RunResult | None = None
+        self.losses: list[Loss] = []
+        self._closed = False
+        self.add_hooks(TickHooks(after_tick=(self._keep,)))
 
-    def run(self, begun: float) -> None:
-        """Start the cells, run to whatever end, stop the cells.
+    @classmethod
+    def open(
+        cls,
+        scene: Scene,
+        cells: CellsBackend | None = None,
+        *,
+        hooks: TickHooks | None = None,
+        plant: Plant | None = None,
+        faults: Sequence[FaultInstance[FaultSpec]] | None = None,
+        pace: Callable[[int], None] | None = None,
+    ) -> Self:
+        """Build the plant, start the cells, and connect them.
 
         Args:
-            begun: When all of it began, monotonic wall seconds.
+            scene: The scene.
+            cells: Backend of the cells; None: ``InProcess()``.
+            hooks: Called around every tick; more can be added by ``add_hooks``.
+            plant: The scene's plant at its start; None: it is built here.
+            faults: The scene's faults that begin and end during the run, where the caller keeps them too; None: they
+                are taken from the scene.
+            pace: See ``plant.tick.RunClock``.
+
+        Raises:
+            InputError: The plant refuses the scene.
+            FirmwareError: The firmware can't be loaded or initialised.
+            DeployError: A worker failed while it started.
+            BusError: A shard was not ready in time.
         """
-        process: PlantProcess | None = None
-        started = time.monotonic()
+        cells = InProcess() if cells is None else cells
+        plant = load_plant(scene, say) if plant is None else plant
+        sensors = sensor_schema(scene, plant.sense())
+        port = cells.start(scene, plant.array, sensors)
+        process = PlantProcess(
+            plant,
+            port,
+            RunClock(scene.tick_ns, scene.duration_ns, cell_times(scene), pace),
+            DeathPolicy(
+                permanent_crashes(scene),
+                scene.stall,
+                crash_wheel_policies(scene),
+                stops_on_failure=scene.cells.on_failure == "stop",
+            ),
+            hooks,
+            faults=active(scene, faults),
+            camera=camera_of(scene, sensors),
+        )
+        return cls(scene, plant, cells, process)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        state = "closed" if self._closed else f"at {self.time_s:g} of {self.scene.duration_s:g} s"
+        return f"<Simulation of {self.scene.name}, {len(self.plant.array)} cells, {state}>"
+
+    @property
+    def tick(self) -> int:
+        """The next tick."""
+        return self.process.tick
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time reached, s."""
+        return self.process.time_ns * 1e-9
+
+    @property
+    def result(self) -> RunResult | None:
+        """How the run ended; None while there is more of it."""
+        return self._result
+
+    def add_hooks(self, hooks: TickHooks) -> None:
+        """Call more hooks around every tick, after those that are there."""
+        self.process.hooks += hooks
+
+    def step(self) -> TickRecord | None:
+        """Run one tick.
+
+        Returns:
+            Its record; None where the run is over: see ``result``.
+
+        Raises:
+            PlantError: The plant could not advance.
+            BusError: The bus broke.
+        """
+        if self._result is not None:
+            return None
+        self._record = None
+        ended = self.process.step()
+        self.process.report()
+        if ended is not None:
+            self._result = self._end(ended)
+        return self._record
+
+    def run(self) -> RunResult:
+        """Run to the end of the scene, or to what ends it before.
+
+        Errors of the plant, the bus and the workers are the result's status and reason. What hooks raise is passed on.
+        """
+        if self._result is not None:
+            return self._result
+        started = time.perf_counter()
         try:
-            with self.interruption.interruptible():
-                process = self._process()
-            started = time.monotonic()
-            self.result.startup_s = started - begun
-            self.interruption.is_idle = lambda: process.waiting
-            self.result.from_loop(process.run(), self.ledger)
-        except (Interrupted, PlantStopped):
-            self.result.end(
-                "interrupted", f"interrupted at {self.ledger.time_ns * 1e-9:g} s of simulated time"
-            )
-        except (BusError, DeployError) as error:
-            self.result.end("failed", str(error))
-        except PlantError as error:
-            self.result.end(status_of(error), f"{error} (tick {self.ledger.ticks})")
-        finally:
-            self.interruption.is_idle = lambda: False
-            self._stop(time.monotonic() - started)
-        if process is not None and not self.recorder.broken:
-            self.recorder.tick(
-                process.tick,
-                process.time_ns,
-                process.sense.presence,
-                None,
-                self.plant.wheel_speed,
-                self.plant.state,
-            )
+            ended: LoopResult | Exception = self.process.run()
+        except (BusError, DeployError, PlantError) as error:
+            ended = error
+        self._result = self._end(ended)
+        self._result.wall_s = time.perf_counter() - started
+        return self._result
 
-    def _stop(self, wall_s: float) -> None:
-        """Stop the cells, after so long a time."""
-        ending, resumed = self.result, self.setup.resumed
-        ending.wall_s = wall_s if resumed is None else wall_s + resumed.wall_s
-        if self._keeper is not None:
-            self._keeper.close()
-        if ending.status == "failed" or self.ledger.cells_lost:
-            ending.detail = "\n".join(text for text in (ending.detail, self.system.explain()) if text)
-        ending.counts = self.system.stop(ending.reason or "the run is over") or MessageCounters()
-        self.refused.poll(ending.counts)
-        if self.system.unreported:
-            self.ledger.warn(unreported(self.system.unreported, self.ledger.cells))
+    def _end(self, ended: LoopResult | Exception) -> RunResult:
+        result, process = RunResult.of(self.plant), self.process
+        if isinstance(ended, Exception):
+            result.from_error(ended, process.tick, process.time_ns)
+        else:
+            cells, tick_ns = self.plant.array.lattice.cells, self.scene.tick_ns
+            result.from_loop(ended, cells, process.tick, tick_ns, self.losses)
+        return result
 
-    # --- what is put together for it --------------------------------------------------------------
+    def save_state(self) -> tuple[bytes, bytes]:
+        """Return the states of the plant's side and of the cells, between two ticks.
 
-    def _process(self) -> PlantProcess:
-        """Start the cells; the plant's process, ready to run."""
-        asked, scene = self.setup, self.setup.scene
-        readings = sensor_schema(scene, self.plant.sense())
-        host = self.system.start(
-            self.plant.array,
-            readings,
-            self._register_requests(),
-            metered=True,
-            live=asked.byte_accurate_links,
-            keeps=self.about is not None,
-            resumed=asked.resumed
-            and ResumePoint(asked.resumed.tick, asked.resumed.dead, asked.resumed.states),
-            counted=asked.resumed and asked.resumed.all_counts(),
-        )
-        conduct = self._make_hooks(host)
-        process = process_of(
-            scene,
-            self.plant,
-            host,
-            readings,
-            conduct.after_tick,
-            lasts=asked.in_run_faults,
-            pace=None if asked.options.realtime is None else Pace(asked.options.realtime, self.ledger.warn),
-            attend=conduct.before_tick if conduct.has_before else None,
-        )
-        conduct.process = process
-        if conduct.control_server is not None:
-            conduct.control_server.attach(process)
-        if asked.resumed is not None:
-            restore_run(asked.resumed, process, self.ledger, asked.reporter)
-        return process
+        Raises:
+            StateError: The backend can't, or a program's state can't be encoded.
+        """
+        return save_state(self.process), self._cells.save_state()
 
-    def _register_requests(self) -> tuple[RegisterRequest, ...]:
-        """Registers that the run records, or its reporter watches."""
-        registers, reporter = self.setup.options.registers, self.setup.reporter
-        wanted = () if registers is None else (RegisterRequest(registers),)
-        return wanted if reporter is None else (*wanted, *reporter.wanted)
+    def load_state(self, state: tuple[bytes, bytes]) -> None:
+        """Restore what ``save_state`` returned, in this simulation or another of the same scene.
 
-    def _make_hooks(self, host: Coordinator) -> RunHooks:
-        """What the run does around every tick."""
-        asked = self.setup
-        self._keeper = make_checkpointer(
-            self.about,
-            asked.options,
-            host,
-            self.ledger,
-            self.recorder,
-            asked.reporter,
-            asked.resumed,
-            asked.scene.stall.deadline_s,
-        )
-        return RunHooks(
-            host,
-            self.ledger,
-            self.interruption,
-            asked.scene.effects.cop is not None,
-            asked.options.registers,
-            self.refused,
-            asked.reporter,
-            self._control_server(host),
-            self._respawner(host),
-            self._keeper,
-        )
+        Raises:
+            StateError: The backend can't, or the bytes don't fit.
+        """
+        load_state(self.process, state[0])
+        self._cells.load_state(state[1])
+        self._result = None
 
-    def _respawner(self, host: Coordinator) -> Respawner | None:
-        """What starts lost workers anew; None where they are not to be."""
-        times = self.setup.options.respawn
-        if not times:
-            return None
-        from deploy.workers.respawn import Respawner
+    def close(self) -> None:
+        """End the cells; a second call does nothing."""
+        if not self._closed:
+            self._closed = True
+            counters = self._cells.stop("the run is over")
+            if self._result is not None and counters is not None:
+                self._result.counters = counters
 
-        return Respawner(self.system, host, self.setup.plan.partition, times, self.ledger.warn)
-
-    def _control_server(self, host: Coordinator) -> ControlServer | None:
-        """What takes requests while the run goes on; None where nobody can ask anything."""
-        asked = self.setup
-        questions = self.system.questions(plant_key(asked.plan.run, "operator"))
-        if questions is None and asked.replayed is None:
-            return None
-        from deploy.control.server import ControlServer
-
-        return ControlServer(
-            asked.scene,
-            asked.plan.run,
-            asked.in_run_faults,
-            host.control,
-            self.ledger,
-            questions,
-            asked.script,
-            lines=asked.byte_accurate_links,
-        )
+    def _keep(self, record: TickRecord) -> None:
+        self._record = record
+        self.losses.extend(record.losses)

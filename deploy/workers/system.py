@@ -51,6 +51,7 @@ class System:
     Attributes:
         locator: Where listeners and operators connect; empty before ``open`` and where nobody can.
         refusals: What the plant's sessions refuse, where they don't let anybody in.
+        coordinator: The plant's side of the lockstep; None before ``start``.
         unreported: Cells (indices) that took part to the end and whose counts did not come in time.
 
     Raises:
@@ -68,7 +69,7 @@ class System:
         self._cells: WorkerGroup | None = None
         self.locator = ""
         self.unreported: list[int] = []
-        self._host: Coordinator | None = None
+        self.coordinator: Coordinator | None = None
         self._order: WorkerConfig | None = None
         self._running = False
         self._stopped = False
@@ -158,7 +159,7 @@ class System:
             snapshots=keeps,
             resumed=resumed,
         )
-        host = self._host = Coordinator(
+        host = self.coordinator = Coordinator(
             self._endpoint,
             plan.partition,
             plan.wire,
@@ -249,9 +250,9 @@ class System:
         # Cells that wait for the start don't listen for the stop.
         deadline = time.monotonic() + (_STOP_S if self._running else 0.0)
         try:
-            if self._host is not None:
-                counts = self._host.stop(detail, deadline - time.monotonic())
-                self.unreported = self._host.unreported if self._running else []
+            if self.coordinator is not None:
+                counts = self.coordinator.stop(detail, deadline - time.monotonic())
+                self.unreported = self.coordinator.unreported if self._running else []
         finally:
             try:
                 for side in (self._cells, self._processes):

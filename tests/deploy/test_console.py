@@ -36,14 +36,21 @@ class Live:
         self.answers: list[dict[str, Any]] = []
         self.records: list[Any] = []
         self.log: list[Any] = []
-        self.console = ControlServer(
-            scene, "one", scheduled, self.told.append, cast("Any", self), cast("Any", self), script, **options
-        )
         process = SimpleNamespace(
             inject=lambda one: self.log.append(("process", one.number)),
             replan=lambda: self.log.append("process plans"),
         )
-        self.console.attach(cast("Any", process))
+        self.console = ControlServer(
+            scene,
+            "one",
+            scheduled,
+            self.told.append,
+            cast("Any", self),
+            cast("Any", process),
+            cast("Any", self),
+            script,
+            **options,
+        )
 
     def inject(self, one: FaultInstance[FaultSpec]) -> None:
         """Of the ledger."""
@@ -246,7 +253,9 @@ def test_where_nobody_can_ask_what_was_recorded_is_done_all_the_same() -> None:
     told: list[Control] = []
     record = {"kind": "fault", "tick": 3, "detail": {"number": 7, "fault": HANG, "first": 3, "end": None}}
     books = SimpleNamespace(inject=lambda _: None, control=lambda _: None)
-    console = ControlServer(SCENE, "one", (), told.append, cast("Any", books), script=[record])
+    console = ControlServer(
+        SCENE, "one", (), told.append, cast("Any", books), cast("Any", books), script=[record]
+    )
     for tick in range(5):
         console.before_tick(tick)
     assert [control.tick for control in told] == [3]

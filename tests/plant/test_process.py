@@ -14,8 +14,9 @@ from bus.lockstep.counters import Loss
 from bus.spec import StallSpec
 from bus.wire.frames import DriveFrame, SenseFrame
 from plant.plant import Sense
-from plant.process import PlantProcess, TickRecord
+from plant.process import PlantProcess
 from plant.sampling import Timing
+from plant.tick import DeathPolicy, RunClock, TickHooks, TickRecord
 
 CELLS = 3
 PERIOD_NS = 10
@@ -87,13 +88,9 @@ def make() -> Make:
         process = PlantProcess(
             plant,  # pyright: ignore[reportArgumentType]
             BookHost(plant.log, losses or {}),
-            tick_ns=PERIOD_NS,
-            duration_ns=duration_ns,
-            schedule=schedule or {},
-            stall=StallSpec(policy=policy),
-            observer=observer or records.append,
-            pace=pace,
-            timing=timing,
+            RunClock(PERIOD_NS, duration_ns, timing, pace),
+            DeathPolicy(schedule or {}, StallSpec(policy=policy)),
+            TickHooks(after_tick=(observer or records.append,)),
         )
         return process, plant, records
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.runs.field_simulation import field_speeds, iterate_field_motion
-from deploy.runs.setup import status_of
+from deploy.runs.result import status_of
 from plant.errors import PlantError
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from deploy.errors import DeployError
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
-    from deploy.runs.headless import HeadlessResult
+    from deploy.runs.result import RunResult
     from deploy.scenes.scene import Scene
     from deploy.studies.campaign.criterion import Criterion
 
@@ -96,15 +96,15 @@ def run_case(scene: Scene) -> CaseEnd:
     )
 
 
-def _parcels(course: HeadlessResult) -> tuple[ParcelEnd, ...]:
+def _parcels(course: RunResult) -> tuple[ParcelEnd, ...]:
     from plant.geometry import placed
 
     return tuple(
         ParcelEnd(
             fate.state,
             fate.time_s,
-            (float(course.states[number, 0]), float(course.states[number, 1])),
-            tuple((float(x), float(y)) for x, y in placed(footprint, course.states[number])),
+            (float(course.state[number, 0]), float(course.state[number, 1])),
+            tuple((float(x), float(y)) for x, y in placed(footprint, course.state[number])),
         )
         for number, (fate, footprint) in enumerate(
             zip(course.parcel_status, course.footprints_m, strict=True)

@@ -8,7 +8,8 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, final
 
 from deploy.errors import InputError
-from deploy.runs.headless import HeadlessResult, needs_cells, run_headless
+from deploy.runs.headless import needs_cells, run_headless
+from deploy.runs.result import RunResult
 from deploy.studies.effects.ablation import (
     Table,
     VariantRejected,
@@ -163,7 +164,7 @@ def run_ladder(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]
     """
     there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
     cells = any(needs_cells(scene) for scene in there.values())
-    courses: dict[str, HeadlessResult] = {}
+    courses: dict[str, RunResult] = {}
     reasons = {rung.name: rung.reason for rung in ladder}
     for name, scene in there.items():
         tell(f"{name} ...")

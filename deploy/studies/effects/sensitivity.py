@@ -13,7 +13,7 @@ import numpy as np
 from plant import geometry
 
 if TYPE_CHECKING:
-    from deploy.runs.headless import HeadlessResult
+    from deploy.runs.result import RunResult
     from plant.observations import Event
     from plant.wheels import Floats
 
@@ -54,12 +54,12 @@ class Sensitivity:
         return not (self.displacement_m or self.turn_rad or self.parcels or self.moved_s or any(self.only))
 
 
-def compare(one: HeadlessResult, other: HeadlessResult) -> Sensitivity:
+def compare(one: RunResult, other: RunResult) -> Sensitivity:
     """Compute the difference between two runs; parcels are matched by number."""
     there, there_too = _there(one), _there(other)
     both = sorted(there & there_too)
     shifts = [_displacement(one, other, number) for number in both]
-    turns = [abs(math.remainder(one.states[n, 2] - other.states[n, 2], math.tau)) for n in both]
+    turns = [abs(math.remainder(one.state[n, 2] - other.state[n, 2], math.tau)) for n in both]
     moved, only = _shifts(one.events, other.events)
     return Sensitivity(
         displacement_m=max(shifts, default=None),
@@ -72,23 +72,23 @@ def compare(one: HeadlessResult, other: HeadlessResult) -> Sensitivity:
     )
 
 
-def _there(course: HeadlessResult) -> set[int]:
+def _there(course: RunResult) -> set[int]:
     """Return the indices of parcels on the array, tipped parcels included."""
     return {n for n, fate in enumerate(course.parcel_status) if fate.state not in ("waiting", "delivered")}
 
 
-def _displacement(one: HeadlessResult, other: HeadlessResult, number: int) -> float:
+def _displacement(one: RunResult, other: RunResult, number: int) -> float:
     """Of the farthest corner of a parcel, m."""
     corners = [_corners(course, number) for course in (one, other)]
     return float(np.max(np.hypot(*(corners[0] - corners[1]).T)))
 
 
-def _corners(course: HeadlessResult, number: int) -> Floats:
+def _corners(course: RunResult, number: int) -> Floats:
     """``(v, 2)`` in world coordinates."""
-    return geometry.placed(course.footprints_m[number], course.states[number, :3])
+    return geometry.placed(course.footprints_m[number], course.state[number, :3])
 
 
-def _settled_s(course: HeadlessResult) -> float | None:
+def _settled_s(course: RunResult) -> float | None:
     """Since when every parcel that is there rests, or lies tipped; None where one moves, or none is there."""
     fates = [course.parcel_status[number] for number in _there(course)]
     if not fates or any(fate.state == "moving" for fate in fates):

@@ -8,7 +8,8 @@ from statistics import median
 from typing import TYPE_CHECKING, final
 
 from deploy.errors import InputError
-from deploy.runs.headless import HeadlessResult, run_headless
+from deploy.runs.headless import run_headless
+from deploy.runs.result import RunResult
 from deploy.studies.effects.ablation import (
     AblationPair,
     Table,
@@ -78,9 +79,7 @@ class EffectStudy:
     scene: Scene
     repeats: int
     tell: Tell
-    _known: dict[tuple[bytes, bool], HeadlessResult] = field(
-        default_factory=dict[tuple[bytes, bool], HeadlessResult]
-    )
+    _known: dict[tuple[bytes, bool], RunResult] = field(default_factory=dict[tuple[bytes, bool], RunResult])
 
     def rows(self, names: Sequence[str] | None = None) -> list[AblationRow]:
         """A row an effect; in the order of the ladder, then those without a place in it.
@@ -117,7 +116,7 @@ class EffectStudy:
             reason="" if whole else f"{'with' if with_it in ended else 'without'} it: {ended[0].reason}",
         )
 
-    def course(self, scene: Scene, *, cells: bool) -> HeadlessResult:
+    def course(self, scene: Scene, *, cells: bool) -> RunResult:
         """The run of a scene; once for all that is the same."""
         key = (scene.canonical(), cells)
         if key not in self._known:

@@ -12,7 +12,8 @@ SCRATCH = {
     ("ThreadedSolver", "_desks"): "what threads work with: written before it is read",
     ("CounterStream", "_counter"): "set before every draw",
     ("CounterStream", "_state"): "likewise",
-    ("PlantProcess", "_host"): "the bus is looked at by itself",
+    ("PlantProcess", "_coordinator"): "the cells are looked at by themselves",
+    ("PlantProcess", "hooks"): "they belong to whoever runs it",
     ("Spots", "_parcels"): "states are put in before they are looked at",
 }
 """Attributes that may differ, and why."""

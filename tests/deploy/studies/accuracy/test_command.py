@@ -15,7 +15,7 @@ from deploy.recordings.run_log import RunLog
 from deploy.studies.accuracy import sampling_cost as sampling
 from deploy.studies.accuracy import trace as course
 from deploy.studies.accuracy.plots import CSV_NAME, JSON_NAME, SAMPLING, TOLERANCE, WORK_PRECISION
-from plant.process import TickRecord
+from plant.tick import TickRecord
 
 QUICK = ("accuracy", "elliptic", "--quick", "--repeats", "1", "--duration", "0.15", "--quiet")
 ALONE = (*QUICK, "--no-sampling")

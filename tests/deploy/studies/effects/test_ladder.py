@@ -9,7 +9,8 @@ import pytest
 
 from deploy.commands.options import load_scene
 from deploy.errors import InputError
-from deploy.runs.headless import HeadlessResult, run_headless
+from deploy.runs.headless import run_headless
+from deploy.runs.result import RunResult
 from deploy.scenes.scene import Scene
 from deploy.studies.effects import ladder as ladder_module
 from deploy.studies.effects.ablation import effect_types, tables
@@ -110,7 +111,7 @@ def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
 
 
 def test_a_rung_that_blows_up_is_left_out_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def followed(scene: Scene, *, cells: bool) -> HeadlessResult:
+    def followed(scene: Scene, *, cells: bool) -> RunResult:
         if scene.friction.law == "stick_slip":
             raise InputError("it doesn't stand")
         course = run_headless(scene, cells=cells)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from deploy.runs.headless import HeadlessResult
+from deploy.runs.result import RunResult
 from deploy.studies.effects.sensitivity import compare
 from plant.observations import Event, ParcelState, ParcelStatus
 
@@ -19,11 +19,11 @@ def course(
     *poses: tuple[float, float, float],
     fates: Sequence[tuple[ParcelState, float]] | None = None,
     events: Sequence[Event] = (),
-) -> HeadlessResult:
-    return HeadlessResult(
+) -> RunResult:
+    return RunResult(
         status="ok",
         reason="",
-        states=np.array([[*pose, 0.0, 0.0, 0.0] for pose in poses]).reshape(-1, 6),
+        state=np.array([[*pose, 0.0, 0.0, 0.0] for pose in poses]).reshape(-1, 6),
         parcel_status=[ParcelStatus(*fate) for fate in fates or [("moving", 0.0)] * len(poses)],
         footprints_m=[SQUARE] * len(poses),
         events=events,

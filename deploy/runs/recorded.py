@@ -1,0 +1,253 @@
+"""A recorded run: the simulation of ``mdms run`` with everything that hooks into its ticks."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, final
+
+from bus.errors import BusError
+from bus.lockstep.registers import RegisterRequest
+from bus.wire.keys import plant_key
+from deploy.checkpoints.checkpointer import make_checkpointer, restore_run
+from deploy.errors import DeployError
+from deploy.recordings.losses import unreported
+from deploy.runs.backends import Workers
+from deploy.runs.pace import Pace
+from deploy.runs.result import RunResult
+from deploy.runs.simulation import Simulation
+from deploy.util.signals import Interrupted, Interruption
+from deploy.workers.worker import ResumePoint
+from plant.errors import PlantError, PlantStopped
+from plant.tick import TickHooks, TickRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bus.lockstep import Coordinator
+    from deploy.checkpoints.checkpointer import Checkpointer, CheckpointMetadata
+    from deploy.control.server import ControlServer
+    from deploy.recordings.run_log import RunLog
+    from deploy.recordings.writer import Recorder
+    from deploy.runs.rejections import RejectionMonitor
+    from deploy.runs.setup import RunSetup
+    from deploy.workers.respawn import Respawner
+    from deploy.workers.system import System
+    from plant.plant import Plant
+
+
+@final
+@dataclass(slots=True, eq=False)
+class RecordedRun:
+    """One run of a prepared scene, with its log, recording, checkpoints, control server and respawned workers.
+
+    Attributes:
+        setup: The scene and how it is run.
+        metadata: Common part of its checkpoints; None: there are none.
+        system: Opened endpoints of the run.
+        plant: The plant at its start.
+        log: Log of the run.
+        recorder: Recording of the run.
+        rejections: Monitor of denied and malformed messages.
+        interruption: Ends the run between two ticks, or while it only waits.
+    """
+
+    setup: RunSetup
+    metadata: CheckpointMetadata | None
+    system: System
+    plant: Plant
+    log: RunLog
+    recorder: Recorder
+    rejections: RejectionMonitor
+    interruption: Interruption
+    _checkpointer: Checkpointer | None = field(default=None, init=False)
+
+    def run(self, begun: float) -> RunResult:
+        """Start the cells, run to the end, stop the cells.
+
+        Args:
+            begun: Start of the whole command, monotonic wall seconds.
+        """
+        simulation: Simulation | None = None
+        started = time.monotonic()
+        try:
+            with self.interruption.interruptible():
+                simulation = self._open()
+            process = simulation.process
+            started = time.monotonic()
+            self.interruption.is_idle = lambda: process.waiting
+            result = simulation.run()
+        except (Interrupted, PlantStopped, BusError, DeployError, PlantError) as error:
+            result = RunResult.of(self.plant)
+            result.from_error(error, self.log.ticks, self.log.time_ns)
+        finally:
+            self.interruption.is_idle = lambda: False
+        if simulation is not None:
+            result.startup_s = started - begun
+        self._log_end(result)
+        self._stop(result, time.monotonic() - started)
+        if simulation is not None and not self.recorder.broken:
+            process = simulation.process
+            self.recorder.tick(
+                process.tick,
+                process.time_ns,
+                process.sense.presence,
+                None,
+                self.plant.wheel_speed,
+                self.plant.state,
+            )
+        return result
+
+    def _log_end(self, result: RunResult) -> None:
+        """Log the deaths and losses of the tick that ended the run."""
+        if result.died:
+            self.log.on_died(self.log.ticks, result.died)
+        elif result.failed:
+            self.log.note(result.losses)
+        elif result.losses:
+            self.log.on_lost(result.losses)
+
+    def _stop(self, result: RunResult, wall_s: float) -> None:
+        """Stop the cells, ``wall_s`` after the first tick."""
+        resumed = self.setup.resumed
+        result.wall_s = wall_s if resumed is None else wall_s + resumed.wall_s
+        if self._checkpointer is not None:
+            self._checkpointer.close()
+        if result.status == "failed" or self.log.cells_lost:
+            result.detail = "\n".join(text for text in (result.detail, self.system.explain()) if text)
+        counters = self.system.stop(result.reason or "the run is over")
+        if counters is not None:
+            result.counters = counters
+        self.rejections.poll(result.counters)
+        if self.system.unreported:
+            self.log.warn(unreported(self.system.unreported, self.log.cells))
+
+    # --- the simulation and its hooks -------------------------------------------------------------
+
+    def _open(self) -> Simulation:
+        """Start the cells and register everything that hooks into ticks."""
+        setup, resumed = self.setup, self.setup.resumed
+        simulation = Simulation.open(
+            setup.scene,
+            Workers(
+                self.system,
+                self._register_requests(),
+                metered=True,
+                byte_accurate_links=setup.byte_accurate_links,
+                snapshots=self.metadata is not None,
+                resume=resumed and ResumePoint(resumed.tick, resumed.dead, resumed.states),
+                counters=resumed and resumed.all_counts(),
+            ),
+            plant=self.plant,
+            faults=setup.in_run_faults,
+            pace=None if setup.options.realtime is None else Pace(setup.options.realtime, self.log.warn),
+        )
+        coordinator = self.system.coordinator
+        assert coordinator is not None, "this is a bug: the cells have started without a coordinator"
+        self._add_hooks(simulation, coordinator)
+        if resumed is not None:
+            restore_run(resumed, simulation.process, self.log, setup.reporter)
+            simulation.losses = self.log.found
+        return simulation
+
+    def _add_hooks(self, simulation: Simulation, coordinator: Coordinator) -> None:
+        """Register the log, monitors, respawner, control server and checkpointer, in the order in which they act."""
+        process = simulation.process
+        checkpointer = self._checkpointer = make_checkpointer(
+            self.metadata,
+            self.setup.options,
+            coordinator,
+            self.log,
+            self.recorder,
+            self.setup.reporter,
+            self.setup.resumed,
+            self.setup.scene.stall.deadline_s,
+        )
+        respawner, control = self._respawner(coordinator), self._control_server(simulation, coordinator)
+        simulation.add_hooks(TickHooks(after_tick=(self.log.tick,)))
+        if checkpointer is not None:
+            simulation.add_hooks(TickHooks(before_tick=(lambda _: checkpointer.before_tick(process),)))
+        if respawner is not None:
+
+            def readmit(tick: int) -> None:
+                cells = respawner.poll_rejoined(tick)
+                if cells:
+                    process.revive(cells)
+                    self.log.on_rejoin(tick, cells)
+                    if control is not None:
+                        control.resend_faults(cells, tick)
+
+            def lost(record: TickRecord) -> None:
+                if record.losses:
+                    respawner.on_lost(record.losses)
+
+            simulation.add_hooks(TickHooks((readmit,), (lost,)))
+        if control is not None:
+            simulation.add_hooks(TickHooks(before_tick=(control.before_tick,)))
+        simulation.add_hooks(TickHooks(after_tick=(self._watch(coordinator),)))
+        if checkpointer is not None:
+            simulation.add_hooks(TickHooks(after_tick=(lambda _: checkpointer.poll(),)))
+        simulation.add_hooks(TickHooks(after_tick=(self._interrupt,)))
+
+    def _watch(self, coordinator: Coordinator) -> Callable[[TickRecord], None]:
+        """Hook that takes in what the cells report besides their drives."""
+        hangs, every, reporter = (
+            self.setup.scene.effects.cop is not None,
+            self.setup.options.registers,
+            self.setup.reporter,
+        )
+
+        def watch(record: TickRecord) -> None:
+            if hangs:
+                self.log.on_hung(coordinator.drain_hung())
+            for registers in coordinator.drain_registers():
+                if every is not None and registers.tick % every == 0:
+                    self.log.registers(registers)
+                if reporter is not None:
+                    reporter.take(registers)
+            self.rejections.poll(coordinator.counters)
+            if reporter is not None:
+                reporter.take_drive(record.tick, record.drives, coordinator.live(record.tick))
+
+        return watch
+
+    def _interrupt(self, record: TickRecord) -> None:
+        """Hook that ends the run after a signal."""
+        del record
+        if self.interruption.requested:
+            raise Interrupted
+
+    def _register_requests(self) -> tuple[RegisterRequest, ...]:
+        """Registers that the run records, and those that the protocol's reporter reads."""
+        registers, reporter = self.setup.options.registers, self.setup.reporter
+        requests = () if registers is None else (RegisterRequest(registers),)
+        return requests if reporter is None else (*requests, *reporter.wanted)
+
+    def _respawner(self, coordinator: Coordinator) -> Respawner | None:
+        """Respawner of lost workers; None without ``--respawn``."""
+        times = self.setup.options.respawn
+        if not times:
+            return None
+        from deploy.workers.respawn import Respawner
+
+        return Respawner(self.system, coordinator, self.setup.plan.partition, times, self.log.warn)
+
+    def _control_server(self, simulation: Simulation, coordinator: Coordinator) -> ControlServer | None:
+        """Control server of the run; None where nobody can send requests."""
+        setup = self.setup
+        requests = self.system.questions(plant_key(setup.plan.run, "operator"))
+        if requests is None and setup.replayed is None:
+            return None
+        from deploy.control.server import ControlServer
+
+        return ControlServer(
+            setup.scene,
+            setup.plan.run,
+            setup.in_run_faults,
+            coordinator.control,
+            self.log,
+            simulation.process,
+            requests,
+            setup.script,
+            lines=setup.byte_accurate_links,
+        )
