@@ -24,8 +24,8 @@ Time = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 class FaultSpec(Spec):
     """A fault of a scene: one of its ``[[faults]]``, discriminated by ``kind``.
 
-    The fault is active from the first tick boundary not before ``at_s`` to the first not before ``until_s``, in simulated
-    time.
+    The fault is active from the first tick boundary not before ``at_s`` to the first not before ``until_s``, in
+    simulated time.
     """
 
     kind_name: ClassVar[str]

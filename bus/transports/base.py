@@ -34,7 +34,7 @@ class Publisher(ABC):
 
     @abstractmethod
     def put(self, payload: bytes) -> None:
-        """Sends ``payload`` to every subscriber of the key; blocks rather than drops."""
+        """Send ``payload`` to every subscriber of the key; block rather than drop."""
 
     @abstractmethod
     def matched(self) -> bool:
@@ -73,7 +73,7 @@ class Endpoint(ABC):
 
     @abstractmethod
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
-        """Puts each payload with its publisher, all of this endpoint, as close together as can be."""
+        """Put each payload with its publisher, all of this endpoint, in quick succession."""
 
     @abstractmethod
     def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
@@ -124,8 +124,8 @@ class Endpoint(ABC):
 
     @abstractmethod
     def wake(self) -> None:
-        """Puts one ``Wakeup`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""
+        """Put one ``Wakeup`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""
 
     @abstractmethod
     def close(self) -> None:
-        """Withdraws everything and leaves."""
+        """Withdraw all tokens and close the endpoint."""
