@@ -70,7 +70,7 @@ class CellInputs:
         inbox: By side, the message that the neighbour sent in the tick before, or None.
         level: How much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
         label: Number of the exit that the parcel over the cell is meant for, 0 for none; None without scanners.
-        camera: By number of the parcel, x, y (m) and angle (rad) of each parcel in a camera frame; None without a frame.
+        camera: By number of the parcel, x, y (m) and angle (rad) of parcels in a camera frame; None without a frame.
     """
 
     presence: tuple[bool, ...]

@@ -68,7 +68,8 @@ def elect(
 
     Only cells that sense a parcel are candidates. A cell keeps its leader only through neighbours that are no farther
     from it than the cell itself, and blocks the leader's key for a while after that fails. When a leader dies its
-    followers therefore drop it in a wave, one hop a period, instead of passing its key around in loops (the feasibility condition of distance-vector routing: Garcia-Luna-Aceves, IEEE/ACM Trans. Networking 1, 1993).
+    followers therefore drop it in a wave, one hop a period, instead of passing its key around in loops (the feasibility
+    condition of distance-vector routing: Garcia-Luna-Aceves, IEEE/ACM Trans. Networking 1, 1993).
 
     Args:
         own: ``(n,)`` keys of the cells.

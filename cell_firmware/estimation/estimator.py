@@ -142,7 +142,7 @@ class Estimator:
         return after, outbox
 
     def plausible(self) -> dict[str, tuple[float, float]]:
-        """Return plausible ranges of the fields of a pose: positions up to 1 km, speeds up to 1 km/s."""
+        """Return plausible ranges of the fields of a pose: within 1,000 in SI units, far beyond any array."""
         return dict.fromkeys(SHOWN, (-1000.0, 1000.0))
 
     def estimate(self, state: State) -> Estimate:

@@ -28,7 +28,7 @@ class LaplaceParameters(Spec):
     relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
     """1 for Jacobi's method; more for the second-order one, which is faster by far where it suits the array."""
     ttl_periods: Ttl = 50
-    """For how many periods a neighbour's word counts; then it is taken for gone, and its side for insulated."""
+    """Validity of a neighbour's message, periods; then the neighbour counts as dead, and its side as insulated."""
     speed_m_s: NotNegative | None = None
     """At which wheels run down the potential, however steep."""
     gain_m2_s: Finite | None = None
@@ -72,17 +72,17 @@ class Laplace(Firmware):
     observable = "potential"
 
     def check(self, lattice: Lattice) -> None:
-        """Every place that is named must exist, and no cell be named twice."""
+        """Refuse regions without cells, and cells named twice."""
         problems = region_problems(lattice, {"held": self.parameters.held})
         if problems:
             raise ParametersError("laplace", problems)
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
-        """The range of what is held, to which cells keep."""
+        """Return the range of held potentials, which no cell exceeds."""
         return {"potential": self._range()}
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
-        """Cells that no held one can reach, and a potential without a slope."""
+        """Warn of cells without a way to a held cell, and of a flat potential."""
         found: list[str] = []
         potential, held = self._start(lattice.rows, lattice.columns)
         if np.ptp(potential[held]) == 0.0:
@@ -95,7 +95,7 @@ class Laplace(Firmware):
         return tuple(found)
 
     def theory(self, lattice: Lattice) -> Theory:
-        """Factor from the spectral radius of the mean over neighbours; the limit is harmonic."""
+        """Predict the factor from the spectral radius of the mean over neighbours; the limit is harmonic."""
         potential, held = self._start(lattice.rows, lattice.columns)
         links = GraphLaplacian(lattice, held)
         degree = np.maximum((lattice.neighbours >= 0).sum(axis=1), 1)
@@ -122,7 +122,7 @@ class Laplace(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """One relaxation; wheels go by the slope between what cells had in the tick before."""
+        """Relax once; drive by the slope between the potentials of the previous tick."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, before = state["potential"], state["before"]

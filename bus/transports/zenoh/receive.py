@@ -184,7 +184,7 @@ class ReceiveQueue:
         self._alarm.close()
 
     def _look(self, data: list[Event], news: list[Event]) -> None:
-        """Take all data and news, so that data put before news is not missed, and vice versa."""
+        """Take all data and news, including data put before the last news, and news put before the last data."""
         empty = self._news.empty
         while True:
             drain(self._waking, data)

@@ -55,8 +55,8 @@ class MessageLevelLines(LinkDriver):
     """Message-level equivalent of ``SerialLines`` where ``is_exact_for`` holds; costs a step a message, not a byte.
 
     A sender keeps a message until the step in which the last byte is sent, so that a message cut short by the cell's
-    death or reset is never delivered. A receiver holds it until the following idle character has passed. A receiver that
-    was reset ignores messages that had begun before. Counters count whole messages.
+    death or reset is never delivered. A receiver holds it until the following idle character has passed. After a reset,
+    a receiver ignores messages that had begun before. Counters count whole messages.
 
     Args:
         settings: Of the lines.
