@@ -30,7 +30,7 @@ Urgency = Literal["quiet", "wake", "urgent"]
 
 
 class Publisher(ABC):
-    """Puts payloads on one key."""
+    """Publisher of payloads on one key."""
 
     @abstractmethod
     def put(self, payload: bytes) -> None:
@@ -50,9 +50,9 @@ class Endpoint(ABC):
       whatever it put before an urgent payload comes before that. Nothing is received without the urgent payloads
       that were put before it. Between different senders there is no order.
     - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
-      subscriptions of one endpoint would break that and are refused. An endpoint hears its own puts.
-    - **Patience.** ``receive`` may be told how many payloads it takes to get on: it then lets fewer wait, but
-      never beyond its time, and never behind a token, a ``Wakeup`` or an urgent subscription's payload.
+      subscriptions of one endpoint would break that and are refused. An endpoint receives its own puts.
+    - **Patience.** ``receive`` may be given the number of payloads needed: fewer then wait, but never beyond the
+      timeout, and never behind a token, a ``Wakeup`` or an urgent subscription's payload.
     - **Bytes.** Payloads arrive as they were put, empty ones included.
     - **Late joiners** get nothing of what was put before they subscribed. Tokens are different: a watcher
       is notified of every token present when it begins to watch, possibly twice.

@@ -143,7 +143,7 @@ class MemoryBus:
 
 @final
 class MemoryPublisher(Publisher):
-    """Puts on one key of a ``MemoryBus``."""
+    """Publisher on one key of a ``MemoryBus``."""
 
     def __init__(self, bus: MemoryBus, endpoint: MemoryEndpoint, key: str) -> None:
         self._bus = bus

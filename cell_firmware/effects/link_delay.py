@@ -87,7 +87,7 @@ class LinkDelaySpec(Delays, CellEffectSpec):
 
 @final
 class _AllAlike(InputFilter):
-    """Keeps whole inboxes, as many as the delay has ticks: nothing can overtake anything."""
+    """Filter with a constant delay: stores one inbox for each tick of the delay, so that no message overtakes."""
 
     remembers: ClassVar[StateFields] = StateFields("_under_way", records=(Inbox,))
 
@@ -109,7 +109,7 @@ class _AllAlike(InputFilter):
 
 @final
 class _EachItsOwn(InputFilter):
-    """Keeps every message at its receiver until it is due: one inbox a tick, as many as the greatest delay spans."""
+    """Filter with a delay for each message: stores one inbox for each tick of the greatest delay."""
 
     remembers: ClassVar[StateFields] = StateFields("_last_due", "_received", "_message")
 

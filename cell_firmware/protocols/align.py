@@ -45,7 +45,7 @@ class AlignParameters(EstimatorParameters):
 
 @final
 class Align(Firmware):
-    """Drives a rigid field about the estimated centre, which turns and shifts the parcel to its target.
+    """Rigid field about the estimated centre, which turns and shifts the parcel to its target.
 
     With c the centre that is believed and e the angle from the parcel's x axis to the target's, less whole half turns,
     the parcel is asked to move by ``v = gain (target - c)`` and ``omega = gain sin(e)``, slower where that would be
@@ -55,9 +55,9 @@ class Align(Firmware):
 
         X'' = mu g (v - X'),   theta'' = (omega - theta') mu sum N_i r_i^2 / I
 
-    The last term, 1 at the target and 0 where the speed limit begins, holds the true centre to the estimate. It
-    has no moment, and does not affect the angle. Source: the law is a proportional controller; the estimate
-    is that of ``parcel_estimate``, or the scene's camera (the paper's vision system).
+    The last term, 1 at the target and 0 where the speed limit begins, holds the true centre to the estimate. It has no
+    moment, and does not affect the angle. Source: the law is a proportional controller; the estimate is that of
+    ``parcel_estimate``, or the scene's camera (the paper's vision system).
     """
 
     Parameters = AlignParameters

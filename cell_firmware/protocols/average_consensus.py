@@ -56,16 +56,16 @@ class AverageConsensus(Firmware):
         x_i[k] = v_i[k] + sum over sides of f_ij[k]
         f_ij[k] = (f_ij[k-1] - f_ji[k-1]) / 2 + w_ij (x_j[k-1] - x_i[k-1])
 
-    with what the neighbour's message of tick k - 1 tells of ``f_ji`` and ``x_j``. Where none comes the flow stays as it
-    is. On links that lose nothing ``f_ji = -f_ij`` to the last bit, and this is ``x[k] = (I - L_w) x[k-1]`` of Xiao &
-    Boyd. A lost message makes the two ends differ, which the next exchange undoes: at rest the flows are opposite, so
-    that the sum of the estimates is that of what the cells have. What cells have may change, and the mean is followed.
+    with ``f_ji`` and ``x_j`` from the neighbour's message of tick k - 1. Without a message the flow stays unchanged. On
+    links that lose nothing ``f_ji = -f_ij`` to the last bit, and this is ``x[k] = (I - L_w) x[k-1]`` of Xiao & Boyd. A
+    lost message makes the two ends differ, which the next exchange undoes: at rest the flows are opposite, so that the
+    sum of the estimates is that of what the cells have. What cells have may change, and the mean is followed.
 
-    A cell that dies takes with it what it had, and nothing else: a flow is set to 0 after ``ttl_periods`` silent
-    periods, or 4 times the longest silence that any side of the cell has broken, and the others come to their own
-    mean. Nobody can tell a long silence from a death: where links are silent for longer, estimates are off by as much
-    as the flows until cells have learnt how long silences last, and the mean is exact in the limit though links go on
-    like that.
+    A cell that dies removes its own value, and nothing else: a flow is set to 0 after ``ttl_periods`` silent periods,
+    or 4 times the longest silence that any side of the cell has ended, and the others converge to their own mean. A
+    long silence can't be distinguished from a death: where links are silent for longer, estimates are off by as much as
+    the flows until cells have learnt how long silences last, and the mean is exact in the limit though links go on like
+    that.
 
     Source: Xiao & Boyd, "Fast linear iterations for distributed averaging", Systems & Control Letters 53 (2004), with
     its constant and Metropolis weights; flows kept at both ends after Jesus, Baquero & Almeida, "Flow updating:

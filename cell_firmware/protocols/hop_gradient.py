@@ -35,15 +35,15 @@ class HopGradientParameters(Spec):
 class HopGradient(Firmware):
     """Distance-vector routing to the nearest goal, recomputed in every tick, and therefore self-healing.
 
-    A goal's distance is 0. Any other cell's is one more than the least that its neighbours have told, not too long
-    ago, and at most ``limit``, which means that no way leads there::
+    A goal's distance is 0. Any other cell's distance is one more than the least valid distance received from its
+    neighbours, and at most ``limit``, which means no way::
 
         d_i[k] = min(limit, 1 + min over neighbours j of d_j[k-1])
 
-    Nothing is kept of a cell's own distance, and that bounds the count to infinity: whatever was told before, after m
-    ticks no cell is nearer than ``min(m, its true distance)``, nor farther than that from the tick on that equals its
-    true distance. Wheels drive towards the neighbour of the least distance, the first of ``north east south west``
-    that has it; at a goal, and where no way leads to one, they stand.
+    A cell's own distance is not kept, which bounds the count to infinity: whatever was sent before, after m ticks no
+    distance is below ``min(m, true distance)``, and from the tick equal to the true distance on, none is above it.
+    Wheels drive towards the neighbour of the least distance, the first of ``north east south west`` that has it; at a
+    goal, and where no way leads to one, they stand.
 
     Source: the distributed Bellman-Ford algorithm; D. Bertsekas and R. Gallager, *Data Networks*, 2nd ed., 1992,
     section 5.2.4, whose argument for the bound this is.

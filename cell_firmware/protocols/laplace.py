@@ -45,7 +45,7 @@ class LaplaceParameters(Spec):
 class Laplace(Firmware):
     """Relaxation to a harmonic potential: the electric field between electrodes, on cells.
 
-    A cell takes the mean of what its neighbours told last, with the relaxation w as ::
+    A cell takes the mean of its neighbours' last potentials, with the relaxation w as ::
 
         p_i[k] = p_i[k-2] + w (mean over neighbours j of p_j[k-1] - p_i[k-2])
 
@@ -56,11 +56,11 @@ class Laplace(Firmware):
     values of this tick from half the cells, which no message can bring.
 
     No potential leaves the range of what is held and the 0 at which cells start. Lost and late messages cost time
-    alone: what cells come to is the same (at w = 1, for any delays below the ttl_periods: Chazan & Miranker 1969). With
-    w > 1 that holds for lost messages; where they come late potentials may swing within their range for ever.
+    alone: the limit is the same (at w = 1, for any delays below the ttl_periods: Chazan & Miranker 1969). With w > 1
+    that holds for lost messages; with late messages potentials may oscillate within their range.
 
-    Nobody can rest but at a held cell: a harmonic potential has no other minimum. What has no cell, and cells that died
-    and were silent for ``ttl_periods`` periods, are insulators: the field goes around them.
+    Parcels can rest at held cells only: a harmonic potential has no other minimum. Places without a cell, and dead
+    cells that were silent for ``ttl_periods`` periods, are insulators: the field goes around them.
 
     Source: Golub & Varga, "Chebyshev semi-iterative methods, successive overrelaxation iterative methods, and second
     order Richardson iterative methods", Numer. Math. 3 (1961); Connolly, Burns & Weiss, "Path planning using

@@ -50,14 +50,14 @@ class MaxConsensusParameters(Spec):
 class MaxConsensus(Firmware):
     """Leader election by flooding: the greatest key wins, and keys of a dead leader expire.
 
-    A cell's key is its rank, row and column. In every tick it takes the greatest key of its own, which is of age 0,
-    the one that it has, and those that its neighbours told, all a tick older than they were; of the same key the
-    youngest. It tells key and age. A key older than ``lifetime`` is dropped.
+    A cell's key is its rank, row and column. In every tick the cell takes the greatest of its own key, of age 0, the
+    key that it holds, and the keys received, the latter two a tick older than before; of equal keys the youngest. It
+    sends key and age. A key older than ``lifetime`` is dropped.
 
-    After as many ticks as a cell is steps from the leader it knows it, and nothing changes any more. A word that gets
-    lost comes a tick later. When the leader dies no word of it is younger than the youngest was a tick ago: after
-    ``lifetime + 1`` ticks, or that times 1 + d where messages take d ticks longer, no cell has one, and the next
-    leader's has spread after as many ticks more as it is steps away.
+    A cell at d hops from the leader knows it after d ticks, and nothing changes from then on. A lost message costs a
+    tick. When the leader dies, the age of its youngest key grows by 1 a tick: after ``lifetime + 1`` ticks, or that
+    times 1 + d where messages take d ticks longer, no cell holds the key, and the next leader's key reaches a cell
+    after as many more ticks as the cell is hops away.
 
     Source: Lynch, *Distributed Algorithms*, Morgan Kaufmann 1996, ch. 4.1 (FloodMax); ages as in the lifetimes of
     link-state routing, RFC 2328.

@@ -27,7 +27,7 @@ class ParcelEstimateParameters(EstimatorParameters):
 
 @final
 class ParcelEstimate(Firmware):
-    """Brings parcels to a place by an estimate of their pose that the cells under each make together.
+    """Transport of parcels to a target by a pose that the cells under each parcel estimate together.
 
     Cells that know a pose drive a rigid field, ``v = gain (target - centre)``, no faster than asked; a cell that
     senses a parcel and knows no pose takes its own place for the centre. Close to the target they add ``gain (centre +

@@ -26,7 +26,7 @@ class PresenceFieldParameters(Spec):
 
 @final
 class PresenceField(Firmware):
-    """Drives the field where a parcel is sensed, and up to ``reach`` cells around.
+    """Velocity field where a parcel is sensed, and up to ``reach`` cells around.
 
     A cell's level is ``reach + 1`` where the cell senses a parcel, else one less than the highest valid level received,
     at least 0. The cell sends its level, and drives the field's velocity while the level is above 0.

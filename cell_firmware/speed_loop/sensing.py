@@ -23,7 +23,7 @@ LARGEST_DIFFERENCE: Final = 127
 
 
 class Tachometer(ABC):
-    """Reads both wheels of n cells; 0 at the first reading, wherever the wheels stand.
+    """Tachometer of both wheels of n cells; the first reading is 0, whatever the wheels' positions.
 
     Attributes:
         unit_m_s: Speed that a reading of 1 stands for.

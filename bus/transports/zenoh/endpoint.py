@@ -62,7 +62,7 @@ def _token(sample: zenoh.Sample) -> LivelinessChange:
 
 @final
 class ZenohPublisher(Publisher):
-    """Puts on one key: blocking, reliable, batched.
+    """Publisher on one key: blocking, reliable, batched.
 
     Attributes:
         put_bytes: Zenoh's own put.

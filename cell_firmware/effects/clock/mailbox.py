@@ -15,7 +15,7 @@ from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State,
 
 @final
 class Mailbox(LinkDriver):
-    """Hands over whole messages, each a window after it was sent.
+    """Link driver that delivers whole messages, each a window after it was sent.
 
     One that is sent at r is there for its receiver from r + W on, W being the window; the receiver reads it at its
     first instant not before that, once. Each link holds one message: a newer one that is there before the receiver

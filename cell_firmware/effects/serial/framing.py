@@ -37,7 +37,7 @@ def check_of(data: Bytes) -> Bytes:
 
 @final
 class Frame:
-    """Turns messages of one type into bytes, and back.
+    """Codec of messages of one type as bytes on a line.
 
     Args:
         message: The firmware's message type.

@@ -51,7 +51,7 @@ class LinkBandwidthFault(LinkTarget, LinkFault):
 
 @final
 class _Bucket(LinkFilter):
-    """Tokens in parts of one, of which a whole number comes each tick; the queue's oldest message first."""
+    """Filter with a token bucket and a queue for each link, oldest message first; tokens are counted in fractions."""
 
     remembers: ClassVar[StateFields] = StateFields("_tokens", "_length", "_queue")
 
