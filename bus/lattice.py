@@ -55,7 +55,7 @@ class Lattice:
         return self._index[cell]
 
     def find(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Indices of the cells at these rows and columns, of any shape; -1 where there is none."""
+        """Return the indices of the cells at these rows and columns, of any shape; -1 where there is none."""
         if len(self) == 0:
             return np.full(np.shape(rows), -1)
         # one number a place, ascending like the cells; what lies outside the array has a number of no cell's

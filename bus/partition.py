@@ -103,21 +103,21 @@ class Partition:
         return cls.even(lattice, len(lattice))
 
     def cells(self, shard: int) -> Index:
-        """Indices of the shard's cells, ascending: row-major."""
+        """Return the indices of the shard's cells, ascending: row-major."""
         return self._cells[shard]
 
     def inside(self, shard: int) -> Links:
-        """Links whose two cells are both in the shard."""
+        """Return the links whose two cells are both in the shard."""
         mine = self.shard_of[self._source] == shard
         return self._links(mine & (self.shard_of[self._target] == shard), self._source)
 
     def outgoing(self, shard: int) -> Links:
-        """Links from the shard into others, in order of (target's shard, source, side)."""
+        """Return the links from the shard into others, in order of (target's shard, source, side)."""
         mine = self.shard_of[self._source] == shard
         return self._links(mine & (self.shard_of[self._target] != shard), self._target)
 
     def incoming(self, shard: int) -> Links:
-        """Links from other shards into this one, in order of (source's shard, source, side)."""
+        """Return the links from other shards into this one, in order of (source's shard, source, side)."""
         mine = self.shard_of[self._target] == shard
         return self._links(mine & (self.shard_of[self._source] != shard), self._source)
 

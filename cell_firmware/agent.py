@@ -29,8 +29,8 @@ class ShardResult:
 
     Attributes:
         ticks: Ticks that were stepped.
-        detail: Why it stopped, in the words of who stopped it.
-        failures: Cells whose firmware failed on the way.
+        detail: Reason for the end, from the stop record.
+        failures: Cells whose firmware failed during the run.
     """
 
     ticks: int

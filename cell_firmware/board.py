@@ -50,11 +50,11 @@ class _Done:
 class Board(Controller):
     """Firmware and the parts of a board, composed into one pure step.
 
-    Without parts it is the behavioural level: links hand over whole messages, drives are speeds.
+    Without parts the board is behavioural: links deliver whole messages, drives are speeds.
 
-    Firmware that raises never raises through here: its cells are named in the outputs' ``failures``. For
-    array firmware, which can't say which cell was the cause, the tick is stepped again cell by cell from the
-    state before it; the cells that fail alone are the culprits, and the others get what they would have got.
+    Errors of firmware are not propagated: failed cells are listed in the outputs' ``failures``. For array firmware,
+    which can't name the failing cell, the tick is stepped again cell by cell from the state before it: the cells that
+    fail alone have failed, and the others get their normal results.
 
     Args:
         firmware: The cells' program.
@@ -206,7 +206,7 @@ class Board(Controller):
         }
 
     def _program(self, tick: int, cells: Cells, before: State, inputs: Inputs) -> _Done:
-        """Steps the firmware, all cells at once; if that fails, each alone."""
+        """Step the firmware, all cells at once; if that fails, each cell alone."""
         n = len(cells)
         try:
             with drafting(self.firmware, self._draft):

@@ -27,7 +27,7 @@ BOARDS: Final[Mapping[BoardName, Mapping[str, Mapping[str, Any]]]] = {
         "cop": {"timeout_s": 0.065536},
     },
 }
-"""An MC68HC11 at 8 MHz. What the papers do not say (all but its name) is ours."""
+"""An MC68HC11 at 8 MHz. The papers give only its name; all settings are assumptions of this project."""
 
 
 @final

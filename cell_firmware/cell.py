@@ -70,7 +70,7 @@ class CellInputs:
         inbox: By side, the message that the neighbour sent in the tick before, or None.
         level: How much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
         label: Number of the exit that the parcel over the cell is meant for, 0 for none; None without scanners.
-        camera: By its number, x, y (m) and angle (rad) of each parcel that a camera saw; None where no picture came.
+        camera: By number of the parcel, x, y (m) and angle (rad) of parcels in a camera frame; None without a frame.
     """
 
     presence: tuple[bool, ...]
@@ -89,7 +89,7 @@ class CellOutputs:
     Attributes:
         speed_m_s: Surface speed along x and y, m/s.
         outbox: By side, the message to that neighbour; a side that is absent or None sends nothing.
-        served: Whether it served its watchdog; matters with the effect ``cop`` only.
+        served: Whether the program served its watchdog; used with the effect ``cop`` only.
     """
 
     speed_m_s: tuple[float, float]
@@ -125,7 +125,7 @@ class CellFirmware(Program, ABC):
 
 @final
 class PerCellAdapter(Firmware):
-    """Runs a ``CellFirmware`` for every cell of an array, in cell order.
+    """Adapter that runs a ``CellFirmware`` for every cell of an array, in cell order.
 
     A cell that raises is named in ``Outputs.failed`` with its traceback, and the others are stepped. No cell is stepped
     speculatively, as a user's program may print.
@@ -145,46 +145,46 @@ class PerCellAdapter(Firmware):
         self._fields = {} if self.message is None else fields_of(self.message)
 
     def check(self, lattice: Lattice) -> None:
-        """Asks the firmware."""
+        """Delegate to the firmware."""
         self.firmware.check(lattice)
 
     def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
-        """Asks the firmware."""
+        """Delegate to the firmware."""
         self.firmware.check_geometry(lattice, position_m, pitch_m)
 
     def required_effects(self) -> tuple[str, ...]:
-        """Asks the firmware."""
+        """Delegate to the firmware."""
         return self.firmware.required_effects()
 
     def uses_camera(self) -> bool:
-        """Asks the firmware."""
+        """Delegate to the firmware."""
         return self.firmware.uses_camera()
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
-        """Asks the firmware."""
+        """Delegate to the firmware."""
         return self.firmware.value_ranges()
 
     def accepts(self, messages: Messages) -> Bools:
-        """Asks the firmware."""
+        """Delegate to the firmware."""
         return self.firmware.accepts(messages)
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
-        """Asks the firmware."""
+        """Delegate to the firmware."""
         return self.firmware.warnings(lattice)
 
     def theory(self, lattice: Lattice) -> Theory | None:
-        """Asks the firmware."""
+        """Delegate to the firmware."""
         return self.firmware.theory(lattice)
 
     def init(self, cells: Cells) -> State:
-        """One state of any kind per cell, in an ``(n,)`` array of objects."""
+        """Return one state of any type per cell, in an ``(n,)`` array of objects."""
         states = np.empty(len(cells), dtype=object)
         for i in range(len(cells)):
             states[i] = self.firmware.init(_cell(cells, i))
         return {"cell": states}
 
     def warm_start(self, cells: Cells, state: State) -> State:
-        """Asks the firmware for each cell."""
+        """Delegate to the firmware, cell by cell."""
         states = np.empty(len(cells), dtype=object)
         for i in range(len(cells)):
             states[i] = self.firmware.warm_start(_cell(cells, i), state["cell"][i])
@@ -199,7 +199,7 @@ class PerCellAdapter(Firmware):
         return unrecorded(self.firmware.init(_cell(cells, 0)))
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """Steps each cell on plain values."""
+        """Step each cell on plain values."""
         n = len(inputs.presence)
         states = state["cell"].copy()
         speed = np.zeros((n, 2))
@@ -303,7 +303,7 @@ def _number(value: Any) -> float:
 def _send(
     messages: Mapping[str, Message | None], outbox: Outbox | None, fields: Mapping[str, Field], i: int
 ) -> None:
-    """Puts a cell's messages into the outbox.
+    """Put a cell's messages into the outbox.
 
     Raises:
         MessageValueError: A value doesn't fit its field.

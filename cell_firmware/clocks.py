@@ -94,6 +94,6 @@ class ArrayClocks:
         return self.clocks.take(self.lattice.find(row, column))
 
     def ppb(self, row: Ints, column: Ints) -> Ints:
-        """Errors of the clocks at these rows and columns, of any shape; 0 where there is no cell."""
+        """Return the errors of the clocks at these rows and columns, of any shape; 0 where there is no cell."""
         cell = self.lattice.find(row, column)
         return np.where(cell >= 0, self.clocks.ppb[cell], 0)

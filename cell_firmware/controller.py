@@ -129,10 +129,10 @@ class ControllerOutputs:
 
 
 class Controller(ABC):
-    """The controllers of n cells: a pure step, for one cell to the same bytes as for thousands.
+    """Controllers of n cells: a pure step, with the same bytes for one cell and for thousands.
 
-    Whatever emulates a cell fills this seam: a program in floating point, a board with its timers and serial lines, an
-    instruction set. Everything that changes is in the state; what resets which part of it is the controller's to say.
+    Every emulation of a cell implements this interface: a program in floating point, a board with its timers and serial
+    lines, an instruction set. All variables are in the state; the controller defines which of them a reset clears.
     """
 
     @property
@@ -173,7 +173,7 @@ class Controller(ABC):
     def step(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
-        """One exchange in which every cell takes part: what came over the lines, and then a control period."""
+        """Step all cells by one exchange: receive from the lines, then compute a control period."""
         state, inputs = self.receive(now, state, inputs)
         return self.compute(now, state, inputs)
 
@@ -328,7 +328,7 @@ class ControllerWrapper(Controller):
         return ControllerState(state.cells, parts)
 
     def wrap_state(self, inner: ControllerState, own: State) -> ControllerState:
-        """The state of both, of the same cells."""
+        """Combine the wrapped controller's state and the wrapper's own, of the same cells."""
         return ControllerState(inner.cells, {**inner.parts, self.part: read_only(own)})
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:

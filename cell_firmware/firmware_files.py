@@ -57,7 +57,7 @@ def import_file(path: Path) -> ModuleType:
 
 
 def modules_beside(name: str) -> list[ModuleType]:
-    """Modules imported from the folder of a firmware file, by the file's module name; none for other modules."""
+    """Return the modules imported from a firmware file's folder, by the file's module name; none for other modules."""
     package = name.partition(".")[0]
     if not package.startswith(PREFIX):
         return []

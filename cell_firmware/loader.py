@@ -1,4 +1,4 @@
-"""From a scene's words to firmware: bundled names, importable classes, files."""
+"""Loader of a scene's firmware: bundled names, importable classes and files."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _problem(detail: Any, model: type[BaseModel], given: Any) -> Problem:
 
 
 def _without_tags(location: Sequence[str | int], given: Any) -> tuple[str | int, ...]:
-    """The location without the tags of discriminated unions, which nobody wrote."""
+    """Return the location without the tags of discriminated unions, which are not part of the scene."""
     path: list[str | int] = []
     here = given
     for i, part in enumerate(location):
@@ -106,7 +106,7 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
     """Load the firmware of a scene, with its parameters and guarded hooks; see `cell_firmware.hooks`.
 
     Args:
-        spec: What the scene says of its cells.
+        spec: The scene's settings of cells.
         folder: Where relative paths to ``.py`` files start; default: the working directory.
 
     Raises:
@@ -218,7 +218,7 @@ def _imports(file: str) -> bool:
 
 
 def _defined(module: ModuleType) -> list[str]:
-    """Names of the firmware classes that a module defines itself."""
+    """Return the names of the firmware classes that a module defines itself."""
     return sorted(
         name
         for name, value in vars(module).items()

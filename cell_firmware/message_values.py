@@ -74,7 +74,7 @@ def can_settle(given: np.dtype[Any], message: np.dtype[Any]) -> bool:
 def settled(
     drafts: NDArray[Any], sent: NDArray[np.bool_], message: np.dtype[Any]
 ) -> tuple[NDArray[Any], dict[int, str]]:
-    """Messages of array firmware, rounded to the wire type.
+    """Round messages of array firmware to the wire type.
 
     Args:
         drafts: ``(n, 4)``, of the wire type or of another with the same fields, such as its draft.

@@ -16,7 +16,7 @@ WHOLE: Final = "state"
 
 
 def registers_of(states: Iterable[Any], observed: str | None) -> dict[str, NDArray[np.float64]]:
-    """Registers of some cells: float64 arrays by name, each with a row a cell, NaN where a cell has no numbers there.
+    """Return registers of cells: float64 arrays by name, with a row a cell, NaN where a cell has no such numbers.
 
     Args:
         states: The cells' states. Recorded are the fields of a dataclass, a named tuple, a mapping or a record of

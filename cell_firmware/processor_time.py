@@ -27,9 +27,9 @@ class Share(NamedTuple):
     """Processor time of one activity, E cycles a period.
 
     Attributes:
-        what: In words.
-        least: At the least.
-        most: At the most.
+        what: Description of the activity.
+        least: Least time.
+        most: Most time.
     """
 
     what: str
@@ -43,13 +43,13 @@ def period_e(period_ns: int) -> float:
 
 
 def shares(effects: CellEffects, motors: MotorFacts | None, period_ns: int, sides: int) -> tuple[Share, ...]:
-    """Everything that takes time on the board of the cell with the most neighbours.
+    """Return the processor time of all activities on the board of the cell with the most neighbours.
 
     Args:
-        effects: Of the cells.
-        motors: None where the wheels run at the speed that they are told.
+        effects: Effects of the cells.
+        motors: Motor parameters; None where wheels run at the commanded speed.
         period_ns: The control period.
-        sides: Neighbours that this cell talks with; 0: none, or there are no messages.
+        sides: Neighbours with which this cell exchanges messages; 0: none.
     """
     found: list[Share] = []
     if motors is not None and effects.fixed_point is not None:

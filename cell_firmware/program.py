@@ -34,7 +34,7 @@ class Theory:
 
 
 class NoParameters(Spec):
-    """Of a program that takes none."""
+    """Parameters of a program without any."""
 
 
 class Program:
@@ -47,15 +47,15 @@ class Program:
     Parameters: ClassVar[type[Spec]] = NoParameters
     """What a scene may set in ``[cells.parameters]``."""
     message: ClassVar[np.dtype[Any] | None] = None
-    """Little-endian structured type of a message between neighbours; None if they don't talk."""
+    """Little-endian structured type of a message between neighbours; None without messages."""
     observable: ClassVar[str | None] = None
-    """Which of its variables is the protocol's field: a name in its state, a number or a vector a cell."""
+    """Name of the state variable that is the protocol's field: a number or a vector a cell."""
 
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
 
     def check(self, lattice: Lattice) -> None:
-        """Refuses parameters that do not fit the array, before anything starts.
+        """Refuse parameters that do not fit the array, before the run starts.
 
         Raises:
             ParametersError: They do not.
@@ -63,7 +63,7 @@ class Program:
         del lattice
 
     def check_geometry(self, lattice: Lattice, position_m: NDArray[np.float64], pitch_m: float) -> None:
-        """Refuse parameters that do not fit the positions of the cells, before anything starts.
+        """Refuse parameters that do not fit the positions of the cells, before the run starts.
 
         Args:
             lattice: The cells.

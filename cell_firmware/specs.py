@@ -47,14 +47,14 @@ class CellsSpec(Spec):
     period_s: Positive = 0.004096
     """The control period; the default is one real-time interrupt of an MC68HC11 at 8 MHz."""
     parameters: dict[str, Any] = {}  # noqa: RUF012 - pydantic copies it
-    """The firmware's own, validated by it."""
+    """Parameters of the firmware, which validates them."""
     board: Board | None = None
     """A board by name, or ``{ name, without }``: asks for all its effects but those, as if ``effects`` named them."""
     on_failure: Literal["stop", "isolate"] = "stop"
-    """When a program fails: ``stop`` ends the run in that tick with status ``failed``; ``isolate`` gives up that cell
-    alone, and its wheels do what ``stall.policy`` says."""
+    """When a program fails: ``stop`` ends the run in that tick with status ``failed``; ``isolate`` drops that cell
+    alone, and its wheels follow ``stall.policy``."""
     speed_loop: SpeedLoopSpec | None = None
-    """Gains of the speed loop; only a scene with motors has one, and gets the defaults if it says nothing."""
+    """Gains of the speed loop; only for scenes with motors, which use the defaults if it is left out."""
 
     @field_validator("period_s")
     @classmethod

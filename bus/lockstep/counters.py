@@ -46,7 +46,7 @@ class MessageCounters:
         return found
 
     def refuse(self, error: WireError, whose: str) -> None:
-        """Counts a payload that couldn't be read."""
+        """Count a refused payload."""
         self.refused[whose, error.name] += 1
 
     def to_report(self, tally: Mapping[str, int]) -> tuple[tuple[str, int], ...]:

@@ -42,7 +42,7 @@ class LivenessTracker:
         return len(self.ready) == len(self._form.unit_cells)
 
     def absent(self, shard_of: NDArray[np.int64]) -> set[int]:
-        """Shards with a unit whose token has never stood; ``shard_of``: ``(n,)``, the shard of every cell."""
+        """Return the shards with a unit whose token never appeared; ``shard_of``: ``(n,)``, shard of every cell."""
         seen = self.alive | self.ever_left
         units = enumerate(self._form.unit_cells)
         return {int(shard_of[int(i)]) for unit, cells in units if unit not in seen for i in cells}

@@ -72,7 +72,7 @@ class FrameAssembler:
         self._early: dict[int, PartialFrame] = {}
 
     def handle(self, part: int, payload: bytes) -> None:
-        """Keeps the value of a part.
+        """Store the value of a part.
 
         Raises:
             WireError: Not such a payload, too far ahead, or the second of its tick.
@@ -218,7 +218,7 @@ class Dispatcher:
         self._tokens = tokens
 
     def poll(self, timeout_s: float | None, enough: int = 1) -> bool:
-        """Waits as ``Endpoint.receive`` does, then takes all there is; False if there was nothing in time.
+        """Wait for events as ``Endpoint.receive`` does, and handle all of them; return whether there were any.
 
         Raises:
             WaitInterrupted: ``Endpoint.wake`` was called; all other events have been handled.

@@ -199,7 +199,7 @@ class OutboundFrames:
         self._out_until, self._target_until = last(form.out_sources), last(form.out_targets)
 
     def publishers_to(self, cells: Collection[int]) -> list[Publisher]:
-        """Publishers of messages to any of ``cells`` (indices)."""
+        """Return the publishers of messages to any of ``cells`` (indices)."""
         return [
             publisher
             for publisher, targets in zip(self._out, self._form.out_targets, strict=True)

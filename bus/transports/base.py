@@ -30,11 +30,11 @@ Urgency = Literal["quiet", "wake", "urgent"]
 
 
 class Publisher(ABC):
-    """Puts payloads on one key."""
+    """Publisher of payloads on one key."""
 
     @abstractmethod
     def put(self, payload: bytes) -> None:
-        """Sends ``payload`` to every subscriber of the key; blocks rather than drops."""
+        """Send ``payload`` to every subscriber of the key; block rather than drop."""
 
     @abstractmethod
     def matched(self) -> bool:
@@ -50,9 +50,9 @@ class Endpoint(ABC):
       whatever it put before an urgent payload comes before that. Nothing is received without the urgent payloads
       that were put before it. Between different senders there is no order.
     - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
-      subscriptions of one endpoint would break that and are refused. An endpoint hears its own puts.
-    - **Patience.** ``receive`` may be told how many payloads it takes to get on: it then lets fewer wait, but
-      never beyond its time, and never behind a token, a ``Wakeup`` or an urgent subscription's payload.
+      subscriptions of one endpoint would break that and are refused. An endpoint receives its own puts.
+    - **Patience.** ``receive`` may be given the number of payloads needed: fewer then wait, but never beyond the
+      timeout, and never behind a token, a ``Wakeup`` or an urgent subscription's payload.
     - **Bytes.** Payloads arrive as they were put, empty ones included.
     - **Late joiners** get nothing of what was put before they subscribed. Tokens are different: a watcher
       is notified of every token present when it begins to watch, possibly twice.
@@ -73,7 +73,7 @@ class Endpoint(ABC):
 
     @abstractmethod
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
-        """Puts each payload with its publisher, all of this endpoint, as close together as can be."""
+        """Put each payload with its publisher, all of this endpoint, in quick succession."""
 
     @abstractmethod
     def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
@@ -124,8 +124,8 @@ class Endpoint(ABC):
 
     @abstractmethod
     def wake(self) -> None:
-        """Puts one ``Wakeup`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""
+        """Put one ``Wakeup`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""
 
     @abstractmethod
     def close(self) -> None:
-        """Withdraws everything and leaves."""
+        """Withdraw all tokens and close the endpoint."""

@@ -37,7 +37,7 @@ class EventQueue:
         self.put: Callable[[Any], None] = self._queue.put
 
     def put_urgent(self, item: Any) -> None:
-        """Adds an item that ends the wait at once. From any thread, or a signal handler."""
+        """Add an item that ends the wait at once. From any thread, or a signal handler."""
         self._queue.put(_Urgent(item))
 
     def take(self, timeout_s: float | None, enough: int) -> list[Any]:
@@ -91,7 +91,7 @@ class MemoryBus:
         return route
 
     def put(self, key: str, payload: bytes) -> None:
-        """Delivers ``payload`` to every subscriber of ``key``."""
+        """Deliver ``payload`` to every subscriber of ``key``."""
         # A copy of the route, not the lock: two senders have no order between them anyway.
         event = Received(key, payload)
         for door in self.route(key):
@@ -143,7 +143,7 @@ class MemoryBus:
 
 @final
 class MemoryPublisher(Publisher):
-    """Puts on one key of a ``MemoryBus``."""
+    """Publisher on one key of a ``MemoryBus``."""
 
     def __init__(self, bus: MemoryBus, endpoint: MemoryEndpoint, key: str) -> None:
         self._bus = bus
@@ -151,7 +151,7 @@ class MemoryPublisher(Publisher):
         self._key = key
 
     def put(self, payload: bytes) -> None:
-        """Sends ``payload`` to every subscriber of the key."""
+        """Send ``payload`` to every subscriber of the key."""
         self._endpoint.check_open()
         self._bus.put(self._key, payload)
 
@@ -185,7 +185,7 @@ class MemoryEndpoint(Endpoint):
         return MemoryPublisher(self._bus, self, key)
 
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
-        """Puts each payload with its publisher."""
+        """Put each payload with its publisher."""
         for publisher, payload in puts:
             publisher.put(payload)
 
@@ -219,11 +219,11 @@ class MemoryEndpoint(Endpoint):
         return [self._quiet.popleft() for _ in range(len(self._quiet))] + events
 
     def wake(self) -> None:
-        """Puts one ``Wakeup`` in the inbox."""
+        """Put one ``Wakeup`` in the inbox."""
         self._inbox.put_urgent(Wakeup())
 
     def close(self) -> None:
-        """Withdraws everything and leaves."""
+        """Withdraw all tokens and close the endpoint."""
         if not self._closed:
             self._bus.leave(self)
             self._closed = True
@@ -240,13 +240,13 @@ class MemoryEndpoint(Endpoint):
         self._inbox.put_urgent(event)
 
     def check_open(self) -> None:
-        """Raises TransportError after ``close``."""
+        """Raise TransportError after ``close``."""
         if self._closed:
             raise TransportError("this endpoint is closed")
 
 
 def check_overlap(key_expr: str, others: list[str]) -> None:
-    """Refuses a subscription that would deliver a payload a second time.
+    """Refuse a subscription that would deliver a payload a second time.
 
     Raises:
         TransportError: ``key_expr`` shares a key with one of ``others``.

@@ -158,7 +158,7 @@ def all_finite(values: Values) -> bool:
 
 
 def expect_nil(kind: str, name: str, value: object) -> None:
-    """Checks that there is no value.
+    """Check that there is no value.
 
     Raises:
         WireError: There is one.
@@ -168,7 +168,7 @@ def expect_nil(kind: str, name: str, value: object) -> None:
 
 
 def check_finite(kind: str, first: float, second: float) -> None:
-    """Checks two numbers.
+    """Check that two numbers are finite.
 
     Raises:
         WireError: One is infinite or NaN.

@@ -49,7 +49,7 @@ def _places(readings: SensorSchema) -> dict[str, FieldLayout]:
 
 @final
 class SenseWriter:
-    """Makes a payload a cell; for one thread at a time.
+    """Encoder of the cells' sense payloads; for one thread at a time.
 
     Args:
         readings: Sensors of the cells.

@@ -57,7 +57,7 @@ class _Conversion(InputFilter):
         self._draws = CounterStream(site.seed, "adc", each) if noise_codes else None
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """Reads levels as codes."""
+        """Quantize levels to codes."""
         del alive
         assert inputs.level is not None, "this is a bug: no levels, but a converter"
         exact = CODES * inputs.level

@@ -27,12 +27,12 @@ class ShardContext:
     Attributes:
         cells: ``(n,)`` int64, the shard's cells by index into the lattice.
         sensors: Presence sensors of a cell.
-        message: Type of a message between neighbours; None if they don't talk.
-        seed: The scene's.
+        message: Type of a message between neighbours; None without messages.
+        seed: Seed of the scene.
         levels: Whether sensors have levels.
-        said: Type of what programs say, which ``message`` carries; None: that itself.
-        tick_ns: From one exchange to the next.
-        clocks: The cells' clocks, which say in which exchange a cell has a new reading; None: all have in each.
+        said: Type of the programs' messages, which ``message`` carries; None: the same type.
+        tick_ns: Time from one exchange to the next, ns.
+        clocks: The cells' clocks, which define the exchanges in which a cell has a new reading; None: all exchanges.
     """
 
     cells: NDArray[np.int64]
@@ -45,9 +45,9 @@ class ShardContext:
     clocks: CellClocks | None = None
 
     def fresh(self, tick: int) -> Bools | None:
-        """Cells with a reading of their own in an exchange, ``(n,)``; None: all have one.
+        """Return the cells with a new reading in an exchange, ``(n,)``; None: all.
 
-        The pins of the others say what they last read.
+        The inputs of the other cells are their last readings.
         """
         return None if self.clocks is None else self.clocks.instants(tick - 1) != NOT_IN_WINDOW
 

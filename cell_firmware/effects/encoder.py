@@ -10,7 +10,7 @@ from bus.spec import Positive
 from cell_firmware.effects.base import CellEffectSpec
 
 RADIUS_M: Final = 0.03
-"""Of a wheel, where nothing says it."""
+"""Default radius of a wheel."""
 _TURN: Final = 2.0 * 3.141592653589793
 
 

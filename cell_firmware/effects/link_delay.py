@@ -29,7 +29,7 @@ class Delays(Spec):
     between_ticks: tuple[Ticks, Ticks] | None = None
     """Or the least and the greatest delay: each message has its own, all that are possible being as likely."""
     ordered: bool = True
-    """Whether a message waits for those sent before it on the same link; else it may arrive before them."""
+    """Whether messages of a link arrive in the order of sending; else a message may overtake earlier ones."""
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:
@@ -48,11 +48,11 @@ class Delays(Spec):
         return ticks, ticks
 
     def delaying(self, site: ShardContext, purpose: str) -> Iterator[InputFilter]:
-        """A stage that keeps what a shard's inbox has until it is due; none where there is nothing to delay.
+        """Yield a filter that holds a shard's messages until due; none where there is nothing to delay.
 
         Args:
             site: The shard.
-            purpose: What its draws are named after.
+            purpose: Name of the random stream.
         """
         least, greatest = self.bounds_ticks
         if site.message is None or greatest == 0:
@@ -87,7 +87,7 @@ class LinkDelaySpec(Delays, CellEffectSpec):
 
 @final
 class _AllAlike(InputFilter):
-    """Keeps whole inboxes, as many as the delay has ticks: nothing can overtake anything."""
+    """Filter with a constant delay: stores one inbox for each tick of the delay, so that no message overtakes."""
 
     remembers: ClassVar[StateFields] = StateFields("_under_way", records=(Inbox,))
 
@@ -99,7 +99,7 @@ class _AllAlike(InputFilter):
         ]
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """Exchanges what has come for what came as many ticks ago."""
+        """Replace the inbox by the inbox of as many ticks ago as the delay."""
         del alive
         inbox, slot = inputs.inbox, tick % len(self._under_way)
         assert inbox is not None, "this is a bug: no inbox, but messages to delay"
@@ -109,7 +109,7 @@ class _AllAlike(InputFilter):
 
 @final
 class _EachItsOwn(InputFilter):
-    """Keeps every message at its receiver until it is due: one inbox a tick, as many as the greatest delay spans."""
+    """Filter with a delay for each message: stores one inbox for each tick of the greatest delay."""
 
     remembers: ClassVar[StateFields] = StateFields("_last_due", "_received", "_message")
 
@@ -125,7 +125,7 @@ class _EachItsOwn(InputFilter):
         self.counters["overtaken"] = 0
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """Puts aside what has come, and hands over what is due."""
+        """Store received messages, and deliver due messages."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: no inbox, but messages to delay"
         shape = inbox.received.shape

@@ -17,7 +17,7 @@ from cell_firmware.firmware import Inbox, Inputs
 
 @final
 class LinkLossSpec(CellEffectSpec):
-    """Each message between neighbours is lost with the same probability, each by itself."""
+    """Messages between neighbours are lost independently, with the same probability."""
 
     messages: ClassVar[tuple[str, ...]] = ("messages between neighbours get lost",)
     fidelity_rank: ClassVar[int | None] = 80
@@ -45,7 +45,7 @@ class _Loss(InputFilter):
         self.counters["lost"] = 0
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """Takes messages out of the inbox."""
+        """Remove lost messages from the inbox."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: no inbox, but messages to lose"
         chance = self._draws.uniform(tick).reshape(inbox.received.shape)

@@ -20,10 +20,10 @@ from cell_firmware.specs import CellsSpec
 
 
 class CellEffects(Effects):
-    """Effects on what cells sense, compute and tell each other that a scene asks for.
+    """Effects of a scene on the cells' sensing, computing and messages.
 
-    They act in the order of these lines: a sensor makes its bit of what the converter read, what is lost is not
-    delayed.
+    Effects act in the order of these fields: a sensor's bit is made from the converter's reading, and lost messages are
+    not delayed.
     """
 
     clock: ClockSpec | None = None

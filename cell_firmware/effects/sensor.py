@@ -19,16 +19,16 @@ Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 LONGEST_TICKS: Final = 1_000
 """Longest latency, and most readings to wait for."""
 THRESHOLD: Final = 0.5
-"""Level at which an analogue sensor says that something is there, where a scene names no other."""
+"""Default level at which an analogue sensor reports presence."""
 
 
 @final
 class SensorSpec(CellEffectSpec):
-    """Presence sensors err at random, each reading by itself, and readings come late.
+    """Presence sensors err at random, independently in each reading, and readings come late.
 
-    In this order: where sensors are analogue the bit is made from the level (after ``adc``) by a threshold with
-    hysteresis; it errs; a change is believed after so many readings in a row; and what is believed takes its time: what
-    a cell sees in tick k was so in tick k − latency. Before anything has come in, sensors say that nothing is there.
+    In this order: the bit of an analogue sensor is made from the level (after ``adc``) by a threshold with hysteresis.
+    The bit errs. A change is accepted after several readings in a row (debouncing). The accepted bit is delayed: a cell
+    sees in tick k the bit of tick k − latency. Until then, sensors report absence.
     """
 
     states: ClassVar[tuple[str, ...]] = (
@@ -37,21 +37,21 @@ class SensorSpec(CellEffectSpec):
     messages: ClassVar[tuple[str, ...]] = ("what cells are told of sensors errs and lags",)
     fidelity_rank: ClassVar[int | None] = 60
     threshold: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
-    """Level at which an analogue sensor says that something is there; None: one half."""
+    """Level at which an analogue sensor reports presence; None: one half."""
     hysteresis: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
-    """Between the levels at which it begins and ends to say so, half of it on either side of the threshold."""
+    """Width of the hysteresis, half of it on either side of the threshold."""
     false_positive: Probability = 0.0
-    """Probability, a reading and tick, that a sensor with nothing over it says there is."""
+    """Probability, for each sensor and tick, that an uncovered sensor reports presence."""
     false_negative: Probability = 0.0
-    """The same of one with a parcel over it, that it says there is not."""
+    """Probability, for each sensor and tick, that a covered sensor reports absence."""
     debounce_ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)] = 1
-    """How many readings in a row a change has to be seen in to be believed; a cell has one reading a period."""
+    """Number of consecutive readings after which a change is accepted; a cell has one reading a period."""
     latency_ticks: Annotated[int, Field(ge=0, le=LONGEST_TICKS)] = 0
-    """How many ticks later than without the effect the cell sees a reading."""
+    """Additional latency of readings, ticks."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
-        """One reading in a thousand is wrong, and each a tick late."""
+        """Return the defaults: one reading in a thousand is wrong, and all are a tick late."""
         return cls(false_positive=1e-3, false_negative=1e-3, latency_ticks=1)
 
     @model_validator(mode="after")
@@ -70,7 +70,7 @@ class SensorSpec(CellEffectSpec):
         return threshold - 0.5 * self.hysteresis, threshold + 0.5 * self.hysteresis
 
     def required(self) -> tuple[str, ...]:
-        """Levels, where the scene says what to make of them."""
+        """Require analogue sensors where a threshold or hysteresis is set."""
         return ("analogue_sensors",) if self.threshold is not None or self.hysteresis else ()
 
     def input_filters(self, site: ShardContext) -> Iterator[InputFilter]:
@@ -97,7 +97,7 @@ class _Threshold(InputFilter):
         self._there = np.zeros((len(site.cells), site.sensors), dtype=np.bool_)
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """Makes bits from levels."""
+        """Make bits from levels."""
         del tick, alive
         level = inputs.level
         assert level is not None, "this is a bug: no levels, but a threshold"
@@ -114,7 +114,7 @@ class _Errors(InputFilter):
         self.counters.update({"false_positives": 0, "false_negatives": 0})
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """Flips readings."""
+        """Flip readings at random."""
         presence = inputs.presence
         chance = self._draws.uniform(tick).reshape(presence.shape)
         wrong = chance < np.where(presence, self._false_negative, self._false_positive)
@@ -125,9 +125,9 @@ class _Errors(InputFilter):
 
 @final
 class _Debounce(InputFilter):
-    """Counts in how many readings in a row each bit was other than it is believed to be.
+    """Debouncing: counts consecutive readings of each bit that differ from the accepted bit.
 
-    A reading counts once: where cells have clocks of their own an exchange may find a cell with no new one.
+    A reading counts once: where cells have their own clocks, a cell may have no new reading in an exchange.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_believed", "_read")
@@ -142,7 +142,7 @@ class _Debounce(InputFilter):
         self.counters["bounces"] = 0
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """Holds each bit until its change has been read often enough."""
+        """Hold each bit until its change has been read often enough."""
         other = inputs.presence ^ self._believed
         back = ~other & (self._read > 0)
         read = np.where(other, self._read + 1, 0)
@@ -166,7 +166,7 @@ class _Latency(InputFilter):
         self._under_way = np.zeros((ticks, len(site.cells), site.sensors), dtype=np.bool_)
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """Exchanges the readings of this tick for those of as many ticks ago."""
+        """Replace the readings by the readings of as many ticks ago as the latency."""
         del alive
         slot = self._under_way[tick % len(self._under_way)]
         read = slot.copy()

@@ -16,11 +16,11 @@ NOBODY: Final = 0xFFFFFFFF
 """Leader of a cell that follows none: above every cell's key."""
 _NEWCOMER: Final = 1 << 31
 ROOT: Final = 4
-"""Side of the parent of a cell that leads, or follows nobody."""
+"""Side of the parent of a cell that leads, or that has no leader."""
 FARTHEST: Final = 40
-"""Hops from a leader beyond which nobody follows it: no loop lasts longer."""
+"""Largest distance of a follower from its leader, hops, which bounds the life of loops."""
 FIELDS: Final = [("level", "u1"), ("leader", "<u4"), ("hops", "u1"), ("parent", "u1")]
-"""What cells tell each other of it: 7 bytes."""
+"""Fields of the election in a message: 7 bytes."""
 
 
 class ElectionState(NamedTuple):
@@ -49,7 +49,7 @@ def keys(row: Integers, column: Integers, leads: Bools) -> Integers:
 
 
 def levels(covered: Bools, told: NDArray[Any], heard: Bools, halo: int) -> Integers:
-    """How near a sensed parcel is, counted down hop by hop."""
+    """Return the proximity of a sensed parcel, which decreases by 1 a hop."""
     theirs = np.where(heard, told["level"].astype(np.int64), 0)
     highest = np.maximum(np.maximum(theirs[:, 0], theirs[:, 1]), np.maximum(theirs[:, 2], theirs[:, 3]))
     return np.where(covered, halo + 1, np.maximum(highest, 1) - 1)
@@ -64,21 +64,21 @@ def elect(
     before: ElectionState,
     hold: int,
 ) -> ElectionState:
-    """One round of the election: everybody follows the least key that it hears of, by the fewest links.
+    """Compute one round of the election: each cell follows the least key received, by the fewest links.
 
-    Only cells that sense a parcel stand. Who follows a leader goes on following it only along neighbours that are no
-    farther from it than itself, and does not listen to its name for a while after that fails: so when a leader is gone
-    those that follow it drop it in a wave, one hop a period, instead of passing its name round among themselves
-    (the feasibility condition of distance-vector routing: Garcia-Luna-Aceves, IEEE/ACM Trans. Networking 1, 1993).
+    Only cells that sense a parcel are candidates. A cell keeps its leader only through neighbours that are no farther
+    from it than the cell itself, and blocks the leader's key for a while after that fails. When a leader dies its
+    followers therefore drop it in a wave, one hop a period, instead of passing its key around in loops (the feasibility
+    condition of distance-vector routing: Garcia-Luna-Aceves, IEEE/ACM Trans. Networking 1, 1993).
 
     Args:
         own: ``(n,)`` keys of the cells.
-        covered: ``(n,)``: does it sense a parcel?
-        level: ``(n,)``, as ``levels`` has it.
-        told: ``(n, 4)``, each neighbour's last word, with ``FIELDS``.
-        heard: ``(n, 4)``: does that word still count?
-        before: The round before.
-        hold: Periods for which a leader that is gone is not listened to.
+        covered: ``(n,)``, whether the cell senses a parcel.
+        level: ``(n,)``, result of ``levels``.
+        told: ``(n, 4)``, each neighbour's last message, with ``FIELDS``.
+        heard: ``(n, 4)``, whether that message is still valid.
+        before: State after the previous round.
+        hold: Periods for which the key of a dropped leader is blocked.
     """
     bar = np.maximum(before.block_ticks, 1) - 1
     best = np.where(covered, own, NOBODY) << 8
@@ -105,7 +105,7 @@ def elect(
 
 
 def children(place: ElectionState, told: NDArray[Any], heard: Bools) -> Bools:
-    """``(n, 4)``: which neighbours have the cell for their parent."""
+    """Return which neighbours have the cell as their parent, ``(n, 4)``."""
     opposite = np.array(OPPOSITE)
     same = told["leader"].astype(np.int64) == place.leader[:, None]
     farther = told["hops"].astype(np.int64) > place.hops[:, None]

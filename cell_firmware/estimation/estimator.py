@@ -14,7 +14,7 @@ from cell_firmware.estimation.leader import FIELDS, SHOWN, UNKNOWN, EstimatorPar
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Outbox, State, put_rows, take_rows
 
 MESSAGE: Final = np.dtype([*group.FIELDS, *pattern.FIELDS, *FIELDS])
-"""What cells tell their neighbours: 95 bytes."""
+"""Type of the cells' messages: 95 bytes."""
 _GROUP: Final = np.dtype(group.FIELDS)
 
 
@@ -24,9 +24,9 @@ class Estimate:
     """Estimates of n cells: pose and motion of the parcel over or near each cell.
 
     Attributes:
-        known: ``(n,)``: does the cell know a pose at all?
-        leads: ``(n,)``: is it the leader, who makes the estimate?
-        covered: ``(n,)``: does one of its sensors sense a parcel?
+        known: ``(n,)``, whether the cell has a pose.
+        leads: ``(n,)``, whether the cell is the leader, which computes the estimate.
+        covered: ``(n,)``, whether one of the cell's sensors senses a parcel.
         centre_m: ``(n, 2)``.
         direction: ``(n, 2)``, unit vector along the parcel's x; which way round is left open.
         motion: ``(n, 3)``, velocity, m/s, and angular velocity, rad/s.
@@ -44,19 +44,18 @@ class Estimate:
 
 @final
 class Estimator:
-    """Finds the group, gathers the pattern of its sensors, follows the parcel, and tells everybody in the group.
+    """Estimator that elects a leader, gathers sensor readings, tracks the parcel, and distributes the pose.
 
-    Cells that sense a parcel, and those up to ``halo`` links around them, form a tree. Its root, the leader, senses the
-    parcel: it is who leads already, or else has the least row, then column. Up the tree goes the pattern; down goes
-    the pose that the leader makes of it. Everybody moves the pose on by itself from period to period, so that it is of
-    now and not of when it was told, and goes on so for ``memory`` periods when nothing more is told: a new leader
-    begins with it.
+    Cells that sense a parcel, and cells up to ``halo`` links around them, form a tree. Its root, the leader, senses the
+    parcel: it is the current leader, or else the cell with the least row, then column. Readings go up the tree; the
+    pose that the leader computes goes down. Every cell extrapolates the pose from period to period, so that it is
+    current, and for ``memory`` periods without an update; a new leader starts from it.
 
     Args:
-        parameters: The protocol's.
-        halo: How many links around a sensed parcel cells take part.
-        ttl_periods: For how many periods a neighbour's word counts.
-        memory: For how many periods a pose counts that nobody confirms; at most 254.
+        parameters: Parameters of the protocol.
+        halo: Width of the group around the cells that sense a parcel, links.
+        ttl_periods: Validity of a neighbour's message, periods.
+        memory: Validity of a pose without confirmation, periods; at most 254.
     """
 
     def __init__(
@@ -143,7 +142,7 @@ class Estimator:
         return after, outbox
 
     def plausible(self) -> dict[str, tuple[float, float]]:
-        """Of what neighbours tell of a pose: no array is a kilometre wide, and nothing on it so fast."""
+        """Return plausible ranges of the fields of a pose: within 1,000 in SI units, far beyond any array."""
         return dict.fromkeys(SHOWN, (-1000.0, 1000.0))
 
     def estimate(self, state: State) -> Estimate:

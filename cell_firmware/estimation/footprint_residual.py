@@ -1,4 +1,4 @@
-"""A rectangle among sensors: which of them contradict where it is believed to be, and how it would have to move."""
+"""Residuals of a rectangle's pose: sensors that contradict it, and the gradient of the contradiction."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Sensors(NamedTuple):
     """Sensor readings gathered by n leaders, m sensors each.
 
     Attributes:
-        x_m: ``(n, m)``, where they are.
-        y_m: ``(n, m)``.
-        known: ``(n, m)``: is there a word from it?
-        covered: ``(n, m)``: was there a parcel over it?
-        age_s: ``(m,)``, how old the word is.
+        x_m: ``(n, m)``, positions of the sensors along x.
+        y_m: ``(n, m)``, positions of the sensors along y.
+        known: ``(n, m)``, whether there is a reading.
+        covered: ``(n, m)``, whether a parcel was over the sensor.
+        age_s: ``(m,)``, age of the reading.
     """
 
     x_m: Floats
@@ -58,7 +58,7 @@ def total(values: NDArray[np.float64]) -> Floats:
 
 
 def to_parcel_frame(sensors: Sensors, pose: Pose) -> tuple[Floats, Floats]:
-    """Sensors in the axes of the rectangles, ``(n, m)`` each: where the parcel has carried what they told by now."""
+    """Return the sensors in the rectangles' axes, ``(n, m)`` each, moved with the parcel since the readings."""
     dx, dy = sensors.x_m - pose.centre_m[:, :1], sensors.y_m - pose.centre_m[:, 1:]
     vx, vy, spin = pose.motion[:, :1], pose.motion[:, 1:2], pose.motion[:, 2:]
     x, y = dx + (vx - spin * dy) * sensors.age_s, dy + (vy + spin * dx) * sensors.age_s

@@ -30,7 +30,7 @@ FIELDS: Final = [
     *((name, "<f4" if array == "centre_m" else "<f2") for name, (array, _) in SHOWN.items()),
     ("age", "u1"),
 ]
-"""What cells tell each other of the pose: 23 bytes."""
+"""Fields of the pose in a message: 23 bytes."""
 UNKNOWN: Final = 255
 """Age of a pose where there is none."""
 _SETTLE: Final = 8
@@ -54,7 +54,7 @@ class EstimatorParameters(Spec):
 
 
 def followed(state: State, place: ElectionState, inbox: Inbox, period_s: float) -> dict[str, NDArray[Any]]:
-    """The pose a period later: the parent's word moved on, if that is no older than one's own, else one's own."""
+    """Extrapolate the pose by a period: the parent's pose if it is no older than the cell's own, else the own."""
     views = {name: state[name] for name in ("centre_m", "direction", "motion", "shift_m", "age")}
     views = {name: array.copy() for name, array in views.items()}
     for side in range(4):
@@ -74,10 +74,10 @@ def followed(state: State, place: ElectionState, inbox: Inbox, period_s: float) 
 
 @final
 class Leader:
-    """Keeps the estimate of n groups, a period at a time.
+    """Estimate of n groups, advanced a period at a time.
 
     Args:
-        parameters: The protocol's.
+        parameters: Parameters of the protocol.
         site: Pitch, m; control period, s; places of the sensors, x and y in turn, m.
     """
 
@@ -93,12 +93,12 @@ class Leader:
         self._age_s: Floats = pattern.hops(len(sensors_m)) * np.float64(period_s)
 
     def step(self, before: State, whole: pattern.OccupancyMap, command: Floats) -> dict[str, NDArray[Any]]:
-        """The estimate a period later.
+        """Advance the estimate by a period.
 
         Args:
-            before: The leaders' state in the last period; of those that did not lead then, what they were told.
-            whole: The pattern that they have gathered.
-            command: ``(n, 3)``, rigid motion that the wheels asked for.
+            before: The leaders' state in the last period; for new leaders, the pose received.
+            whole: The gathered occupancy map.
+            command: ``(n, 3)``, rigid motion commanded to the wheels.
         """
         observer, n = self._observer, len(command)
         sensors = self._sensors(before, whole)
@@ -139,13 +139,13 @@ class Leader:
     def _doubted(
         self, belief: Belief, sensors: Sensors, doubt: NDArray[np.int64], rows: NDArray[np.int64]
     ) -> tuple[Belief, NDArray[np.int64]]:
-        """With a quarter of a turn more where that has long contradicted less: sides nearly alike are easily mistaken.
+        """Turn estimates by 90 degrees where that has long contradicted less: nearly equal sides are easily mistaken.
 
         Args:
-            belief: Corrected by what sensors say.
-            sensors: What they say.
-            doubt: For how many periods, more or less, a quarter of a turn more would have been better.
-            rows: Who is contradicted.
+            belief: Estimates corrected by the sensors.
+            sensors: Readings of the sensors.
+            doubt: Counter of periods in which a turn by 90 degrees would have been better.
+            rows: Rows of contradicted estimates.
         """
         observer, doubt = self._observer, np.maximum(doubt, 1) - 1
         if not len(rows):
@@ -173,13 +173,13 @@ class Leader:
         return Sensors(x, y, known, covered, self._age_s)
 
     def _wheels(self, before: State, sensors: Sensors) -> Sensors:
-        """The wheels of the cells around, as if they were sensors; known are those of cells that say something."""
+        """Return the wheels of the cells around in the form of sensors; wheels of live cells are known."""
         cells, place = int(self._cells.shape[1]), before["position_m"]
         x, y = place[:, :1] + self._cells[0], place[:, 1:] + self._cells[1]
         return Sensors(x, y, sensors.known[:, :cells], sensors.covered[:, :cells], np.zeros(cells))
 
     def _begun(self, belief: Belief, sensors: Sensors, rows: NDArray[np.int64]) -> Belief:
-        """With a first guess from the pattern alone on these rows."""
+        """Replace the estimates of ``rows`` by a first guess from the readings alone."""
         if not len(rows):
             return belief
         first, _ = self._observer.begun(sensors.take(rows))

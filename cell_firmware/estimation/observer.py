@@ -1,4 +1,4 @@
-"""From the pattern of sensors to a pose that moves: an extended Kalman filter whose measurements are contradictions."""
+"""Observer of a moving pose from binary sensors: an extended Kalman filter that measures contradictions."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Belief(NamedTuple):
 
 @final
 class Observer:
-    """Follows rectangles of known size by what is over each sensor.
+    """Observer of rectangles of known size by the coverage of sensors.
 
     Between two changes a sensor says no more than on which side of the contour it is. So a contradiction is taken as a
     measurement, "the contour runs through this sensor", and nothing is measured where there is none: a guess that is
@@ -82,7 +82,7 @@ class Observer:
         return np.broadcast_to(self._half_m, (n, 2))
 
     def begun(self, sensors: Sensors) -> tuple[Belief, Floats]:
-        """First guesses from the pattern alone: of some angles tried from its centroid the one that contradicts least.
+        """Make first guesses from the readings alone: of several angles at the centroid, the least contradicted.
 
         Returns:
             The guesses, at rest; and by how far the worst sensor still contradicts, ``(n,)`` m.
@@ -110,11 +110,11 @@ class Observer:
         return Belief(found, np.broadcast_to(self.unsure, (n, 3, 3)).copy()), wrong[best]
 
     def moved(self, belief: Belief, command: Floats, grip: Floats) -> Belief:
-        """A period later.
+        """Predict the estimates a period ahead.
 
         Args:
-            belief: Before.
-            command: ``(n, 3)``, velocity and angular velocity that the wheels asked for.
+            belief: Current estimates.
+            command: ``(n, 3)``, velocity and angular velocity commanded to the wheels.
             grip: ``(n,)``, share of the load on wheels that drive.
         """
         pose, spread = belief
@@ -125,7 +125,7 @@ class Observer:
         return Belief(Pose(centre, direction, motion), spread + self._drift)
 
     def corrected(self, belief: Belief, sensors: Sensors) -> tuple[Belief, Floats]:
-        """With the worst contradictions resolved, one after another.
+        """Correct the estimates by resolving the worst contradictions, one after another.
 
         Returns:
             The belief, and how far the worst sensor contradicted it before, ``(n,)`` m.
@@ -141,7 +141,7 @@ class Observer:
         return Belief(belief.pose._replace(motion=motion), belief.spread), first
 
     def _corrected(self, belief: Belief, sensors: Sensors) -> tuple[Belief, Floats, Floats]:
-        """With the worst contradiction resolved: the belief, what it was changed by, and how bad it was."""
+        """Resolve the worst contradiction; return the estimate, its change, and the contradiction, m."""
         pose, spread = belief
         wrong, slope = worst_residual(sensors, pose, self.half_m(len(pose.centre_m)))
         any_ = wrong > 0.0
@@ -166,7 +166,7 @@ class Observer:
 
 
 class Footing(NamedTuple):
-    """How n parcels stand on cells that live and cells that do not answer.
+    """Support of n parcels by live cells and silent cells.
 
     Attributes:
         grip: ``(n,)``, share of the load on cells that live.
@@ -178,11 +178,11 @@ class Footing(NamedTuple):
 
 
 def footing(cells: Sensors, pose: Pose, half_m: Floats) -> Footing:
-    """How parcels stand, loads shared as among equal springs under a flat bottom: affine in the place.
+    """Compute the support of parcels, with loads as on equal springs under a flat bottom: affine in position.
 
     Args:
-        cells: Centres of the cells around; ``known`` says who lives.
-        pose: Where the parcels are.
+        cells: Centres of the cells around; ``known`` marks live cells.
+        pose: Poses of the parcels.
         half_m: ``(n, 2)``, half their sides.
     """
     along, across = to_parcel_frame(cells, pose)

@@ -1,8 +1,8 @@
-"""The pattern of sensors under a parcel as maps of bits, gathered along a tree.
+"""Occupancy maps: readings of the sensors under a parcel as bit maps, gathered along a tree.
 
-A cell's bit has a place by its row and column modulo 16: whoever reads the map and is in the group knows which cell is
-meant, for no group is wider than that. Of each sensor there are two maps, of 256 bits in four words: the cells of which
-something is known, and those of them that sense a parcel there. A message carries both of one sensor.
+The position of a cell's bit is its row and column modulo 16, which is unique within a group, as no group is wider. Each
+sensor has two maps, of 256 bits in four words: cells with a known reading, and cells that sense a parcel. A message
+carries both maps of one sensor.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ WORDS: Final = 4
 _KNOWN: Final = tuple(f"known_{word}" for word in range(WORDS))
 _COVERED: Final = tuple(f"covered_{word}" for word in range(WORDS))
 FIELDS: Final = [("sensor", "u1"), *((name, "<u8") for name in (*_KNOWN, *_COVERED))]
-"""What a message carries of it: 65 bytes."""
+"""Fields of the maps in a message: 65 bytes."""
 _BITS: Final = np.arange(64, dtype=np.uint64)
 _ONE: Final = np.uint64(1)
 _NONE: Final = np.uint64(0)
 
 
 class OccupancyMap(NamedTuple):
-    """Maps of n cells: ``(n, sensors, 4)`` words each, or ``(n, 4, sensors, 4)`` of their neighbours."""
+    """Occupancy maps of n cells: ``(n, sensors, 4)`` words each, or ``(n, 4, sensors, 4)`` for neighbours."""
 
     known: Words
     covered: Words
@@ -64,7 +64,7 @@ def heard(before: OccupancyMap, told: NDArray[Any], received: Bools, counts: Boo
 
 
 def merge(mine: OccupancyMap, theirs: OccupancyMap, children: Bools) -> OccupancyMap:
-    """Maps of one's own bits and those of the children."""
+    """Merge each cell's own map with its children's maps."""
     return OccupancyMap(
         _joined(mine.known, theirs.known, children), _joined(mine.covered, theirs.covered, children)
     )
@@ -99,7 +99,7 @@ def write_message(message: NDArray[Any], whole: OccupancyMap, told: Integers) ->
 
 
 def unfolded(words: Words, row: Integers, column: Integers) -> Bools:
-    """Maps ``(n, sensors, 4)`` as seen from the cells, ``(n, sensors, 16, 16)``: their own place is [8, 8]."""
+    """Unpack maps ``(n, sensors, 4)`` around the cells, ``(n, sensors, 16, 16)``: a cell's own place is [8, 8]."""
     n, sensors = words.shape[:2]
     bits = (words[:, :, :, None] >> _BITS & _ONE).astype(np.bool_)
     steps = np.arange(WINDOW) - WINDOW // 2

@@ -24,7 +24,7 @@ Ints = NDArray[np.int64]
 
 @final
 class MessageFaultWrapper(FaultWrapper):
-    """Applies message faults on receive and on send, and drops received messages that are not plausible.
+    """Wrapper that applies message faults on receive and on send, and drops implausible received messages.
 
     A NaN or infinite float counts as damage and is not delivered, as with a serial line's driver. A message that no
     cell of the program could have sent (``Program.accepts``) is refused as well.

@@ -31,11 +31,11 @@ class PayloadView(ABC):
 
     @abstractmethod
     def read(self, messages: Messages) -> tuple[Bytes, Ints]:
-        """``(m, width)`` bytes of ``(m,)`` messages, and how many each has."""
+        """Return ``(m, width)`` bytes of ``(m,)`` messages, and the number of bytes of each."""
 
     @abstractmethod
     def write(self, messages: Messages, data: Bytes) -> Messages:
-        """These messages with other bytes."""
+        """Return the messages with replaced bytes."""
 
     @staticmethod
     def of(carried: np.dtype[Any], said: np.dtype[Any]) -> PayloadView:
@@ -48,10 +48,10 @@ class PayloadView(ABC):
 
 @final
 class MessageBytes(PayloadView):
-    """Whole messages: the program's fields, packed and little-endian. A stamp that goes with them is no byte of theirs.
+    """Bytes of whole messages: the program's fields, packed and little-endian, without a time stamp.
 
     Args:
-        said: The program's type.
+        said: Type of the program's messages.
     """
 
     def __init__(self, said: np.dtype[Any]) -> None:
@@ -60,14 +60,14 @@ class MessageBytes(PayloadView):
         self.width = self._packed.itemsize
 
     def read(self, messages: Messages) -> tuple[Bytes, Ints]:
-        """All of them."""
+        """Return the bytes of the program's fields."""
         packed = np.empty(len(messages), dtype=self._packed)
         for name in self._names:
             packed[name] = messages[name]
         return packed.view(np.uint8).reshape(len(messages), -1), np.full(len(messages), self.width)
 
     def write(self, messages: Messages, data: Bytes) -> Messages:
-        """Any bytes are a number; a boolean is true unless its byte is 0."""
+        """Replace the program's fields; a boolean is true unless its byte is 0."""
         values, after = np.ascontiguousarray(data).view(self._packed)[:, 0], messages.copy()
         for name in self._names:
             value = values[name]
@@ -101,7 +101,7 @@ class SerialBytes(PayloadView):
 
 
 def flipped(data: Bytes, count: Ints, bits: int, chance: NDArray[np.float64]) -> Bytes:
-    """Bytes of which so many bits are changed, all of them different ones; all where there are no more.
+    """Flip ``bits`` different bits of each row; all bits where there are no more.
 
     Args:
         data: ``(m, width)``.
@@ -124,11 +124,11 @@ def flipped(data: Bytes, count: Ints, bits: int, chance: NDArray[np.float64]) ->
 
 
 def random_bytes(draws: CounterStream, tick: int, rows: int, width: int) -> Bytes:
-    """``(rows, width)`` random bytes, of draws that have ``drawn_each(width)`` numbers a row."""
+    """Return ``(rows, width)`` random bytes, of draws with ``random_bytes_each(width)`` numbers a row."""
     numbers = (draws.uniform(tick) * 2.0 ** (8 * _DRAWN)).astype("<u8").reshape(rows, -1, 1)
     return numbers.view(np.uint8)[..., :_DRAWN].reshape(rows, -1)[:, :width]
 
 
 def random_bytes_each(width: int) -> int:
-    """Draws for so many bytes."""
+    """Return the number of draws for ``width`` bytes."""
     return -(-width // _DRAWN)

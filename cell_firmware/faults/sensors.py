@@ -67,11 +67,11 @@ class AffectedSensors:
         self._place = stream_ids(site.cells[rows], site.sensors).reshape(len(rows), -1)[:, which].ravel()
 
     def draws(self, injected: FaultInstance[CellFault]) -> CounterStream:
-        """A number for each of these sensors and every tick."""
+        """Return the random stream of these sensors: a number for each sensor and tick."""
         return CounterStream(self._site.seed, stream_name(injected), self._place)
 
     def copied(self, inputs: Inputs) -> Inputs:
-        """The inputs with copies of what sensors say, to be written to."""
+        """Return the inputs with writable copies of the readings."""
         level = None if inputs.level is None else inputs.level.copy()
         return replace(inputs, presence=inputs.presence.copy(), level=level)
 

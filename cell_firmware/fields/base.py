@@ -34,7 +34,7 @@ class Field(Spec):
         """
 
     def check_places(self, firmware: str, lattice: Lattice, position_m: Array) -> None:
-        """Refuses a field that is no number somewhere, as a firmware's parameter ``field``.
+        """Refuse a field that is not finite at some cell, as a firmware's parameter ``field``.
 
         Args:
             firmware: Whose parameter it is.

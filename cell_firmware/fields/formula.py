@@ -115,7 +115,7 @@ class Formula:
 
 @final
 class _Reader:
-    """Turns a text into a function, part by part."""
+    """Compiler of a text to a function, part by part."""
 
     def __init__(self, text: str, constants: Mapping[str, float]) -> None:
         if len(text) > LONGEST:

@@ -24,6 +24,6 @@ FieldSpec = Annotated[
     | Vortex,  # round a centre
     Tagged(discriminator="kind"),
 ]
-"""Any field, told apart by its ``kind``."""
+"""Any field, discriminated by its ``kind``."""
 
 Sum.model_rebuild(_types_namespace={"FieldSpec": FieldSpec})

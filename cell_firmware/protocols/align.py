@@ -17,7 +17,7 @@ from cell_firmware.specs import Finite, Positive, Vector
 from cell_firmware.toolkit.camera_tracking import CameraTracker
 
 _AGAIN: Final = 2.0
-"""How many times as far off as it may rest a parcel has to be for its cells to start anew."""
+"""Ratio of the error at which the cells start again to the error at which they stop."""
 
 
 class AlignParameters(EstimatorParameters):
@@ -26,9 +26,9 @@ class AlignParameters(EstimatorParameters):
     angle_rad: Finite = 0.0
     """Of the parcel's x axis; which way round is left open."""
     target_m: Vector | None = None
-    """Where its centre is to come to rest; without, it is turned where it is."""
+    """Target of the parcel's centre; None: the parcel is turned in place."""
     source: Literal["sensors", "camera"] = "sensors"
-    """What tells the pose: the cells' presence sensors and messages, or the scene's camera."""
+    """Source of the pose: the cells' presence sensors and messages, or the scene's camera."""
     gain_per_s: Positive = 0.5
     """Speed asked for per distance from the target, and angular speed per sine of the angle that is left."""
     speed_m_s: Positive = 0.2
@@ -38,14 +38,14 @@ class AlignParameters(EstimatorParameters):
     rest_rad: Positive = 0.003
     """... and the angle no more, for ..."""
     rest_s: Positive = 1.0
-    """... so long; they start anew when either is twice as far off."""
+    """... so long; they start again when either is twice as large."""
     patience_s: Annotated[float, Field(gt=0, le=10)] = 0.2
-    """For how long a camera's picture counts."""
+    """Validity of a camera frame."""
 
 
 @final
 class Align(Firmware):
-    """Drives a rigid field about the estimated centre, that turns and shifts the parcel until it lies as asked.
+    """Rigid field about the estimated centre, which turns and shifts the parcel to its target.
 
     With c the centre that is believed and e the angle from the parcel's x axis to the target's, less whole half turns,
     the parcel is asked to move by ``v = gain (target - c)`` and ``omega = gain sin(e)``, slower where that would be
@@ -55,9 +55,9 @@ class Align(Firmware):
 
         X'' = mu g (v - X'),   theta'' = (omega - theta') mu sum N_i r_i^2 / I
 
-    The last term, 1 at the target and 0 where the speed limit begins, holds the true centre to the one that is
-    believed; it has no moment, and so no say in the angle. Source: the law is a proportional controller; the estimate
-    is that of ``parcel_estimate``, or the scene's camera (the paper's vision system).
+    The last term, 1 at the target and 0 where the speed limit begins, holds the true centre to the estimate. It has no
+    moment, and does not affect the angle. Source: the law is a proportional controller; the estimate is that of
+    ``parcel_estimate``, or the scene's camera (the paper's vision system).
     """
 
     Parameters = AlignParameters
@@ -112,7 +112,7 @@ class Align(Firmware):
         )
 
     def _damping(self) -> float:
-        """Of the motion towards the target: 1 where it is critical."""
+        """Damping ratio of the motion towards the target."""
         return float(0.5 / np.sqrt(self.parameters.gain_per_s * self.parameters.response_s))
 
     def init(self, cells: Cells) -> State:
@@ -129,7 +129,7 @@ class Align(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """See what there is to do, and do some of it."""
+        """Estimate the pose, and drive by the remaining error."""
         after, outbox = state, None
         if self._estimator is not None:
             after, outbox = self._estimator.step(state, inputs, state["command"])

@@ -31,11 +31,11 @@ class AverageConsensusParameters(Spec):
     """Values to average, and weights of the links."""
 
     source: Literal["given", "presence"] = "given"
-    """Of what the mean is: of ``value`` and ``values``, or of how many of a cell's sensors see a parcel, 0 to 1."""
+    """Values to average: ``value`` and ``values``, or the share of a cell's sensors that see a parcel, 0 to 1."""
     value: Finite = 0.0
-    """What every cell has, unless ``values`` names it."""
+    """Value of every cell that ``values`` does not name."""
     values: tuple[RegionValue, ...] = ()
-    """Cells that have something else."""
+    """Cells with other values."""
     weight: Literal["metropolis"] | Annotated[float, Field(gt=0, allow_inf_nan=False)] = "metropolis"
     """Of a link: ``1 / (1 + d)``, d being the greater number of neighbours of its two cells, or the same for all."""
     ttl_periods: Ttl = 20
@@ -44,7 +44,7 @@ class AverageConsensusParameters(Spec):
     A cell that has known a neighbour to speak again after s silent periods waits 4 s from then on, if that is more.
     """
     velocity_m_s: Vector = (0.0, 0.0)
-    """Wheels run at this times the cell's estimate."""
+    """Velocity of the wheels for an estimate of 1."""
 
 
 @final
@@ -56,16 +56,16 @@ class AverageConsensus(Firmware):
         x_i[k] = v_i[k] + sum over sides of f_ij[k]
         f_ij[k] = (f_ij[k-1] - f_ji[k-1]) / 2 + w_ij (x_j[k-1] - x_i[k-1])
 
-    with what the neighbour's message of tick k - 1 tells of ``f_ji`` and ``x_j``. Where none comes the flow stays as it
-    is. On links that lose nothing ``f_ji = -f_ij`` to the last bit, and this is ``x[k] = (I - L_w) x[k-1]`` of Xiao &
-    Boyd. A lost message makes the two ends differ, which the next exchange undoes: at rest the flows are opposite, so
-    that the sum of the estimates is that of what the cells have. What cells have may change, and the mean is followed.
+    with ``f_ji`` and ``x_j`` from the neighbour's message of tick k - 1. Without a message the flow stays unchanged. On
+    links that lose nothing ``f_ji = -f_ij`` to the last bit, and this is ``x[k] = (I - L_w) x[k-1]`` of Xiao & Boyd. A
+    lost message makes the two ends differ, which the next exchange undoes: at rest the flows are opposite, so that the
+    sum of the estimates is that of what the cells have. What cells have may change, and the mean is followed.
 
-    A cell that dies takes with it what it had, and nothing else: a flow is set to 0 after ``ttl_periods`` silent
-    periods, or 4 times the longest silence that any side of the cell has broken, and the others come to their own
-    mean. Nobody can tell a long silence from a death: where links are silent for longer, estimates are off by as much
-    as the flows until cells have learnt how long silences last, and the mean is exact in the limit though links go on
-    like that.
+    A cell that dies removes its own value, and nothing else: a flow is set to 0 after ``ttl_periods`` silent periods,
+    or 4 times the longest silence that any side of the cell has ended, and the others converge to their own mean. A
+    long silence can't be distinguished from a death: where links are silent for longer, estimates are off by as much as
+    the flows until cells have learnt how long silences last, and the mean is exact in the limit though links go on like
+    that.
 
     Source: Xiao & Boyd, "Fast linear iterations for distributed averaging", Systems & Control Letters 53 (2004), with
     its constant and Metropolis weights; flows kept at both ends after Jesus, Baquero & Almeida, "Flow updating:
@@ -79,7 +79,7 @@ class AverageConsensus(Firmware):
     observable = "value"
 
     def check(self, lattice: Lattice) -> None:
-        """Every place that is named must exist, and no cell be named twice."""
+        """Refuse regions without cells, and cells named twice."""
         problems = region_problems(lattice, {"values": self.parameters.values})
         if problems:
             raise ParametersError("average_consensus", problems)
@@ -134,7 +134,7 @@ class AverageConsensus(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """Level every link from which a word has come, and add up."""
+        """Level every link on which a message arrived, and sum the flows."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         silent, longest = _silences(inbox.received, state["silent"], state["longest"])
@@ -165,19 +165,19 @@ class AverageConsensus(Firmware):
 def _silences(
     received: Bools, silent: NDArray[np.int64], longest: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """For how many periods each side has been silent, and the longest silence that a side has broken.
+    """Return the silence of each side, and the longest silence that a side has ended, periods.
 
     Args:
-        received: ``(n, 4)``: did a word come?
-        silent: ``(n, 4)``, the answer of the period before; -1 for a side that has never spoken.
-        longest: ``(n,)``, likewise.
+        received: ``(n, 4)``, whether a message arrived.
+        silent: ``(n, 4)``, previous silences; -1 for a side without any message yet.
+        longest: ``(n,)``, previous longest silence.
     """
     broken = np.where(received, silent, 0).max(axis=1)
     return np.where(received, 0, silent + (silent >= 0)), np.maximum(longest, broken)
 
 
 def _seen(inputs: Inputs) -> Floats:
-    """``(n,)``: the share of a cell's sensors that see a parcel."""
+    """Return the share of a cell's sensors that see a parcel, ``(n,)``."""
     sensors = inputs.presence.shape[1]
     seen = np.zeros(len(inputs.presence))
     for sensor in range(sensors):

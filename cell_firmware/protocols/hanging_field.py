@@ -26,7 +26,7 @@ class HangingFieldParameters(Spec):
 
 @final
 class HangingField(Firmware):
-    """Drives the field's velocity until a counter of periods, which some cells have, runs over: the program raises."""
+    """Velocity field whose program raises on some cells after a number of periods, when a counter runs over."""
 
     Parameters = HangingFieldParameters
 

@@ -22,7 +22,7 @@ class HeatDiffusionParameters(InitialAndHeld):
     diffusion_number: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.2
     """``r = alpha period / pitch^2``: at most 1/4, or speeds may alternate and grow."""
     ttl_periods: Ttl = 1
-    """For how many periods a neighbour's word counts: more than 1 where messages get lost."""
+    """Validity of a neighbour's message, periods: more than 1 where messages get lost."""
 
 
 @final
@@ -79,7 +79,7 @@ class HeatDiffusion(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """Speeds ``(n, 2)`` m/s before tick 0, which cells are held, and that no side has told anything."""
+        """Return the initial state: speeds ``(n, 2)`` m/s, held cells, and no messages."""
         speed, held = self.parameters.start(cells.row, cells.column)
         sides = cells.has_neighbour.shape
         return {

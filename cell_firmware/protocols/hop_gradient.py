@@ -26,24 +26,24 @@ class HopGradientParameters(Spec):
     goals: Annotated[tuple[Region, ...], Field(min_length=1)]
     speed_m_s: Positive = 0.2
     limit: Annotated[int, Field(ge=2, le=65_535)] = 255
-    """Distance that means: no way leads to a goal. More than the longest way there may ever be."""
+    """Distance that means no way to a goal; must exceed the longest possible way."""
     ttl_periods: Ttl = 1
-    """For how many periods a neighbour's word counts; one not heard for longer counts as dead."""
+    """Validity of a neighbour's message, periods; a neighbour that is silent for longer counts as dead."""
 
 
 @final
 class HopGradient(Firmware):
-    """Distance vector routing to the nearest goal, computed anew in every tick, so that it heals by itself.
+    """Distance-vector routing to the nearest goal, recomputed in every tick, and therefore self-healing.
 
-    A goal's distance is 0. Any other cell's is one more than the least that its neighbours have told, not too long
-    ago, and at most ``limit``, which means that no way leads there::
+    A goal's distance is 0. Any other cell's distance is one more than the least valid distance received from its
+    neighbours, and at most ``limit``, which means no way::
 
         d_i[k] = min(limit, 1 + min over neighbours j of d_j[k-1])
 
-    Nothing is kept of a cell's own distance, and that bounds the count to infinity: whatever was told before, after m
-    ticks no cell is nearer than ``min(m, its true distance)``, nor farther than that from the tick on that equals its
-    true distance. Wheels drive towards the neighbour of the least distance, the first of ``north east south west``
-    that has it; at a goal, and where no way leads to one, they stand.
+    A cell's own distance is not kept, which bounds the count to infinity: whatever was sent before, after m ticks no
+    distance is below ``min(m, true distance)``, and from the tick equal to the true distance on, none is above it.
+    Wheels drive towards the neighbour of the least distance, the first of ``north east south west`` that has it; at a
+    goal, and where no way leads to one, they stand.
 
     Source: the distributed Bellman-Ford algorithm; D. Bertsekas and R. Gallager, *Data Networks*, 2nd ed., 1992,
     section 5.2.4, whose argument for the bound this is.
@@ -54,7 +54,7 @@ class HopGradient(Firmware):
     observable = "distance"
 
     def check(self, lattice: Lattice) -> None:
-        """Every goal must exist."""
+        """Refuse goals without cells."""
         problems = region_problems(lattice, {"goals": self.parameters.goals})
         if problems:
             raise ParametersError("hop_gradient", problems)
@@ -69,7 +69,7 @@ class HopGradient(Firmware):
         return (f"{far_off}: {far} cells will say that no way leads there, and stand still",)
 
     def theory(self, lattice: Lattice) -> Theory:
-        """Links to the nearest goal, known everywhere after as many ticks as the farthest has links."""
+        """Predict the distances to the nearest goal, known after as many ticks as the largest distance."""
         away, limit = self._away(lattice), self.parameters.limit
         return Theory(
             "a cell knows its distance d from tick d on (distributed Bellman-Ford)",
@@ -97,7 +97,7 @@ class HopGradient(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """Take the least distance, drive that way, tell the neighbours."""
+        """Take the least distance, drive that way, and send the own distance."""
         inbox, limit = inputs.inbox, self.parameters.limit
         assert inbox is not None, "this is a bug: this firmware has messages"
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)

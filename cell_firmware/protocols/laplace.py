@@ -28,7 +28,7 @@ class LaplaceParameters(Spec):
     relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
     """1 for Jacobi's method; more for the second-order one, which is faster by far where it suits the array."""
     ttl_periods: Ttl = 50
-    """For how many periods a neighbour's word counts; then it is taken for gone, and its side for insulated."""
+    """Validity of a neighbour's message, periods; then the neighbour counts as dead, and its side as insulated."""
     speed_m_s: NotNegative | None = None
     """At which wheels run down the potential, however steep."""
     gain_m2_s: Finite | None = None
@@ -45,7 +45,7 @@ class LaplaceParameters(Spec):
 class Laplace(Firmware):
     """Relaxation to a harmonic potential: the electric field between electrodes, on cells.
 
-    A cell takes the mean of what its neighbours told last, with the relaxation w as ::
+    A cell takes the mean of its neighbours' last potentials, with the relaxation w as ::
 
         p_i[k] = p_i[k-2] + w (mean over neighbours j of p_j[k-1] - p_i[k-2])
 
@@ -56,11 +56,11 @@ class Laplace(Firmware):
     values of this tick from half the cells, which no message can bring.
 
     No potential leaves the range of what is held and the 0 at which cells start. Lost and late messages cost time
-    alone: what cells come to is the same (at w = 1, for any delays below the ttl_periods: Chazan & Miranker 1969). With
-    w > 1 that holds for lost messages; where they come late potentials may swing within their range for ever.
+    alone: the limit is the same (at w = 1, for any delays below the ttl_periods: Chazan & Miranker 1969). With w > 1
+    that holds for lost messages; with late messages potentials may oscillate within their range.
 
-    Nobody can rest but at a held cell: a harmonic potential has no other minimum. What has no cell, and cells that died
-    and were silent for ``ttl_periods`` periods, are insulators: the field goes around them.
+    Parcels can rest at held cells only: a harmonic potential has no other minimum. Places without a cell, and dead
+    cells that were silent for ``ttl_periods`` periods, are insulators: the field goes around them.
 
     Source: Golub & Varga, "Chebyshev semi-iterative methods, successive overrelaxation iterative methods, and second
     order Richardson iterative methods", Numer. Math. 3 (1961); Connolly, Burns & Weiss, "Path planning using
@@ -72,17 +72,17 @@ class Laplace(Firmware):
     observable = "potential"
 
     def check(self, lattice: Lattice) -> None:
-        """Every place that is named must exist, and no cell be named twice."""
+        """Refuse regions without cells, and cells named twice."""
         problems = region_problems(lattice, {"held": self.parameters.held})
         if problems:
             raise ParametersError("laplace", problems)
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
-        """The range of what is held, to which cells keep."""
+        """Return the range of held potentials, which no cell exceeds."""
         return {"potential": self._range()}
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
-        """Cells that no held one can reach, and a potential without a slope."""
+        """Warn of cells without a way to a held cell, and of a flat potential."""
         found: list[str] = []
         potential, held = self._start(lattice.rows, lattice.columns)
         if np.ptp(potential[held]) == 0.0:
@@ -95,7 +95,7 @@ class Laplace(Firmware):
         return tuple(found)
 
     def theory(self, lattice: Lattice) -> Theory:
-        """Factor from the spectral radius of the mean over neighbours; the limit is harmonic."""
+        """Predict the factor from the spectral radius of the mean over neighbours; the limit is harmonic."""
         potential, held = self._start(lattice.rows, lattice.columns)
         links = GraphLaplacian(lattice, held)
         degree = np.maximum((lattice.neighbours >= 0).sum(axis=1), 1)
@@ -122,7 +122,7 @@ class Laplace(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """One relaxation; wheels go by the slope between what cells had in the tick before."""
+        """Relax once; drive by the slope between the potentials of the previous tick."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, before = state["potential"], state["before"]

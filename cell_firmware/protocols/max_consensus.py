@@ -41,23 +41,23 @@ class MaxConsensusParameters(Spec):
     ranks: tuple[Ranked, ...] = ()
     """Cells that rank otherwise."""
     lifetime: Annotated[int, Field(ge=1, le=65_534)] = 1_000
-    """For how many periods a leader's word is good: longer than the way through the array takes."""
+    """Validity of a leader's key, periods: longer than its propagation through the array."""
     speed_m_s: Vector = (0.0, 0.0)
     """At which the leader's wheels run; those of the others stand."""
 
 
 @final
 class MaxConsensus(Firmware):
-    """Leader election by flooding: the greatest key wins, and words of a leader that is gone die out.
+    """Leader election by flooding: the greatest key wins, and keys of a dead leader expire.
 
-    A cell's key is its rank, row and column. In every tick it takes the greatest key of its own, which is of age 0,
-    the one that it has, and those that its neighbours told, all a tick older than they were; of the same key the
-    youngest. It tells key and age. A key older than ``lifetime`` is dropped.
+    A cell's key is its rank, row and column. In every tick the cell takes the greatest of its own key, of age 0, the
+    key that it holds, and the keys received, the latter two a tick older than before; of equal keys the youngest. It
+    sends key and age. A key older than ``lifetime`` is dropped.
 
-    After as many ticks as a cell is steps from the leader it knows it, and nothing changes any more. A word that gets
-    lost comes a tick later. When the leader dies no word of it is younger than the youngest was a tick ago: after
-    ``lifetime + 1`` ticks, or that times 1 + d where messages take d ticks longer, no cell has one, and the next
-    leader's has spread after as many ticks more as it is steps away.
+    A cell at d hops from the leader knows it after d ticks, and nothing changes from then on. A lost message costs a
+    tick. When the leader dies, the age of its youngest key grows by 1 a tick: after ``lifetime + 1`` ticks, or that
+    times 1 + d where messages take d ticks longer, no cell holds the key, and the next leader's key reaches a cell
+    after as many more ticks as the cell is hops away.
 
     Source: Lynch, *Distributed Algorithms*, Morgan Kaufmann 1996, ch. 4.1 (FloodMax); ages as in the lifetimes of
     link-state routing, RFC 2328.
@@ -68,7 +68,7 @@ class MaxConsensus(Firmware):
     observable = "leader"
 
     def check(self, lattice: Lattice) -> None:
-        """Every place that is named must exist, no cell be named twice, and keys have room for all."""
+        """Refuse regions without cells, cells named twice, and arrays too large for the keys."""
         problems = region_problems(lattice, {"ranks": self.parameters.ranks})
         if max(lattice.rows.max(), lattice.columns.max()) >= _PLACES:
             problems += (Problem((), f"rows and columns must be below {_PLACES}"),)
@@ -76,7 +76,7 @@ class MaxConsensus(Firmware):
             raise ParametersError("max_consensus", problems)
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
-        """A lifetime that is shorter than the leader's word takes."""
+        """Warn of a lifetime shorter than the propagation of the leader's key."""
         lifetime = self.parameters.lifetime
         if lifetime >= len(lattice):
             return ()
@@ -88,7 +88,7 @@ class MaxConsensus(Firmware):
         return (f"{late}: {beyond} cells that are further away never keep it, and follow others",)
 
     def theory(self, lattice: Lattice) -> Theory:
-        """Done after as many ticks as the furthest cell is steps from its leader."""
+        """Predict the end after as many ticks as the largest distance of a cell from its leader."""
         leader = self._leaders(lattice)
         return Theory(
             "flooding: a cell knows the leader after as many ticks as it is steps away (Lynch 1996, ch. 4.1)",
@@ -103,7 +103,7 @@ class MaxConsensus(Firmware):
         return {"own": key, "key": key, "age": np.zeros(len(cells), dtype=np.int64), "leader": leader}
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """The greatest key that is still good, and the youngest word of it."""
+        """Select the greatest valid key, with its least age."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         key, age = state["own"], np.zeros(len(state["own"]), dtype=np.int64)
@@ -128,5 +128,5 @@ class MaxConsensus(Firmware):
         return (rank << 32) + row * _PLACES + column
 
     def _leaders(self, lattice: Lattice) -> NDArray[np.int64]:
-        """``(n,)``: the cell that each comes to follow, by index."""
+        """Return the index of the cell that each cell will follow, ``(n,)``."""
         return reachable_maximum(lattice, self._keys(lattice.rows, lattice.columns))

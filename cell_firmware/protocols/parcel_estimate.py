@@ -18,16 +18,16 @@ class ParcelEstimateParameters(EstimatorParameters):
     """Parcel parameters, target, gain and speed limit."""
 
     target_m: Vector
-    """Where the parcel's centre is to come to rest."""
+    """Target of the parcel's centre."""
     gain_per_s: Positive = 0.5
-    """Speed asked for per distance from there."""
+    """Commanded speed by distance from the target."""
     speed_m_s: Positive = 0.2
-    """No parcel is asked to go faster."""
+    """Largest commanded speed."""
 
 
 @final
 class ParcelEstimate(Firmware):
-    """Brings parcels to a place by an estimate of their pose that the cells under each make together.
+    """Transport of parcels to a target by a pose that the cells under each parcel estimate together.
 
     Cells that know a pose drive a rigid field, ``v = gain (target - centre)``, no faster than asked; a cell that
     senses a parcel and knows no pose takes its own place for the centre. Close to the target they add ``gain (centre +
@@ -48,7 +48,7 @@ class ParcelEstimate(Firmware):
         return self._estimator.plausible()
 
     def theory(self, lattice: Lattice) -> Theory:
-        """How soon a pose is known, and how the parcel then comes to rest; in seconds, for it knows no period."""
+        """Predict when a pose is known, and the damped motion to the target, in seconds."""
         del lattice
         gain, response = self.parameters.gain_per_s, self.parameters.response_s
         damping = 1.0 / (2.0 * float(np.sqrt(gain * response)))
@@ -59,11 +59,11 @@ class ParcelEstimate(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """The estimator's state; the rigid motion ``(n, 3)`` that the cell asked for last."""
+        """Return the initial state: the estimator's, and the rigid motion commanded last, ``(n, 3)``."""
         return {**self._estimator.init(cells), "command": np.zeros((len(cells), 3))}
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """Estimate, and drive by it."""
+        """Estimate the pose, and drive by it."""
         after, outbox = self._estimator.step(state, inputs, state["command"])
         estimate = self._estimator.estimate(after)
         place = state["position_m"]

@@ -1,4 +1,4 @@
-"""A velocity field that sleeps: wheels run under a parcel and a little around it, and stand still elsewhere."""
+"""A velocity field that is active only under a parcel and a little around it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class PresenceFieldParameters(Spec):
     reach: Annotated[int, Field(ge=0, le=100)] = 1
     """How many cells away from one that senses a parcel wheels run, counted along rows and columns."""
     ttl_periods: Ttl = 1
-    """For how many periods a neighbour's word counts: more than 1 where messages may come late."""
+    """Validity of a neighbour's message, periods: more than 1 where messages may be late."""
 
 
 @final
 class PresenceField(Firmware):
-    """Runs where a parcel is sensed, and passes the word on as many cells as it reaches.
+    """Velocity field where a parcel is sensed, and up to ``reach`` cells around.
 
-    A cell's level is ``reach + 1`` where it senses a parcel, else one less than the highest that its neighbours have
-    told last and not too long ago, at least 0. It tells its own, and drives the field's velocity while that is above 0.
+    A cell's level is ``reach + 1`` where the cell senses a parcel, else one less than the highest valid level received,
+    at least 0. The cell sends its level, and drives the field's velocity while the level is above 0.
     """
 
     Parameters = PresenceFieldParameters
@@ -41,7 +41,7 @@ class PresenceField(Firmware):
         self.parameters.field.check_places("presence_field", lattice, position_m)
 
     def init(self, cells: Cells) -> State:
-        """Each cell's speed while it is awake, ``(n, 2)`` m/s; what each side told last, and for how long it counts."""
+        """Return the initial state: each cell's speed while awake, ``(n, 2)`` m/s, and no messages."""
         x, y = cells.position_m[:, 0], cells.position_m[:, 1]
         sides = cells.has_neighbour.shape
         return {
@@ -51,7 +51,7 @@ class PresenceField(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """Wake or sleep, and tell the neighbours."""
+        """Wake or sleep, and send the own level."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)

@@ -13,7 +13,7 @@ from cell_firmware.tiles.firmware import TileFirmware, TileParameters
 
 @final
 class ReservePath(TileFirmware):
-    """Takes every parcel to the nearest exit along the lanes; see ``TileFirmware``."""
+    """Routing of every parcel to the nearest exit along the lanes; see ``TileFirmware``."""
 
     name = "reserve_path"
 

@@ -13,7 +13,7 @@ from cell_firmware.tiles.firmware import TileFirmware, TileParameters
 
 @final
 class Route(TileFirmware):
-    """Takes every parcel to its own exit along the lanes; see ``TileFirmware``.
+    """Routing of every parcel to its own exit along the lanes; see ``TileFirmware``.
 
     A parcel's label is read where the parcel enters, and is passed from tile to tile in messages.
     """

@@ -1,4 +1,4 @@
-"""Wheels run as an incompressible fluid flows, from sources to sinks and round whatever is in the way."""
+"""Potential flow of an incompressible fluid, from sources to sinks and around obstacles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cell_firmware.toolkit.stencil import across, gradient, total
 
 
 class Source(Region):
-    """Cells, and how much flows out of each of them."""
+    """Cells, and the flow out of each of them."""
 
     flow_m2_s: Finite
     """Per cell and unit of height: below 0 it sinks away."""
@@ -48,7 +48,7 @@ class StreamParameters(Spec):
     relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
     """1 for explicit steps; more for the second-order method, which is faster where it suits the array."""
     ttl_periods: Ttl = 50
-    """For how many periods a neighbour's word counts; then it is taken for gone, and its side for a wall."""
+    """Validity of a neighbour's message, periods; then the neighbour counts as dead, and its side as a wall."""
 
 
 @final
@@ -62,7 +62,7 @@ class Stream(Firmware):
     At rest what flows out of every cell is its source: net flow 0 through the faces of all others, to rounding, which
     is what incompressible means on cells. A side without a neighbour, or with one that died and was silent for
     ``ttl_periods`` periods, is a wall: nothing flows through it, and the stream goes round. Wheels run at the mean
-    velocity of opposite faces, flow over pitch. Potentials are known up to a constant, which matters to nobody.
+    velocity of opposite faces, flow over pitch. Potentials are known up to a constant, which has no effect.
 
     Where sources are not even every cell of their part takes an equal share of what is too much, its potential rises
     for ever, and the flow still settles. Lost and late messages cost time, and shift the constant; with w > 1 late ones
@@ -77,18 +77,18 @@ class Stream(Firmware):
     observable = "potential_m2_s"
 
     def check(self, lattice: Lattice) -> None:
-        """Every place that is named must exist, and no cell be named twice."""
+        """Refuse regions without cells, and cells named twice."""
         problems = region_problems(lattice, {"sources": self.parameters.sources})
         if problems:
             raise ParametersError("stream", problems)
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
-        """As much as the strongest source drives through a million cells in a row."""
+        """Return the range of potentials: as much as the strongest source drives through a million cells in a row."""
         most = 1e6 * max(abs(source.flow_m2_s) for source in self.parameters.sources)
         return {"potential_m2_s": (-most, most)}
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
-        """The scheme's limit, and sources that are not even."""
+        """Warn of an unstable diffusion number, and of unbalanced sources."""
         number = self.parameters.diffusion_number
         found = explicit_warnings("diffusion_number", number, "potentials", lambda: GraphLaplacian(lattice))
         for cells, surplus in self._uneven(lattice):
@@ -111,7 +111,7 @@ class Stream(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """Potentials ``(n,)`` m2/s now and a tick before, sources, what each side told, the pitch."""
+        """Return the initial state: potentials ``(n,)`` m2/s of this tick and the last, sources, messages, pitch."""
         sides = cells.has_neighbour.shape
         return {
             "potential_m2_s": np.zeros(len(cells)),
@@ -123,7 +123,7 @@ class Stream(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """One relaxation; wheels go by the differences between what cells had in the tick before."""
+        """Relax once; drive by the differences between the potentials of the previous tick."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, before = state["potential_m2_s"], state["before_m2_s"]
@@ -149,7 +149,7 @@ class Stream(Firmware):
         return source
 
     def _uneven(self, lattice: Lattice) -> Iterator[tuple[Bools, float]]:
-        """Parts of the array whose sources are not even: their cells, and what is too much in all."""
+        """Yield parts of the array with unbalanced sources: cells, and surplus of the part."""
         source, part = self._source(lattice.rows, lattice.columns), components(lattice)
         for one in range(int(part.max()) + 1):
             surplus = float(source[part == one].sum())

@@ -1,4 +1,4 @@
-"""Open loop: every cell drives the field's velocity at its place, for ever."""
+"""Open-loop velocity field: every cell drives the field's velocity at its position."""
 
 from __future__ import annotations
 

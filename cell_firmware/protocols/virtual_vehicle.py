@@ -22,7 +22,7 @@ from cell_firmware.toolkit.trajectory import ReferenceTrajectory, Segment, Setpo
 Integers = NDArray[np.int64]
 
 NONE, CARRIES, GIVES_WAY, WAITS, ARRIVED = range(5)
-"""What ``state`` says of the vehicle that a cell belongs to."""
+"""Values of ``state``: status of the vehicle that a cell belongs to."""
 _MOST_HOPS: Final = 255
 _LONGEST: Final = 2**31
 
@@ -61,12 +61,12 @@ class VirtualVehicleParameters(Spec):
     """How many cells from one that senses the parcel wheels turn too, and how many pitches wider than its radius a
     vehicle is."""
     ttl_periods: Ttl = 4
-    """For how many periods a neighbour's word counts."""
+    """Validity of a neighbour's message, periods."""
     centring_per_s: tuple[NotNegative, NotNegative] = (0.5, 1.5)
     """Speed towards the reference by distance from it, along its own axes: unequal, they turn a long parcel along the
     weaker."""
     hold_m: Positive | None = None
-    """A vehicle goes on while a cell as near to its reference senses the parcel; 1.5 pitches if left out."""
+    """A vehicle advances while a cell within this distance of its reference senses the parcel; default 1.5 pitches."""
 
 
 @final
@@ -75,15 +75,15 @@ class _Words:
     """Vehicles as known to cells: arrays ``(n, vehicles)``, or ``(n,)`` for each cell's own vehicle.
 
     Attributes:
-        periods: The record: for how many periods the journey has gone on; -1 where it was never heard of.
-        reference: Where that is.
-        dx: The cell's place from the reference, m.
-        dy: m.
-        depth: How deep it lies in the vehicle's circle, m.
-        core: Whether it holds the record and paces it.
-        hops: What is told within the vehicle goes so far, at most.
-        life: Hops within which the core is still believed to be; 0: it isn't.
-        heard: For how many periods its cells next to this one count as there.
+        periods: The record: periods of the journey so far; -1 where the vehicle is unknown.
+        reference: Reference of the vehicle after these periods.
+        dx: Position of the cell from the reference along x, m.
+        dy: Position of the cell from the reference along y, m.
+        depth: Depth of the cell in the vehicle's circle, m.
+        core: Whether the cell holds the record and advances it.
+        hops: Range of messages within the vehicle, hops.
+        life: Remaining hops of the core's sign of life; 0: no core is known.
+        heard: Remaining periods for which neighbouring cells of the vehicle are valid.
     """
 
     periods: Integers
@@ -137,7 +137,7 @@ class VirtualVehicle(Firmware):
         self._numbers: Integers = np.arange(1, len(self._journeys) + 1)
 
     def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
-        """A journey must not lead where no cell could hold the record, nor two vehicles begin at one place."""
+        """Refuse journeys to places without a cell that can hold the record, and vehicles that start in one circle."""
         del lattice
         parameters: VirtualVehicleParameters = self.parameters
         problems: list[Problem] = []
@@ -155,11 +155,11 @@ class VirtualVehicle(Firmware):
             raise ParametersError("virtual_vehicle", tuple(problems))
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
-        """Numbers of vehicles that there are, 0 for none."""
+        """Return the range of vehicles' numbers, 0 for none."""
         return {"vehicle": (0, len(self._journeys))}
 
     def theory(self, lattice: Lattice) -> Theory | None:
-        """How long the journeys are, where nothing holds them up."""
+        """Predict the durations of the journeys without delays."""
         del lattice
         seconds = ", ".join(f"{journey.duration_s:.4g}" for journey in self._journeys)
         return Theory(
@@ -191,7 +191,7 @@ class VirtualVehicle(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """Hear of vehicles, belong to one, drive its motion, tell the neighbours."""
+        """Update the vehicles, choose the cell's own, drive its motion, and send its record."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         here = np.zeros(len(inputs.presence), dtype=np.bool_) | inputs.presence.any(axis=1)
@@ -256,7 +256,7 @@ class VirtualVehicle(Firmware):
     # --- what is done -----------------------------------------------------------------------------
 
     def _conflict(self, words: _Words, mine: _Words, own: Integers, pitch_m: Floats) -> Bools:
-        """Whether a cell knows of a vehicle to which its own must give way."""
+        """Return which cells know a vehicle to which their own must give way."""
         here, there = mine.reference, words.reference
         way_x, way_y = there.x - here.x[:, None], there.y - here.y[:, None]
         apart = np.sqrt(way_x * way_x + way_y * way_y)
@@ -288,13 +288,13 @@ class VirtualVehicle(Firmware):
         return np.where(turns[:, None], speed, 0.0)
 
     def _state(self, own: Integers, mine: _Words, halt: Integers, idle: Integers) -> Integers:
-        """A word for people: what becomes of the vehicle."""
+        """Return the status of the vehicle, for display."""
         found = np.where(idle > self.parameters.ttl_periods, WAITS, CARRIES)
         found = np.where(halt > 0, GIVES_WAY, found)
         return np.where(own == 0, NONE, np.where(mine.reference.ended, ARRIVED, found))
 
     def _outbox(self, said: Mapping[str, Integers], words: _Words, inbox: Inbox) -> Outbox:
-        """The record to all sides; to one that tells an older record of another vehicle, the newer."""
+        """Send the record to all sides; to a side with an older record of another vehicle, send the newer record."""
         message = self.message
         assert message is not None
         outbox = Outbox.empty(len(said["vehicle"]), message)
@@ -309,13 +309,13 @@ class VirtualVehicle(Firmware):
         return Outbox(outbox.sent | behind, np.where(behind, corrected, outbox.message))
 
     def _hold_m(self, pitch_m: Any) -> Any:
-        """How far from the reference a cell paces the vehicle, m."""
+        """Return the distance from the reference within which a cell advances the vehicle, m."""
         given: float | None = self.parameters.hold_m
         return 1.5 * pitch_m if given is None else given
 
 
 def _own(words: _Words) -> Integers:
-    """The vehicle that each cell belongs to, from 1; 0 for none: the one in whose circle it lies deepest."""
+    """Return the vehicle of each cell, from 1: the vehicle in whose circle the cell lies deepest; 0 for none."""
     alive = (words.periods >= 0) & (words.life > 0) & (words.depth >= 0.0)
     depth = np.where(alive, words.depth, -1.0)
     deepest = depth.argmax(axis=1)
@@ -332,7 +332,7 @@ def _spread(
 
 
 def _picked(item: Any, index: Integers) -> Any:
-    """Of an array ``(n, vehicles)``, or a structure of them, the one that each cell's index says."""
+    """Select by each cell's index from an array ``(n, vehicles)``, or from each array of a structure."""
     if isinstance(item, np.ndarray):
         return np.take_along_axis(item, index[:, None], axis=1)[:, 0]  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
     return type(item)(*(_picked(getattr(item, part.name), index) for part in fields(item)))
@@ -341,7 +341,7 @@ def _picked(item: Any, index: Integers) -> Any:
 def _bare(
     journey: ReferenceTrajectory, speed_m_s: float, position_m: Floats, hold_m: float, pitch_m: float
 ) -> tuple[float, float] | None:
-    """The first place of a journey without a cell near enough to hold the record."""
+    """Return the first position of a journey without a cell near enough to hold the record; None if there is none."""
     steps = int(journey.duration_s * speed_m_s / (0.1 * pitch_m)) + 2
     way = journey.at(np.linspace(0.0, journey.duration_s, steps))
     for x, y in zip(way.x.tolist(), way.y.tolist(), strict=True):

@@ -23,7 +23,7 @@ class WaveParameters(InitialAndHeld):
     damping: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
     """Share of its change that a speed loses in half a period."""
     ttl_periods: Ttl = 1
-    """For how many periods a neighbour's word counts."""
+    """Validity of a neighbour's message, periods."""
 
 
 @final
@@ -92,7 +92,7 @@ class Wave(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """Speeds ``(n, 2)`` m/s before tick 0 and their change, which cells are held, what each side told."""
+        """Return the initial state: speeds ``(n, 2)`` m/s, their change, held cells, and no messages."""
         speed, held = self.parameters.start(cells.row, cells.column)
         sides = cells.has_neighbour.shape
         return {

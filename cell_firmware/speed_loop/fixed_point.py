@@ -45,7 +45,7 @@ class FixedPointLoop(WheelDriver):
         self._pwm = pwm
 
     def init(self, cells: Cells) -> State:
-        """Integrals ``(n, 2)`` Q12, what the tachometer remembers, and with PWM the duty ``(n, 2)``."""
+        """Return the initial state: integrals ``(n, 2)`` Q12, tachometer's state, and with PWM the duty ``(n, 2)``."""
         n = len(cells)
         state: dict[str, NDArray[Any]] = {
             "integral": np.zeros((n, 2), dtype=np.int32),

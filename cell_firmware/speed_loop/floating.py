@@ -58,7 +58,7 @@ class SpeedLoop(WheelDriver):
         self._share = share(spec.kp_v_per_m_s, spec.ki_v_per_m * self.period_s, spec.feed_forward_v_per_m_s)
 
     def init(self, cells: Cells) -> State:
-        """Integral terms ``(n, 2)`` V, what the tachometer remembers, and with PWM the duty ``(n, 2)``."""
+        """Return the initial state: integrals ``(n, 2)`` V, tachometer's state, and with PWM the duty ``(n, 2)``."""
         n = len(cells)
         state: dict[str, NDArray[Any]] = {"integral_v": np.zeros((n, 2)), **self._tachometer.init(n)}
         if self._pwm is not None:

@@ -1,4 +1,4 @@
-"""How a speed loop learns how fast its wheels turn: each reads the travel since the last control period."""
+"""Tachometers of speed loops: speed from the travel since the last control period."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LARGEST_DIFFERENCE: Final = 127
 
 
 class Tachometer(ABC):
-    """Reads both wheels of n cells; 0 at the first reading, wherever the wheels stand.
+    """Tachometer of both wheels of n cells; the first reading is 0, whatever the wheels' positions.
 
     Attributes:
         unit_m_s: Speed that a reading of 1 stands for.
@@ -50,7 +50,7 @@ class Tachometer(ABC):
 
 
 class IntegerTachometer(Tachometer):
-    """One whose readings are int32.
+    """A tachometer whose readings are int32.
 
     Attributes:
         fraction_bits: How many of a reading's bits are a fraction of its unit; at most `FRACTION_BITS`.
@@ -83,7 +83,7 @@ class Travel(Tachometer):
         return _travel_state(n)
 
     def read(self, state: State, encoder_m: Floats) -> tuple[State, Floats]:
-        """Differences over the period."""
+        """Return the travel since the last reading over the period."""
         return _travelled(state, encoder_m, self._period_s)
 
 
@@ -110,7 +110,7 @@ class FixedPointTachometer(IntegerTachometer):
         return _travel_state(n)
 
     def read(self, state: State, encoder_m: Floats) -> tuple[State, Integers]:
-        """Differences over the period, in Q4."""
+        """Return the travel since the last reading over the period, in Q4."""
         after, speed = _travelled(state, encoder_m, self._period_s)
         return after, nearest(speed / self.unit_m_s, self.largest)
 

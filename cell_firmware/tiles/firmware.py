@@ -39,7 +39,7 @@ Ints = NDArray[np.int64]
 
 _AHEAD: Final = np.array([(column, row) for row, column in STEPS], dtype=np.float64)
 _AFRESH: Final = 16
-"""By so many versions a new leader's word is newer than the last it has heard: the dead one's may have got on."""
+"""Versions that a new leader skips, as the dead leader may have sent newer words than the last one received."""
 
 
 class TileParameters(TilesSpec):
@@ -56,9 +56,9 @@ class TileParameters(TilesSpec):
     waiting_hops: Annotated[int, Field(ge=0, le=1_000)] = 4
     """A tile whose parcel waits counts as so many cells more: others go round it if that is nearer then."""
     ttl_periods: Annotated[int, Field(ge=8, le=255)] = 40
-    """For how many ticks a tile's word is believed: longer than it takes from one tile's far end to the next's."""
+    """Validity of a tile's word, ticks: longer than its propagation through two tiles."""
     recall: Ttl = 4
-    """For how many periods a neighbour's word about distances counts."""
+    """Validity of a neighbour's distances, periods."""
     limit: Annotated[int, Field(ge=2, le=16_000)] = 250
     """Distance in cells that means: no way leads there."""
 
@@ -157,7 +157,7 @@ class TileFirmware(Firmware):
         }
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """Hear, learn the ways, decide where one leads, drive, tell."""
+        """Receive, update the ways, decide as a leader, drive, and send."""
         inbox, ttl_periods = inputs.inbox, self.parameters.ttl_periods
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, around = newest_words(state["own"], state["around"], inbox, state["mate"], state["used"])
@@ -192,7 +192,7 @@ class TileFirmware(Firmware):
         ), counts
 
     def _ways(self, state: State, told: NDArray[np.uint16]) -> Ints:
-        """``(n, kinds)``: four times the distance, one hop more than told, plus the side by which to leave the tile."""
+        """Return the ways, ``(n, kinds)``: four times the distance, plus the side over which to leave the tile."""
         far, hops = self.parameters.limit << 2, told.astype(np.int64)
         out, mate = state["out"][:, :, None], state["mate"][:, :, None]
         away = (hops & ~3) + 4 | np.arange(4)[:, None]
@@ -239,9 +239,9 @@ class TileFirmware(Firmware):
         return np.where(leads, word_, own)
 
     def _speed(self, state: State, own: Ints, around: NeighbourTiles) -> Floats:
-        """Centred where a tile has a parcel or expects one; at full speed over the side to which it passes one on.
+        """Centre the parcel where a tile has or expects one; drive at full speed over the side to pass it on.
 
-        Where the tile there has closed a parcel is pulled back at once: who has it the leader finds out later.
+        Where the receiving tile has closed, the parcel is pulled back at once; the leader determines later who has it.
         """
         most = self.parameters.speed_m_s
         does = doing(own)
@@ -274,10 +274,10 @@ class TileFirmware(Firmware):
 
 
 def _under_its_parcel(state: State, inputs: Inputs, own: Ints) -> tuple[Bools, Bools]:
-    """Which cells are under their tile's parcel; and which it has passed on its way out, or cells beside or ahead.
+    """Return which cells are under their tile's parcel, and which the leaving parcel has passed.
 
-    These stop, and take what they sense from then on for the next: it may be fed right behind. While a tile has no
-    word, its leader being dead, its last one counts: who leads next goes on from it.
+    Passed cells stop, and attribute later readings to the next parcel, which may follow directly. While a tile has no
+    word, as its leader is dead, the last word counts: the next leader continues from it.
     """
     inbox = inputs.inbox
     assert inbox is not None

@@ -13,11 +13,11 @@ from cell_firmware.tiles.messages import MASK_16, gathered
 Ints = NDArray[np.int64]
 
 _TURN_TICKS: Final = 8
-"""By so much later each cell takes its turn to lead, once nobody does: more than a word takes through a tile."""
+"""Delay of each rank in taking over the lead: more than the propagation of a word through a tile."""
 _ROUND_TICKS: Final = 24
-"""After so many ticks a round ends though some have not answered."""
+"""Ticks after which a round ends without all answers."""
 _SILENT_ROUNDS: Final = 2
-"""A cell that has not answered in so many rounds in a row that ended so counts as dead."""
+"""Number of consecutive incomplete rounds after which a cell without an answer counts as dead."""
 
 
 def initial_state(place: dict[str, NDArray[Any]], tile_cells: int) -> dict[str, NDArray[Any]]:

@@ -1,8 +1,8 @@
 """Decisions of a tile's leader: when to accept a parcel, and when and where to pass its own on.
 
-Two tiles pass a parcel on in four steps, each of which its tile tells until the other has heard: A *wants*, B *expects*
-(and names by its ticket which wish it grants), A *pushes*, and once no cell of A senses it, A is free; B, hearing that,
-has it. Words are told again and again and their versions only grow, so steps get lost or late, but not mixed up.
+Two tiles pass a parcel on in four steps, each repeated until the other tile has received it: A *wants*, B *expects*
+(with a ticket that names the granted request), A *pushes*, and once no cell of A senses the parcel, A is free; B then
+has the parcel. Words are repeated and their versions only grow, so that steps can be lost or late, but not mixed up.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def refused(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
 
 
 def doubtful(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
-    """Whether only a new round can tell who has the parcel: the other has closed, or no longer hands it over."""
+    """Return where only a new round can tell which tile has the parcel: the other has closed, or withdrawn."""
     partner, granted = around.on(side(own)), ticket(own)
     wants = (partner.doing == TileMode.WANT) & (partner.version == granted)
     pushes = (partner.doing == TileMode.PUSH) & (partner.version == (granted + 1 & MASK_16))

@@ -1,11 +1,10 @@
-"""Messages of a tile's cells, so that the tile acts as one: words and pulses, of which the newest counts.
+"""Messages of a tile's cells, which make the tile act as a unit: words and pulses, of which the newest counts.
 
-A *word* is what a tile's leader has decided. From bit 55 down: version (16 bits), freshness (8: for how many ticks it
-is still believed), what the tile does (8), for which exit its parcel is (8), ticket (16: the version of the wish that
-it grants). A *pulse* is the leader's sign of life: precedence (8), round (16), freshness (8). Both are told again and
-again, by all who have heard of them; whoever passes them on, or keeps them, takes one off the freshness. So of two the
-newer counts, a message that is lost changes nothing, and what nobody refreshes dies out in as many ticks as it was
-fresh, however it goes round.
+A *word* is a decision of a tile's leader. From bit 55 down: version (16 bits), freshness (8, remaining validity in
+ticks), mode and side of the tile (8), exit of its parcel (8), ticket (16, version of the granted request). A *pulse*
+is the leader's heartbeat: precedence (8), round (16), freshness (8). Both are repeated by all cells that have received
+them, and lose one of their freshness in each tick and hop. So the newer of two counts, a lost message changes nothing,
+and a word that is not refreshed expires after as many ticks as its freshness.
 
 Versions and rounds are serial numbers of 16 bits (RFC 1982): after 65,535 comes 0, and of two the newer is the one that
 is fewer than 32,768 steps ahead of the other. Words and pulses live for 255 ticks at most, and a leader that takes over
@@ -42,18 +41,18 @@ TALK: Final = [
     ("own", "<i8"),
     *((side, "<i8") for side in NEIGHBOURS),
 ]
-"""Fields of a message: leader's pulse, who has answered it, over whom a parcel is, what the label reader has read,
-whether the parcel that leaves has passed the cell, and the words of the own tile and of the four around it."""
+"""Fields of a message: leader's pulse, cells that have answered, cells under a parcel, reading of the label reader,
+whether the leaving parcel has passed the cell, and words of the own tile and of the four neighbouring tiles."""
 
 
 class TileMode(IntEnum):
     """Mode of a tile."""
 
     CLOSED = 0
-    """Takes no part: too few of its cells live, or it has yet to begin."""
+    """Out of service: too few live cells, or not started yet."""
     FREE = 1
     EXPECT = 2
-    """Is promised to the parcel of the tile on its side."""
+    """Reserved for the parcel of the tile on its side."""
     HOLD = 3
     """Has a parcel and knows no way for it."""
     WANT = 4
@@ -63,7 +62,7 @@ class TileMode(IntEnum):
 
 
 def word(version: Ints, fresh: int, doing: Ints, exit_: Ints, ticket: Ints) -> Ints:
-    """Packs a word; ``doing`` is four times what the tile does, plus the side."""
+    """Pack a word; ``doing`` is four times the mode plus the side."""
     return (version & MASK_16) << _VERSION | fresh << 32 | doing << 24 | exit_ << 16 | ticket & MASK_16
 
 
@@ -151,7 +150,7 @@ def newest_words(own: Ints, around: Ints, inbox: Inbox, mate: Bools, used: Bools
 
 
 def gathered(state: Any, inbox: Inbox) -> tuple[Ints, Ints, Ints, Ints]:
-    """The newest pulse that a cell has heard of its own tile, and what has been gathered in that round.
+    """Return the newest pulse of a cell's own tile, and the answers gathered in its round.
 
     Returns:
         Pulse; bits of the cells that have answered, and of those with a parcel over them; the label that was read by

@@ -26,7 +26,7 @@ class InitialAndHeld(Spec):
     """Cells that keep their speed: the boundary condition."""
 
     def start(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[Floats, Bools]:
-        """Speeds ``(n, 2)`` m/s of the cells in these rows and columns, and which of them are held."""
+        """Return the speeds of the cells at these rows and columns, ``(n, 2)`` m/s, and which are held."""
         speed = np.empty((len(row), 2))
         speed[:] = self.speed_m_s
         assign(self.initial, row, column, speed)
@@ -43,7 +43,7 @@ class InitialAndHeld(Spec):
         return GraphLaplacian(lattice, self.start(lattice.rows, lattice.columns)[1])
 
     def check(self, firmware: str, lattice: Lattice) -> None:
-        """Refuses places that the array does not have, and cells that a list names twice.
+        """Refuse regions without cells, and cells named twice.
 
         Raises:
             ParametersError: There are some.
@@ -54,7 +54,7 @@ class InitialAndHeld(Spec):
 
 
 def expand_ranges(ranges: Mapping[str, tuple[float, float]], share: float) -> dict[str, tuple[float, float]]:
-    """Ranges with so many times the greatest amount in each more at either end."""
+    """Expand ranges at both ends by ``share`` times their largest absolute value."""
     more = {name: share * max(abs(low), abs(high)) for name, (low, high) in ranges.items()}
     return {name: (low - more[name], high + more[name]) for name, (low, high) in ranges.items()}
 

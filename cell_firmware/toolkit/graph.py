@@ -25,12 +25,12 @@ _FACING: Final = np.array([2, 3, 0, 1])
 
 
 def hop_distance(lattice: Lattice, cells: Ints, passes: NDArray[np.bool_] | None = None) -> Ints:
-    """Steps from each cell to the nearest of some.
+    """Return the distance from each cell to the nearest of ``cells``, hops.
 
     Args:
         lattice: The cells.
-        cells: Indices of those.
-        passes: ``(n, 4)``: may the link from a cell on that side be used? None: all may.
+        cells: Indices of the cells to reach.
+        passes: ``(n, 4)``, whether the link from a cell on the side may be used; None: all.
 
     Returns:
         ``(n,)``; -1 where no way leads there.
@@ -129,7 +129,7 @@ class GraphLaplacian:
         self.unanchored[self._free] = ~self._anchored[part]
 
     def spectrum(self) -> Spectrum:
-        """Its ends, over all parts into which held cells and gaps divide the array."""
+        """Return the ends of the spectrum, over all parts into which held cells and gaps divide the array."""
         least: list[float] = []
         greatest = [0.0]
         for part, anchored in enumerate(self._anchored.tolist()):

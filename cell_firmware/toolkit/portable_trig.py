@@ -1,4 +1,4 @@
-"""Cosine and sine by plain arithmetic: the same bits for one cell and for many, which NumPy's need not give."""
+"""Cosine and sine by plain arithmetic: the same bits for one cell and for many, which NumPy does not guarantee."""
 
 from __future__ import annotations
 

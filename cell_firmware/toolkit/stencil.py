@@ -9,12 +9,12 @@ from cell_firmware.firmware import Bools, Floats
 
 
 def across(heard: Bools, told: Floats, own: Floats) -> Floats:
-    """``(n, 4)``: each neighbour's value less the cell's own, 0 where none is heard: that face is insulated.
+    """Return each neighbour's value less the cell's own, ``(n, 4)``; 0 across insulated faces, without a message.
 
     Args:
-        heard: ``(n, 4)``.
-        told: ``(n, 4)``, what each side told.
-        own: ``(n,)``.
+        heard: ``(n, 4)``, whether the neighbour's value is valid.
+        told: ``(n, 4)``, the neighbours' values.
+        own: ``(n,)``, the cells' own values.
     """
     return np.where(heard, told - own[:, None], 0.0)
 
@@ -31,7 +31,7 @@ def gradient(across_faces: Floats, pitch_m: Floats) -> Floats:
     the mean is its value at the cell's centre to second order.
 
     Args:
-        across_faces: ``(n, 4)``, what ``across`` says.
+        across_faces: ``(n, 4)``, result of ``across``.
         pitch_m: ``(n,)``.
     """
     slope = np.empty((len(across_faces), 2))

@@ -62,7 +62,7 @@ def _token(sample: zenoh.Sample) -> LivelinessChange:
 
 @final
 class ZenohPublisher(Publisher):
-    """Puts on one key: blocking, reliable, batched.
+    """Publisher on one key: blocking, reliable, batched.
 
     Attributes:
         put_bytes: Zenoh's own put.
@@ -74,7 +74,7 @@ class ZenohPublisher(Publisher):
         self.put_bytes = cast("Callable[[bytes], None]", cast("Any", publisher).put)
 
     def put(self, payload: bytes) -> None:
-        """Sends ``payload`` to every subscriber of the key."""
+        """Send ``payload`` to every subscriber of the key."""
         self._endpoint.put_all(((self, payload),))
 
     def matched(self) -> bool:
@@ -134,7 +134,7 @@ class ZenohEndpoint(Endpoint):
         )
 
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
-        """Puts each payload with its publisher."""
+        """Put each payload with its publisher."""
         if self.closed or self._forks != _forks:
             self.check_usable()
         try:
@@ -182,7 +182,7 @@ class ZenohEndpoint(Endpoint):
         return self._mail.poll_all(timeout_s, enough)
 
     def wake(self) -> None:
-        """Puts one ``Wakeup`` in the inbox."""
+        """Put one ``Wakeup`` in the inbox."""
         self._mail.enqueue(Wakeup())
 
     def role(self, session: str) -> str | None:
@@ -191,7 +191,7 @@ class ZenohEndpoint(Endpoint):
         return next((link.auth_identifier for link in links if str(link.zid).startswith(session)), None)
 
     def close(self) -> None:
-        """Withdraws everything and leaves."""
+        """Withdraw all tokens and close the session."""
         if self.closed:
             return
         self.closed = True
@@ -215,9 +215,9 @@ class ZenohEndpoint(Endpoint):
         cast("Any", self.session).close()
 
     def check_usable(self) -> None:
-        """Raises TransportError after ``close``, and in a process that inherited this session by a fork.
+        """Raise TransportError after ``close``, and in a process that inherited this session by a fork.
 
-        What runs every tick looks itself before it calls this.
+        Methods called every tick check the conditions themselves before calling this one.
         """
         if not self.closed and self._forks == _forks:
             return
@@ -239,7 +239,7 @@ _NO_PORT: Final = ":0"
 def open_hub(
     listen: str | None = None, *, lease_s: float = LEASE_S, gate: AccessPolicy | None = None
 ) -> ZenohEndpoint:
-    """Opens the plant's session, which cells join.
+    """Open the plant's session, which cells join.
 
     Args:
         listen: Endpoint to listen on; None: a free loopback port.
@@ -267,7 +267,7 @@ def open_hub(
 
 
 def open_outside(listen: str | None, *, lease_s: float = LEASE_S, gate: AccessPolicy) -> ZenohEndpoint:
-    """Opens the session of a run's mirror, which listeners and operators connect to.
+    """Open the session of a run's mirror, which listeners and operators connect to.
 
     Args:
         listen: Endpoint to listen on; None: a free loopback port.
@@ -307,7 +307,7 @@ def _listening(
 
 
 def _addresses(session: zenoh.Session) -> tuple[str, ...]:
-    """Addresses that a session listens on: its own answer, from Zenoh's admin space."""
+    """Return the addresses that a session listens on, from Zenoh's admin space."""
     own = cast("Any", session)
     for reply in own.get(f"@/{own.zid()}/peer"):
         if reply.ok is not None:
@@ -316,7 +316,7 @@ def _addresses(session: zenoh.Session) -> tuple[str, ...]:
 
 
 def _with_port(listen: str, addresses: tuple[str, ...]) -> str:
-    """The endpoint that was asked for, with the port that was found where port 0 asked for any."""
+    """Return the requested endpoint, with the actual port in place of port 0."""
     address, mark, more = listen.partition("#")
     if not address.endswith(_NO_PORT) or not addresses:
         return listen

@@ -44,7 +44,7 @@ _News = _Token | _Demand | None
 
 @final
 class Mirror:
-    """Copies messages and liveliness tokens of a run from its hub to a session for listeners, until ``close``.
+    """Mirror of a run's messages and liveliness tokens, from its hub to a session for listeners, until ``close``.
 
     Args:
         hub: Endpoint of the run's own session.

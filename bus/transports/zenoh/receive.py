@@ -41,14 +41,14 @@ class WakeupTimer:
         self._closed = threading.Event()
 
     def set(self, until: float | None) -> None:
-        """Rings at ``until`` (``time.monotonic``), or not at all."""
+        """Set the time to ring at (``time.monotonic``); None: never."""
         self._until = until
         if self._thread is None:
             self._thread = threading.Thread(target=self._watch, name="alarm", daemon=True)
             self._thread.start()
 
     def close(self) -> None:
-        """Ends the thread."""
+        """End the thread."""
         self._closed.set()
 
     def _watch(self) -> None:
@@ -90,7 +90,7 @@ class Channel:
         self._bell = key_expr.replace("**", "bell").replace("*", "bell")
 
     def wait(self, events: list[Event]) -> None:
-        """Waits for a payload, which it adds, or for the bell."""
+        """Wait for a payload, and add it to ``events``, or for the bell."""
         try:
             sample = self._recv()
         except zenoh.ZError:
@@ -106,7 +106,7 @@ class Channel:
 
 
 def drain(channels: Iterable[Channel], events: list[Event]) -> None:
-    """Adds the payloads that are there; of each channel no more than it can hold, however fast others come after."""
+    """Add the payloads present; of each channel at most its capacity, so that fast senders can't prolong the call."""
     for channel in channels:
         key, try_recv = channel.key, channel.try_recv
         for _ in range(_CAPACITY):
@@ -144,7 +144,7 @@ class ReceiveQueue:
         self._alarm = WakeupTimer(self._ring)
 
     def enqueue(self, event: Event) -> None:
-        """Adds news. From any thread, or a signal handler."""
+        """Add news. From any thread, or a signal handler."""
         self._news.put(event)
         self._ring()
 
@@ -180,11 +180,11 @@ class ReceiveQueue:
         return quiet + data + news
 
     def close(self) -> None:
-        """Ends what runs here."""
+        """End the timer's thread."""
         self._alarm.close()
 
     def _look(self, data: list[Event], news: list[Event]) -> None:
-        """Takes what is there: also all data of before the last news, and all news of before the last data."""
+        """Take all data and news, including data put before the last news, and news put before the last data."""
         empty = self._news.empty
         while True:
             drain(self._waking, data)
@@ -194,7 +194,7 @@ class ReceiveQueue:
                 news.append(self._news.get())
 
     def _sleep(self, left: float | None, until: float | None, data: list[Event], news: list[Event]) -> None:
-        """Waits until something may have come, or the time is up."""
+        """Wait until an event may have arrived, or the time is up."""
         main = self._main
         if main is None:
             try:

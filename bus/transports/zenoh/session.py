@@ -1,4 +1,4 @@
-"""Settings of the plant's and the cells' sessions; docs/bus.md says what each is for."""
+"""Settings of the plant's and the cells' sessions; docs/bus.md explains each."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Certificate:
     kind: Literal["certificate"] = "certificate"
 
     def settings(self, side: Literal["listen", "connect"]) -> dict[str, str]:
-        """Zenoh's settings, by key, in JSON."""
+        """Return Zenoh's settings, by key, in JSON."""
         tls = {
             "root_ca_certificate": self.authority,
             f"{side}_certificate": self.certificate,
@@ -53,7 +53,7 @@ class Password:
     kind: Literal["password"] = "password"
 
     def settings(self, side: Literal["listen", "connect"]) -> dict[str, str]:  # noqa: ARG002 - as a certificate's
-        """Zenoh's settings, by key, in JSON."""
+        """Return Zenoh's settings, by key, in JSON."""
         own = {"user": self.user, "password": self.password}
         return {f"transport/auth/usrpwd/{name}": json.dumps(value) for name, value in own.items()}
 
@@ -79,7 +79,7 @@ class AccessPolicy:
     users: str | None = None
 
     def settings(self) -> dict[str, str]:
-        """Zenoh's settings, by key, in JSON."""
+        """Return Zenoh's settings, by key, in JSON."""
         settings = {"access_control": self.access, "low_pass_filter": self.limits}
         if self.identity is not None:
             settings.update(self.identity.settings("listen"))
@@ -101,7 +101,7 @@ LEASE_S: Final = 2.0
 
 
 def hub_config(listen: str, lease_s: float = LEASE_S, gate: AccessPolicy | None = None) -> zenoh.Config:
-    """Settings of a session that listens: the one which cells join, or the mirror.
+    """Return the settings of a session that listens: the plant's, which cells join, or the mirror's.
 
     Args:
         listen: Endpoint such as ``tcp/127.0.0.1:7447``.
@@ -124,7 +124,7 @@ def hub_config(listen: str, lease_s: float = LEASE_S, gate: AccessPolicy | None 
 
 
 def mirror_config(listen: str, lease_s: float, gate: AccessPolicy) -> zenoh.Config:
-    """Settings of the session that listeners and operators connect to; arguments as those of ``hub_config``."""
+    """Return the settings of the mirror's session, which listeners and operators connect to; see ``hub_config``."""
     config = hub_config(listen, lease_s, gate)
     # Nothing that comes in is longer than a question.
     _set(config, "transport/link/rx/max_message_size", str(_INTO_MIRROR))
@@ -136,7 +136,7 @@ def mirror_config(listen: str, lease_s: float, gate: AccessPolicy) -> zenoh.Conf
 def client_config(
     connect: str, lease_s: float = LEASE_S, timeout_s: float = 10.0, identity: Identity | None = None
 ) -> zenoh.Config:
-    """Settings of a cell process.
+    """Return the settings of a cell process's session.
 
     Args:
         connect: The plant's endpoint.

@@ -15,7 +15,7 @@ from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State,
 
 @final
 class Mailbox(LinkDriver):
-    """Hands over whole messages, each a window after it was sent.
+    """Link driver that delivers whole messages, each a window after it was sent.
 
     One that is sent at r is there for its receiver from r + W on, W being the window; the receiver reads it at its
     first instant not before that, once. Each link holds one message: a newer one that is there before the receiver
@@ -41,7 +41,7 @@ class Mailbox(LinkDriver):
         self.line = np.dtype([(self._stamp, "<i8"), *((name, message[name]) for name in self._names)])
 
     def init(self, cells: Cells) -> State:
-        """Messages that wait, ``(n, 4)``, whether there is one, and how many were replaced, ``(n, 4)``."""
+        """Return empty mailboxes, ``(n, 4)``, with zero counters of replaced messages, ``(n, 4)``."""
         shape = (len(cells), len(SIDES))
         return {
             "waits": np.zeros(shape, dtype=np.bool_),
@@ -71,7 +71,7 @@ class Mailbox(LinkDriver):
         return after, Inbox(received, _either(in_time, message, received, state["message"]))
 
     def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
-        """The messages, and when in the window they were sent."""
+        """Add the send time in the window to the messages."""
         n = len(now.at_ns)
         if outbox is None:
             return state, Outbox.empty(n, self.line)
@@ -82,7 +82,7 @@ class Mailbox(LinkDriver):
         return state, Outbox(outbox.sent, line)
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
-        """Which sides have a message waiting, and how many were replaced."""
+        """Return which sides have a waiting message, and the numbers of replaced messages."""
         return {"waits": state["waits"], "overwritten": state["overwritten"]}
 
     def counters(self, state: State) -> dict[str, int]:

@@ -93,7 +93,7 @@ class ClockSpec(CellEffectSpec):
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003
-        """Crystals of 50 ppm, at any phase."""
+        """Return the defaults: crystals of 50 ppm, at any phase."""
         return cls()
 
     def problems(
@@ -101,13 +101,13 @@ class ClockSpec(CellEffectSpec):
         lattice: Lattice,
         pitch_m: float,  # noqa: ARG002
     ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """Listed cells that don't exist."""
+        """Yield listed cells that don't exist."""
         for number, one in enumerate(self.cells):
             if one.cell not in lattice:
                 yield ("cells", number, "cell"), list(one.cell), "the array has no cell there"
 
     def fit_problems(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """Phases that are not within the period, and more windows than it has nanoseconds."""
+        """Yield phases beyond the period, and a number of windows that makes them shorter than a nanosecond."""
         for number, one in enumerate(self.cells):
             if one.phase_s is not None and _ns(one.phase_s) >= cells.period_ns:
                 yield ("cells", number, "phase_s"), one.phase_s, "must be less than cells.period_s"

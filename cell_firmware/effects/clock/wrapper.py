@@ -21,15 +21,15 @@ from cell_firmware.firmware import Cells, Inputs
 
 @final
 class LocalClockWrapper(ControllerWrapper):
-    """Lets cells step when their own clocks say so.
+    """Wrapper that steps each cell at the instants of its own clock.
 
     Exchange k brings what each cell with an instant r in window k - 1 read at r: those cells are stepped, each with its
     own r, and the others are not. What a cell computed at r acts from r + W on, W being the window, until what it
     computes next does. See ``cell_firmware.clocks``.
 
     Args:
-        controller: Of the cells.
-        clocks: Of the whole array.
+        controller: Controller of the cells.
+        clocks: Clocks of the whole array.
     """
 
     part = "clock"
@@ -40,7 +40,7 @@ class LocalClockWrapper(ControllerWrapper):
         self._clocks = clocks
 
     def init(self, cells: Cells) -> ControllerState:
-        """The state before a cell's first instant: its wheels stand still."""
+        """Return the state before a cell's first instant, with wheels at rest."""
         inner = self.controller.init(cells)
         clocks = self._clocks.of(cells.row, cells.column)
         clock = {
@@ -54,7 +54,7 @@ class LocalClockWrapper(ControllerWrapper):
     def compute(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
-        """One exchange: a control period of the cells that have an instant in the window before it."""
+        """Compute a control period of the cells with an instant in the previous window."""
         clock = state.parts[self.part]
         whole, window = self._clocks.clocks, now.tick - 1
         clocks = CellClocks(whole.period_ns, whole.window_ns, clock["ppb"], clock["phase_ns"])

@@ -1,4 +1,4 @@
-"""Cells with a watchdog: a program that hangs is reset, and begins anew (effect ``cop``)."""
+"""Watchdog of cells: a program that hangs is reset and restarts (effect ``cop``)."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ DIVIDER_NS: Final = nanoseconds(DIVIDER_S)
 
 @final
 class WatchdogWrapper(ControllerWrapper):
-    """Resets cells whose program does not serve its watchdog in time.
+    """Wrapper that resets cells whose program does not serve the watchdog in time.
 
     The control interrupt and the watchdog's counter divide the same crystal, from the same instant on: with both in the
     cell's own time, m periods at its control instant m, nothing of it depends on how far the crystal is off. A service
     clears the counter, which counts boundaries of the divider; the reset comes at the first boundary that is not before
     the last service plus the timeout. It is acted on at the cell's next control instant.
 
-    A program that raises hangs: it no longer serves, the pins keep what they had, and nothing is sent. One that runs
-    but doesn't serve (``Outputs.served``) goes on until it is reset. What a reset keeps is the crystal, the divider,
+    A program that raises hangs: it no longer serves, the pins are held, and nothing is sent. A program that runs but
+    doesn't serve (``Outputs.served``) continues until it is reset. What a reset keeps is the crystal, the divider,
     the state that board components keep (``BoardComponent.reset``, ``BoardComponent.idle``), and the program's state
     that ``warm_start`` keeps; all else is as after power-on. The wheels are at 0 until the program starts, at
     the first control instant after ``reboot_s``; till then its start-up code serves.

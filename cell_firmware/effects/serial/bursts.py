@@ -1,4 +1,4 @@
-"""Eight bytes at a time, from any place in rows of bytes: NumPy moves single bytes as slowly as whole words."""
+"""Copying of bytes in words of eight, from any position in rows: NumPy moves single bytes as slowly as words."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from cell_firmware.firmware import Messages
 
 WORD: Final = 8
 _MASKS: Final = np.array([(1 << 8 * n) - 1 for n in range(WORD + 1)], dtype="<u8")
-"""A word's first n bytes."""
+"""Masks of a word's first n bytes."""
 
 
 def copy_bytes(
     source: Bytes, source_at: Ints, target: Bytes, target_at: Ints, count: Ints, *, clean: bool = False
 ) -> None:
-    """Copies ``count`` bytes in every row, from a place of the source's to one of the target's.
+    """Copy ``count`` bytes in every row, from a position in the source to a position in the target.
 
-    Whole words are moved: behind the last byte up to seven more of the target's row change, and rows of both must have
-    so many there.
+    Whole words are moved: up to seven bytes of the target's row beyond the last one change too, and rows of both arrays
+    must have room for these.
 
     Args:
-        source: ``(n, s)``, in one piece.
+        source: ``(n, s)``, contiguous.
         source_at: ``(n,)``.
-        target: ``(n, t)``, in one piece.
+        target: ``(n, t)``, contiguous.
         target_at: ``(n,)``.
         count: ``(n,)``, may be 0.
-        clean: Whether those that change become zero; else they are whatever the source has there.
+        clean: Whether the bytes beyond the last become zero; else they are copied from the source.
     """
     words_in, words_out = _words(source), _words(target)
     from_ = _begins(*source.shape) + source_at
@@ -54,13 +54,13 @@ def _begins(rows: int, size: int) -> Ints:
 
 
 def _words(rows: Bytes) -> NDArray[np.uint64]:
-    """The word at each place of rows that lie one after another; the same memory."""
+    """Return a view with the word at each position of consecutive rows."""
     return np.ndarray((max(rows.size - WORD + 1, 0),), "<u8", rows, strides=(1,))
 
 
 @final
 class BurstType:
-    """Two types of the same bytes: one for the wire, one to compute with.
+    """Two types of a burst with the same bytes: one for the wire, one to compute with.
 
     A sender ends one message and begins another within a period at most, and between its idle characters bytes follow
     each other without a gap. So a window's bytes are two runs at most, and a run needs one time: byte j starts j byte
@@ -83,9 +83,9 @@ class BurstType:
         self.parts: np.dtype[Any] = np.dtype([*runs, ("byte", "u1", (self.width,))])
 
     def to_wire(self, bursts: Messages) -> Messages:
-        """Bursts of ``parts`` as ``wire``: the same memory."""
+        """View bursts of type ``parts`` as ``wire``."""
         return bursts.view(self.wire)
 
     def from_wire(self, bursts: Messages) -> Messages:
-        """Bursts of ``wire`` as ``parts``: the same memory where it lies without gaps."""
+        """View bursts of type ``wire`` as ``parts``; a copy where the memory is not contiguous."""
         return np.ascontiguousarray(bursts, dtype=self.wire).view(self.parts)

@@ -16,7 +16,7 @@ _CHECK_START: Final = 0xFF
 
 
 def bytes_of(message: np.dtype[Any]) -> int:
-    """Bytes that a message takes on a line: its fields, packed, and a check byte."""
+    """Return the length of a message on a line, bytes: its fields, packed, and a check byte."""
     return check_message(message).itemsize + 1
 
 
@@ -37,7 +37,7 @@ def check_of(data: Bytes) -> Bytes:
 
 @final
 class Frame:
-    """Turns messages of one type into bytes, and back.
+    """Codec of messages of one type as bytes on a line.
 
     Args:
         message: The firmware's message type.
@@ -59,10 +59,10 @@ class Frame:
         return packed.view(np.uint8).reshape(*messages.shape, self.size)
 
     def unpack(self, frames: Bytes) -> tuple[Bools, Messages]:
-        """Messages from ``(k, length)`` bytes, and which of them the check byte vouches for.
+        """Decode messages from ``(k, length)`` bytes; return which are valid, and the messages.
 
-        Bytes that are no value of their field's type (a boolean of 3, a float that is no number: nobody sends those)
-        are as bad as a wrong check byte.
+        Invalid values of a field's type (a boolean of 3, a NaN float) count as a wrong check byte, as no program sends
+        such values.
         """
         data = np.ascontiguousarray(frames[:, : self.size])
         good = check_of(data) == frames[:, self.size]

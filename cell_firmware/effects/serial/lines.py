@@ -23,7 +23,7 @@ _COUNTERS = ("sent", *COUNTERS, "replaced")
 
 @final
 class SerialLines(LinkDriver):
-    """A UART a side, or one that is led from side to side, and the driver that makes messages of bytes.
+    """A UART for each side, or a multiplexed one, and the driver that transfers messages as bytes.
 
     Args:
         settings: Of the lines.
@@ -73,11 +73,11 @@ class SerialLines(LinkDriver):
         return {**self.init(cells), **{name: state[name] for name in kept}}
 
     def idle(self, now: StepTime, state: State) -> State:
-        """The switch turns; bytes that are not out yet stay where they are."""
+        """Advance the switch; bytes that are not sent yet wait."""
         return state if self._scan is None else self._scan.advance(now.at_ns[..., None], state)[0]
 
     def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
-        """Messages that have come since the cells last looked; of two on a side the later one."""
+        """Return messages received since the cells' last step; of two on a side the later one."""
         at_ns = now.at_ns[..., None]
         state = self._receiver.hear(self._window(now), state, lines)
         if self._scan is None:
@@ -85,7 +85,7 @@ class SerialLines(LinkDriver):
         return self._receiver.look(at_ns, state, *self._scan.selected(state))
 
     def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
-        """Bytes that start before the cells' next step."""
+        """Send the bytes that start before the cells' next step."""
         at_ns, left = now.at_ns[..., None], None
         if self._scan is not None:
             state, left = self._scan.advance(at_ns, state)

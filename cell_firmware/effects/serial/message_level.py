@@ -16,7 +16,7 @@ from cell_firmware.firmware import Bools, Cells, Inbox, Messages, Outbox, State
 
 _NEVER: Final = np.iinfo(np.int64).max
 _MOST_WINDOWS: Final = 8
-"""That a message may be under way after its last byte has begun; with more it is cheaper to follow the bytes."""
+"""Most windows between a message's last byte and its delivery; beyond, byte-level lines are cheaper."""
 _BILLION: Final = 1_000_000_000
 
 
@@ -46,7 +46,7 @@ def is_exact_for(settings: LineSettings, window_ns: int, worst_ppb: int) -> bool
 
 
 def _windows(settings: LineSettings, window_ns: int) -> int:
-    """Exchanges in which a message can be heard of before it is there, and one more."""
+    """Return the number of exchanges that a message can wait before delivery, plus one."""
     return (settings.period_ns + 3 * settings.byte_ns) // window_ns + 3
 
 
@@ -54,9 +54,9 @@ def _windows(settings: LineSettings, window_ns: int) -> int:
 class MessageLevelLines(LinkDriver):
     """Message-level equivalent of ``SerialLines`` where ``is_exact_for`` holds; costs a step a message, not a byte.
 
-    A sender keeps a message until the step from which its last byte goes, so that one that is cut short by its cell's
-    end or reset is never heard of; a receiver holds it until the idle character behind it has passed. A receiver that
-    was reset hears nothing of messages that had begun before. Counters tell of whole messages.
+    A sender keeps a message until the step in which the last byte is sent, so that a message cut short by the cell's
+    death or reset is never delivered. A receiver holds it until the following idle character has passed. After a reset,
+    a receiver ignores messages that had begun before. Counters count whole messages.
 
     Args:
         settings: Of the lines.
@@ -117,7 +117,7 @@ class MessageLevelLines(LinkDriver):
         return {**self.init(cells), "since": since, **{name: state[name] for name in _COUNTED}}
 
     def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
-        """Messages that have come since the cells last looked; of two on a side the later one."""
+        """Return messages received since the cells' last step; of two on a side the later one."""
         sent_in = now.tick - 1
         since = np.where(state["since"] < 0, sent_in, state["since"])
         began = sent_in - lines.message[self._began].astype(np.int64)
@@ -154,7 +154,7 @@ class MessageLevelLines(LinkDriver):
             message[name].reshape(-1)[row] = source[name][row]
 
     def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
-        """Messages whose last byte starts before the cells' next step."""
+        """Send the messages whose last byte starts before the cells' next step."""
         after = dict(state)
         at_ns, ppb = now.at_ns[..., None], state.get("ppb")
         next_ns = at_ns + by_clock(self._settings.period_ns, ppb)
@@ -189,7 +189,7 @@ class MessageLevelLines(LinkDriver):
     def _fill(
         self, line: Messages, row: NDArray[np.int64], source: Messages, after: State, window: int
     ) -> None:
-        """Writes messages of these links, and when their first and last bytes start."""
+        """Write messages of these links, with the start times of the first and last bytes."""
         line[self._last].reshape(-1)[row] = after["last_ns"].reshape(-1)[row] - window * self._window_ns
         line[self._began].reshape(-1)[row] = window - after["began"].reshape(-1)[row]
         for name in self._names:

@@ -15,7 +15,7 @@ PLACE: Final = ("periods", "since_ns")
 
 @final
 class LineMultiplexer:
-    """Leads the lines of one SCI to one side at a time, by a count of the cell's own periods that is kept in hardware.
+    """Switch that connects one SCI to one side at a time, by a hardware count of the cell's own periods.
 
     Cells with an even sum of row and column go round north, east, south, west; the others south, west, north, east:
     neighbours whose counts agree face each other, each pair for one of four dwells.

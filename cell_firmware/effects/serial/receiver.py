@@ -20,7 +20,7 @@ COUNTERS: Final = ("received", "overruns", "framing", "damaged", "unheard")
 
 @final
 class UartReader:
-    """One look at the lines of n cells; arrays are ``(n, 4)`` where nothing else is said.
+    """Reading of the lines of n cells in one step; arrays are ``(n, 4)`` unless noted.
 
     Args:
         settings: Of the lines.
@@ -56,7 +56,7 @@ class UartReader:
         self.message = np.zeros(shape, dtype=frame.message)
 
     def take(self, run: int, connected: Bools | None, since_ns: Ints | None) -> None:
-        """The bytes of a run that have come.
+        """Read the arrived bytes of a run.
 
         Args:
             run: Which: the oldest is 0.
@@ -90,19 +90,19 @@ class UartReader:
         self._pass(run, came)
 
     def _ends_before(self, start: Ints, came: Ints) -> None:
-        """Closes messages that an idle character before these bytes has ended."""
+        """End messages that are followed by an idle character before these bytes."""
         idle = start - self.after["last_ns"] >= self._times.idle_ns
         self._close(np.flatnonzero(idle & (came > 0) & (self.after["length"] > 0)))
 
     def _pass(self, run: int, count: Ints) -> None:
-        """So many bytes of a run are done with."""
+        """Remove the first bytes of a run."""
         after = self.after
         after[f"left_{run}"] = after[f"left_{run}"] - count
         after[f"place_{run}"] = after[f"place_{run}"] + count
         after[f"start_{run}_ns"] = after[f"start_{run}_ns"] + count * self._times.byte_ns
 
     def _take_all(self, run: int, came: Ints) -> None:
-        """Bytes that are read as they were sent: they wait for the firmware as far as there is room."""
+        """Buffer bytes that are read as sent, as far as there is room."""
         after = self.after
         kept = np.minimum(came, self._room)
         self._room = self._room - kept
@@ -145,9 +145,9 @@ class UartReader:
         return found
 
     def _keep(self, line: Ints, value: Bytes, fails: Bools) -> None:
-        """Puts a byte each where it waits for the firmware, if there is room, and in its message's place.
+        """Buffer one byte for each line, if there is room, and append it to the line's message.
 
-        An interrupt drops a byte with a framing error at once; in a register that is polled it takes up the room.
+        An interrupt drops a byte with a framing error at once; in a polled register it takes up the room.
         """
         room = self._room.reshape(-1)
         takes_room = np.ones(len(line), dtype=np.bool_) if self._settings.polled else ~fails
@@ -163,7 +163,7 @@ class UartReader:
         length[line] = np.minimum(length[line] + 1, self._frame.length + 1)
 
     def end(self) -> None:
-        """Closes the messages whose end has been seen."""
+        """End messages whose end has been detected."""
         after, times = self.after, self._times
         if self._settings.polled:
             self._close(np.flatnonzero(self._silent & (after["length"] > 0)))
@@ -193,12 +193,12 @@ class UartReader:
         self.after["length"].reshape(-1)[line] = 0
 
     def _count(self, name: str, line: Ints) -> None:
-        """Once more on each of these lines; the counter must not be the state's."""
+        """Increment a counter on each of these lines; the counter must not be shared with the state."""
         self.after[name].reshape(-1)[line] += 1
 
 
 def _lines(array: NDArray[Any]) -> NDArray[Any]:
-    """A row a line instead of a row a cell."""
+    """Reshape to a row a line instead of a row a cell."""
     return array.reshape(-1, *array.shape[2:])
 
 
@@ -214,7 +214,7 @@ _BY_OWN_CLOCKS: Final = 7
 
 @final
 class Receiver:
-    """Collects the bytes that have come over four lines, and puts messages together.
+    """Receiver of four lines, which assembles messages from bytes.
 
     A byte is there once its stop bit has been sampled, 9.5 bits after its start. It waits in the ring, or in the
     register, until the firmware looks: one that finds no room is lost. A message is what comes between two idle
@@ -255,7 +255,7 @@ class Receiver:
         self._times = LineTimes.of(settings, self._late_ns)
 
     def init(self, cells: Cells) -> State:
-        """Nothing has come."""
+        """Return the initial state: nothing received."""
         lines, width = (len(cells), 4), self._burst.width
         runs = [f"{what}_{i}" for i in range(2 * self._bursts) for what in ("left", "place")]
         runs += [f"start_{i}_ns" for i in range(2 * self._bursts)]
@@ -270,7 +270,7 @@ class Receiver:
         return {**state, **LineTimes.of(self._settings, self._late_ns, own, sender).state()}
 
     def hear(self, window: int, state: State, lines: Inbox) -> State:
-        """Takes in what lines carried in the window before.
+        """Queue the bursts that lines carried in the previous window.
 
         Args:
             window: In which the cells' instants lie.
@@ -292,7 +292,7 @@ class Receiver:
     def look(
         self, at_ns: Ints, state: State, connected: Bools | None = None, since_ns: Ints | None = None
     ) -> tuple[State, Inbox]:
-        """The firmware looks at its lines.
+        """Read the lines at the firmware's step.
 
         Args:
             at_ns: ``(n, 1)`` or ``(1,)``, when; negative for a cell that doesn't.
@@ -344,12 +344,12 @@ def _queued(state: State, new: State, bursts: int, came: Bools | None) -> State:
 
 
 def _names(burst: int) -> list[str]:
-    """Arrays of a burst in the queue."""
+    """Return the names of the arrays of a burst in the queue."""
     runs = (2 * burst, 2 * burst + 1)
     return [f"data_{burst}", *(name for i in runs for name in (f"left_{i}", f"place_{i}", f"start_{i}_ns"))]
 
 
 def neighbours_errors(errors_of: ErrorsOf, cells: Cells) -> tuple[Ints, Ints]:
-    """Errors of the cells' own clocks, ``(n, 1)`` ppb, and of their neighbours', ``(n, 4)``."""
+    """Return the errors of the cells' own clocks, ``(n, 1)`` ppb, and of their neighbours', ``(n, 4)``."""
     own = errors_of(cells.row, cells.column)[:, None]
     return own, errors_of(cells.row[:, None] + _STEPS[:, 0], cells.column[:, None] + _STEPS[:, 1])

@@ -63,7 +63,7 @@ class SerialSpec(CellEffectSpec):
         return LineSettings(bit_ns(self.baud), period_ns, self.ring_bytes, self.bytes_per_period or 1, dwell)
 
     def fit_problems(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """Settings with which no message of the firmware's would ever arrive."""
+        """Yield settings with which no message of the firmware would ever arrive."""
         from cell_firmware.effects.serial.framing import bytes_of
         from cell_firmware.errors import FirmwareError
         from cell_firmware.loader import find

@@ -1,4 +1,4 @@
-"""How the lines of every cell are set up."""
+"""Settings and timing of the serial lines of every cell."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class LineSettings:
         return self.ring_bytes or 1
 
     def periods(self, length: int) -> int:
-        """Periods within which ``length`` bytes go out that begin with one."""
+        """Return the number of periods in which ``length`` bytes are sent, from the start of a period."""
         if self.polled:
             return -(-length // self.polled_bytes)
         return -(-length * self.byte_ns // self.period_ns)

@@ -27,11 +27,11 @@ Values = NDArray[Any]
 
 @final
 class LieFault(CellTarget, CellFault):
-    """Numbers in what cells tell are replaced, as their neighbours hear it: whole messages, behind lines and framing.
+    """Numbers in messages of lying cells are replaced at their receivers: whole messages, beyond lines and framing.
 
-    Modes: ``stuck``, what the link brought first while the fault acts, again and again; ``offset``, more by ``by``;
-    ``factor``, times ``by``; ``random``, a number between the least and the greatest that the link has brought while
-    the fault acts, anew for every neighbour and tick. Whole numbers are rounded, and kept in their field's range.
+    Modes: ``stuck``, the first value of the link while the fault is active; ``offset``, plus ``by``; ``factor``, times
+    ``by``; ``random``, a value between the least and the greatest of the link while the fault is active, drawn for
+    every neighbour and tick. Integers are rounded, and clipped to their field's range.
     """
 
     kind_name: ClassVar[str] = "lie"
@@ -39,9 +39,9 @@ class LieFault(CellTarget, CellFault):
     kind: Literal["lie"] = "lie"
     mode: Literal["stuck", "offset", "factor", "random"]
     by: Finite | None = None
-    """How much more, or how many times as much."""
+    """Offset, or factor."""
     field: str | None = None
-    """Of the message; None: all that are numbers, and no booleans."""
+    """Field of the message; None: all numeric fields, without booleans."""
 
     @model_validator(mode="after")
     def _by_what(self) -> Self:
@@ -146,7 +146,7 @@ class _Lies(MessageFault):
 
 
 def _numbers(message: np.dtype[Any]) -> list[str]:
-    """Fields that are numbers."""
+    """Return the names of numeric fields."""
     return [name for name in message.names or () if message[name].kind in "iuf"]
 
 
@@ -170,6 +170,6 @@ def _between(least: Values, greatest: Values, chance: NDArray[np.float64]) -> Va
 
 
 def _kept(values: list[int], dtype: np.dtype[Any]) -> Values:
-    """Whole numbers within a type's range."""
+    """Clip whole numbers to a type's range."""
     lowest, highest = np.iinfo(dtype).min, np.iinfo(dtype).max
     return np.array([min(max(value, lowest), highest) for value in values], dtype=dtype)

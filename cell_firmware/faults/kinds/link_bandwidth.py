@@ -20,7 +20,7 @@ _BILLION: Final = 1_000_000_000
 
 @final
 class LinkBandwidthFault(LinkTarget, LinkFault):
-    """A token bucket a link: tokens come at ``messages_per_s``, at most ``burst`` of them wait, each message takes one.
+    """A token bucket for each link: ``messages_per_s`` tokens a second, at most ``burst`` stored, one for each message.
 
     In every tick, in this order: tokens come; a message that comes goes to the end of the queue; if there is a token,
     the first of the queue is heard, one a tick being all that a cell can hear; of a queue of more than ``queue`` the
@@ -51,7 +51,7 @@ class LinkBandwidthFault(LinkTarget, LinkFault):
 
 @final
 class _Bucket(LinkFilter):
-    """Tokens in parts of one, of which a whole number comes each tick; the queue's oldest message first."""
+    """Filter with a token bucket and a queue for each link, oldest message first; tokens are counted in fractions."""
 
     remembers: ClassVar[StateFields] = StateFields("_tokens", "_length", "_queue")
 

@@ -16,11 +16,11 @@ from cell_firmware.firmware import Bools, Messages
 
 @final
 class LinkCorruptFault(LinkTarget, LinkFault):
-    """Bits of messages are changed, in their bytes as they are on the wire.
+    """Bits of messages are flipped, in their bytes on the wire.
 
-    On serial lines these are the bytes of a tick, and the check byte finds what happened, but for one in 256. Whole
-    messages have none: their fields' bytes change, and a receiver can refuse no more than a float that is no number
-    (``faults.words.refused``); any other value it takes for what was said.
+    On serial lines these are the bytes of a tick, and the check byte detects all but one change in 256. Whole messages
+    have no check byte: a receiver can only refuse floats that are no numbers (``faults.words.refused``), and accepts
+    any other value.
     """
 
     kind_name: ClassVar[str] = "link_corrupt"
@@ -32,7 +32,7 @@ class LinkCorruptFault(LinkTarget, LinkFault):
     """How many bits of it: different ones, each as likely."""
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
-        """Changes some."""
+        """Return a filter that flips bits."""
         return _Changed(self, links, injected)
 
 
@@ -50,7 +50,7 @@ class _Changed(LinkFilter):
         self._wire = PayloadView.of(links.message, links.site.said or links.message)
 
     def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
-        """Other bytes, where chance has it."""
+        """Flip bits of messages at random."""
         from cell_firmware.faults.payload_bytes import flipped
 
         hit = came & (self._draws.uniform(tick) < self._probability)

@@ -32,22 +32,22 @@ class LinkDelayFault(Delays, LinkTarget, LinkFault):
     def input_filters(
         self, site: ShardContext, lattice: Lattice, injected: FaultInstance[CellFault]
     ) -> Iterator[FaultFilter]:
-        """One, where the delay is more than none."""
+        """Yield one filter, where the delay is not zero."""
         if self.bounds_ticks[1]:
             yield from super().input_filters(site, lattice, injected)
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> FaultFilter:
-        """Delays."""
+        """Return a filter that delays messages."""
         (waiting,) = self.delaying(links.site, stream_name(injected))
         return _Delayed(waiting, self.bounds_ticks[1], links, injected)
 
 
 @final
 class _Delayed(FaultFilter):
-    """Hands the messages of its links to the effect's stage, and takes from there what is due.
+    """Filter that passes the messages of affected links through the effect's filter.
 
     Args:
-        waiting: The effect's stage.
+        waiting: The effect's filter.
         greatest: Its longest delay, ticks.
         links: The links.
         injected: The fault.

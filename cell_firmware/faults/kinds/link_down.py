@@ -20,18 +20,18 @@ class LinkDownFault(LinkTarget, LinkFault):
     kind: Literal["link_down"] = "link_down"
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
-        """Loses all."""
+        """Return a filter that drops all messages."""
         return Cut(links, injected)
 
 
 @final
 class Cut(LinkFilter):
-    """Loses every message."""
+    """Filter that drops every message."""
 
     def __init__(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> None:
         super().__init__(links, injected, "lost")
 
     def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
-        """Nothing comes."""
+        """Drop all messages."""
         del tick
         return np.zeros_like(came), words, {"lost": came}

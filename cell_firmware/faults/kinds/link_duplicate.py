@@ -16,10 +16,10 @@ from cell_firmware.firmware import Bools, Messages
 
 @final
 class LinkDuplicateFault(LinkTarget, LinkFault):
-    """A message comes again in the tick after, where none comes then that is newer.
+    """Messages are delivered again in the next tick, unless a newer one arrives then.
 
-    A cell reads one message a side and tick, so that of a program that speaks in every tick no duplicate is ever heard:
-    it is overtaken. With silence between, the word counts as said twice.
+    A cell reads one message a side and tick: where the neighbour sends in every tick, duplicates are overtaken and
+    never received. With silence in between, the message counts as sent twice.
     """
 
     kind_name: ClassVar[str] = "link_duplicate"
@@ -28,7 +28,7 @@ class LinkDuplicateFault(LinkTarget, LinkFault):
     """Of a message, that it comes twice."""
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
-        """Repeats some."""
+        """Return a filter that repeats messages."""
         return _Duplicate(self.probability, links, injected)
 
 

@@ -56,7 +56,7 @@ class LinkLossFault(LinkTarget, LinkFault):
         return self.probability / ((1.0 - self.probability) * self.burst_ticks)
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
-        """Loses some."""
+        """Return a filter that drops messages."""
         if self.burst_ticks is None:
             return _Independent(self.probability, links, injected)
         return _Bursts(self, links, injected)
@@ -77,7 +77,7 @@ class _Independent(LinkFilter):
 
 @final
 class _Bursts(LinkFilter):
-    """Keeps whether each link is bad: one number a tick and link says what becomes of it."""
+    """Filter with a state, good or bad, for each link; one draw a tick and link decides the next state."""
 
     remembers: ClassVar[StateFields] = StateFields("_bad")
 

@@ -18,11 +18,10 @@ from cell_firmware.firmware import Bools, Messages
 
 @final
 class LinkReorderFault(LinkTarget, LinkFault):
-    """A message is held back, and comes when later ones have come: the newest that a cell has heard is not the latest.
+    """Messages are held back and delivered after later ones: the last message received is not the latest sent.
 
-    A cell reads one message a side and tick. One that was held back takes the place of that which comes in its tick, if
-    one does and is not held back itself: that one is lost (``replaced``). What is held back when the fault ends still
-    comes.
+    A cell reads one message a side and tick. A held message replaces a message that arrives in the tick of its delivery
+    and is not held itself: the other is lost (``replaced``). Messages held when the fault ends are still delivered.
     """
 
     kind_name: ClassVar[str] = "link_reorder"
@@ -33,7 +32,7 @@ class LinkReorderFault(LinkTarget, LinkFault):
     """For how long."""
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
-        """Holds some back."""
+        """Return a filter that holds messages back."""
         return _Reorder(self, links, injected)
 
 

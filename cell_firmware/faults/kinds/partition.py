@@ -1,4 +1,4 @@
-"""Fault ``partition``: a line through the array, over which nobody hears anybody."""
+"""Fault ``partition``: a line through the array that no message crosses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PartitionFault(LinkFault):
         return self
 
     def problems(self, lattice: Lattice) -> Iterator[Problem]:
-        """A line that no link crosses."""
+        """Yield a line that no link crosses."""
         if not len(self.affected_cells(lattice, 0, 0)):
             name = "row" if self.column is None else "column"
             yield (
@@ -50,12 +50,12 @@ class PartitionFault(LinkFault):
         return np.unique(self.affected_links(lattice, seed, number)[:, 0])
 
     def affected_links(self, lattice: Lattice, seed: int, number: int) -> NDArray[np.int64]:
-        """The links across the line, as ``LinkFault.heard`` has it."""
+        """Return the links across the line; see ``LinkFault.affected_links``."""
         del seed, number
         side = "north" if self.column is None else "east"
         near = lattice.rows == self.row if self.column is None else lattice.columns == self.column
         return links_of(lattice, np.flatnonzero(near), (SIDES.index(side),), heard=True, told=True)
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
-        """Loses all."""
+        """Return a filter that drops all messages."""
         return Cut(links, injected)

@@ -12,7 +12,7 @@ from cell_firmware.faults.base import CellFault, ExecutionFaults
 
 @final
 class RebootFault(CellTarget, CellFault):
-    """Cells that forget everything at once, stand for a while, and begin anew as after power-on.
+    """Cells that lose their state at once, stop for a while, and restart as after power-on.
 
     From the first tick not before ``at_s`` to the first not before ``at_s + delay_s`` wheels are commanded to 0,
     nothing is sent, and start-up code serves the watchdog, as after a reset by it.
@@ -26,13 +26,13 @@ class RebootFault(CellTarget, CellFault):
     """How long it takes until the program starts."""
 
     def tick_range(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
-        """Until programs start."""
+        """Return the interval of ticks until programs start."""
         # of the decimals as they are given: 0.1 and 0.2 are 0.3, and no tick more
         starts_s = Fraction(repr(self.at_s)) + Fraction(repr(self.delay_s))
         return tick_at(self.at_s), tick_at(float(starts_s))
 
     def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """All is forgotten; what came over the lines meanwhile nobody has heard."""
+        """Halt the affected programs, and reset them at the start and at the end, so that no message is kept."""
         if injected.active_at(tick):
             pause.halted[injected.cells] = True
         pause.reset[injected.cells] |= tick in (injected.start_tick, injected.end_tick)

@@ -25,13 +25,13 @@ class SensorDelayFault(SensorFault):
     ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)]
 
     def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
-        """Delays."""
+        """Return a filter that delays readings."""
         return _Delay(self.ticks, struck, injected)
 
 
 @final
 class _Delay(SensorFilter):
-    """Writes down what sensors say from as many ticks before the fault begins as it delays them."""
+    """Filter that records readings from ``ticks`` before the fault's start, and delays readings."""
 
     remembers: ClassVar[StateFields] = StateFields("_begun", "_bits", "_levels")
 

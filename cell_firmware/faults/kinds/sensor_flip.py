@@ -1,4 +1,4 @@
-"""Fault ``sensor_flip``: presence sensors that now and then say the opposite."""
+"""Fault ``sensor_flip``: presence sensors with inverted readings at random."""
 
 from __future__ import annotations
 

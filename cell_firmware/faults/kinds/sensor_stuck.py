@@ -1,4 +1,4 @@
-"""Fault ``sensor_stuck``: presence sensors that say the same whatever is over them."""
+"""Fault ``sensor_stuck``: presence sensors with a constant reading."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from cell_firmware.firmware import Floats
 
 @final
 class SensorStuckFault(SensorFault):
-    """Sensors whose bit is stuck, at 0 or 1; an analogue one is told as quite uncovered or quite covered."""
+    """Sensors whose bit is stuck, at 0 or 1; an analogue sensor reads fully uncovered or fully covered."""
 
     kind_name: ClassVar[str] = "sensor_stuck"
     kind: Literal["sensor_stuck"] = "sensor_stuck"
     value: Literal[0, 1]
-    """What they say."""
+    """The constant reading."""
 
     def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
-        """Says it."""
+        """Return a filter with a constant reading."""
         return _Stuck(bool(self.value), struck, injected)
 
 
@@ -34,6 +34,6 @@ class _Stuck(SensorFilter):
         self._value = value
 
     def override(self, tick: int, bit: NDArray[np.bool_], level: Floats | None) -> tuple[bool, float]:
-        """Always the same."""
+        """Return the constant reading."""
         del tick, bit, level
         return self._value, float(self._value)
