@@ -1,4 +1,4 @@
-"""What every effect, and every registry of them, has in common."""
+"""Base classes of effect specifications and of their registries."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from bus.spec import Spec
 
 
 class EffectSpec(Spec):
-    """A table under a scene's ``[effects]``; one that is absent is not simulated and costs nothing."""
+    """A table under a scene's ``[effects]``; an absent effect is not simulated and costs nothing."""
 
     solvers: ClassVar[tuple[str, ...] | None] = None
-    """Names of the solvers that know the effect; None: it doesn't concern them."""
+    """Names of the solvers that support the effect; None: it does not concern solvers."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Names of the effects that it builds on."""
+    """Names of the effects that the effect requires."""
     excludes: ClassVar[tuple[str, ...]] = ()
-    """Names of the effects that leave it out."""
+    """Names of the effects that the effect is incompatible with."""
     states: ClassVar[tuple[str, ...]] = ()
-    """What a run has to carry on from tick to tick for it, in words."""
+    """State that a run carries from tick to tick for the effect, as text."""
     events: ClassVar[tuple[str, ...]] = ()
-    """Kinds of events that only happen with it."""
+    """Kinds of events that occur only with the effect."""
     messages: ClassVar[tuple[str, ...]] = ()
-    """What it changes in the messages of plant and cells, in words."""
+    """Changes of the messages of plant and cells by the effect, as text."""
     fidelity_rank: ClassVar[int | None] = None
-    """Its place in the ladder of fidelity, coarse effects first; None: it says what a scene has, not how finely."""
+    """Rank in the ladder of fidelity, coarse effects first; None: the effect adds equipment, not fidelity."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self | str:  # noqa: ARG003
-        """Settings with which a scene that lacks the effect tries it; or, in words, why only a scene can say.
+        """Return the settings for scenes that lack the effect, or the reason why there are no defaults.
 
         Args:
             pitch_m: of the scene's array.
@@ -37,7 +37,7 @@ class EffectSpec(Spec):
         return "it has no typical settings"
 
     def required(self) -> tuple[str, ...]:
-        """Names of the effects that these settings build on: ``needs``, and more where they ask for more."""
+        """Return the names of effects that these settings require: ``needs``, and possibly more."""
         return self.needs
 
     def problems(
@@ -45,22 +45,22 @@ class EffectSpec(Spec):
         lattice: Lattice,  # noqa: ARG002
         pitch_m: float,  # noqa: ARG002
     ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """What does not fit the array: path from the effect's table, value, and the rule that it breaks."""
+        """Yield settings that do not fit the array: path from the effect's table, value, and violated rule."""
         yield from ()
 
 
 class Effects(Spec):
-    """A registry of effects: every field is one, None where the scene doesn't ask for it."""
+    """A registry of effects: every field is an effect, None where the scene does not enable it."""
 
     def enabled(self) -> Iterator[tuple[str, EffectSpec]]:
-        """Name and settings of the effects that are there."""
+        """Yield name and settings of the enabled effects."""
         for name in type(self).model_fields:
             effect = getattr(self, name)
             if effect is not None:
                 yield name, effect
 
     def problems(self) -> Iterator[tuple[tuple[str, str], object, str]]:
-        """Effects that lack another, or don't go with one: path in the scene, value, and the rule that is broken."""
+        """Yield missing and incompatible effects: path in the scene, value, and violated rule."""
         for name, effect in self.enabled():
             for needed in effect.required():
                 if getattr(self, needed, None) is None:

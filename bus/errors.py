@@ -12,12 +12,12 @@ class BusError(Exception):
 
 @final
 class WireError(BusError):
-    """A payload that is not what its key promises.
+    """A payload in violation of its key's format.
 
     Args:
-        kind: What was being read or written (``"sense"``, ``"drive"``, ``"link"``, ...).
-        reason: The broken rule, from a small fixed vocabulary, so that it can be counted by name.
-        detail: What was found and what is allowed.
+        kind: Kind of the payload (``"sense"``, ``"drive"``, ``"link"``, ...).
+        reason: The violated rule, from a small fixed vocabulary, so that errors can be counted by name.
+        detail: The value found, and what is allowed.
     """
 
     def __init__(self, kind: str, reason: str, detail: str) -> None:
@@ -38,21 +38,21 @@ class RunNameError(BusError):
 
 @final
 class PartitionError(BusError):
-    """A cut of the lattice that isn't one: a cell in no shard or in two."""
+    """An invalid partition of the lattice: a cell in no shard or in two."""
 
 
 @final
 class TransportError(BusError):
-    """A transport could not do what was asked: a port in use, nobody listening, a forked session."""
+    """A failed operation of a transport: a port in use, no listener, a forked session."""
 
 
 @final
 class BarrierError(BusError):
-    """The run could not start: somebody expected was not there, or not ready, in time.
+    """The run could not start: expected cells were not alive, or not ready, in time.
 
     Attributes:
-        absent: ``(row, column)`` of cells whose token never appeared, or appeared and went again.
-        unready: ``(row, column)`` of cells that appeared but never said they were ready.
+        absent: ``(row, column)`` of cells whose token never appeared, or disappeared again.
+        unready: ``(row, column)`` of cells that appeared but never became ready.
     """
 
     def __init__(
@@ -69,14 +69,14 @@ class BarrierError(BusError):
 
 @final
 class CoordinatorLostError(BusError):
-    """The plant's process went away, or stayed silent for too long; raised on the cells' side."""
+    """The plant's process ended, or was silent for too long; raised on the cells' side."""
 
 
 @final
 class WaitInterrupted(BusError):
-    """``Endpoint.wake`` was called while the lockstep waited: whoever called it knows why."""
+    """``Endpoint.wake`` was called while the lockstep waited; the caller of ``wake`` knows the reason."""
 
 
 @final
 class StateError(BusError):
-    """What something remembers can't be kept, or what was kept is not what it remembers; says what and where."""
+    """State that can't be saved or restored; names the attribute and the problem."""

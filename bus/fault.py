@@ -1,4 +1,4 @@
-"""What every injected fault has in common: when it acts, and on which cells or links."""
+"""Base classes of injected faults: activation interval, and affected cells or links."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ Time = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 
 
 class FaultSpec(Spec):
-    """A fault of a scene: one of its ``[[faults]]``, told apart by ``kind``.
+    """A fault of a scene: one of its ``[[faults]]``, discriminated by ``kind``.
 
-    It acts from the first tick boundary not before ``at_s`` to the first not before ``until_s``, simulated time.
+    The fault is active from the first tick boundary not before ``at_s`` to the first not before ``until_s``, in simulated
+    time.
     """
 
     kind_name: ClassVar[str]
@@ -57,11 +58,11 @@ class FaultSpec(Spec):
 
     @abstractmethod
     def problems(self, lattice: Lattice) -> Iterator[Problem]:
-        """What of it does not fit the array."""
+        """Yield settings of the fault that do not fit the array."""
 
     @abstractmethod
     def affected_cells(self, lattice: Lattice, seed: int, number: int) -> Index:
-        """Indices of the cells that it strikes, ascending.
+        """Return the indices of affected cells, ascending.
 
         Args:
             lattice: Of the scene.
@@ -71,7 +72,7 @@ class FaultSpec(Spec):
 
 
 class CellTarget(FaultSpec):
-    """A fault that strikes cells: give one of ``cell``, ``cells``, ``rectangle`` and ``share``."""
+    """A fault that affects cells: give one of ``cell``, ``cells``, ``rectangle`` and ``share``."""
 
     cell: CellName | None = None
     """``[row, column]``."""
@@ -80,8 +81,8 @@ class CellTarget(FaultSpec):
     rectangle: tuple[CellName, CellName] | None = None
     """Two corners, ``[[row, column], [row, column]]``: all cells that exist from one to the other."""
     share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] | None = None
-    """Of all cells, to the nearest whole number, drawn by the scene's seed. A greater share strikes those of a
-    smaller one, and more."""
+    """Of all cells, to the nearest whole number, drawn by the scene's seed. A greater share includes the cells
+    of a smaller one."""
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
@@ -119,7 +120,7 @@ class CellTarget(FaultSpec):
             )
 
     def affected_cells(self, lattice: Lattice, seed: int, number: int) -> Index:
-        """Indices of the cells that it strikes, ascending; see `FaultSpec.struck`."""
+        """Return the indices of affected cells, ascending; see `FaultSpec.affected_cells`."""
         if self.share is not None:
             order = rng(seed, f"faults.{number}.{self.kind_name}").permutation(len(lattice))
             return np.sort(order[: round(self.share * len(lattice))]).astype(np.int64)
@@ -137,15 +138,15 @@ class CellTarget(FaultSpec):
 
 
 class LinkTarget(CellTarget):
-    """A fault that strikes links of cells: those on ``side``, or on every side."""
+    """A fault that affects links of cells: links on ``side``, or on every side."""
 
     side: Literal["north", "east", "south", "west"] | None = None
     """Of each cell; None: all four."""
     direction: Literal["both", "out", "in"] = "both"
-    """What the cells say (``out``), what they hear (``in``), or both."""
+    """Messages that the cells send (``out``), messages that the cells receive (``in``), or both."""
 
     def problems(self, lattice: Lattice) -> Iterator[Problem]:
-        """Cells that don't exist, and one that has no neighbour on that side."""
+        """Yield cells that don't exist, and a side on which the cell has no neighbour."""
         found = list(super().problems(lattice))
         yield from found
         if found or self.side is None or self.cell is None:
@@ -155,7 +156,7 @@ class LinkTarget(CellTarget):
             yield ("side",), self.side, f"cell {row},{column} has no neighbour there"
 
     def affected_links(self, lattice: Lattice, seed: int, number: int) -> Index:
-        """Its links, as ``(m, 2)``: the cell that hears it, by index, and the side on which; ascending, each once."""
+        """Return the affected links, ``(m, 2)``: index of the receiving cell and side; ascending, each once."""
         cells = self.affected_cells(lattice, seed, number)
         sides = range(len(SIDES)) if self.side is None else (SIDES.index(self.side),)
         return links_of(lattice, cells, sides, heard=self.direction != "out", told=self.direction != "in")
@@ -164,14 +165,14 @@ class LinkTarget(CellTarget):
 def links_of(
     lattice: Lattice, cells: Index, sides: Iterable[int] = range(len(SIDES)), *, heard: bool, told: bool
 ) -> Index:
-    """Links by who hears them, ``(m, 2)``: cell and side, ascending, each once.
+    """Return links by receiver, ``(m, 2)``: cell and side, ascending, each once.
 
     Args:
         lattice: The cells.
-        cells: Whose links.
-        sides: On which of their sides.
-        heard: Those on which they hear.
-        told: Those on which their neighbours hear them.
+        cells: Cells whose links are selected.
+        sides: Sides of these cells.
+        heard: Include links on which the cells receive.
+        told: Include links on which the cells send.
     """
     links: set[tuple[int, int]] = set()
     for cell in cells.tolist():
@@ -195,13 +196,13 @@ class FaultInstance(Generic[_Fault_co]):
     """A fault of a run, its times in ticks.
 
     Attributes:
-        number: Among the faults of the run, from 0: what its draws are named after.
-        fault: What happens.
-        cells: Indices of the cells that it strikes, ascending.
-        first: The tick from which it acts.
-        end: The tick from which it doesn't any more; ``bus.lattice.NO_TICK_LIMIT``: it is not repaired.
-            A live repair changes it.
-        live: Whether somebody injected it while the run went on.
+        number: Index among the faults of the run, from 0; part of the name of the fault's random stream.
+        fault: Specification of the fault.
+        cells: Indices of affected cells, ascending.
+        start_tick: First tick in which the fault is active.
+        end_tick: First tick in which the fault is no longer active; ``bus.lattice.NO_TICK_LIMIT`` if it is never
+            repaired. A repair at run time changes the value.
+        injected_at_runtime: Whether the fault was injected while the run was in progress.
     """
 
     number: int
@@ -217,14 +218,14 @@ class FaultInstance(Generic[_Fault_co]):
 
 
 def transition_ticks(faults: Sequence[FaultInstance[FaultSpec]]) -> list[int]:
-    """Ticks in which one of them begins or ends, ascending."""
+    """Return the ticks in which a fault begins or ends, ascending."""
     return sorted(
         {tick for one in faults for tick in (one.start_tick, one.end_tick) if tick != NO_TICK_LIMIT}
     )
 
 
 def _absent(cell: CellName, lattice: Lattice) -> str:
-    """Why a cell is none."""
+    """Describe why the array has no such cell."""
     rows, columns = int(lattice.rows.max()), int(lattice.columns.max())
     if cell[0] > rows:
         return f"the array has rows 0..{rows}"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 NO_TICK_LIMIT: Final = int(np.iinfo(np.int64).max)
-"""The tick from which a live cell is gone."""
+"""End tick of a live cell."""
 
 SIDES = ("north", "east", "south", "west")
 """Sides in the order of every ``(n, 4)`` array; north is +row (+y), east is +column (+x)."""

@@ -122,11 +122,11 @@ class Partition:
         return self._links(mine & (self.shard_of[self._source] != shard), self._source)
 
     def outgoing_borders(self, shard: int) -> tuple[Border, ...]:
-        """Stretches of ``outgoing(shard)``, one for each shard it sends to."""
+        """Return the ranges of ``outgoing(shard)``, one for each receiving shard."""
         return _borders(self.shard_of[self.outgoing(shard).target])
 
     def incoming_borders(self, shard: int) -> tuple[Border, ...]:
-        """Stretches of ``incoming(shard)``, one for each shard it hears; both ends order them alike."""
+        """Return the ranges of ``incoming(shard)``, one for each sending shard; both ends use the same order."""
         return _borders(self.shard_of[self.incoming(shard).source])
 
     def _links(self, chosen: NDArray[np.bool_], other_end: Index) -> Links:

@@ -1,4 +1,4 @@
-"""What is left to chance: random numbers for every purpose, from the scene's one seed."""
+"""Named random streams, all derived from the scene's seed."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ _WORDS: Final = 4
 
 
 def rng(seed: int, purpose: str) -> np.random.Generator:
-    """The generator named after what it is for: its numbers don't depend on what else a scene draws.
+    """Return the generator of a named stream, independent of all other streams of the scene.
 
     Args:
-        seed: of the scene, >= 0.
-        purpose: such as the name of an effect.
+        seed: Seed of the scene, >= 0.
+        purpose: Name of the stream, such as the name of an effect.
     """
     return np.random.default_rng(_entropy(seed, purpose))
 
 
 @final
 class CounterStream:
-    """A number for each of many places, anew in every tick: a function of seed, purpose, tick and place alone.
+    """Counter-based random stream: a number for each place and tick, a function of seed, purpose, tick and place.
 
-    So it makes no difference who draws, in which order, how often, and how many places at once. The numbers are
-    those of Philox 4x64-10, keyed by seed and purpose: place p has word p mod 4 of the counter (p div 4 + 1, tick,
-    0, 0).
+    The numbers do not depend on the order, the frequency or the grouping of draws. The generator is Philox 4x64-10,
+    keyed by seed and purpose: place p has word p mod 4 of the counter (p div 4 + 1, tick, 0, 0).
 
     Source: Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
 
     Args:
-        seed: of the scene, >= 0.
-        purpose: such as the name of an effect.
-        places: ``(m,)`` int64, >= 0, at least one. What lies between the least and the greatest is drawn too.
+        seed: Seed of the scene, >= 0.
+        purpose: Name of the stream, such as the name of an effect.
+        places: ``(m,)`` int64, >= 0, at least one. All places from the least to the greatest are drawn.
     """
 
     def __init__(self, seed: int, purpose: str, places: NDArray[np.int64]) -> None:

@@ -1,4 +1,4 @@
-"""What cells can read besides their clocks and their neighbours: agreed on once by both sides of a run."""
+"""Sensor schema of a run: readings beyond clocks and neighbours' messages, agreed on by both sides."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Labels = NDArray[np.int64]
 @final
 @dataclass(frozen=True, slots=True)
 class SensorSchema:
-    """What there is to read in a run; what there isn't, has no place on the bus.
+    """Sensors that exist in a run; readings of other sensors have no field on the bus.
 
     Attributes:
-        sensors: Presence sensors a cell.
+        sensors: Presence sensors of a cell.
         encoders: Whether wheels have encoders.
-        levels: Whether sensors tell how much of their spot is covered.
-        labels: Largest number of a label that a scanner may read; 0: there are no scanners.
-        camera: Most parcels that a camera's picture may show; 0: nobody is shown any.
+        levels: Whether sensors measure which share of their spot is covered.
+        labels: Largest number of a label; 0: there are no scanners.
+        camera: Largest number of parcels in a camera frame; 0: there is no camera.
     """
 
     sensors: int
@@ -36,11 +36,11 @@ class SensorSchema:
 
 
 class CameraFrame(NamedTuple):
-    """What a camera saw.
+    """Frame of a camera: poses of the parcels in view.
 
     Attributes:
-        parcel: ``(p,)`` int64, numbers of the parcels that were there, ascending.
-        pose: ``(p, 3)``, x and y of each one's centre of mass, m, and its angle, rad.
+        parcel: ``(p,)`` int64, numbers of the parcels in view, ascending.
+        pose: ``(p, 3)``, x and y of each parcel's centre of mass, m, and angle, rad.
     """
 
     parcel: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""What every part of a scene is made of, whichever package it concerns."""
+"""Base class and common types of all scene specifications."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 
 @final
 class StallSpec(Spec):
-    """What happens when a cell goes away or falls silent.
+    """Handling of cells that disconnect or stall: deadlines, and the policy for their wheels.
 
     The deadlines are wall time: a run that meets one is recorded as such and its digest promises nothing.
     """
 
     policy: Literal["coast", "brake", "hold", "abort"] = "coast"
-    """What a lost cell's wheels do, or ``abort``: end the run."""
+    """Behaviour of a lost cell's wheels, or ``abort``: end the run."""
     deadline_s: Seconds = 5.0
     """Wall seconds a tick may wait for a cell before the cell counts as stalled."""
     lease_s: Annotated[float, Field(ge=0.1, le=86_400, allow_inf_nan=False)] = 2.0
-    """Wall seconds of silence after which a process counts as gone: one that is stopped, or whose link is cut."""
+    """Wall seconds of silence after which a process counts as lost: one that is stopped, or whose link is cut."""
     start_s: Seconds = 30.0
     """Wall seconds until every cell must be ready."""

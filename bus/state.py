@@ -1,13 +1,13 @@
-"""What objects carry from tick to tick: declared by their class, taken out, and put back into others like them.
+"""State of objects between ticks: declared by classes, saved, and loaded into objects built the same way.
 
-A class that changes as a run goes on names what changes::
+A class whose objects change during a run names the attributes that change::
 
     class Motors:
-        remembers: ClassVar[Remembers] = Remembers("_volts", "_speed", "_travel")
+        remembers: ClassVar[StateFields] = StateFields("_volts", "_speed", "_travel")
 
-``remember`` makes bytes of that, and of what the objects remember that these attributes lead to; ``recall`` puts it
-back into an object that was made anew from the same scene: all that does not change is there already. A class adds
-what it declares to what its bases do.
+``save_state`` encodes these attributes, and the state of all objects reachable from them. ``load_state`` restores the
+state in an object built from the same scene, whose constant attributes are in place already. The fields of a class
+are added to those of its bases.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from bus.errors import StateError
 from bus.state_codec import DECODE_ERRORS, ObjectState, Records, RngState, decode, encode
 
 DECLARED: Final = "remembers"
-"""The class attribute that says what is remembered."""
+"""Name of the class attribute that holds the ``StateFields``."""
 
 
 @final
 class StateFields:
-    """What an object of a class carries from tick to tick.
+    """State attributes that a class declares.
 
-    Values are numbers, texts, arrays, and lists, maps and the like of them; random generators; and objects that
-    remember by themselves.
+    Values are numbers, texts, arrays, and containers of these; random generators; and objects that declare their own
+    state fields.
 
     Args:
-        names: Attributes that get other values. A path (``packed.y``) leads over objects that stay.
-        shared: Attributes whose values are changed themselves, as others hold them too: arrays of one shape, lists,
+        names: Attributes that are replaced on loading. A path (``packed.y``) leads through objects that are kept.
+        shared: Attributes whose values are updated in place, as other objects share them: arrays of one shape, lists,
             maps, sets.
         records: Frozen dataclasses and named tuples among the values.
     """
@@ -48,28 +48,28 @@ class StateFields:
 
 
 def save_state(owner: Any, records: Sequence[type] = ()) -> bytes:
-    """What an object remembers, as bytes.
+    """Save the state of an object as bytes.
 
     Args:
         owner: The object.
         records: More types of values than its classes declare.
 
     Raises:
-        MemoryRefusedError: It remembers something that is no value: says what.
+        StateError: The state holds an object that can't be encoded; names the type.
     """
     return encode(_part(owner), _records(owner, records))
 
 
 def load_state(owner: Any, data: bytes, records: Sequence[type] = ()) -> None:
-    """Let an object remember what another like it did.
+    """Load saved state into an object built in the same way as the saved one.
 
     Args:
-        owner: Made anew, as the other had been. If this raises it is of no use any more.
-        data: What ``remember`` made of the other.
-        records: As there.
+        owner: Object to load into, built as the saved one was. Unusable if this raises.
+        data: Result of ``save_state``.
+        records: As for ``save_state``.
 
     Raises:
-        MemoryRefusedError: That is no memory of such an object: says where.
+        StateError: The data is no state of such an object; names the attribute.
     """
     part = decode(data, _records(owner, records))
     if not _is(part, ObjectState):
@@ -83,7 +83,7 @@ def load_state(owner: Any, data: bytes, records: Sequence[type] = ()) -> None:
 
 
 def declared(kind: Any) -> list[StateFields]:
-    """What a class and its bases declare, the bases first."""
+    """Return the state fields that a class and its bases declare, the bases first."""
     return [vars(base)[DECLARED] for base in reversed(kind.__mro__) if DECLARED in vars(base)]
 
 
@@ -95,7 +95,7 @@ def _part(owner: Any) -> ObjectState:
 
 
 def _values(owner: Any) -> Iterator[tuple[str, Any]]:
-    """Every name that an object declares, and its value."""
+    """Yield the name and value of every state field of an object."""
     for remembers in declared(type(owner)):
         for name in (*remembers.names, *remembers.shared):
             yield name, _found(owner, name)
@@ -111,7 +111,7 @@ def _found(owner: Any, path: str) -> Any:
 
 
 def _taken(value: Any) -> Any:
-    """A value with what objects in it remember instead of them."""
+    """Replace the stateful objects inside a value by their saved states."""
     kind = cast("Any", type(value))
     if _is(value, np.random.Generator):
         return RngState(value.bit_generator.state)
@@ -135,7 +135,7 @@ def _is(value: Any, *kinds: Any) -> bool:
 
 
 def _records(owner: Any, more: Sequence[type]) -> Records:
-    """Every type of record that an object, or one that it leads to, declares."""
+    """Return the record types, by name, declared by an object and all objects reachable from it."""
     found = {kind.__qualname__: kind for kind in more}
     for part in _objects(owner):
         for remembers in declared(type(part)):
@@ -144,7 +144,7 @@ def _records(owner: Any, more: Sequence[type]) -> Records:
 
 
 def _objects(value: Any) -> Iterator[Any]:
-    """The objects in a value that remember, and those that they lead to."""
+    """Yield the stateful objects inside a value, and all objects reachable from these."""
     if declared(type(value)):
         yield value
         for _, item in _values(value):
@@ -183,7 +183,7 @@ def _set(owner: Any, path: str, value: Any, place: str) -> None:
 
 
 def _merged(now: Any, value: Any, place: str) -> Any:
-    """What an attribute is to be, that is ``now`` as it is in an object made anew."""
+    """Merge a saved value into the value ``now`` of a freshly built object, and return the result."""
     if _is(value, ObjectState):
         if not declared(type(now)):
             raise StateError(f"{place}: must be a {type(now).__name__}, which remembers nothing")
@@ -205,7 +205,7 @@ def _holds_parts(value: Any) -> bool:
 
 
 def _each(now: Any, value: Any, place: str) -> Any:
-    """Objects in a list or a map: those that are there remember."""
+    """Load the saved states in a list or map into the existing objects."""
     same = _is(value, cast("Any", type(now))) and len(now) == len(value)
     if not same or (_is(value, dict) and now.keys() != value.keys()):
         raise StateError(f"{place}: must be {len(now) if same else 'other'} objects")
@@ -219,7 +219,7 @@ def _each(now: Any, value: Any, place: str) -> Any:
 
 
 def _check(now: Any, value: Any, place: str) -> None:
-    """Refuse what is of another kind than before the first tick."""
+    """Refuse a value whose type differs from that before the first tick."""
     if now is None or value is None or (_is_number(now) and _is_number(value)):
         return
     kind = cast("Any", type(now))
@@ -242,7 +242,7 @@ def _set_stream(now: Any, value: RngState, place: str) -> None:
 
 
 def _fill(now: Any, value: Any, place: str) -> None:
-    """Change what others hold too."""
+    """Update a shared value in place."""
     if not _is(value, cast("Any", type(now))):
         raise StateError(f"{place}: must be a {type(now).__name__}, is a {type(value).__name__}")
     if now is None:

@@ -1,4 +1,4 @@
-"""Memory as bytes: MessagePack with types of its own for what a program keeps beyond lists and maps.
+"""State as bytes: MessagePack, extended by types for values beyond lists and maps.
 
 Only values are read back: no code runs, no name is looked up but those of records that the reader lists.
 """
@@ -50,30 +50,30 @@ _ExtType = cast("_Codec", cast("Any", msgpack).ExtType)
 DECODE_ERRORS: Final = (
     ValueError, TypeError, LookupError, OverflowError, RecursionError, ArithmeticError, msgpack.UnpackException,
 )  # fmt: skip
-"""What values that are not what they should be make whoever uses them raise."""
+"""Errors that malformed values cause on decoding or use."""
 
 
 class ObjectState(NamedTuple):
-    """What one object remembers, by the names it declares."""
+    """Saved state of one object: values by declared name."""
 
     values: dict[str, Any]
 
 
 class RngState(NamedTuple):
-    """Where a random generator stands."""
+    """State of a random generator."""
 
     state: dict[str, Any]
 
 
 Records = Mapping[str, type]
-"""Frozen dataclasses and named tuples that memory may hold, by name."""
+"""Frozen dataclasses and named tuples that saved state may hold, by name."""
 
 
 def encode(value: Any, records: Records) -> bytes:
     """A value as bytes.
 
     Raises:
-        MemoryRefusedError: It holds something that is no value: names its type.
+        StateError: The value holds an object that can't be encoded; names the type.
     """
     try:
         return _Encoder(records).pack(value)
@@ -85,7 +85,7 @@ def decode(data: bytes, records: Records) -> Any:
     """The value that ``encode`` was given; arrays are new and may be written.
 
     Raises:
-        MemoryRefusedError: Nothing that ``encode`` made.
+        StateError: The data is no result of ``encode``.
     """
     try:
         return _Decoder(records).unpack(data)
@@ -108,7 +108,7 @@ class _Encoder:
         return packed
 
     def _other(self, value: Any) -> Any:
-        """What MessagePack has no type for."""
+        """Encode a value of a type that MessagePack doesn't have."""
         kind = cast("Any", type(value))
         if kind is ObjectState:
             return self._ext(_PART, value.values)

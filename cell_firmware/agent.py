@@ -25,7 +25,7 @@ from cell_firmware.shard import BoundaryMessages, Shard, ShardOutputs
 @final
 @dataclass(frozen=True, slots=True)
 class ShardResult:
-    """How a shard's run came to its end.
+    """Result of a shard's run.
 
     Attributes:
         ticks: Ticks that were stepped.
@@ -39,19 +39,19 @@ class ShardResult:
 
 
 Inject = Callable[[Control], None]
-"""What carries out a control record of kind ``fault`` on the shard, before the tick in which it acts, or WireError."""
+"""Applies a control record of kind ``fault`` to the shard, before the tick in which it acts; may raise WireError."""
 
 
 Hopeless = Callable[[tuple[int, int], str, str], None]
-"""Told the cell, the problem and the stack of a program that does not return and could not be interrupted."""
+"""Called with the cell, the problem and the stack of a program that does not return and could not be interrupted."""
 
 
 class Watch(Protocol):
-    """Sees to it that a step of the cells' programs comes to an end: ``with watch:`` around the step."""
+    """Watch that ends a step of the cells' programs if it takes too long: ``with watch:`` around the step."""
 
     @property
     def given_up(self) -> bool:
-        """Whether the step was given up: nobody waits for what it came to."""
+        """Whether the step was abandoned; its result is discarded."""
         ...
 
     def __enter__(self) -> object:
@@ -83,26 +83,26 @@ async def run(
     first: int = 0,
     watched: Watched | None = None,
 ) -> ShardResult:
-    """Runs a shard tick by tick until it is told to stop.
+    """Run a shard tick by tick until a stop record arrives.
 
-    ``member.ready()`` comes before, closing the member and its endpoint after. Cells that the member was
-    told to retire stop at their tick. A cell whose firmware fails is reported to the plant, with its
-    traceback, and the others go on: whether the run does is the plant's to say. An error in the step itself is a
-    failure of all cells of the shard, and ends it.
+    The caller calls ``member.ready()`` before, and closes the member and the endpoint after. Cells with a scheduled
+    death stop at their tick. A cell whose firmware fails is reported to the plant, with its traceback, and the others
+    continue; the plant decides whether the run does. An error in the step itself is a failure of all cells of the
+    shard, and ends the shard's run.
 
     Args:
-        shard: The cells, before tick 0 or as they were remembered.
-        member: Their side of the lockstep, ready.
-        endpoint: The member's endpoint, to wake it by.
-        inject: What carries out faults that come while it runs; None: they are let be.
-        records: What the cells' programs may remember beyond plain values.
+        shard: The cells, before tick 0 or restored from a snapshot.
+        member: The shard's participant, ready.
+        endpoint: The participant's endpoint, used to wake it.
+        inject: Applies fault records received during the run; None: they are ignored.
+        records: Record types in the cells' states, beyond plain values.
         first: The shard's first tick.
-        watched: Makes what sees to it that programs return; None: nobody looks.
+        watched: Makes the watch that ends programs which do not return; None: no watch.
 
     Raises:
-        HostLostError: The plant went away.
-        WokenError: Somebody woke the endpoint: the way to end a run that nobody tells to stop.
-        BusError: Whatever else stops the member.
+        CoordinatorLostError: The plant went away.
+        WaitInterrupted: The endpoint was woken, which ends a run without a stop record.
+        BusError: Any other error of the participant.
         asyncio.CancelledError: Cancelled; the gather thread has ended by then.
     """
     agent = _Agent(shard, member, endpoint, asyncio.get_running_loop(), inject, records, first)
@@ -112,7 +112,7 @@ async def run(
 @final
 @dataclass(frozen=True, slots=True)
 class _Trouble:
-    """Cells that failed in a tick, and what the others do in it; None: nothing."""
+    """Failed cells of a tick, and the outputs of the other cells; None if there are none."""
 
     tick: int
     failures: Sequence[FirmwareFailed]
@@ -125,8 +125,8 @@ class _Agent:
 
     The tick is stepped and published in the very callback that the hop schedules: waking a task for it would
     cost another turn of the loop. The thread goes back to gathering at once; it can't overtake the loop,
-    because the next tick begins only after this one's drives. What changes who takes part (a failure, rare)
-    is handed back to the thread instead, so that the member's books are kept by one thread alone.
+    because the next tick begins only after this one's drives. A change of membership (a failure, rare)
+    is handed back to the thread instead, so that only one thread changes the participant's membership.
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class _Agent:
             self._call_in_loop(self._fail, error)
 
     def _report(self) -> bool:
-        """Tells the plant which cells failed, if any, then publishes what the others do."""
+        """Report failed cells to the plant, if any, then publish the outputs of the others."""
         failed, self._failed = self._failed, None
         if failed is None:
             return False
@@ -263,7 +263,7 @@ class _Agent:
             self._fail_all(tick, error)
 
     def _fail_all(self, tick: int, error: BaseException) -> None:
-        """No cell of the shard can go on: the step itself failed."""
+        """Fail all cells of the shard, as the step itself failed."""
         if isinstance(error, FirmwareFailed):
             failures = (error,)
         else:
@@ -273,13 +273,13 @@ class _Agent:
         self._trouble(_Trouble(tick, failures, None))
 
     def _trouble(self, trouble: _Trouble) -> None:
-        """Hand the cells that failed to the thread that keeps the member's books."""
+        """Hand the failed cells to the gather thread, which owns the participant's membership."""
         self._failures += trouble.failures
         self._failed = trouble
         self._endpoint.wake()
 
     def _finish(self, detail: str) -> None:
-        """The thread has ended: what it had yet to report is reported here."""
+        """Finish after the gather thread has ended: report its remaining failures."""
         if self._end.done():
             return
         try:

@@ -29,14 +29,14 @@ class _BadOutput(Exception):
 @final
 @dataclass(frozen=True, slots=True)
 class _Done:
-    """What a program did in a step, looked through.
+    """Validated result of a program's step.
 
     Attributes:
         state: The program's.
         speed_m_s: ``(n, 2)``, finite.
-        outbox: What it says; None for nothing at all.
-        failures: By index, of those that failed.
-        served: ``(n,)``: did it serve its watchdog? None: it did.
+        outbox: Messages of the program; None if there are none at all.
+        failures: Failures by index of the cell.
+        served: ``(n,)``, whether the program served its watchdog; None: all did.
     """
 
     state: State
@@ -48,7 +48,7 @@ class _Done:
 
 @final
 class Board(Controller):
-    """Composes firmware and the parts of a board into one pure step.
+    """Firmware and the parts of a board, composed into one pure step.
 
     Without parts it is the behavioural level: links hand over whole messages, drives are speeds.
 
@@ -59,8 +59,8 @@ class Board(Controller):
     Args:
         firmware: The cells' program.
         wheels: Given exactly where the wheels have motors.
-        links: What messages have to pass; None where links hand them over whole.
-        meter: Counts them; None: nobody wants to know.
+        links: Driver of the links; None where links deliver whole messages.
+        meter: Counter of messages; None: messages are not counted.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Board(Controller):
 
     @property
     def link_type(self) -> np.dtype[Any] | None:
-        """What a link carries in a tick: a message of the firmware's, or what the serial lines make of it."""
+        """Type of a link's payload in a tick: a message of the firmware, or data of the serial lines."""
         return self.firmware.message if self.links is None else self.links.line
 
     @property
@@ -91,7 +91,7 @@ class Board(Controller):
 
     @property
     def speculative(self) -> bool:
-        """As the firmware has it: the parts of a board are pure."""
+        """Whether the firmware may be stepped speculatively; the parts of a board are pure."""
         return self.firmware.speculative
 
     def init(self, cells: Cells) -> ControllerState:
@@ -125,12 +125,12 @@ class Board(Controller):
         raise FirmwareFailed(cells.name(0), 0, f"{what}: {problem}", trace)
 
     def idle(self, now: StepTime, state: ControllerState) -> ControllerState:
-        """What every part says that goes on."""
+        """Advance every part by a control period in which the program does not run."""
         after = {name: read_only(part.idle(now, state.parts[name])) for name, part in self._parts.items()}
         return ControllerState(state.cells, {**state.parts, **after})
 
     def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
-        """The program as after power-on, or as its ``warm_start`` has it; and what each part says that it keeps."""
+        """Reset the program, as after power-on or by its ``warm_start``, and every part by its own ``reset``."""
         cells, memory = state.cells, state.parts[_PROGRAM]
 
         def make(rows: NDArray[np.int64]) -> State:
@@ -149,7 +149,7 @@ class Board(Controller):
     def receive(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, Inputs]:
-        """Whole messages, of what came over the lines."""
+        """Receive whole messages from the lines."""
         if self.links is None or inputs.inbox is None:
             return state, inputs
         heard, inbox = self.links.receive(now, state.parts[_LINKS], inputs.inbox)
@@ -184,7 +184,7 @@ class Board(Controller):
         )
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
-        """The program's variables, and what every part shows."""
+        """Return the program's variables and the registers of all parts."""
         return {
             **{
                 f"{_PROGRAM}.{name}": array
@@ -198,7 +198,7 @@ class Board(Controller):
         }
 
     def counters(self, state: ControllerState) -> dict[str, int]:
-        """What every part has counted."""
+        """Return the counters of all parts, by ``part.counter``."""
         return {
             f"{part.effect or name}.{what}": number
             for name, part in self._parts.items()
@@ -230,7 +230,7 @@ class Board(Controller):
     def _one_by_one(
         self, tick: int, cells: Cells, before: State, inputs: Inputs, problem: str, trace: str
     ) -> _Done:
-        """Steps every cell alone, to tell those that fail from those that don't."""
+        """Step every cell alone, to find the cells that fail."""
         n = len(cells)
         states: list[State] = []
         speed = np.zeros((n, 2))
@@ -259,7 +259,7 @@ class Board(Controller):
 
 
 def _speeds(tick: int, cells: Cells, outputs: Outputs) -> tuple[Floats, dict[int, FirmwareFailed]]:
-    """The speeds that firmware wants, zero where that is no number; and who failed, for that or by its own account."""
+    """Return the firmware's speeds, zero where not finite, and the failures reported by firmware or found here."""
     failures = {
         i: FirmwareFailed(cells.name(i), tick, _last_line(text), text if "\n" in text else "")
         for i, text in (outputs.failed or {}).items()

@@ -1,4 +1,4 @@
-"""Puts the controller of a scene's cells together: what a scene does not ask for is not imported."""
+"""Construction of the cells' controller; modules that a scene does not need are not imported."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class CellFaults:
     seed: int = 0
 
     def stages(self, site: ShardContext) -> tuple[InputFilter, ...]:
-        """What the inputs of a shard's cells have to pass after the effects, fault by fault."""
+        """Return the input filters of all faults for a shard's cells, fault by fault."""
         return tuple(
             stage for one in self.injected for stage in one.fault.input_filters(site, self.lattice, one)
         )
@@ -56,7 +56,7 @@ class CellFaults:
 @final
 @dataclass(frozen=True, slots=True)
 class MotorFacts:
-    """What a board must know of the motors that it drives.
+    """Motor parameters that a board needs.
 
     Attributes:
         supply_v: What the output stage can give, V.
@@ -80,17 +80,17 @@ def build_controller(
     live: bool = False,
     metered: bool = False,
 ) -> Controller:
-    """The controller that every cell has.
+    """Build the controller of the cells.
 
     Args:
         firmware: The cells' program.
-        spec: What the scene says of cells.
-        effects: Of the cells.
-        motors: None where the wheels run at the speed that they are told.
-        clocks: None where all cells step at once, by the plant's clock.
-        faults: None where nothing happens to cells or their links.
-        live: Whether more may happen to them that is not known yet.
-        metered: Whether every cell of a firmware with messages counts them.
+        spec: The scene's settings of cells.
+        effects: Effects of the cells.
+        motors: Motor parameters; None where wheels run at the commanded speed.
+        clocks: Clocks of the cells; None where all cells step at once, by the plant's clock.
+        faults: Faults of cells and links; None if there are none.
+        live: Whether faults may be injected at run time.
+        metered: Whether every cell counts the messages of its program.
 
     Raises:
         SettingError: Settings of the board that don't go together.
@@ -118,7 +118,7 @@ def build_controller(
 
 
 def wheels_of(spec: CellsSpec, effects: CellEffects, motors: MotorFacts | None) -> WheelDriver | None:
-    """What closes on the motors; None where the wheels run at the speed that they are told.
+    """Return the speed loop of the motors; None where wheels run at the commanded speed.
 
     Raises:
         SettingError: Settings that don't go together.
@@ -192,7 +192,7 @@ def _fixed_point(
 def _links(
     firmware: Firmware, spec: CellsSpec, effects: CellEffects, clocks: ArrayClocks | None, *, disturbed: bool
 ) -> LinkDriver | None:
-    """What messages have to pass."""
+    """Return the link driver; None for firmware without messages, and where links deliver whole messages."""
     if firmware.message is None:
         return None
     if effects.serial is not None:

@@ -38,7 +38,7 @@ Message = Mapping[str, Any]
 @final
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """What a cell knows of itself.
+    """Identity and geometry of a cell.
 
     Attributes:
         row: Row, from the bottom.
@@ -62,7 +62,7 @@ class Cell:
 @final
 @dataclass(frozen=True, slots=True)
 class CellInputs:
-    """What a cell sees at the start of a tick.
+    """Inputs of a cell at the start of a tick.
 
     Attributes:
         presence: One bit a sensor.
@@ -84,7 +84,7 @@ class CellInputs:
 @final
 @dataclass(frozen=True, slots=True)
 class CellOutputs:
-    """What a cell does in a tick.
+    """Outputs of a cell in a tick.
 
     Attributes:
         speed_m_s: Surface speed along x and y, m/s.
@@ -127,8 +127,8 @@ class CellFirmware(Program, ABC):
 class PerCellAdapter(Firmware):
     """Runs a ``CellFirmware`` for every cell of an array, in cell order.
 
-    A cell that raises is named in ``Outputs.failed`` with its traceback, and the others are stepped. Nobody is stepped
-    in vain: a user's program may print.
+    A cell that raises is named in ``Outputs.failed`` with its traceback, and the others are stepped. No cell is stepped
+    speculatively, as a user's program may print.
 
     Args:
         firmware: The program of one cell.
@@ -221,9 +221,9 @@ class PerCellAdapter(Firmware):
 
 
 def records_of(firmware: Firmware) -> tuple[type, ...]:
-    """What a program's cells may remember beyond plain values: dataclasses and named tuples that its file knows.
+    """Return the record types that cells' states may hold: dataclasses and named tuples in the program's file.
 
-    Those of modules beside its file are among them.
+    Types in modules beside the program's file are included.
     """
     if not isinstance(firmware, PerCellAdapter):
         return ()
@@ -275,7 +275,7 @@ def _plain(messages: Messages, i: int, s: int) -> Message:
 
 
 def _pair(result: Any) -> tuple[Any, CellOutputs]:
-    """What a program's step returned, if it is of the right kind."""
+    """Return the state and outputs from a program's step; refuse a result of the wrong type."""
     if not (isinstance(result, tuple) and len(result) == 2):  # pyright: ignore[reportUnknownArgumentType]
         raise TypeError(f"step must return (state, CellOutputs), not {type(result).__name__}")  # pyright: ignore[reportUnknownArgumentType]
     pair: tuple[Any, Any] = result  # pyright: ignore[reportUnknownVariableType]

@@ -1,4 +1,4 @@
-"""When cells step whose clocks are their own: crystals that are off, interrupts that began at different times."""
+"""Cell clocks: step times under crystal errors and interrupt phases."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class CellClocks:
         return len(self.ppb)
 
     def take(self, cells: Ints) -> CellClocks:
-        """The clocks of these cells alone, in this order."""
+        """Select the clocks of ``cells``, in order."""
         return CellClocks(self.period_ns, self.window_ns, self.ppb[cells], self.phase_ns[cells])
 
     def instants(self, window: int) -> Ints:
@@ -55,7 +55,7 @@ class CellClocks:
         return self.due(window, self.count_before(window * self.window_ns))
 
     def due(self, window: int, count: Ints) -> Ints:
-        """The same, for whoever has followed the clocks: ``count`` ``(n,)`` is how many instants each cell has had."""
+        """Return the instants in a window, given the number of earlier instants, ``count``, ``(n,)``."""
         at = self.instant(count)
         return np.where(at < (window + 1) * self.window_ns, at, NOT_IN_WINDOW)
 
@@ -82,15 +82,15 @@ class ArrayClocks:
     """The clocks of a whole array.
 
     Attributes:
-        lattice: Its cells.
-        all: Their clocks, in its order.
+        lattice: Cells of the array.
+        clocks: Clocks of the cells, in the lattice's order.
     """
 
     lattice: Lattice
     clocks: CellClocks
 
     def of(self, row: Ints, column: Ints) -> CellClocks:
-        """Those of the cells in these rows and columns, ``(n,)`` each; all must exist."""
+        """Return the clocks of the cells at these rows and columns, ``(n,)`` each; all must exist."""
         return self.clocks.take(self.lattice.find(row, column))
 
     def ppb(self, row: Ints, column: Ints) -> Ints:

@@ -1,4 +1,4 @@
-"""Parts of a cell's board between its pins and its program; each is pure, and remembers in arrays with a row a cell."""
+"""Board components between a cell's pins and its program: pure, with state in arrays of a row a cell."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ class BoardComponent(ABC):
 
     @abstractmethod
     def init(self, cells: Cells) -> State:
-        """What it remembers after power-on: arrays by name, each with a row a cell."""
+        """Return the state after power-on: arrays by name, each with a row a cell."""
 
     def reset(self, cells: Cells, state: State) -> State:  # noqa: ARG002
-        """What it remembers after a reset without loss of power: by default nothing, as after power-on.
+        """Return the state after a reset without loss of power; by default as after power-on.
 
         Args:
-            cells: Who is reset.
-            state: What it remembered before.
+            cells: The cells that are reset.
+            state: State before the reset.
         """
         return self.init(cells)
 
     def idle(self, now: StepTime, state: State) -> State:  # noqa: ARG002
-        """What it remembers after a control period in which the program did not run: by default the same.
+        """Return the state after a control period in which the program did not run; by default unchanged.
 
         Args:
             now: When.
@@ -41,16 +41,16 @@ class BoardComponent(ABC):
         return state
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:  # noqa: ARG002
-        """What can be read of it: arrays by name, each with a row a cell."""
+        """Return the readable registers: arrays by name, each with a row a cell."""
         return {}
 
     def counters(self, state: State) -> dict[str, int]:  # noqa: ARG002
-        """What happened so far that is worth counting, by name."""
+        """Return the counters of events so far, by name."""
         return {}
 
 
 class WheelDriver(BoardComponent):
-    """What makes two wheels with motors follow a speed."""
+    """Speed controller of two wheels with motors."""
 
     @abstractmethod
     def step(self, state: State, reference_m_s: Floats, encoder_m: Floats) -> tuple[State, Floats]:
@@ -67,7 +67,7 @@ class WheelDriver(BoardComponent):
 
 
 class LinkDriver(BoardComponent):
-    """What carries messages over lines that do less than to hand over whole messages.
+    """Driver of lines that can't transfer whole messages directly.
 
     Attributes:
         line: Type of what a line carries in a tick.
@@ -77,10 +77,10 @@ class LinkDriver(BoardComponent):
 
     @abstractmethod
     def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
-        """What the program hears of what has come in: once an exchange, whether or not a cell is stepped in it.
+        """Return the messages that the program receives; called once an exchange, whether or not cells are stepped.
 
         Args:
-            now: When; a cell that is not stepped hears nothing yet.
+            now: Step times; a cell that is not stepped receives nothing yet.
             state: Of n cells.
             lines: What came in, ``(n, 4)`` of ``line``.
 
@@ -90,7 +90,7 @@ class LinkDriver(BoardComponent):
 
     @abstractmethod
     def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
-        """What goes out of what the program says.
+        """Encode the program's messages for the lines.
 
         Args:
             now: When.
@@ -104,29 +104,29 @@ class LinkDriver(BoardComponent):
 
 @final
 class MessageCounter(BoardComponent):
-    """Of each cell the messages that its program gave to a line with a neighbour at its end, and those it was given.
+    """Counters of messages, by cell: sent to existing neighbours, and received.
 
-    Whole messages, whatever carries them: what lines replace, lose or delay was sent and is not heard, or later. The
-    counts are the observer's: no reset touches them.
+    Whole messages are counted, whatever transfers them: a message that lines replace, lose or delay counts as sent, and
+    as received if it arrives. The counters belong to the observer: a reset does not change them.
     """
 
     def init(self, cells: Cells) -> State:
-        """None yet."""
+        """Return zero counters."""
         return {name: np.zeros(len(cells), dtype=np.int64) for name in ("sent", "heard")}
 
     def reset(self, cells: Cells, state: State) -> State:
-        """As before."""
+        """Return the state unchanged."""
         del cells
         return state
 
     def count(self, state: State, cells: Cells, inbox: Inbox | None, outbox: Outbox | None) -> State:
-        """The counts after a control period.
+        """Return the counters after a control period.
 
         Args:
-            state: Before it.
-            cells: Who.
-            inbox: What their programs were given; None for firmware without messages.
-            outbox: What they said; None for nothing at all.
+            state: State before the control period.
+            cells: The cells.
+            inbox: Messages received by the programs; None for firmware without messages.
+            outbox: Messages sent by the programs; None if there are none at all.
         """
         sent, heard = state["sent"], state["heard"]
         if inbox is not None:
@@ -136,9 +136,9 @@ class MessageCounter(BoardComponent):
         return {"sent": sent, "heard": heard}
 
     def registers(self, state: State) -> dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]]:
-        """The counts of each cell."""
+        """Return the counters of each cell."""
         return {name: state[name] for name in ("sent", "heard")}
 
     def counters(self, state: State) -> dict[str, int]:
-        """The counts of all of them."""
+        """Return the counters summed over all cells."""
         return {name: int(state[name].sum()) for name in ("sent", "heard")}

@@ -1,4 +1,4 @@
-"""The seam around a cell's controller: pins and received bytes in, pins and sent bytes out."""
+"""Interface of a cell's controller: pins and received bytes in, pins and sent bytes out."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _MOST: Final = 0.75
 
 
 class StepTime(NamedTuple):
-    """When n cells are stepped.
+    """Step times of n cells.
 
     Attributes:
-        tick: Which exchange with the plant it belongs to; where cells have clocks of their own, which window.
+        tick: Number of the exchange with the plant; of the window where cells have their own clocks.
         at_ns: ``(n,)`` int64, simulated time at which each cell reads its pins, ``clocks.NOT_IN_WINDOW`` for one that
             is not stepped in this exchange; ``()`` where it is one for all.
     """
@@ -30,25 +30,25 @@ class StepTime(NamedTuple):
     at_ns: NDArray[np.int64]
 
     def select(self, rows: NDArray[np.int64]) -> StepTime:
-        """The instants of these cells alone, in this order."""
+        """Select the instants of ``rows``, in order."""
         return self if self.at_ns.ndim == 0 else StepTime(self.tick, self.at_ns[rows])
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class ControllerState:
-    """Everything that a step of n cells depends on, apart from its inputs: all the memory that cells have.
+    """Complete state of n cells: everything that a step depends on, apart from its inputs.
 
     Attributes:
-        cells: Who they are.
-        parts: By name of the controller's part, its arrays by name, each with a row a cell.
+        cells: The cells.
+        parts: By name of the controller's part, arrays by name, each with a row a cell.
     """
 
     cells: Cells
     parts: Mapping[str, State]
 
     def select(self, rows: NDArray[np.int64]) -> ControllerState:
-        """The state of these cells alone, in this order."""
+        """Select the state of ``rows``, in order."""
         return ControllerState(
             self.cells.select(rows),
             {
@@ -58,7 +58,7 @@ class ControllerState:
         )
 
     def replace_rows(self, rows: NDArray[np.int64], other: ControllerState) -> ControllerState:
-        """This state, but these cells' rows are those of ``other``, in this order."""
+        """Return this state with ``rows`` replaced by the rows of ``other``, in order."""
         parts: dict[str, State] = {}
         for part, state in self.parts.items():
             changed: dict[str, NDArray[Any]] = {}
@@ -71,7 +71,7 @@ class ControllerState:
         return ControllerState(self.cells, parts)
 
     def rollback_rows(self, rows: NDArray[np.int64], before: ControllerState) -> ControllerState:
-        """This state, but these cells' rows are as they were ``before``.
+        """Return this state with ``rows`` restored from ``before``.
 
         Arrays that only this state has are written to: for what a step has just made, and few rows.
         """
@@ -95,7 +95,7 @@ class ControllerState:
 
     @staticmethod
     def concatenate(cells: Cells, states: Sequence[ControllerState]) -> ControllerState:
-        """The state of ``cells`` from those of each of them alone."""
+        """Concatenate the states of single cells into the state of ``cells``."""
         first = states[0].parts
         return ControllerState(
             cells,
@@ -111,14 +111,14 @@ class ControllerState:
 @final
 @dataclass(frozen=True, slots=True)
 class ControllerOutputs:
-    """What n cells do in a tick.
+    """Outputs of n cells in a tick.
 
     Attributes:
-        drive: ``(n, 2)`` float64: volts where there are motors, else surface speed in m/s. Zero where failed.
-        outbox: What goes out on the links; None for cells that don't talk, or say nothing. Nothing where failed.
-        failures: By index of the cell, what went wrong; empty if all is well.
-        served: ``(n,)``: did the program serve its watchdog? None: all did.
-        hung: By index of the cell, what went wrong in a program that hangs since: the cell is not lost.
+        drive: ``(n, 2)`` float64, volts where there are motors, else surface speed, m/s. Zero for failed cells.
+        outbox: Payloads of the links; None without messages. Failed cells send nothing.
+        failures: Failures by index of the cell; empty if there are none.
+        served: ``(n,)``, whether the program served its watchdog; None: all did.
+        hung: By index of the cell, the failure after which the program hangs; the cell is not lost.
     """
 
     drive: Floats
@@ -142,12 +142,12 @@ class Controller(ABC):
 
     @property
     def message_type(self) -> np.dtype[Any] | None:
-        """What programs say: a message's type, which may be another than that of what a link carries."""
+        """Type of the programs' messages, which may differ from the type of a link's payload."""
         return self.link_type
 
     @property
     def speculative(self) -> bool:
-        """Whether cells may be stepped that are not due, and that be undone."""
+        """Whether ``step`` may be run speculatively: cells that are not due are stepped too, and rolled back."""
         return False
 
     @abstractmethod
@@ -183,15 +183,15 @@ class Controller(ABC):
         state: ControllerState,
         inputs: Inputs,
     ) -> tuple[ControllerState, Inputs]:
-        """What came over the lines: once an exchange, for cells that are not stepped in it too.
+        """Receive from the lines: once an exchange, also for cells that are not stepped.
 
         Args:
             now: When.
             state: Of the n cells.
-            inputs: What their pins and links say.
+            inputs: Readings of pins and links.
 
         Returns:
-            The next state, and what those that are stepped see of it.
+            The next state, and the inputs of the cells that are stepped.
         """
         return state, inputs
 
@@ -204,14 +204,14 @@ class Controller(ABC):
         Args:
             now: When.
             state: Of the n cells.
-            inputs: What they see, as ``listen`` has it.
+            inputs: Inputs of the cells, from ``receive``.
 
         Returns:
             The next state and what the cells do. The state of a cell that failed means nothing.
         """
 
     def idle(self, now: StepTime, state: ControllerState) -> ControllerState:  # noqa: ARG002
-        """A control period in which no program runs: what of the hardware goes on; by default nothing.
+        """Advance the hardware by a control period in which no program runs; by default nothing changes.
 
         Args:
             now: When.
@@ -222,16 +222,16 @@ class Controller(ABC):
     def compute_rows(
         self, rows: NDArray[np.int64], now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
-        """A control period of these cells; the others do nothing, and remember what they did.
+        """Compute a control period of ``rows``; other cells keep their state and have no outputs.
 
         Args:
-            rows: Who, ascending.
-            now: When, for all n cells.
-            state: Of all of them.
-            inputs: Likewise, as ``listen`` has it.
+            rows: Rows of the cells to compute, ascending.
+            now: Step times of all n cells.
+            state: State of all n cells.
+            inputs: Inputs of all n cells, from ``receive``.
 
         Returns:
-            The next state and what the cells do, of all of them: drives are zero for those that did nothing.
+            The next state and the outputs of all n cells; drives are zero outside ``rows``.
         """
         n = len(state.cells)
         if len(rows) == n:
@@ -260,7 +260,7 @@ class Controller(ABC):
     def _compute_most_rows(
         self, rows: NDArray[np.int64], now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
-        """The same: all cells are stepped, which is pure, and for those few that should not be it is undone."""
+        """Compute all cells, which is pure, and roll back the few that are not in ``rows``."""
         idle = np.ones(len(state.cells), dtype=np.bool_)
         idle[rows] = False
         others = np.flatnonzero(idle)
@@ -277,11 +277,11 @@ class Controller(ABC):
         return after.rollback_rows(others, state), ControllerOutputs(drive, outbox, failures, served, hung)
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:  # noqa: ARG002
-        """What can be read of cells while they run, ``part.register`` to an array with a row a cell."""
+        """Return the readable registers of the cells: ``part.register`` to an array with a row a cell."""
         return {}
 
     def counters(self, state: ControllerState) -> dict[str, int]:  # noqa: ARG002
-        """What happened to the cells so far that is worth counting, ``part.what`` to a number."""
+        """Return the counters of events so far: ``part.counter`` to a number."""
         return {}
 
 
@@ -293,14 +293,14 @@ def read_only(state: State) -> State:
 
 
 class ControllerWrapper(Controller):
-    """Base of what decides when the cells' controller is stepped, and what becomes of what it does.
+    """Base of wrappers that decide when the wrapped controller is stepped, and change its outputs.
 
     Args:
         controller: The cells' own.
     """
 
     part: ClassVar[str]
-    """Its part of the state, and the first word of its registers."""
+    """Name of the wrapper's part of the state, and prefix of its registers."""
     shown: ClassVar[tuple[str, ...]]
     """Arrays of that part that are registers."""
 
@@ -309,21 +309,21 @@ class ControllerWrapper(Controller):
 
     @property
     def link_type(self) -> np.dtype[Any] | None:
-        """What a link carries in a tick."""
+        """Type of a link's payload in a tick."""
         return self.controller.link_type
 
     @property
     def message_type(self) -> np.dtype[Any] | None:
-        """What programs say."""
+        """Type of the programs' messages."""
         return self.controller.message_type
 
     @property
     def speculative(self) -> bool:
-        """As the cells' controller has it."""
+        """Whether the wrapped controller may be stepped speculatively."""
         return self.controller.speculative
 
     def unwrap_state(self, state: ControllerState) -> ControllerState:
-        """What the cells' controller knows of."""
+        """Return the state of the wrapped controller."""
         parts = {name: part for name, part in state.parts.items() if name != self.part}
         return ControllerState(state.cells, parts)
 
@@ -332,11 +332,11 @@ class ControllerWrapper(Controller):
         return ControllerState(inner.cells, {**inner.parts, self.part: read_only(own)})
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
-        """Its own, and those of the cells' controller."""
+        """Return the wrapper's own registers and the registers of the wrapped controller."""
         own = state.parts[self.part]
         shown = {f"{self.part}.{name}": own[name] for name in self.shown}
         return {**shown, **self.controller.registers(self.unwrap_state(state))}
 
     def counters(self, state: ControllerState) -> dict[str, int]:
-        """What the cells' controller has counted."""
+        """Return the counters of the wrapped controller."""
         return self.controller.counters(self.unwrap_state(state))

@@ -1,4 +1,4 @@
-"""What can go wrong in firmware: one root, and the cases that callers tell apart."""
+"""Errors of firmware: one root class, and subclasses that callers distinguish."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Problem:
 
 
 class ParametersError(FirmwareError):
-    """Parameters that their firmware refuses, all problems at once.
+    """Parameters refused by the firmware, with all problems at once.
 
     Attributes:
         firmware: Name of the firmware as it was asked for.

@@ -1,4 +1,4 @@
-"""What firmware is: a pure step of one control period, on the arrays of all cells of a process at once."""
+"""Firmware interface: a pure step of one control period, on arrays of all cells of a process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ State = Mapping[str, NDArray[Any]]
 
 
 def opaque_view(array: NDArray[Any]) -> NDArray[Any]:
-    """The same memory as items without fields: NumPy moves those at once, and structures field by field."""
+    """Return a view with opaque items, which NumPy moves at once instead of field by field."""
     return array if array.dtype.names is None else array.view(np.dtype((np.void, array.dtype.itemsize)))
 
 
@@ -32,7 +32,7 @@ def take_rows(array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
 
 
 def put_rows(array: NDArray[Any], rows: NDArray[np.int64], values: NDArray[Any]) -> None:
-    """``array[rows] = values``, likewise; ``array`` must lie in one piece."""
+    """Assign ``array[rows] = values``, in a tenth of the time; ``array`` must be contiguous."""
     if array.ndim == 1 or array.dtype != values.dtype or array.dtype.hasobject:
         opaque_view(array)[rows] = opaque_view(values)
         return
@@ -45,7 +45,7 @@ def put_rows(array: NDArray[Any], rows: NDArray[np.int64], values: NDArray[Any])
 @final
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """What cells know of themselves, n of them.
+    """Identity and geometry of n cells.
 
     Attributes:
         row: ``(n,)`` int64.
@@ -78,7 +78,7 @@ class Cells:
         return int(self.row[index]), int(self.column[index])
 
     def select(self, indices: NDArray[np.int64]) -> Cells:
-        """These cells alone, in this order."""
+        """Select the cells of ``indices``, in order."""
         return Cells(
             take_rows(self.row, indices),
             take_rows(self.column, indices),
@@ -116,10 +116,10 @@ class Cells:
 @final
 @dataclass(frozen=True, slots=True)
 class Inbox:
-    """What the neighbours sent in the tick before.
+    """Messages that the neighbours sent in the previous tick.
 
     Attributes:
-        received: ``(n, 4)``: did a message come in on that side?
+        received: ``(n, 4)``, whether a message arrived on the side.
         message: ``(n, 4)`` of the firmware's message type; zeros where nothing came.
     """
 
@@ -130,7 +130,7 @@ class Inbox:
 @final
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What cells see at the start of a tick.
+    """Inputs of cells at the start of a tick.
 
     Attributes:
         presence: ``(n, sensors)``: is there a parcel over the sensor?
@@ -138,7 +138,7 @@ class Inputs:
         inbox: Messages of the tick before; None for firmware that has none.
         level: ``(n, sensors)``, how much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
         label: ``(n,)``, number of the exit that the parcel over each cell is meant for, 0: none; None without scanners.
-        camera: What a camera saw, the same for all cells; None where no picture comes in.
+        camera: Frame of a camera, the same for all cells; None in ticks without a frame.
     """
 
     presence: Bools
@@ -149,7 +149,7 @@ class Inputs:
     camera: CameraFrame | None = None
 
     def select(self, indices: NDArray[np.int64]) -> Inputs:
-        """The inputs of these cells alone, in this order."""
+        """Select the inputs of ``indices``, in order."""
         encoder_m = None if self.encoder_m is None else take_rows(self.encoder_m, indices)
         inbox = self.inbox and Inbox(
             take_rows(self.inbox.received, indices), take_rows(self.inbox.message, indices)
@@ -162,10 +162,10 @@ class Inputs:
 @final
 @dataclass(frozen=True, slots=True)
 class Outbox:
-    """What cells send to their neighbours; to be read in the next tick.
+    """Messages to the neighbours, delivered in the next tick.
 
     Attributes:
-        sent: ``(n, 4)``: does a message go out on that side? Where there is no neighbour, nobody reads it.
+        sent: ``(n, 4)``, whether a message is sent on the side; it is ignored where there is no neighbour.
         message: ``(n, 4)`` of the firmware's message type.
     """
 
@@ -179,7 +179,7 @@ class Outbox:
 
     @staticmethod
     def to_all(message: np.dtype[Any] | None, **values: NDArray[Any]) -> Outbox:
-        """The same to every side: ``(n,)`` values by the names of the message's fields."""
+        """Return an outbox with one message to all sides: ``(n,)`` values by name of the message's fields."""
         assert message is not None, "this is a bug: messages of firmware that has none"
         n = len(next(iter(values.values())))
         outbox = Outbox(np.ones((n, 4), dtype=np.bool_), np.empty((n, 4), dtype=message))
@@ -191,14 +191,14 @@ class Outbox:
 @final
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """What cells do in a tick.
+    """Outputs of cells in a tick.
 
     Attributes:
         speed_m_s: ``(n, 2)``, surface speed along x and y, m/s.
-        outbox: Messages to the neighbours; None for nothing at all.
-        failed: Cells that could not be stepped: index to traceback. Their rows mean nothing. Array firmware
-            has no use for it: it raises, and the cell is looked for.
-        served: ``(n,)``: did the program serve its watchdog? None: it did. Matters with the effect ``cop`` only.
+        outbox: Messages to the neighbours; None if there are none at all.
+        failed: Cells that could not be stepped: index to traceback. Their rows are ignored. Array firmware raises
+            instead, and the board finds the cell.
+        served: ``(n,)``, whether the program served its watchdog; None: all did. Used with the effect ``cop`` only.
     """
 
     speed_m_s: Floats
@@ -217,13 +217,13 @@ class Firmware(Program, ABC):
     """
 
     speculative: ClassVar[bool] = True
-    """Whether cells may be stepped that are not due, and that be undone: to step all may cost less."""
+    """Whether ``step`` may be run speculatively: all cells are stepped, and rows of cells not due are rolled back."""
 
     form: ClassVar[str] = "on arrays"
     """How it runs, in words."""
 
     def observables(self, state: State) -> State:
-        """What can be seen of its state from outside: arrays by name, each with one row per cell; by default all."""
+        """Return the state visible from outside: arrays by name, each with a row a cell; by default all."""
         return state
 
     @abstractmethod

@@ -103,7 +103,7 @@ FirmwareClass = type[Firmware] | type[CellFirmware]
 
 
 def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
-    """The firmware that a scene asks for, with its parameters; its hooks are guarded, see `cell_firmware.hooks`.
+    """Load the firmware of a scene, with its parameters and guarded hooks; see `cell_firmware.hooks`.
 
     Args:
         spec: What the scene says of its cells.
@@ -203,7 +203,7 @@ def _from_file(name: str, path: Path) -> ModuleType:
 
 
 def _import_failed(name: str, error: Exception | SystemExit) -> FirmwareError:
-    """What went wrong in a line, and below it where: in the firmware, not in what imported it."""
+    """Return the error of a failed import, with a traceback of the firmware's frames only."""
     told = traceback.TracebackException.from_exception(error)
     told.stack = traceback.StackSummary.from_list(
         [frame for frame in told.stack if not _imports(frame.filename)]

@@ -24,7 +24,7 @@ BYTE_E: Final = 80
 
 
 class Share(NamedTuple):
-    """What takes some of the processor's time, E a period.
+    """Processor time of one activity, E cycles a period.
 
     Attributes:
         what: In words.

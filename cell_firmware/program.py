@@ -1,4 +1,4 @@
-"""What every cell's program has, in whichever form it is written: parameters, a message type, a check."""
+"""Base of all programs of cells: parameters, message type and checks."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Theory:
     """A prediction for links that neither lose nor delay, and cells that all live and step at once.
 
     Attributes:
-        law: What it says, in a line, with its source.
-        factor: By which the slowest error shrinks from tick to tick: below 1 it dies out, at 1 it stays, above 1 it
-            grows. None for a protocol that is done after a number of ticks instead, or that has no such law.
-        ticks: After how many ticks it is done, at most; None where it comes ever closer instead.
-        limit: Where it goes: what ``Program.observed`` is then, with a row a cell, in the lattice's order; None where
-            theory does not say.
+        law: The prediction in a line, with its source.
+        factor: Factor of the slowest error from tick to tick: decays below 1, persists at 1, grows above 1. None for a
+            protocol that finishes after a number of ticks, or without such a law.
+        ticks: Upper bound on the ticks until the protocol finishes; None where it converges asymptotically.
+        limit: Limit of ``Program.observable``, with a row a cell, in the lattice's order; None where theory predicts
+            none.
     """
 
     law: str
@@ -63,7 +63,7 @@ class Program:
         del lattice
 
     def check_geometry(self, lattice: Lattice, position_m: NDArray[np.float64], pitch_m: float) -> None:
-        """The same for parameters that do not fit where the cells are.
+        """Refuse parameters that do not fit the positions of the cells, before anything starts.
 
         Args:
             lattice: The cells.
@@ -76,24 +76,24 @@ class Program:
         del lattice, position_m, pitch_m
 
     def required_effects(self) -> tuple[str, ...]:
-        """Effects without which its parameters ask for what no cell of the scene has."""
+        """Return the names of effects that the parameters depend on."""
         return ()
 
     def uses_camera(self) -> bool:
-        """Whether cells with these parameters want to be shown a camera's pictures, where the scene has one."""
+        """Whether cells with these parameters use camera frames, where the scene has a camera."""
         return False
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
-        """By field of its messages, the least and the greatest that a cell of this program ever tells with sound links.
+        """Return the range of values, by field of the messages, that cells of this program send over intact links.
 
-        A field that is not named may have any.
+        Fields without a range may have any value.
         """
         return {}
 
     def accepts(self, messages: NDArray[Any]) -> NDArray[np.bool_]:
-        """Which messages, of any shape, a cell of this program could have told: floats are numbers, all is plausible.
+        """Return which messages, of any shape, are plausible: floats are finite, or within ``value_ranges``.
 
-        It is asked where faults may damage messages; what is not credible is not handed over.
+        Called where faults may damage messages; a refused message is not delivered.
         """
         plausible, good = self.value_ranges(), np.ones(messages.shape, dtype=np.bool_)
         for name in messages.dtype.names or ():
@@ -106,11 +106,11 @@ class Program:
         return good
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
-        """What will go wrong on this array, though nothing forbids it: a line each, that says what will be seen."""
+        """Return warnings of problems to expect on this array, a line each that names the visible symptom."""
         del lattice
         return ()
 
     def theory(self, lattice: Lattice) -> Theory | None:
-        """What theory says of it on this array; None if it has nothing to say."""
+        """Return the theoretical prediction for this array; None if there is none."""
         del lattice
         return None

@@ -30,7 +30,7 @@ Indices = NDArray[np.int64]
 
 _EVERY: Final = slice(None)
 FAULTS: Final = "faults"
-"""What stages of faults go by; they come after those of all effects."""
+"""Name of the faults' input filters, which are applied after the filters of all effects."""
 
 
 @final
@@ -50,13 +50,13 @@ class BoundaryMessages:
 @final
 @dataclass(frozen=True, slots=True)
 class ShardOutputs:
-    """What a shard does in a tick.
+    """Outputs of a shard in a tick.
 
     Attributes:
-        drive: ``(n, 2)`` float64, volts or m/s; zero for cells that are gone.
-        links: What goes out over the border; None for firmware without messages.
-        failures: Cells whose firmware failed in this tick. They are retired already.
-        hung: Cells whose firmware failed in this tick and hangs since; they take part as before.
+        drive: ``(n, 2)`` float64, volts or m/s; zero for dead cells.
+        links: Messages sent over the border; None for firmware without messages.
+        failures: Cells whose firmware failed in this tick; they are retired already.
+        hung: Cells whose firmware failed in this tick and hangs since; they stay live.
     """
 
     drive: Floats
@@ -67,22 +67,22 @@ class ShardOutputs:
 
 @final
 class Shard:
-    """Steps the cells of one process, be it one cell or all of them, to the same bytes.
+    """Cells of one process, stepped together; the results are the same bytes for any partition of the array.
 
     A message sent in tick k is read in tick k + 1, over the border or not. Links of the border are in the
     order of ``partition.outgoing(shard)`` and ``partition.incoming(shard)``.
 
     Args:
-        controller: Of the cells.
+        controller: Controller of the cells.
         cells: All cells of the array, in the lattice's order.
-        partition: How the array is cut.
-        shard: Which part of it this is.
-        effects: By name, the stages that what the cells see has to pass before they see it, in order.
-        faults: Those whose stages are among them, or that the controller carries out.
+        partition: Partition of the array into shards.
+        shard: Number of the shard.
+        effects: Input filters by name of the effect, in order of application.
+        faults: Faults whose filters are in ``effects``, or that the controller carries out.
 
     Attributes:
         indices: ``(n,)``, the cells of this shard, by index into the lattice.
-        names: ``(row, column)`` of each.
+        cells: ``(row, column)`` of each cell.
 
     Raises:
         FirmwareFailed: The firmware's ``init`` failed.
@@ -151,17 +151,17 @@ class Shard:
         label: Labels | None = None,
         camera: CameraFrame | None = None,
     ) -> ShardOutputs:
-        """One control period of all cells.
+        """Step all cells by one control period.
 
         Args:
             tick: The tick: one more than the last.
             presence: ``(n, sensors)``, the cells' presence bits.
             encoder_m: ``(n, 2)``, surface travel of the wheels, m; None without encoders.
-            links: What came in over the border from tick ``tick - 1``; None in tick 0, without messages, or
+            links: Messages received over the border from tick ``tick - 1``; None in tick 0, without messages, or
                 where there is no border.
             level: ``(n, sensors)``, how much of each sensor's spot is covered; None unless sensors are analogue.
-            label: ``(n,)``, what scanners read; None without scanners.
-            camera: What a camera saw; None where no picture comes in.
+            label: ``(n,)``, readings of scanners; None without scanners.
+            camera: Frame of a camera; None in ticks without a frame.
 
         Returns:
             Drives, outgoing messages, and the cells that failed in this tick.
@@ -195,7 +195,7 @@ class Shard:
         return ShardOutputs(drive, self.boundary_links, failures, hung)
 
     def _inbox(self, links: BoundaryMessages | None) -> Inbox | None:
-        """Messages of the last tick, from inside and over the border."""
+        """Collect messages of the last tick, from inside the shard and over the border."""
         if self._message is None:
             return None
         received = np.zeros(self._n * 4, dtype=np.bool_)
@@ -215,7 +215,7 @@ class Shard:
         return Inbox(received.reshape(self._n, 4), message.reshape(self._n, 4))
 
     def _store_outbox(self, outbox: Outbox | None) -> None:
-        """Keeps what the cells sent, until the next tick."""
+        """Store the cells' messages until the next tick."""
         if outbox is None or self._message is None:
             return
         if self._active is None:
@@ -227,10 +227,10 @@ class Shard:
         self._sent, self._outgoing = sent.ravel(), outgoing.ravel()
 
     def retire(self, cells: Iterable[tuple[int, int]]) -> None:
-        """These cells do nothing from now on: no drive, no messages. What they sent before still arrives.
+        """Retire cells: no drive and no messages from now on; messages sent before still arrive.
 
         Args:
-            cells: ``(row, column)`` of each; those of other shards, or retired before, change nothing.
+            cells: ``(row, column)`` of each; cells of other shards, or retired before, are ignored.
         """
         gone = set(cells)
         alive = self._state.cells
@@ -245,16 +245,16 @@ class Shard:
         self._retired.update(before)
 
     def start_at(self, tick: int) -> None:
-        """The first tick is ``tick``: for cells that come into a run that goes on already."""
+        """Start at ``tick``, for cells that join a running simulation."""
         self._tick = tick - 1
 
     def inject(self, fault: FaultInstance[CellFault], site: ShardContext, lattice: Lattice) -> None:
-        """One more fault, from the next tick on at the earliest.
+        """Inject a fault, effective from the next tick at the earliest.
 
         Args:
-            fault: Which.
+            fault: The fault.
             site: The shard's cells.
-            lattice: Of the array.
+            lattice: Lattice of the array.
         """
         self._faults[fault.number] = fault
         stages = tuple(fault.fault.input_filters(site, lattice, fault))
@@ -267,12 +267,12 @@ class Shard:
         self._state = init_new_wrappers(self._controller, self._state, drive)
 
     def repair(self, number: int, tick: int) -> None:
-        """A fault doesn't act any more from ``tick`` on; one that the shard doesn't know changes nothing."""
+        """End a fault at ``tick``; an unknown fault is ignored."""
         if number in self._faults:
             self._faults[number].end_tick = tick
 
     def registers(self) -> tuple[Indices, dict[str, NDArray[Any]]]:
-        """What can be read of the cells that still run.
+        """Return the registers of live cells.
 
         Returns:
             ``(a, 2)`` row and column of each; by name, arrays with a row for each.
@@ -281,7 +281,7 @@ class Shard:
         return np.stack((cells.row, cells.column), axis=1), self._controller.registers(self._state)
 
     def counters(self) -> Counter[str]:
-        """What effects did to the shard's cells so far, and what their boards counted, by ``effect.what``."""
+        """Return the counters of effects and boards so far, by ``effect.counter``, retired cells included."""
         total = Counter(self._retired)
         for name, stages in self._effects.items():
             for stage in stages:
@@ -296,14 +296,14 @@ class Shard:
 
     @property
     def boundary_links(self) -> BoundaryMessages | None:
-        """What went out over the border in that tick; None for firmware without messages."""
+        """Messages sent over the border in the last tick; None for firmware without messages."""
         if self._message is None:
             return None
         return _links(self._sent[self._out_from], self._outgoing[self._out_from])
 
     @property
     def _memory(self) -> Mapping[str, State]:
-        """What the cells that still run remember."""
+        """State of live cells, by part of the controller."""
         return self._state.parts
 
     @_memory.setter
@@ -323,7 +323,7 @@ class Shard:
 
 
 def _arrays(parts: Mapping[str, State]) -> dict[str, int]:
-    """The arrays of a memory by name, and how many rows each has."""
+    """Return the number of rows of each array of a state, by name."""
     return {f"{part}.{name}": len(array) for part, state in parts.items() for name, array in state.items()}
 
 

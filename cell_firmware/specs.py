@@ -1,4 +1,4 @@
-"""What the cells are told: frozen, validated parts of a scene that concern firmware."""
+"""Scene specifications of the cells: frozen, validated parts that concern firmware."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The array of cells as the plant sees it: where they are, and which lies beyond an edge."""
+"""Array of cells in the plant: positions, and neighbours beyond each edge."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What a plant has only where effects of its scene ask for it: motors, levels, parcels that come, go, or touch.
+"""Factories of the plant's optional parts: motors, traffic, sensor levels, scanners, camera, parcel contact.
 
-Their modules are imported here, where they are used: a scene without them loads none of their code.
+Each factory imports the modules of its effect itself, so that a scene without the effect loads none of its code.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def make_traffic(
 
 
 def make_spots(spec: PlantSpec, array: CellArray) -> Spots | None:
-    """What tells how much of its spot each sensor has covered, None where sensors have no levels."""
+    """Make the model of sensor spots' coverage; None where sensors have no levels."""
     analogue = spec.effects.analogue_sensors
     if analogue is None:
         return None
@@ -64,7 +64,7 @@ def make_spots(spec: PlantSpec, array: CellArray) -> Spots | None:
 
 
 def make_scanners(spec: PlantSpec, array: CellArray) -> Scanners | None:
-    """What tells where the parcels over some cells are to go, None where no cell can read that."""
+    """Make the label scanners; None where the scene has no scanners or no feeders."""
     scanners, feeders = spec.effects.scanners, spec.effects.feeders
     if scanners is None or feeders is None:
         return None
@@ -74,7 +74,7 @@ def make_scanners(spec: PlantSpec, array: CellArray) -> Scanners | None:
 
 
 def make_camera(effects: PlantEffects, tick_ns: int, seed: int, later: int = 0) -> Camera | None:
-    """What takes pictures of parcels, None where nothing does; see ``plant.effects.camera.camera.Camera``."""
+    """Make the camera; None where the scene has no camera. See ``plant.effects.camera.camera.Camera``."""
     if effects.camera is None:
         return None
     from plant.effects.camera.camera import Camera
@@ -83,7 +83,7 @@ def make_camera(effects: PlantEffects, tick_ns: int, seed: int, later: int = 0) 
 
 
 def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
-    """What moves parcels that touch, None where they don't."""
+    """Make the mover of touching parcels; None where the scene has no parcel contact."""
     contact = spec.effects.parcel_contact
     if contact is None:
         return None

@@ -1,4 +1,4 @@
-"""What must hold at the start: every parcel stands where it starts or is fed, and none is in another's way."""
+"""Initial checks: every parcel stands where it starts or is fed, and no two parcels overlap."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def check_standing(spec: PlantSpec, solver: Solver, cells: int) -> None:
 
 
 def check_places(spec: PlantSpec, state: Floats, overlaps: OverlapDetector, traffic: Traffic | None) -> None:
-    """Refuse parcels that overlap at the start, and those that would leave as soon as they are there.
+    """Refuse parcels that overlap at the start, and parcels that start inside an exit.
 
     Args:
-        spec: names the key of what is refused.
-        state: ``(parcels, 6)`` at the start.
-        overlaps: knows their footprints.
-        traffic: who is there, and the exits; None: all are, and there are none.
+        spec: scene of the plant, which names the keys in errors.
+        state: states of all parcels at the start, ``(parcels, 6)``.
+        overlaps: overlap detector of the parcels' footprints.
+        traffic: parcels on the surface and exits; None: all parcels are there and there are no exits.
 
     Raises:
         PlantError: there is such a parcel.

@@ -45,7 +45,7 @@ ENDINGS: dict[int, Ending] = {
 
 
 def make_parcel(spec: ParcelSpec, array: CellArray) -> Parcel:
-    """A parcel at its start with the cells under it, and without what only one solver needs to know.
+    """Build the kernels' data of a parcel at its start, without solver-specific fields.
 
     Args:
         spec: footprint, mass and start.
@@ -150,12 +150,13 @@ def pack(parcels: Sequence[Parcel]) -> Parcels:
 
 @final
 class LoggedEvents(Sequence[SolverEvent]):
-    """What a kernel logged of one parcel, without its tipping; made into events by whoever reads it.
+    """Events that a kernel logged for one parcel, except tipping, converted on iteration.
 
-    Threads that move parcels leave that undone: it needs the interpreter, which only one of them has at a time.
+    Threads that move parcels don't convert events: conversion needs the interpreter lock, which one thread holds at a
+    time.
 
     Args:
-        rows: ``(k, 4)``: see ``plant.kernels.common.layout``; kept.
+        rows: Log ``(k, 4)``, kept without copying; see ``plant.kernels.common.layout``.
     """
 
     def __init__(self, rows: Floats) -> None:

@@ -1,4 +1,4 @@
-"""Which cells carry a parcel, and how much each (eqs. 3-13, unilateral), in NumPy: for those who ask now and then.
+"""Support sets and loads of a parcel (eqs. 3-13, unilateral) in NumPy, for occasional queries.
 
 The solvers with compiled kernels have the same in ``plant.kernels.common.loads``. Offsets are from the parcel's
 centre of mass

@@ -1,4 +1,4 @@
-"""What solvers tell of parcels, as the plant tells it: events with names and places, and how parcels fare."""
+"""Event log and rest detector: conversion of solver results to plant events and parcel states."""
 
 from __future__ import annotations
 
@@ -25,19 +25,20 @@ WHY = {
 
 @final
 class EventLog:
-    """Puts what becomes of parcels into words.
+    """Converts solver results to events and parcel states. Stops parcels that tip.
 
     Args:
         array: the cells.
-        solver: where parcels are; one that tips is stopped there.
-        status: of each parcel; changed as they tip.
-        spec: the scene's physics, with parcels that are fed: says why a motion is hard to follow.
+        solver: solver that holds the parcels' states; tipping parcels are stopped there.
+        status: status of each parcel, changed when the parcel tips.
+        spec: the scene's physics including fed parcels, used to explain why a motion is hard to integrate.
 
     Attributes:
         support_changes: changes of support sets so far.
         left_out: events that solvers found and did not list so far.
-        outrun_s: ``(m,)`` when each parcel first outran a wheel that its law takes to be faster, s; NaN: never.
-        halted: the first that ended a parcel's motion which is no outcome; None: nothing did.
+        outrun_s: time at which each parcel first outran a wheel that its law assumes to be faster, ``(m,)``, s; NaN:
+            never.
+        halted: first error that ended a parcel's motion; None: no error.
     """
 
     remembers: ClassVar[StateFields] = StateFields("support_changes", "left_out", "outrun_s")
@@ -50,13 +51,13 @@ class EventLog:
         self.halted: PlantHalted | None = None
 
     def tipped(self, there: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Those of some parcels that tipped on the array, and stand there."""
+        """Return the parcels among ``there`` that tipped and lie on the array."""
         return there[[self._status[int(i)].state == "tipped" for i in there]]
 
     def events(self, done: AdvanceResult, start_s: float) -> list[Event]:
-        """What happened to a parcel in a move that began at ``start_s``.
+        """Convert a parcel's advance result, of a move that began at ``start_s``, to events.
 
-        Where its motion can't be followed, or was to end, ``halted`` says so.
+        If the motion can't be followed, or had to end, a ``halted`` event is added.
         """
         i = done.parcel
         self.support_changes += done.changes
@@ -80,7 +81,7 @@ class EventLog:
         return events
 
     def _place(self, i: int) -> tuple[float, float]:
-        """Where a parcel's centre of mass is."""
+        """Return the position of a parcel's centre of mass, m."""
         x, y = self._solver.state[i, :2].tolist()
         return x, y
 
@@ -127,7 +128,7 @@ Numbers = NDArray[np.int64]
 
 @final
 class RestDetector:
-    """Tells which parcels rest, from their states at instants.
+    """Detects parcels at rest from sampled states.
 
     Args:
         radius: ``(m,)`` farthest corner of each parcel from its centre of mass, m.

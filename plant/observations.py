@@ -1,4 +1,4 @@
-"""What the plant tells: senses, events, how parcels fare, and its course."""
+"""Outputs of the plant: sensor readings, events, parcel states, trajectories and traffic statistics."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ParcelState = Literal["waiting", "moving", "at_rest", "tipped", "off_array", "de
 @final
 @dataclass(frozen=True, slots=True)
 class Sense:
-    """What the cells sense at an instant.
+    """Sensor readings of all cells at an instant.
 
     Attributes:
         presence: ``(n, sensors)`` bool.
@@ -32,7 +32,7 @@ class Sense:
     label: NDArray[np.int64] | None = None
 
     def with_cells(self, cells: NDArray[np.int64], now: Sense) -> Sense:
-        """The same, but of some cells what ``now`` says; encoders stay."""
+        """Return a copy with the readings of ``cells`` taken from ``now``, except encoders."""
         level = None if self.level is None or now.level is None else self.level.copy()
         label = None if self.label is None or now.label is None else self.label.copy()
         presence = self.presence.copy()
@@ -70,13 +70,13 @@ class Event(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True)
 class ParcelStatus:
-    """How a parcel fares.
+    """Status of a parcel.
 
     Attributes:
         state: ``waiting`` off the surface to be fed; ``moving``; ``at_rest``; ``tipped``, and it stays where it tipped
             and carries no wheel; ``off_array``, tipped across the outer edge; ``delivered``, carried through an exit.
-        time_s: since when.
-        detail: about which edge it tipped, for which feeder it waits, through which exit it left.
+        time_s: time of the last change of ``state``, s.
+        detail: edge about which the parcel tipped, feeder at which it waits, or exit through which it left.
     """
 
     state: ParcelState
@@ -85,19 +85,19 @@ class ParcelStatus:
 
     @property
     def rides(self) -> bool:
-        """Whether wheels carry it: it moves, or could."""
+        """Whether wheels carry the parcel, moving or at rest."""
         return self.state in ("moving", "at_rest")
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A plant's course under constant drives.
+    """Sampled states and events of a plant under constant drives.
 
     Attributes:
-        time_ns: ``(T,)`` instants.
-        state: ``(T, parcels, 6)``.
-        events: all of them.
+        time_ns: instants, ``(T,)``, ns.
+        state: states of all parcels, ``(T, parcels, 6)``.
+        events: all events.
     """
 
     time_ns: NDArray[np.int64]
@@ -108,7 +108,7 @@ class Trajectory:
 @final
 @dataclass(frozen=True, slots=True)
 class Transit:
-    """How long parcels were there before they left, s."""
+    """Statistics of transit times, s."""
 
     mean: float
     shortest: float
@@ -116,7 +116,7 @@ class Transit:
 
     @classmethod
     def of(cls, spans_ns: Sequence[int]) -> Transit | None:
-        """Of these; None where nobody left."""
+        """Summarise transit times; None if no parcel left."""
         if not spans_ns:
             return None
         return cls(sum(spans_ns) / len(spans_ns) * 1e-9, min(spans_ns) * 1e-9, max(spans_ns) * 1e-9)
@@ -125,14 +125,14 @@ class Transit:
 @final
 @dataclass(frozen=True, slots=True)
 class FeedCount:
-    """What came by one feeder.
+    """Statistics of one feeder.
 
     Attributes:
         name: of the feeder.
-        fed: parcels that have appeared.
-        waiting: parcels that have not.
-        held_back: parcels that found no room at the first tick at which they were due, whether fed since or not.
-        longest_hold_s: the longest that one of them had to wait for room.
+        fed: parcels fed.
+        waiting: parcels not fed yet.
+        held_back: parcels that were blocked at the first tick at which they were due, whether fed since or not.
+        longest_hold_s: longest wait of a blocked parcel, s.
     """
 
     name: str
@@ -145,13 +145,13 @@ class FeedCount:
 @final
 @dataclass(frozen=True, slots=True)
 class ExitCount:
-    """Who left by one exit.
+    """Statistics of one exit.
 
     Attributes:
         name: of the exit.
-        left: how many parcels.
-        misrouted: how many of them were meant for another.
-        transit_s: from when each was fed (the start, for the scene's own parcels) until it left.
+        left: number of parcels that left.
+        misrouted: number of parcels among them meant for another exit.
+        transit_s: time from feeding (the start, for the scene's own parcels) to leaving.
     """
 
     name: str
@@ -163,7 +163,7 @@ class ExitCount:
 @final
 @dataclass(frozen=True, slots=True)
 class TrafficCount:
-    """What came and went; every parcel is one of ``waiting``, ``there`` and ``left``.
+    """Traffic statistics; every parcel is counted in one of ``waiting``, ``there`` and ``left``.
 
     Attributes:
         feed: by feeder.

@@ -1,4 +1,4 @@
-"""Parcels that come to overlap: noticed and reported, not resolved."""
+"""Detection of overlapping parcels: reported, not resolved."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def meeting(time_s: float, kind: str, first: int, second: int, depth_m: float, p
 
 @final
 class OverlapDetector:
-    """Watches all pairs of parcels, at the instants it is shown.
+    """Detects overlaps of all pairs of parcels at sampled instants.
 
     Args:
-        footprints: ``(v, 2)`` corners of each parcel about its centre of mass, counter-clockwise.
-        radius: ``(m,)`` farthest corner of each.
+        footprints: corners of each parcel about its centre of mass, counter-clockwise, ``(v, 2)``, m.
+        radius: distance of each parcel's farthest corner, ``(m,)``, m.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_met")
@@ -57,9 +57,9 @@ class OverlapDetector:
                 yield i, j, found[0], (float(found[1][0]), float(found[1][1]))
 
     def first_blocker(self, i: int, state: Floats, there: Indices, clear_m: float = 0.0) -> int | None:
-        """The first parcel, of those that are there, that parcel ``i`` would overlap at its pose.
+        """Find the first present parcel that parcel ``i`` would overlap at its pose.
 
-        Or whose centre of mass is nearer to that of ``i`` than ``clear_m``.
+        Parcels whose centre of mass is nearer to that of ``i`` than ``clear_m`` count as blockers, too.
         """
         gap = state[there, :2] - state[i, :2]
         apart = np.hypot(gap[:, 0], gap[:, 1])
@@ -74,7 +74,7 @@ class OverlapDetector:
         return None
 
     def changes(self, state: Floats, there: Indices) -> list[tuple[str, int, int, float, Place]]:
-        """What is new since the last look: ``overlap`` or ``apart``, the pair, depth and place; see `pairs`."""
+        """Return changes since the last call: ``overlap`` or ``apart``, the pair, depth and place; see `pairs`."""
         if len(self._radius) < 2:
             return []
         now = {(i, j): (depth, place) for i, j, depth, place in self.pairs(state, there)}

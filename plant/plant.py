@@ -1,4 +1,7 @@
-"""The plant: parcels on wheels, as a pure object. State in, drives in; state out, senses out; no clock, no bus."""
+"""The plant: parcels on wheels, as a pure object with drives as input and sensor readings as output.
+
+The plant has no clock and no bus.
+"""
 
 from __future__ import annotations
 
@@ -114,7 +117,7 @@ class Plant:
 
     @property
     def effort(self) -> int:
-        """What the solver has done so far: steps, or right-hand sides with ``scipy``."""
+        """Work done by the solver: steps, or right-hand sides with ``scipy``."""
         return self._solver.effort
 
     @property
@@ -143,11 +146,11 @@ class Plant:
         return _read_only(self._wheels.speed)
 
     def traffic(self) -> TrafficCount | None:
-        """What has come and gone until now; None where the scene has no feeders."""
+        """Return the traffic statistics up to now; None where the scene has no feeders."""
         return None if self._traffic is None else self._traffic.count(self._now_ns)
 
     def sense(self) -> Sense:
-        """What the cells sense now."""
+        """Read all cells' sensors now."""
         presence = np.zeros((len(self.array), len(self.array.sensors_m)), dtype=np.bool_)
         self._solver.presence(self._moves.on_surface, presence)
         travel = self._wheels.travel
@@ -170,7 +173,7 @@ class Plant:
             self._moves.release(cells)
 
     def engage_wheels(self, cells: Sequence[int]) -> None:
-        """Note that cells that were dead are so no longer: their wheels act on their drives."""
+        """Mark cells as alive again: their wheels follow drives."""
         self._moves.engage(cells)
 
     def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
@@ -195,13 +198,13 @@ class Plant:
 
     @property
     def _fault_state(self) -> tuple[Any, ...] | None:
-        """What faults have done last, by ``WheelFaults``'s fields; None: nothing ever."""
+        """Last fault state, by the fields of ``WheelFaults``; None: no fault acted yet."""
         harm = self._harm
         return None if harm is None else tuple(getattr(harm, field.name) for field in fields(harm))
 
     @_fault_state.setter
     def _fault_state(self, told: tuple[Any, ...] | None) -> None:
-        """Wheels and cells that are as faults have left them; where they were on their way is for others to tell."""
+        """Restore wheels and cells under faults; motion within a tick is restored elsewhere."""
         if told is not None:
             from plant.faults.base import WheelFaults
 
@@ -221,7 +224,7 @@ class Plant:
 
     @property
     def last_readings(self) -> Sense:
-        """What each cell has read last; all read at the start, and one that comes when it does."""
+        """Last readings of each cell; all cells read at the start, and a rejoining cell when it rejoins."""
         return self._last_readings or self.sense()
 
     def advance(
@@ -394,13 +397,13 @@ class Plant:
             self.status[i] = status
 
     def _meetings(self, state: Floats, time_s: float) -> list[Event]:
-        """Parcels that have come to overlap, and those that no longer do."""
+        """Return events for parcels that began or ceased to overlap."""
         changes = self._overlaps.changes(state, self._moves.on_surface)
         return [meeting(time_s, *change) for change in changes]
 
 
 def _read_only(array: Floats) -> Floats:
-    """The same numbers, which whoever gets them can't change in the plant."""
+    """Return a read-only view of an array."""
     view = array.view()
     view.setflags(write=False)
     return view

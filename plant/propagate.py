@@ -1,4 +1,4 @@
-"""How parcels are moved through a call: in one go, all leg by leg, or each through legs of its own."""
+"""Propagation of all parcels through a call: in one segment, in common segments, or in segments a parcel."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def cells_near(array: CellArray, states: Floats, reach_m: Floats) -> NDArray[np.
 
 
 def segment_ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span_s: float) -> list[float]:
-    """When the legs of a call end, s after its start, ascending; the last at ``span_s``.
+    """Return the ends of a call's segments, s after the call's start, ascending; the last is ``span_s``.
 
     Args:
-        run: of all wheels.
-        reads_s: ``(n,)`` when cells read; infinite: not on the way.
-        near: ``(n,)`` the cells that matter.
-        span_s: of the call.
+        run: motion of all wheels.
+        reads_s: times at which cells read sensors, ``(n,)``, s; infinite: not within the call.
+        near: cells that can affect the parcels, ``(n,)``.
+        span_s: span of the call, s.
     """
     changed = np.zeros(0) if run.changes is None else run.changes.after_s[:, near].ravel()
     found = np.unique(np.concatenate([changed, reads_s[near]]))
@@ -72,20 +72,20 @@ def segment_ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span
 
 @final
 class Propagator:
-    """Moves parcels on wheels.
+    """Advances parcels on wheels through calls of the plant.
 
     Args:
         spec: the scene's physics.
         array: the cells.
-        solver: that moves parcels.
-        chronicle: puts into words what becomes of them.
-        there: parcels on the surface, ascending.
+        solver: solver that moves parcels.
+        chronicle: log that converts results to events.
+        there: indices of parcels on the surface, ascending.
 
     Attributes:
-        there: those that neither wait to be fed nor have left through an exit.
-        live: those of them that move: neither tipped nor off the array.
-        grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
-        contact: what moves those that touch; None where they don't.
+        on_surface: parcels that have been fed and have not left through an exit.
+        moving: parcels of ``on_surface`` that neither tipped nor left the array.
+        driven: 1 for a driven cell, 0 for a cell whose wheels turn freely, ``(n,)``.
+        contact: mover of touching parcels; None without parcel contact.
     """
 
     remembers: ClassVar[StateFields] = StateFields(
@@ -157,7 +157,7 @@ class Propagator:
         return self._segmented(run, whole, start_s, reading, sense)
 
     def warm_up(self) -> None:
-        """Compile, or load, what divided calls need beyond others."""
+        """Compile or load the kernels of segmented calls."""
         if self._legs is None or not len(self.moving):
             return
         still: Floats = np.zeros((len(self._array), 2))
@@ -254,7 +254,7 @@ class Propagator:
         return events
 
     def _to_events(self, news: Sequence[AdvanceResult], start_s: float) -> list[Event]:
-        """What happened in a move that began at ``start_s``; those that tipped move no more."""
+        """Convert results of a move that began at ``start_s`` to events, and stop parcels that tipped."""
         events: list[Event] = []
         for done in news:
             events.extend(self._chronicle.events(done, start_s))

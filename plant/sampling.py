@@ -1,4 +1,4 @@
-"""What cells read in one call of the plant, each at an instant of its own."""
+"""Sampling of sensors within one call of the plant, each cell at its own instant."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class Timing(NamedTuple):
     reads_ns: NDArray[np.int64]
 
     def check(self, cells: int, now_ns: int, until_ns: int) -> None:
-        """Refuse instants that are not of this call.
+        """Refuse instants outside the call.
 
         Args:
-            cells: how many the array has.
-            now_ns: when the call begins.
-            until_ns: when it ends.
+            cells: number of cells in the array.
+            now_ns: start of the call, ns.
+            until_ns: end of the call, ns.
 
         Raises:
-            PlantError: one isn't, or there are instants of another number of cells.
+            PlantError: an instant is outside the call, or the number of instants isn't the number of cells.
         """
         spans = (("acts_ns", now_ns, until_ns - 1), ("reads_ns", now_ns, until_ns))
         for (name, first, last), given in zip(spans, self, strict=True):
@@ -57,18 +57,19 @@ class Timing(NamedTuple):
 
 @final
 class SensorSampler:
-    """Collects what cells read; one that doesn't read keeps what it read last.
+    """Collects sensor readings; a cell without a reading in this call keeps its last.
 
     Args:
-        last: what each cell read last; kept as it is.
-        timing: when each reads.
-        now_ns: when the call begins.
-        until_ns: when it ends.
+        last: last readings of all cells, not changed.
+        timing: reading instants of the cells.
+        now_ns: start of the call, ns.
+        until_ns: end of the call, ns.
 
     Attributes:
-        instants_s: ``(n,)`` s after the call's start; infinite for cells that don't read on the way.
-        any_at_start: whether some read as it begins.
-        any_inside: whether some read between its start and its end.
+        instants_s: reading times after the call's start, ``(n,)``, s; infinite for cells that don't read within the
+            call.
+        any_at_start: whether some cells read at the start.
+        any_inside: whether some cells read between start and end.
     """
 
     def __init__(self, last: Sense, timing: Timing, now_ns: int, until_ns: int) -> None:
@@ -92,7 +93,7 @@ class SensorSampler:
         return np.where(self._inside, self.instants_s, 0.0) if self.any_inside else None
 
     def sample_at(self, now_s: float, sense: Sense, slowed_m: Floats | None) -> None:
-        """Let those read whose instant it is.
+        """Sample the sensors of the cells whose reading instant is ``now_s``.
 
         Args:
             now_s: s after the call's start.
@@ -111,18 +112,18 @@ class SensorSampler:
         self._presence[self._inside] = presence[self._inside]
 
     def set_encoders(self, encoder_m: Floats | None) -> None:
-        """Take what encoders ``(n, 2)`` show without loads, each cell's at its instant, and what loads take from it."""
+        """Store encoder values ``(n, 2)`` of reading cells, each at its instant, corrected for slowing by loads."""
         if self._encoder_m is not None and encoder_m is not None:
             if self._slowed_m is not None:
                 encoder_m = encoder_m + self._slowed_m
             self._encoder_m[self._inside] = encoder_m[self._inside]
 
     def start(self, sense: Sense) -> None:
-        """Let those read that do as the call begins, ``sense`` being what all would read then."""
+        """Sample the sensors of the cells that read at the start of the call; ``sense``: readings of all cells then."""
         self._take(self._at_start, sense)
 
     def sense(self, end: Sense) -> Sense:
-        """What each cell has read, ``end`` being what all would read at the end."""
+        """Return each cell's reading; ``end`` is the reading of all cells at the end of the call."""
         self._take(self._at_end, end)
         if self._encoder_m is not None:
             self._encoder_m.setflags(write=False)

@@ -1,4 +1,4 @@
-"""What the plant asks of a solver."""
+"""Interface between the plant and its solvers."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Ending = Literal[
 
 
 class Body(NamedTuple):
-    """A parcel as a solver holds it.
+    """Parcel in a solver.
 
     Attributes:
-        footprint_m: ``(v, 2)`` corners about the centre of mass, in the parcel's axes, counter-clockwise.
-        radius_m: farthest corner from the centre of mass.
-        state: ``(6,)`` x, y, theta, vx, vy, omega; the solver's own, changed as the parcel moves.
+        footprint_m: corners about the centre of mass, in the parcel's axes, counter-clockwise, ``(v, 2)``, m.
+        radius_m: distance of the farthest corner from the centre of mass, m.
+        state: x, y, theta, vx, vy, omega, ``(6,)``; owned by the solver and changed as the parcel moves.
     """
 
     footprint_m: Floats
@@ -38,12 +38,12 @@ class Body(NamedTuple):
 
 
 class SolverEvent(NamedTuple):
-    """Something that happened to one parcel on the way.
+    """Event of one parcel during a call.
 
     Attributes:
-        after_s: seconds after the start of the call.
+        after_s: time after the start of the call, s.
         kind: one of ``plant.observations.Event.kind``.
-        cell: index, or -1.
+        cell: index of the cell, or -1.
     """
 
     after_s: float
@@ -52,17 +52,18 @@ class SolverEvent(NamedTuple):
 
 
 class AdvanceResult(NamedTuple):
-    """How one parcel came along.
+    """Result of one parcel's advance.
 
     Attributes:
-        parcel: which.
-        moved_s: what was asked, or less where it ended before.
-        ending: ``moving``, or why it ended before.
-        edge: the two cells about which it tipped, the same twice for a corner, -1 where nothing is under it.
-        culprit: the cell about which supports change without end, or -1.
-        changes: changes of its supports.
-        events: those listed, in the order of time; without the tipping.
-        left_out: how many more there were, for which a kernel's log had no room.
+        parcel: index of the parcel.
+        moved_s: time moved, s; less than requested after an early end.
+        termination: ``moving``, or the reason for an early end.
+        edge: the two cells about which the parcel tipped, the same twice for a corner, -1 without cells under the
+            parcel.
+        last_cell: cell of the last event, named in messages about endless changes, or -1.
+        changes: number of support changes.
+        events: logged events by ascending time, without tipping.
+        left_out: number of further events for which a kernel's log had no room.
     """
 
     parcel: int
@@ -76,14 +77,14 @@ class AdvanceResult(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A stretch of time over which parcels are moved.
+    """Time span over which parcels are advanced, with the wheels' motion.
 
     Attributes:
-        motion: of all wheels, from its start on.
-        grip: ``(n,)`` 1 for a driven cell, 0 for one whose wheels turn freely.
-        span_s: how long it is.
-        times_s: ``(k,)`` in ``(0, span_s]``, ascending: when states are asked for on the way.
-        out: ``(k, m, 6)``: those states, of the parcels moved; of times after one ended, its last.
+        motion: motion of all wheels, from the segment's start on.
+        grip: 1 for a driven cell, 0 for a cell whose wheels turn freely, ``(n,)``.
+        span_s: duration, s.
+        times_s: times at which states are sampled, ``(k,)``, s, ascending, in ``(0, span_s]``.
+        out: sampled states of the parcels, ``(k, m, 6)``; after an early end, the last state.
     """
 
     motion: WheelMotion
@@ -94,20 +95,21 @@ class Segment(NamedTuple):
 
     @classmethod
     def through(cls, motion: WheelMotion, grip: Floats, span_s: float, parcels: int) -> Segment:
-        """One on the way of which no states are asked for; ``parcels`` is m."""
+        """Return a segment without sampled states; ``parcels`` is m."""
         return cls(motion, grip, span_s, np.zeros(0), np.zeros((0, parcels, 6)))
 
 
 class SegmentedCall(NamedTuple):
-    """A call on which wheels change, and cells read.
+    """Call in which wheels change and cells read sensors.
 
     Attributes:
-        run: of all wheels.
-        grip: ``(n,)`` as for a leg.
-        span_s: how long it is.
-        reads_s: ``(n,)`` s after its start when each cell reads its sensors; infinite: not before its end.
-        margin_m: ``(m,)`` how far from a parcel's footprint at the start what matters to it, or it to, may be.
-        presence: ``(n, sensors)`` bits: those covered by a parcel moved when their cell reads are set.
+        run: motion of all wheels.
+        grip: as in ``Segment``, ``(n,)``.
+        span_s: duration, s.
+        reads_s: time at which each cell reads its sensors, ``(n,)``, s after the start; infinite: not within the call.
+        margin_m: distance from a parcel's initial footprint within which a cell can drive the parcel or sense it,
+            ``(m,)``, m.
+        presence: presence bits, ``(n, sensors)``, set for sensors covered by an advanced parcel when their cell reads.
     """
 
     run: WheelRun
@@ -119,12 +121,12 @@ class SegmentedCall(NamedTuple):
 
 
 class SolverSnapshot(NamedTuple):
-    """What a solver knows of some parcels at an instant.
+    """Snapshot of a solver's state of some parcels.
 
     Attributes:
-        indices: which.
-        rows: of every array with a row a parcel, those of these parcels.
-        members: cells under each, with what the kernels note of them.
+        indices: indices of the parcels.
+        rows: rows of the parcels, from every array with a row a parcel.
+        members: cells under each parcel, with the kernels' marks.
     """
 
     indices: NDArray[np.int64]
@@ -133,7 +135,7 @@ class SolverSnapshot(NamedTuple):
 
 
 class Solver(Protocol):
-    """Moves parcels that don't touch, each by itself.
+    """Solver that advances parcels independently, without contact between parcels.
 
     A solver knows the law of traction by its ``plant.friction.law.Traction`` only, and the wheels by their
     ``WheelMotion`` over an interval. Parcels are named by their number in the scene.
@@ -151,7 +153,7 @@ class Solver(Protocol):
 
     @property
     def effort(self) -> int:
-        """What it has done so far, for all parcels together: steps, or evaluations of the right-hand side."""
+        """Work done so far, for all parcels together: steps, or evaluations of the right-hand side."""
         ...
 
     @property
@@ -173,20 +175,20 @@ class Solver(Protocol):
         ...
 
     def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
-        """Move parcels, changing their states; what becomes of one doesn't depend on which others are moved with it.
+        """Advance parcels in place; the result for each parcel doesn't depend on the other indices.
 
         Args:
-            indices: ``(b,)`` which parcels, none twice.
-            leg: how far, and on which wheels.
+            indices: indices of the parcels, unique, ``(b,)``.
+            leg: segment to advance through, with its wheel motion.
 
         Returns:
-            Those to which something happened, in the order of ``indices``: all others moved the whole leg, on the
-            supports they had.
+            Results of parcels with events, changed supports or an early end, in the order of ``indices``. All other
+            parcels moved through the whole segment on unchanged supports.
         """
         ...
 
     def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
-        """Look anew at what lies under parcels: cells have come to the array, or gone from it.
+        """Find the supports of all parcels again after cells were added to or removed from the array.
 
         Args:
             cells: which.
@@ -202,23 +204,23 @@ class Solver(Protocol):
 
 
 class Rewindable(Solver, Protocol):
-    """A solver that can take parcels back to where they were, and elsewhere: for effects that act between parcels."""
+    """Solver that can restore earlier states of parcels and set new ones, for effects between parcels."""
 
     def snapshot(self, indices: NDArray[np.int64]) -> SolverSnapshot:
-        """All that moving these parcels changes, to be able to go back."""
+        """Save all solver state that an advance of these parcels changes."""
         ...
 
     def restore(self, kept: SolverSnapshot) -> None:
-        """Go back to what was kept, bit for bit."""
+        """Restore a snapshot bit for bit."""
         ...
 
     def set_state(self, index: int, state: Floats) -> None:
-        """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
+        """Set a parcel's state ``(6,)``; cells under the parcel and loads are computed again."""
         ...
 
 
 class SegmentingSolver(Solver, Protocol):
-    """A solver that divides a call for each parcel by itself, where wheels near it change."""
+    """Solver that divides a call into segments for each parcel, at wheel changes within its reach."""
 
     def advance_segmented(self, indices: NDArray[np.int64], outing: SegmentedCall) -> list[AdvanceResult]:
         """Move parcels as ``advance`` does, none hanging on which others are moved with it.

@@ -1,4 +1,4 @@
-"""What the plant is told: frozen, validated parts of a scene that concern physics."""
+"""Physics sections of a scene: frozen, validated input of the plant."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ REST_TIME_S = 1e5
 def disagreements(
     friction: FrictionSpec | None, effects: PlantEffects | None, solver: SolverSpec | None
 ) -> Iterator[tuple[tuple[str, str], object, str]]:
-    """What does not agree between the parts given: the path of a value, the value, and the rule that it breaks."""
+    """Find disagreements between sections of a scene: the path of a value, the value, and the broken rule."""
     if solver is not None and effects is not None:
         for name, effect in effects.enabled():
             if effect.solvers is not None and solver.name not in effect.solvers:
@@ -43,7 +43,7 @@ def disagreements(
 
 
 def misplaced(array: ArraySpec, effects: PlantEffects) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-    """What effects say that does not fit the array: the path of a value, the value, and the broken rule."""
+    """Find effect settings that don't fit the array: the path of a value, the value, and the broken rule."""
     asked = list(effects.enabled())
     if not asked:
         return
@@ -105,7 +105,7 @@ class PlantSpec(Spec):
         return self.array.pitch_m / REST_TIME_S if given is None else given
 
     def with_fed(self) -> PlantSpec:
-        """The same with all parcels that will ever be fed, after the scene's own."""
+        """Return a copy with all fed parcels appended to the scene's own."""
         feeders = self.effects.feeders
         if feeders is None:
             return self

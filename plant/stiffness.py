@@ -78,7 +78,7 @@ def beyond_steps(spec: PlantSpec, number: int, levers_m: Floats) -> str:
 
 
 def _instead(spec: PlantSpec) -> str:
-    """Solvers of this scene that stiff motion doesn't slow."""
+    """Name the alternative solvers that support the scene and that stiff motion doesn't slow."""
     others = (ImplicitSpec(name="implicit"), QuasiStaticSpec(name="quasi_static"))
     able = [how.name for how in others if not list(disagreements(spec.friction, spec.effects, how))]
     words = {

@@ -1,7 +1,7 @@
-"""Ending solvers' calls early: asked by a signal's watcher or another thread, heeded between any two steps.
+"""Early termination of solver calls, requested by a signal watcher or another thread and checked between steps.
 
-Kernels hold no lock of the interpreter and can't see a signal; they look at one number in memory. A signal is the
-process's, so there is one such number in a process, for all plants in it.
+Kernels run without the interpreter lock and can't see signals; kernels poll one number in memory. A signal concerns the
+whole process, so there is one such number a process, for all of its plants.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from typing import cast
 
 
 def tagged(key: str, default: str) -> Callable[[object], object]:
-    """What a validator does to a table of a tagged union whose tag may be left out: fills in the default."""
+    """Return a validator that fills in the default tag of a tagged union's table."""
 
     def fill(value: object) -> object:
         if not isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""How commands become wheel motion, and what ideal wheels do with them."""
+"""Interface of wheel models: drives to wheel motion. Includes ideal wheels."""
 
 from __future__ import annotations
 
@@ -38,11 +38,12 @@ class WheelMotion:
 
 
 class WheelChanges(NamedTuple):
-    """Wheels that go over to other motions on the way; c times at most, each at instants of its own.
+    """Changes of single wheels' motion within an interval, at most c a wheel, each at its own instant.
 
     Attributes:
-        after_s: ``(c, n, 2)`` when, from the start of the interval, ascending for every wheel; infinite: not so often.
-        steady: ``(c, n, 2)`` m/s: it goes on at ``steady + decay exp(-rate t)``, t from ``after_s``.
+        after_s: times of the changes from the start of the interval, ascending for every wheel, ``(c, n, 2)``, s;
+            infinite: fewer changes.
+        steady: ``(c, n, 2)`` m/s: the wheel continues at ``steady + decay exp(-rate t)``, t from ``after_s``.
         decay: ``(c, n, 2)`` m/s.
     """
 
@@ -54,11 +55,11 @@ class WheelChanges(NamedTuple):
 @final
 @dataclass(frozen=True)
 class WheelRun:
-    """What all wheels do over an interval, in closed form.
+    """Closed-form motion of all wheels over an interval.
 
     Attributes:
-        motion: from its start on.
-        changes: of single wheels on the way; None where there are none.
+        motion: motion from the start of the interval.
+        changes: changes of single wheels within the interval; None without changes.
     """
 
     motion: WheelMotion
@@ -107,10 +108,10 @@ def _way(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
 
 @final
 class WheelIntegrator:
-    """The wheels of a run from one instant to the next: every leg of the way has a motion of its own.
+    """Wheel motion of a run segment by segment.
 
     Args:
-        run: of all wheels; what loads take from them on the legs is added to its ``slowing``.
+        run: motion of all wheels; speed losses by loads in the segments are added to its ``slowing``.
     """
 
     def __init__(self, run: WheelRun) -> None:
@@ -153,16 +154,16 @@ class WheelIntegrator:
 
 
 class Wheels(Protocol):
-    """What turns drives into wheel motion. Physics: lives in the plant, never in firmware."""
+    """Model of wheels that converts drives to wheel motion. Part of the plant, never of firmware."""
 
     def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
-        """What they do from now on for ``span_s`` seconds.
+        """Apply drives and return the wheels' motion for ``span_s`` seconds.
 
         Args:
-            drives: ``(n, 2)``; the wheels' own from here on.
-            span_s: how long they stand.
-            acts_s: ``(n,)`` in ``[0, span_s)``: when each cell's take effect, its last ones going on until then; None:
-                all now.
+            drives: drives of all wheels, ``(n, 2)``. The wheels take ownership of the array.
+            span_s: duration of the drives, s.
+            acts_s: time at which each cell's drives take effect, ``(n,)``, s, in ``[0, span_s)``. The previous drives
+                act until then. None: all take effect now.
         """
         ...
 

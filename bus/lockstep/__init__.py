@@ -1,8 +1,8 @@
 """The lockstep: ``Coordinator`` on the plant's side, ``Participant`` for each shard of cells.
 
-At tick k the host publishes the senses; each shard waits for them and for what its neighbours' cells sent
-in tick k - 1, computes, sends messages and drives; the host waits for the drives. Every payload carries its
-tick: one that comes early is kept, one that comes late is counted. Who is gone is waited for by nobody.
+At tick k the coordinator publishes the senses. Each shard waits for the senses and for the messages that its
+neighbours sent in tick k - 1, computes, and sends messages and drives. The coordinator waits for the drives. Every
+payload carries its tick: an early payload is kept, a late one is counted. No side waits for dead cells.
 """
 
 from __future__ import annotations

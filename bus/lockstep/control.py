@@ -1,4 +1,4 @@
-"""What the plant tells a shard: that it is there, by its token, and what is to happen, by its control records."""
+"""Control plane of a shard: the plant's liveliness token and control records."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from bus.wire.frames import Control, decode_control
 
 @final
 class ControlState:
-    """Takes in the plant's token and its control records: tells who takes part, and keeps what others ask for.
+    """State of a run as reported by the plant's token and control records.
 
     Args:
         lattice: The run's cells.
-        company: Told who takes part.
+        company: Membership to update.
         token: Key of the plant's token.
-        counts: Where to count.
+        counts: Counters to update.
 
     Attributes:
-        resumed: Whether the run began before the shard did: that it begins was counted then.
-        plant_seen: Whether the plant's token has stood.
-        plant_lost: Whether it stood and went.
-        stop: The record that ends the run, once it has come.
-        joining: Records of cells that come back, which the shard has not answered yet.
-        joined: The tick from which the shard's own cells take part again, once it is known.
-        asked: The tick before which the plant wants to know what the shard remembers.
-        unanswered: Cells (indices) that the shard reported as failed, until the plant has told that they are lost.
+        resumed: Whether the run was resumed: its start record was counted before.
+        plant_seen: Whether the plant's token was ever present.
+        plant_lost: Whether the plant's token was present and disappeared.
+        stop: The record that ends the run; None until it arrives.
+        rejoins_offered: Rejoin records that the shard has not answered yet.
+        rejoin_tick: First tick of the shard's own cells after a rejoin; None until known.
+        snapshot_tick: Tick before which the plant requests a snapshot; -1 if it requests none.
+        unanswered: Cells (indices) reported as failed whose loss the plant has not announced yet.
     """
 
     def __init__(
@@ -51,13 +51,13 @@ class ControlState:
         self.unanswered: set[int] = set()
 
     def handle_token(self, event: LivelinessChange) -> None:
-        """Takes note of a token that came or went; somebody else's is none of ours."""
+        """Record a change of the plant's token; other tokens are ignored."""
         if event.key == self._token:
             self.plant_lost = self.plant_seen and not event.present
             self.plant_seen = self.plant_seen or event.present
 
     def handle(self, _: int, payload: bytes) -> None:
-        """Takes in a control record.
+        """Handle a control record.
 
         Raises:
             WireError: Not such a payload, or of cells that are not in the array.
@@ -90,7 +90,7 @@ class ControlState:
         self._counts.delivered += 1
 
     def drain_faults(self) -> list[Control]:
-        """Faults that have come since the last call."""
+        """Return fault records received since the last call, and clear them."""
         if not self._faults:
             return []
         faults, self._faults = self._faults, []

@@ -27,35 +27,35 @@ from bus.wire.frames import Control, DriveFrame, Mask, Report, SenseFrame, check
 from bus.wire.keys import plant_key, shard_key
 
 _POLL_S: Final = 0.01
-"""How often to ask for matches, of which no event tells."""
+"""Polling interval for matches, which cause no event, wall seconds."""
 _STATE_POLL_S: Final = 0.5
 _PATIENCE: Final = 9
-"""Deadlines more for a shard that says that it still computes."""
+"""Additional deadlines for a shard that reports ``busy``."""
 _BEFORE: Final = -1
 """In place of a tick: before the first. In place of a shard: all sides of a run before it was resumed."""
 
 
 @final
 class Coordinator:
-    """Publishes what the cells sense, gathers what they drive, and waits for nobody who is gone.
+    """Coordinator of the lockstep: publishes sense frames and gathers drive frames of all live cells.
 
     Blocking, one thread. It subscribes at once. The endpoint stays the caller's, to close later.
 
     Args:
         endpoint: The plant's endpoint.
-        partition: How the cells are cut into shards; the same on all sides.
+        partition: Partition of the cells into shards; the same on all sides.
         form: ``"packed"`` or ``"cells"``; the same on all sides.
         run: Name of the run.
-        readings: What sense frames carry.
-        message: The firmware's message type, None where cells send each other nothing.
-        wanted: Registers of the cells to take in.
-        keeps: Whether shards may be asked what they remember.
+        readings: Contents of sense frames.
+        message: The firmware's message type; None for firmware without messages.
+        wanted: Requests for registers of the cells.
+        keeps: Whether snapshots may be requested.
         stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
         clock: Monotonic wall seconds.
 
     Attributes:
-        counts: Payloads of this side so far.
-        unreported: Cells (indices) that took part to the end and whose shards' counts ``stop`` did not get.
+        counters: Payloads of this side so far.
+        unreported: Cells (indices) that were live at the end and whose shards' counters ``stop`` did not receive.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Coordinator:
         take: Callable[[int, bytes], None],
         haste: Urgency = "quiet",
     ) -> None:
-        """Subscribes to what every shard sends on a key of its own."""
+        """Subscribe to a key of every shard."""
         run = self._wiring.run
         for shard in range(self._wiring.partition.count):
             self._inbox.routes[shard_key(run, shard, leaf)] = (take, shard)
@@ -131,14 +131,14 @@ class Coordinator:
     # --- the start ------------------------------------------------------------------------------
 
     def barrier(self, deadline_s: float | None = None) -> None:
-        """Waits until every cell is ready and can be sent to, then tells all to start.
+        """Wait until every cell is ready and subscribed, then send the start record.
 
         Args:
             deadline_s: Wall seconds from now; None: ``stall.start_s``.
 
         Raises:
-            BarrierError: Somebody is missing; names who, and whether they ever appeared.
-            WokenError: ``endpoint.wake`` was called.
+            BarrierError: Cells are missing; names the cells, and whether they ever appeared.
+            WaitInterrupted: ``endpoint.wake`` was called.
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
         deadline = self._clock() + limit
@@ -161,10 +161,10 @@ class Coordinator:
             self.control(start)
 
     def absent(self, timeout_s: float) -> set[int]:
-        """Shards of which a cell has not appeared yet.
+        """Return the shards with a cell that has not appeared yet.
 
         Args:
-            timeout_s: Wall seconds to wait for news first.
+            timeout_s: Wall seconds to wait for events first.
         """
         # Whoever wakes us wants what is happening already.
         with contextlib.suppress(WaitInterrupted):
@@ -172,12 +172,12 @@ class Coordinator:
         return self._roll.absent(self._wiring.partition.shard_of)
 
     def resume(self, tick: int, dead: Sequence[int], counts: MessageCounters) -> None:
-        """Goes on at ``tick`` where another side of the same run was; before the barrier.
+        """Resume at ``tick`` from another coordinator of the same run; call before the barrier.
 
         Args:
-            tick: The first to be published and gathered.
-            dead: Indices of the cells that had gone before it.
-            counts: Of all sides by then.
+            tick: First tick to publish and gather.
+            dead: Indices of the cells that had died before ``tick``.
+            counts: Counters of all sides before ``tick``.
         """
         self._tick = tick
         self._drives.start_at(tick)
@@ -188,7 +188,7 @@ class Coordinator:
     # --- a tick ---------------------------------------------------------------------------------
 
     def publish(self, frame: SenseFrame) -> None:
-        """Sends every live cell its senses.
+        """Send every live cell its senses.
 
         Raises:
             BusError: The frame is not what was agreed.
@@ -202,20 +202,19 @@ class Coordinator:
         self.counters.sent += len(puts)
 
     def gather(self, tick: int) -> tuple[DriveFrame, list[Loss]]:
-        """Waits until every live cell's drive for ``tick`` is there, or its cell is given up.
+        """Wait until every expected drive for ``tick`` has arrived or its cell has been dropped.
 
-        A cell is given up after ``stall.deadline_s``; a shard that keeps saying that it still computes gets ten times
-        that.
+        A cell is dropped after ``stall.deadline_s``; a shard that keeps reporting ``busy`` gets ten times as long.
 
         Args:
             tick: Must go up from call to call.
 
         Returns:
-            The drives ``(n, 2)``, zero for cells that are gone, and the cells lost at this tick, ascending.
-            Neighbours have been told to stop waiting for these.
+            The drives ``(n, 2)``, zero for dead cells, and the cells lost at this tick, ascending. The losses have been
+            announced to all shards.
 
         Raises:
-            WokenError: ``endpoint.wake`` was called; the call may be repeated.
+            WaitInterrupted: ``endpoint.wake`` was called; the call may be repeated.
         """
         self._tick = tick
         slot = self._drives.slot(tick)
@@ -239,45 +238,46 @@ class Coordinator:
     # --- who takes part -------------------------------------------------------------------------
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
-        """Stops waiting for ``cells`` (indices) from ``tick`` on: a scheduled death, which is no loss."""
+        """Mark ``cells`` (indices) as dead from ``tick`` on: a scheduled death, which is no loss."""
         self._muster.mark_dead(cells, tick)
 
     def live(self, tick: int) -> Mask:
-        """``(n,)``: the cells that take part in ``tick``."""
+        """Return the mask of cells that are live in ``tick``, ``(n,)``."""
         return self._muster.live(tick)
 
     def admit(self, tick: int) -> list[int]:
-        """Lets cells take part again whose process went and whose new one is ready; for between two ticks.
+        """Readmit cells whose process was replaced and is ready; call between two ticks.
 
         Args:
             tick: The next.
 
         Returns:
-            Their indices, ascending: they are waited for from ``tick`` on. All others have been told.
+            Indices of the readmitted cells, ascending. Their drives are expected from ``tick`` on, and the rejoin has
+            been announced to all shards.
         """
         return self._muster.admit(tick)
 
     # --- what shards remember and show ----------------------------------------------------------
 
     def request_snapshot(self, tick: int) -> None:
-        """Asks the shards what they remember before ``tick``; before ``publish`` of the one before."""
+        """Request snapshots of all shards before ``tick``; call before ``publish`` of the previous tick."""
         self._control.put(encode_control(Control("keep", tick)))
         self._keeping = SnapshotCollector(tick, self._muster.shards(tick - 1))
 
     def record_counters(self) -> None:
-        """Notes, with ``tick`` about to begin for which was asked, what this side has counted."""
+        """Record the coordinator's counters for the requested snapshot; call when its tick is about to begin."""
         assert self._keeping is not None
         self._keeping.record_counters(self.counters)
 
     def poll_snapshot(self) -> GlobalSnapshot | None:
-        """What all sides remember, once everybody asked has answered."""
+        """Return the global snapshot once all requested shards have answered, else None."""
         together = None if self._keeping is None else self._keeping.combined(self._reported.counters)
         if together is not None:
             self._keeping = None
         return together
 
     def cancel_snapshot(self) -> list[int]:
-        """Waits no longer for what shards remember; returns those that have not answered."""
+        """Cancel the snapshot in progress; return the shards that have not answered."""
         keeping, self._keeping = self._keeping, None
         return [] if keeping is None else keeping.missing
 
@@ -287,22 +287,22 @@ class Coordinator:
             self._keeping.handle(shard, kept)
 
     def drain_hung(self) -> list[Report]:
-        """Programs that have hung since the last call, and why; their cells still take part."""
+        """Return reports of programs that hung since the last call; the cells of these programs stay live."""
         return self._reported.drain_hung()
 
     def drain_registers(self) -> list[RegisterSnapshot]:
-        """What cells have shown of themselves since the last call; a tick's is there when its drives are."""
+        """Return register snapshots since the last call; a tick's snapshot is complete once its drives are gathered."""
         return self._seen.drain()
 
     # --- to all ---------------------------------------------------------------------------------
 
     def control(self, record: Control) -> None:
-        """Sends a control record to everybody."""
+        """Send a control record to all shards."""
         self._control.put(encode_control(record))
         self.counters.sent += len(self._muster.shards(self._tick))
 
     def publish_state(self, payload: bytes) -> None:
-        """Puts ``payload`` on the plant's state key while somebody listens; asked about twice a second."""
+        """Publish ``payload`` on the plant's state key while it has a subscriber; checked about twice a second."""
         now = self._clock()
         if self._state_asked is None or now - self._state_asked >= _STATE_POLL_S:
             self._state_asked = now
@@ -311,16 +311,17 @@ class Coordinator:
             self._state.put(payload)
 
     def stop(self, detail: str = "", deadline_s: float = 2.0) -> MessageCounters:
-        """Tells the cells to stop, waits for their counts, takes the plant's token back, and waits for theirs to go.
+        """Stop the run: send the stop record, wait for counters, withdraw the token, and wait for the cells' tokens.
 
-        A cell keeps its session open until the plant's token has gone: what is queued in a session that closes is lost.
+        A cell keeps its session open until the plant's token is withdrawn, as payloads queued in a closing session are
+        lost.
 
         Args:
             detail: Why, for the cells' logs.
             deadline_s: Wall seconds to wait.
 
         Returns:
-            The counts of all sides: this one's, and those that the shards reported as they left.
+            The counters of all sides: the coordinator's own, and the shards' final reports.
         """
         self.control(Control("stop", self._tick, (), detail))
         counts = self._reported.counters
@@ -340,5 +341,5 @@ class Coordinator:
                 self._inbox.poll(left)
 
     def close(self) -> None:
-        """Takes the plant's token back; members take that for its end."""
+        """Withdraw the plant's token; participants take this for the end of the plant."""
         self._endpoint.withdraw(self._alive_key)

@@ -1,4 +1,4 @@
-"""What the lockstep counts, and whom it lost."""
+"""Message counters of the lockstep, and records of lost cells."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class MessageCounters:
 
     Attributes:
         sent: Put, once for every shard that it is for.
-        delivered: Taken in, each once.
-        lost: Waited for and given up.
-        late: Of a tick that was over, or of a cell given up before.
-        refused: Refused because they couldn't be read, by whose key they were put on and name of the error.
-        tally: What the cells counted themselves, by name.
+        delivered: Received and accepted, each once.
+        lost: Expected and given up.
+        late: Received for a finished tick, or from a dropped cell.
+        refused: Refused as malformed, by owner of the key and name of the error.
+        cell_counters: Counters of the cells, by name.
     """
 
     sent: int = 0
@@ -39,7 +39,7 @@ class MessageCounters:
 
     @property
     def malformed(self) -> Counter[str]:
-        """Those refused, by name of the error."""
+        """Number of refused payloads by name of the error."""
         found: Counter[str] = Counter()
         for (_, name), number in self.refused.items():
             found[name] += number
@@ -50,7 +50,7 @@ class MessageCounters:
         self.refused[whose, error.name] += 1
 
     def to_report(self, tally: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
-        """What a report's tally says: what the cells counted, and what was refused as far as there is room."""
+        """Return the tally of a report: the cells' counters, then refused payloads as far as there is room."""
         refused = [(f"{_REFUSED}{whose}: {name}", number) for (whose, name), number in self.refused.items()]
         fitting = [pair for pair in refused if len(pair[0]) <= TALLY_LIMIT]
         return (*tally.items(), *fitting)[:TALLY_LIMIT]
@@ -59,7 +59,7 @@ class MessageCounters:
     def from_report(
         cls, counts: tuple[int, int, int, int], tally: Iterable[tuple[str, int]]
     ) -> MessageCounters:
-        """From a report: the other way round."""
+        """Return the counters that ``to_report`` encoded."""
         own, refused = Counter[str](), Counter[tuple[str, str]]()
         for name, number in tally:
             whose, colon, error = name.removeprefix(_REFUSED).partition(": ")
@@ -90,13 +90,13 @@ def _summed(one: Counter[str], other: Counter[str]) -> Counter[str]:
 @final
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A cell that went without being scheduled to.
+    """A cell that was lost without a scheduled death.
 
     Attributes:
         cell: Index in the lattice.
         tick: The first tick without its drive.
-        reason: Its token was lost, its drive did not come in time, or its process said that it failed.
-        detail: What the process said.
+        reason: The token was lost, the drive did not arrive in time, or the process reported a failure.
+        detail: Detail of the reported failure.
     """
 
     cell: int

@@ -1,4 +1,4 @@
-"""From when on and until when each cell of a run takes part."""
+"""Membership of a run's cells: the interval of ticks in which each cell is live."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from bus.wire.msgpack_codec import Mask
 
 @final
 class Membership:
-    """For each cell, the ticks in which it takes part: from one on, until another.
+    """Interval of live ticks of each cell, from a first tick to an end tick.
 
     Args:
-        cells: How many there are.
+        cells: Number of cells.
 
     Attributes:
-        since: ``(n,)`` int64, the tick from which it takes part; 0 but for those that came back.
-        until: ``(n,)`` int64, the tick from which it is gone.
-        all: Whether no cell was ever retired: nobody need look.
+        first_tick: ``(n,)`` int64, first live tick; 0 except for cells that rejoined.
+        end_tick: ``(n,)`` int64, first tick in which the cell is dead.
+        unchanged: Whether no cell ever died: masks of live cells can be skipped.
     """
 
     def __init__(self, cells: int) -> None:
@@ -32,33 +32,36 @@ class Membership:
         self.unchanged = True
 
     def schedule_death(self, cells: Iterable[int], tick: int) -> None:
-        """``cells`` (indices) will be gone from ``tick`` on, whatever happens to them before."""
+        """Schedule the permanent death of ``cells`` (indices) at ``tick``; a rejoin does not cancel it."""
         index = np.fromiter(cells, dtype=np.int64)
         self._planned[index] = np.minimum(self._planned[index], tick)
         self.mark_dead(index.tolist(), tick)
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
-        """``cells`` (indices) are gone from ``tick`` on, or earlier if they were to go earlier."""
+        """Mark ``cells`` (indices) as dead from ``tick`` on; an earlier end tick is kept."""
         index = np.fromiter(cells, dtype=np.int64)
         self.end_tick[index] = np.minimum(self.end_tick[index], tick)
         self.unchanged = False
 
     def admit(self, cells: Iterable[int], tick: int) -> None:
-        """``cells`` (indices), which are gone, take part again from ``tick`` on."""
+        """Readmit dead ``cells`` (indices) from ``tick`` on, until their scheduled death."""
         index = np.fromiter(cells, dtype=np.int64)
         self.first_tick[index] = tick
         self.end_tick[index] = self._planned[index]
 
     def live(self, tick: int) -> Mask:
-        """``(n,)``: the cells that take part in ``tick``."""
+        """Return the mask of cells that are live in ``tick``, ``(n,)``."""
         return (self.first_tick <= tick) & (tick < self.end_tick)
 
     def end_by_group(self, groups: Iterable[Index]) -> list[int]:
-        """For each group of cells, the tick from which all of them are gone."""
+        """Return the end tick of each group of cells: the first tick in which all its cells are dead."""
         return [int(self.end_tick[cells].max()) for cells in groups]
 
     def start_by_group(self, groups: Iterable[Index]) -> list[int]:
-        """For each group, the tick from which the first takes part of those that stay longest."""
+        """Return the first tick of each group.
+
+        Only cells with the group's latest end tick count; of these, the earliest first tick.
+        """
         return [
             int(self.first_tick[cells][self.end_tick[cells] == self.end_tick[cells].max()].min())
             for cells in groups

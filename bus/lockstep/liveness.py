@@ -1,4 +1,4 @@
-"""The roll of a run: whose tokens are there, and who is missing."""
+"""Liveness tracking: presence and readiness of units by token, and rejoins of restarted shards."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _NAMED = 12
 
 @final
 class LivenessTracker:
-    """Keeps the tokens of every unit of a form.
+    """Liveness of every unit of a wire format, by token.
 
     Attributes:
-        alive: Units whose token stands.
-        ready: Units that said they were ready, and are.
-        left: Units whose token stood and went.
-        gone: Of these, the ones that nobody has dealt with yet.
+        alive: Units whose token is present.
+        ready: Units whose readiness token is present.
+        ever_left: Units whose token was present and disappeared at least once.
+        unhandled_departures: Units whose disappearance has not been handled yet.
     """
 
     def __init__(self, form: CoordinatorCodec, lattice: Lattice) -> None:
@@ -48,7 +48,7 @@ class LivenessTracker:
         return {int(shard_of[int(i)]) for unit, cells in units if unit not in seen for i in cells}
 
     def handle(self, event: LivelinessChange) -> None:
-        """Takes note of a token that came or went; other tokens than the form's are none of ours."""
+        """Record a change of a token; tokens outside the wire format are ignored."""
         if (unit := self._form.alive_units.get(event.key)) is not None:
             if event.present:
                 self.alive.add(unit)
@@ -61,7 +61,7 @@ class LivenessTracker:
             (self.ready.add if event.present else self.ready.discard)(unit)
 
     def missing(self, waited_s: float, unheard: Sequence[int]) -> BarrierError:
-        """The error that names who is missing; ``unheard``: units to which nothing can be sent yet."""
+        """Return the error that names missing cells; ``unheard``: units that are not subscribed yet."""
         units = range(len(self._form.unit_cells))
         never = [u for u in units if u not in self.alive and u not in self.ever_left]
         left = [u for u in units if u not in self.alive and u in self.ever_left]
@@ -96,11 +96,11 @@ class LivenessTracker:
 @final
 @dataclass(slots=True)
 class PendingRejoin:
-    """A shard that went.
+    """A shard that was lost and may rejoin.
 
     Attributes:
-        cells: Those that went with it, by index.
-        asked: Whether the others have been asked.
+        cells: Indices of the cells lost with the shard.
+        prepared: Whether the rejoin has been announced to the other shards.
         linked: Shards that have answered.
     """
 
@@ -111,12 +111,12 @@ class PendingRejoin:
 
 @final
 class RejoinTracker:
-    """Keeps the shards that went, and says which of them can take part again.
+    """Lost shards, and the progress of their rejoins.
 
     Args:
-        roll: Of the run.
-        units: Of each shard.
-        matched: Whether a unit can be sent to.
+        roll: Liveness of the run's units.
+        units: Units of each shard.
+        matched: Whether a unit is subscribed.
     """
 
     def __init__(
@@ -128,18 +128,18 @@ class RejoinTracker:
         self._absent: dict[int, PendingRejoin] = {}
 
     def on_left(self, shard: int, cells: Iterable[int]) -> None:
-        """Cells of a shard went, as their process did."""
+        """Record cells of a shard as lost with their process."""
         self._absent.setdefault(shard, PendingRejoin([])).cells.extend(cells)
 
     def on_ready(self, shard: int, cells: Iterable[int]) -> None:
-        """A shard can send to ``cells`` again."""
+        """Record that ``shard`` can send to ``cells`` again."""
         wanted = set(cells)
         for absence in self._absent.values():
             if wanted.issuperset(absence.cells):
                 absence.linked.add(shard)
 
     def to_prepare(self) -> list[PendingRejoin]:
-        """Those that are back, and of whom nobody has been asked yet."""
+        """Return rejoins to prepare: shards whose units are ready again and that were not announced yet."""
         found: list[PendingRejoin] = []
         for shard, absence in self._absent.items():
             if not self._back(shard):
@@ -151,7 +151,7 @@ class RejoinTracker:
         return found
 
     def ready_to_commit(self, others: Iterable[int]) -> list[int]:
-        """Cells that take part again from now on, to whom all ``others`` (shards that live) can send."""
+        """Pop cells whose rejoin can be committed, as all live shards in ``others`` can send to them."""
         wanted = set(others)
         ready = [s for s, absence in self._absent.items() if absence.prepared and absence.linked >= wanted]
         return sorted(cell for shard in ready for cell in self._absent.pop(shard).cells)
@@ -160,7 +160,7 @@ class RejoinTracker:
         return bool(self._absent)
 
     def _back(self, shard: int) -> bool:
-        """Whether all of a shard's units went, came again, are ready, and can be sent to."""
+        """Whether all units of a lost shard are present again, ready and subscribed."""
         roll, units = self._roll, self._units[shard]
         here = roll.ever_left & roll.alive & roll.ready
         return here.issuperset(units) and all(self._matched(unit) for unit in units)

@@ -1,4 +1,4 @@
-"""Who takes part in a run, as the plant has it: whom it waits for, who is lost, and who comes back."""
+"""Cluster membership on the coordinator's side: expected senders, losses and rejoins."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from bus.wire.frames import Control, Mask
 
 @final
 class CoordinatorMembership:
-    """Keeps the plant's books of the living, and tells the others of who goes and who comes back.
+    """Membership on the coordinator's side: drops and readmits cells, and announces both to the shards.
 
     Args:
-        partition: How the cells are cut into shards.
-        form: The plant's side of the wire form.
-        roll: Of the run's tokens.
-        drives: Waits for the drives of those who live.
-        counts: Where to count.
-        matched: Whether a unit can be sent to.
-        tell: Sends a record to everybody.
+        partition: Partition of the cells into shards.
+        form: The plant's side of the wire format.
+        roll: Liveness of the run's units.
+        drives: Assembler of the drives of live cells.
+        counts: Counters to update.
+        matched: Whether a unit is subscribed.
+        tell: Sends a control record to all shards.
 
     Attributes:
-        returns: Those who come back.
+        rejoins: Progress of rejoins.
     """
 
     def __init__(
@@ -59,43 +59,43 @@ class CoordinatorMembership:
 
     @property
     def unchanged(self) -> bool:
-        """Whether no cell was ever retired: nobody need look who lives."""
+        """Whether no cell ever died: masks of live cells can be skipped."""
         return self._lives.unchanged
 
     def live(self, tick: int) -> Mask:
-        """``(n,)``: the cells that take part in ``tick``."""
+        """Return the mask of cells that are live in ``tick``, ``(n,)``."""
         return self._lives.live(tick)
 
     def shards(self, tick: int) -> list[int]:
-        """Shards of which any cell takes part in ``tick``."""
+        """Return the shards with any live cell in ``tick``."""
         return np.unique(self._shard_of[self._lives.live(tick)]).tolist()
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
-        """``cells`` (indices) are gone from ``tick`` on."""
+        """Mark ``cells`` (indices) as dead from ``tick`` on."""
         self._lives.mark_dead(cells, tick)
         self._drives.update_membership(self._lives.end_by_group(self._unit_cells))
 
     # --- who goes -------------------------------------------------------------------------------
 
     def drop_failed(self, tick: int, failed: Iterable[tuple[str, Sequence[int]]]) -> None:
-        """Gives up, at ``tick``, cells whose process said that they failed, and why."""
+        """Drop, at ``tick``, cells whose process reported a failure, with the reported detail."""
         for detail, cells in failed:
             self._drop(cells, tick, "failed", detail)
 
     def drop_disconnected(self, tick: int, have: bytearray) -> None:
-        """Gives up units whose token went and who had not driven ``tick``; ``have`` says who had."""
+        """Drop units whose token disappeared before the drive for ``tick``; ``have`` marks units with a drive."""
         # A unit whose drive came before its token went is lost at the next tick.
         gone = [unit for unit in self._roll.unhandled_departures if not have[unit]]
         self._roll.unhandled_departures.difference_update(gone)
         self._drop_units([unit for unit in gone if self._drives.end_tick[unit] > tick], tick, "token lost")
 
     def drop_timed_out(self, tick: int, busy: Collection[int] = ()) -> None:
-        """Gives up units whose drive for ``tick`` has not come, but for those of the shards that are ``busy``."""
+        """Drop units whose drive for ``tick`` is missing, except units of ``busy`` shards."""
         missing = self._drives.missing(tick)
         self._drop_units([u for u in missing if self._unit_shards[u] not in busy], tick, "stalled")
 
     def drain_losses(self) -> list[Loss]:
-        """Who was lost since the last call, ascending."""
+        """Return the losses since the last call, ascending by cell, and clear them."""
         losses, self._losses = self._losses, []
         return sorted(losses, key=lambda loss: loss.cell)
 
@@ -117,13 +117,14 @@ class CoordinatorMembership:
     # --- who comes back -------------------------------------------------------------------------
 
     def admit(self, tick: int) -> list[int]:
-        """Lets cells take part again whose process went and whose new one is ready; for between two ticks.
+        """Readmit cells whose process was replaced and is ready; call between two ticks.
 
         Args:
             tick: The next.
 
         Returns:
-            Their indices, ascending: they are waited for from ``tick`` on. All others have been told.
+            Indices of the readmitted cells, ascending. Their drives are expected from ``tick`` on, and the rejoin has
+            been announced to all shards.
         """
         if not self.rejoins:
             return []

@@ -29,39 +29,39 @@ from bus.wire.keys import plant_key, shard_key
 
 _POLL_S: Final = 0.01
 _LINK_POLL_S: Final = 0.001
+"""Polling interval for messages that arrive after the senses, wall seconds."""
 _ANSWER_S: Final = 1.0
+"""Time that a shard whose cells have all failed waits for the plant's answer, wall seconds."""
 _LEAVE_S: Final = 5.0
-"""For how long to wait, when the run is over, for the plant to take the counts."""
-"""Wall seconds that a shard whose cells have all failed stays for the plant's answer."""
-"""How often to look for messages where they come after the senses, as no cell of ours sends them."""
+"""Time to wait, after the run, for the plant to receive the counters, wall seconds."""
 
 
 @final
 class Participant:
-    """Gathers what a shard's cells sense and hear, and publishes what they drive and say.
+    """Participant of the lockstep: gathers a shard's inputs, and publishes its drives and messages.
 
     Blocking; one thread at a time, but ``publish`` may be called from another while ``gather`` waits for the tick
     after. It subscribes at once. The endpoint stays the caller's, to close later.
 
     Args:
         endpoint: The endpoint of the shard's process.
-        partition: How the cells are cut into shards; the same on all sides.
-        shard: Which of them this is.
+        partition: Partition of the cells into shards; the same on all sides.
+        shard: Number of the shard.
         form: ``"packed"`` or ``"cells"``; the same on all sides.
         run: Name of the run.
-        readings: What sense frames carry.
-        message: The firmware's message type, None where cells send each other nothing.
+        readings: Contents of sense frames.
+        message: The firmware's message type; None for firmware without messages.
         stall: Deadlines.
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
             None: as long as the token stands. A paused or compiling plant is silent too.
-        wanted: Registers of the cells that the plant wants to see.
-        tally: What else to report as the shard leaves: numbers that the cells counted, by name.
-        keeps: Whether the plant may ask what the shard remembers.
-        joins: Whether it comes into a run that goes on already: it takes part once ``join`` says so.
+        wanted: Registers that the plant requests.
+        tally: Returns the cells' counters by name, reported as the shard leaves.
+        keeps: Whether the plant may request snapshots.
+        joins: Whether the shard joins a running simulation, at the tick that ``join`` returns.
         clock: Monotonic wall seconds.
 
     Attributes:
-        counts: Payloads of this side so far.
+        counters: Payloads of this side so far.
     """
 
     def __init__(
@@ -122,15 +122,15 @@ class Participant:
     # --- the start ------------------------------------------------------------------------------
 
     def ready(self, deadline_s: float | None = None) -> None:
-        """Shows that the cells are here, waits until all whom they talk to listen, and says they are ready.
+        """Declare the cells alive, wait until every receiver has subscribed, and declare the cells ready.
 
         Args:
             deadline_s: Wall seconds from now; None: ``stall.start_s``.
 
         Raises:
-            BarrierError: The plant or a neighbour does not listen in time; names the keys.
-            HostLostError: The plant went away.
-            WokenError: ``endpoint.wake`` was called.
+            BarrierError: The plant or a neighbour has not subscribed in time; names the keys.
+            CoordinatorLostError: The plant is lost.
+            WaitInterrupted: ``endpoint.wake`` was called.
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
         deadline = self._clock() + limit
@@ -156,18 +156,18 @@ class Participant:
         self._declare(self._form.ready_keys)
 
     def join(self, deadline_s: float | None = None) -> int | None:
-        """Waits, after ``ready``, for the tick from which the shard takes part in a run that goes on already.
+        """Wait, after ``ready``, for the shard's first tick in a running simulation.
 
         Args:
             deadline_s: Wall seconds from now; None: ``stall.start_s``.
 
         Returns:
-            That tick; None: the run was stopped before.
+            The first tick; None if the run was stopped before.
 
         Raises:
-            BarrierError: Nobody lets it take part in time.
-            HostLostError: The plant went away.
-            WokenError: ``endpoint.wake`` was called.
+            BarrierError: The coordinator does not admit the shard in time.
+            CoordinatorLostError: The plant is lost.
+            WaitInterrupted: ``endpoint.wake`` was called.
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
         deadline = self._clock() + limit
@@ -181,11 +181,11 @@ class Participant:
         return self._told.rejoin_tick
 
     def resume(self, tick: int, dead: Sequence[int]) -> None:
-        """Goes on at ``tick`` where another side of the same shard was; before ``ready``.
+        """Resume at ``tick`` from another participant of the same shard; call before ``ready``.
 
         Args:
-            tick: The first to be gathered.
-            dead: Indices in the lattice of the cells that had gone before it.
+            tick: First tick to gather.
+            dead: Indices in the lattice of the cells that had died before ``tick``.
         """
         self._tick, self._told.resumed = tick, True
         self._incoming.resume(tick)
@@ -193,7 +193,7 @@ class Participant:
             self.mark_dead(dead, 0)
 
     def resend_links(self, links: LinkFrame | None) -> None:
-        """Sends the messages of the tick before the first again, which that side had sent and counted; once ready.
+        """Resend the messages of the tick before the first; call once ready. The earlier participant counted them.
 
         Args:
             links: Those messages; None where the firmware has none.
@@ -211,19 +211,19 @@ class Participant:
     # --- a tick ---------------------------------------------------------------------------------
 
     def gather(self, tick: int) -> TickInputs | Control:
-        """Waits for what the shard needs to compute ``tick``.
+        """Wait for the inputs of ``tick``.
 
-        That is the tick's senses, and the link frame of the tick before from every neighbour that lived then.
+        These are the tick's senses, and the previous tick's link frame of every neighbour that was live in it.
 
         Args:
             tick: Must go up from call to call.
 
         Returns:
-            That; or a ``stop`` record: the plant's, or this side's own when no cell of the shard takes part.
+            The inputs; or a ``stop`` record: the plant's, or the participant's own when no cell of the shard is live.
 
         Raises:
-            HostLostError: The plant went away, or was silent for ``silence_s``.
-            WokenError: ``endpoint.wake`` was called; the call may be repeated.
+            CoordinatorLostError: The plant is lost, or was silent for ``silence_s``.
+            WaitInterrupted: ``endpoint.wake`` was called; the call may be repeated.
         """
         self._tick = tick
         told, company = self._told, self._company
@@ -260,11 +260,11 @@ class Participant:
                 )
 
     def drain_faults(self) -> list[Control]:
-        """Faults that somebody injected or repaired since the last call; they act from the tick gathered last on."""
+        """Return faults injected or repaired since the last call; effective from the tick gathered last."""
         return self._told.drain_faults()
 
     def _offer(self, joining: Control) -> bool:
-        """Tells the plant that cells that come back can be sent to, if they can."""
+        """Report that rejoining cells can be sent to; False if they can't yet."""
         cells = [self._lattice.index(cell) for cell in joining.cells]
         if not all(publisher.matched() for publisher in self._outgoing.publishers_to(cells)):
             return False
@@ -272,9 +272,9 @@ class Participant:
         return True
 
     def publish(self, drive: DriveFrame, links: LinkFrame | None) -> None:
-        """Sends a tick's messages, then its drives; before the last that any cell of the shard drives, the counts.
+        """Send a tick's messages, then its drives; in the last live tick of the shard, report the counters first.
 
-        They would not arrive if the process were killed when its cells are dead, as a scheduled crash does.
+        A scheduled crash kills the process once its cells are dead: the counters would not arrive later.
 
         Args:
             drive: ``(n, 2)``, rows in the order of ``partition.cells(shard)``.
@@ -290,47 +290,47 @@ class Participant:
         self._endpoint.put_all(puts)
 
     def publish_snapshot(self, tick: int, read: Callable[[], bytes]) -> None:
-        """Tells the plant what the shard remembers before ``tick``, if it has asked.
+        """Publish the shard's snapshot before ``tick`` if the plant requested one.
 
         Call it after ``publish`` of the tick before.
 
         Args:
             tick: The next.
-            read: Gives the state; asked only where the plant has.
+            read: Returns the state; called only if a snapshot was requested.
         """
         if tick == self._told.snapshot_tick and self._remembering is not None:
             self._remembering.publish(tick, read())
 
     def publish_registers(self, tick: int, read: Callable[[], Own]) -> None:
-        """Puts the registers of the cells, if the plant or somebody else wants to see them.
+        """Publish the registers of the cells if the plant or another observer requests them.
 
-        Call it before ``publish`` of that tick: then the plant has them when it has its drives.
+        Call it before ``publish`` of the same tick: the plant then has the registers when it has the drives.
 
         Args:
-            tick: That they have computed.
-            read: Gives who they are, ``(n, 2)`` row and column, and their registers by name, arrays with a row for
-                each; asked only where somebody wants to see.
+            tick: The tick just computed.
+            read: Returns rows and columns of the cells, ``(n, 2)``, and registers by name, arrays with a row a cell;
+                called only if the registers are requested.
         """
         self._showing.publish(tick, read)
 
     # --- who takes part -------------------------------------------------------------------------
 
     def schedule_death(self, cells: Iterable[int], tick: int) -> None:
-        """Nobody waits for ``cells`` (indices in the lattice) from ``tick`` on: a scheduled death."""
+        """Schedule the permanent death of ``cells`` (indices in the lattice) at ``tick``."""
         self._company.schedule_death(cells, tick)
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
-        """Nobody waits for ``cells`` (indices in the lattice) from ``tick`` on; their process may come back."""
+        """Mark ``cells`` (indices in the lattice) as dead from ``tick`` on; their process may rejoin."""
         self._company.mark_dead(cells, tick)
 
     def live(self, tick: int) -> Mask:
-        """``(n,)``: the shard's cells that take part in ``tick``."""
+        """Return the mask of the shard's cells that are live in ``tick``, ``(n,)``."""
         return self._company.live(tick)
 
     def fail(self, cells: Iterable[int], tick: int, detail: str) -> None:
-        """Tells the plant that ``cells`` (indices in the lattice) can't do ``tick``.
+        """Report to the plant that ``cells`` (indices in the lattice) failed in ``tick``.
 
-        Call it before ``publish`` of that tick. The plant gives them up as failed; the others go on.
+        Call it before ``publish`` of the same tick. The plant drops these cells; the others continue.
         """
         index = sorted(int(i) for i in cells)
         names = tuple(self._lattice.cells[i] for i in index)
@@ -340,18 +340,18 @@ class Participant:
         self.mark_dead(index, tick)
 
     def hang(self, cell: int, tick: int, detail: str) -> None:
-        """Tells the plant that the program of ``cell`` (index in the lattice) hangs since ``tick``; the cell goes on.
+        """Report to the plant that the program of ``cell`` (index in the lattice) hangs since ``tick``.
 
-        Call it before ``publish`` of that tick.
+        The cell stays live. Call this before ``publish`` of that tick.
         """
         self._reports.hung(self._lattice.cells[cell], tick, detail)
 
     def busy(self, tick: int) -> None:
-        """Tells the plant that the shard still computes ``tick``: it waits for longer. From any thread."""
+        """Report to the plant that the shard still computes ``tick``, which extends the deadline. From any thread."""
         self._reports.busy(tick)
 
     def close(self) -> None:
-        """Reports this side's counts and, once the plant that stopped the run has taken them, takes the tokens back."""
+        """Report the counters, wait until the plant that stopped the run is gone, and withdraw the tokens."""
         self._reports.publish_counters(self._tick)
         # Whoever closes a session may take with it what is still queued there: the report must have arrived before.
         deadline = self._clock() + _LEAVE_S

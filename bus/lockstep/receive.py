@@ -1,4 +1,4 @@
-"""Collects the parts of frames, tick by tick: early ones kept, late ones counted, the dead not waited for."""
+"""Frame assembly by tick: early parts are kept, late parts are counted, dead senders are not expected."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.keys import owner_of
 
 EARLY_TICKS: Final = 64
-"""How far ahead a frame may be to be kept; in lockstep nobody gets further than one tick."""
+"""Ticks ahead up to which a frame is kept; in lockstep no sender is more than one tick ahead."""
 
 
 @final
 class PartialFrame:
-    """One tick's frame, as far as it has come.
+    """Frame of one tick, complete or not.
 
     Attributes:
-        values: A value a part; its blank where none has come.
-        have: Nonzero for each part that has come.
-        missing: How many live parts have not.
+        values: A value a part; its blank where none has arrived.
+        have: Nonzero for each part that has arrived.
+        missing: Number of live parts that have not arrived.
     """
 
     __slots__ = ("have", "missing", "values")
@@ -35,19 +35,19 @@ class PartialFrame:
 
 @final
 class FrameAssembler:
-    """Frames of one kind that come in parts, each part from one sender.
+    """Reassembly of frames of one kind from parts, one sender a part.
 
     Args:
-        kind: Name for errors.
-        blank: What stands for each part that does not come.
+        kind: Name of the frames in errors.
+        blank: Substitute for each part that does not arrive.
         decode: From a part and its payload to its tick and value; raises WireError.
-        counts: Where to count.
+        counts: Counters to update.
 
     Attributes:
-        now: The first tick that is not over.
-        since: For each part, the tick from which its sender takes part.
-        until: For each part, the tick from which it is gone.
-        latest: The last tick that a frame can be of yet: a later one is refused.
+        now: First tick that is not closed.
+        first_tick: For each part, first live tick of the sender.
+        end_tick: For each part, first tick in which the sender is dead.
+        latest: Last tick accepted: frames of later ticks are refused.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class FrameAssembler:
         self._counts.delivered += 1
 
     def _handle_departed(self, part: int, tick: int, value: Any) -> None:
-        """Keeps the value of a part whose sender is expected back; counts any other as late."""
+        """Keep the value of a part whose sender may rejoin; count any other as late."""
         if part not in self._expected or not self.now <= tick <= self.now + EARLY_TICKS:
             self._counts.late += 1
             return
@@ -113,15 +113,18 @@ class FrameAssembler:
         return WireError(self._kind, "duplicate", f"tick {tick} came already")
 
     def allow_early(self, parts: Iterable[int]) -> None:
-        """The senders of these, who are gone, may take part again: their word may come before the news of it."""
+        """Accept frames of ``parts`` although their senders are dead.
+
+        A rejoining sender's first frame can arrive before the control record that readmits it.
+        """
         self._expected.update(parts)
 
     def accept_any_tick(self) -> None:
-        """Keeps whatever tick comes until ``begin`` says which is the first."""
+        """Accept frames of any tick until ``start_at`` sets the first."""
         self._any_tick = True
 
     def slot(self, tick: int) -> PartialFrame:
-        """The frame of ``tick``, not before ``now``; begun if it isn't."""
+        """Return the frame of ``tick``, which is at least ``now``; create it if there is none."""
         if tick == self.now:
             return self._current
         slot = self._early.get(tick)
@@ -134,35 +137,35 @@ class FrameAssembler:
         return PartialFrame(self._blank.copy(), sum(since <= tick < until for since, until in lives))
 
     def early(self, tick: int) -> int:
-        """How many parts have come of frames from ``tick`` on."""
+        """Return the number of parts received of frames from ``tick`` on."""
         slots = {self.now: self._current, **self._early}
         return sum(sum(slot.have) for when, slot in slots.items() if when >= tick)
 
     def missing(self, tick: int) -> list[int]:
-        """Live parts of ``tick`` that have not come."""
+        """Return the live parts of ``tick`` that have not arrived."""
         have = self.slot(tick).have
         lives = enumerate(zip(self.first_tick, self.end_tick, strict=True))
         return [part for part, (since, until) in lives if since <= tick < until and not have[part]]
 
     def update_membership(self, until: list[int]) -> None:
-        """Sets the ticks from which the senders are gone: nobody waits for them."""
+        """Set the end ticks of the senders: no part is expected from then on."""
         self.end_tick = until
         self._recount()
 
     def admit(self, since: list[int], until: list[int]) -> None:
-        """Sets the ticks from which the senders take part, and from which they are gone."""
+        """Set the first ticks and end ticks of the senders."""
         self.first_tick, self.end_tick = since, until
         self._recount()
 
     def start_at(self, tick: int) -> None:
-        """``tick`` is the first; what has come for earlier ones is late."""
+        """Start at ``tick``; parts of earlier ticks are late."""
         self._any_tick = False
         self.now = tick
         self._early = {t: slot for t, slot in self._early.items() if t >= tick}
         self._current = self._early.pop(tick, None) or self._begin(tick)
 
     def discard(self, parts: Sequence[int], tick: int) -> None:
-        """What has come from these for ``tick`` and later ones counts as not sent."""
+        """Discard the received values of ``parts`` for ``tick`` and later ticks, as if they had not been sent."""
         for slot in [self.slot(t) for t in (self.now, *self._early) if t >= tick]:
             for part in parts:
                 slot.values[part] = self._blank[part]
@@ -174,7 +177,7 @@ class FrameAssembler:
             self.slot(tick).missing = len(self.missing(tick))
 
     def close(self, tick: int) -> PartialFrame:
-        """The frame of ``tick``, which with all before it is over: whatever comes for it now is late."""
+        """Return the frame of ``tick`` and close all ticks up to it: parts that arrive from now on are late."""
         slot = self.slot(tick)
         self.now = now = tick + 1
         if not self._early and not self._deaths:  # nearly always, and every tick
@@ -190,20 +193,20 @@ BATCH: Final = 64
 """Payloads for which a side sleeps at most before it begins to read them."""
 
 Route = tuple[Callable[[int, bytes], None], int]
-"""What takes the payloads of a key, and which part they are for it."""
+"""Handler of the payloads of a key, and the part that the key stands for."""
 
 
 @final
 class Dispatcher:
-    """Reads what comes for one side of a run.
+    """Router of received payloads and token changes to the handlers of one side of a run.
 
     Args:
-        endpoint: Where from.
-        counts: Where refused payloads are counted.
-        tokens: What takes the coming and going of tokens.
+        endpoint: Endpoint to receive from.
+        counts: Counters of refused payloads.
+        tokens: Handler of token changes.
 
     Attributes:
-        routes: For each key, what takes its payloads; may raise WireError.
+        routes: For each key, the handler of its payloads, which may raise WireError.
     """
 
     def __init__(
@@ -218,7 +221,7 @@ class Dispatcher:
         """Waits as ``Endpoint.receive`` does, then takes all there is; False if there was nothing in time.
 
         Raises:
-            WokenError: ``Endpoint.wake`` was called; everything else that was there has been taken.
+            WaitInterrupted: ``Endpoint.wake`` was called; all other events have been handled.
         """
         events = self._receive(timeout_s, min(enough, BATCH))
         woken = False

@@ -1,4 +1,4 @@
-"""What cells show of themselves to whoever looks: registers and counters of a shard, by name."""
+"""Register publishing: named registers and counters of a shard's cells, for the plant and for observers."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class RegisterFrame(NamedTuple):
 
 
 class RegisterRequest(NamedTuple):
-    """Registers that the plant wants to see.
+    """Request of the plant for registers.
 
     Attributes:
-        every: In every how many ticks.
-        names: Which; None: all.
+        every: Interval between two snapshots, ticks.
+        names: Names of the registers; None: all.
     """
 
     every: int
@@ -52,7 +52,7 @@ class RegisterRequest(NamedTuple):
 
 
 def requested_at(wanted: Iterable[RegisterRequest], tick: int) -> RegisterRequest | None:
-    """What is wanted in a tick, all of it together; None if nothing is."""
+    """Merge the requests that are due in a tick into one; None if no request is due."""
     found = [one.names for one in wanted if tick % one.every == 0]
     if not found:
         return None
@@ -65,8 +65,8 @@ class RegisterSnapshot(NamedTuple):
 
     Attributes:
         tick: The tick that they have computed.
-        cells: ``(n,)``: which of them have shown theirs.
-        registers: By name, arrays with a row a cell; zero where it has shown none.
+        cells: ``(n,)``, marks cells whose registers were received.
+        registers: By name, arrays with a row a cell; zero for cells without registers.
     """
 
     tick: int
@@ -75,11 +75,11 @@ class RegisterSnapshot(NamedTuple):
 
 
 def merge_frames(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[RegisterSnapshot]:
-    """Frames of several shards, those of a tick together.
+    """Merge frames of several shards into one snapshot a tick.
 
     Args:
-        frames: Whose cells are in the lattice. Where one has a register in another shape than one before it, its
-            cells' rows are NaN, or zero for what can't be NaN.
+        frames: Frames of cells in the lattice. A register whose shape differs from that in an earlier frame has NaN
+            in the rows of the later frame's cells, or zero in types without NaN.
         lattice: The cells.
     """
     by_tick: dict[int, list[RegisterFrame]] = {}
@@ -108,7 +108,7 @@ def merge_frames(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[Regi
 
 
 def encodable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Those of some arrays with a row a cell that can be shown: little-endian numbers and booleans, not too wide."""
+    """Select arrays that can be encoded: little-endian numbers and booleans, limited in width and in number."""
     fit: dict[str, NDArray[Any]] = {}
     for name, array in list(arrays.items())[:NAMES_LIMIT]:
         numbers = array.astype(array.dtype.newbyteorder("<"), copy=False)
@@ -120,7 +120,7 @@ def encodable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def encode_registers(frame: RegisterFrame) -> bytes:
-    """The payload of a frame whose registers are as ``shown`` has them."""
+    """Encode a frame whose registers passed ``encodable``."""
     return packer()(
         {
             "v": VERSION,
@@ -189,20 +189,20 @@ def _array(value: object, rows: int) -> NDArray[Any]:
 
 
 _SHOW_S: Final = 0.2
-"""How often to look whether somebody wants to see the cells' registers, and how often they are shown then."""
+"""Interval at which the registers are checked for observers, and published to them, wall seconds."""
 
 Own = tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]
-"""Who some cells are, ``(n, 2)`` row and column, and their registers by name, arrays with a row for each."""
+"""Rows and columns of cells, ``(n, 2)``, and registers by name, arrays with a row a cell."""
 
 
 @final
 class RegisterPublisher:
-    """A shard's side: shows the registers of its cells.
+    """Publisher of the registers of a shard's cells.
 
     Args:
-        publisher: Of the shard's registers.
-        wanted: What the plant wants to see.
-        counts: Where to count.
+        publisher: Publisher on the shard's registers key.
+        wanted: Requests of the plant.
+        counts: Counters to update.
         clock: Monotonic wall seconds.
     """
 
@@ -220,11 +220,11 @@ class RegisterPublisher:
         self._next_look = 0.0
 
     def publish(self, tick: int, read: Callable[[], Own]) -> None:
-        """Puts the registers after ``tick``, if the plant or somebody else wants to see them.
+        """Publish the registers after ``tick`` if the plant or another observer requests them.
 
         Args:
-            tick: That the cells have computed.
-            read: Gives them; asked only where somebody wants to see.
+            tick: The tick just computed.
+            read: Returns the registers; called only if they are requested.
         """
         wanted = requested_at(self.requests, tick)
         if (wanted is None or wanted.names is not None) and self._watched():
@@ -238,7 +238,7 @@ class RegisterPublisher:
         self._counts.sent += 1
 
     def _watched(self) -> bool:
-        """Whether somebody may want to see all registers now: looked up a few times a second."""
+        """Whether the registers have an observer; checked a few times a second."""
         now = self._clock()
         if now < self._next_look:
             return False
@@ -248,13 +248,13 @@ class RegisterPublisher:
 
 @final
 class RegisterReceiver:
-    """The plant's side: takes in what shards show.
+    """Receiver of the shards' registers on the plant's side.
 
     Args:
-        partition: How the cells are cut into shards.
-        wanted: What the plant wants to see.
-        counts: Where to count.
-        now: Gives the tick that is under way.
+        partition: Partition of the cells into shards.
+        wanted: Requests of the plant.
+        counts: Counters to update.
+        now: Returns the current tick.
     """
 
     def __init__(
@@ -272,7 +272,7 @@ class RegisterReceiver:
         """By tick and shard."""
 
     def handle(self, shard: int, payload: bytes) -> None:
-        """Takes in what a shard shows.
+        """Handle a register payload of a shard.
 
         Raises:
             WireError: Not such a payload, of cells that are not its own, or not of this tick, or the second of it.
@@ -295,6 +295,6 @@ class RegisterReceiver:
             self._frames[frame.tick, shard] = frame  # others are for those who watch
 
     def drain(self) -> list[RegisterSnapshot]:
-        """What cells have shown since the last call; a tick's is there when its drives are."""
+        """Return register snapshots since the last call; a tick's snapshot is complete once its drives are gathered."""
         frames, self._frames = self._frames, {}
         return merge_frames(list(frames.values()), self._partition.lattice)

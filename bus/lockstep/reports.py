@@ -1,4 +1,4 @@
-"""What shards report to the plant: cells that failed, hang or can be sent to again, and what they counted."""
+"""Reports of shards to the plant: failed, hung and reachable cells, and message counters."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Cell = tuple[int, int]
 
 @final
 class ReportPublisher:
-    """A shard's side: reports.
+    """Publisher of a shard's reports.
 
     Args:
-        publisher: Of the shard's reports.
-        counts: What its side has counted, and where to count.
-        tally: What else to report as the shard leaves: numbers that the cells counted, by name.
+        publisher: Publisher on the shard's report key.
+        counts: Counters of the shard's side, to report and to update.
+        tally: Returns the cells' counters by name, reported as the shard leaves.
     """
 
     def __init__(
@@ -33,19 +33,19 @@ class ReportPublisher:
         self._tally = tally
 
     def failed(self, cells: tuple[Cell, ...], tick: int, detail: str) -> None:
-        """``cells`` can't do ``tick``."""
+        """Report that ``cells`` failed in ``tick``."""
         self._put(Report("failed", tick, cells, detail))
 
     def hung(self, cell: Cell, tick: int, detail: str) -> None:
-        """The program of ``cell`` hangs since ``tick``."""
+        """Report that the program of ``cell`` hangs since ``tick``."""
         self._put(Report("hung", tick, (cell,), detail))
 
     def linked(self, cells: tuple[Cell, ...], tick: int) -> None:
-        """``cells``, which come back, can be sent to."""
+        """Report that rejoining ``cells`` can be sent to."""
         self._put(Report("linked", tick, cells))
 
     def busy(self, tick: int) -> None:
-        """The shard still computes ``tick``; not counted, as it depends on the wall clock."""
+        """Report that the shard still computes ``tick``; not counted, as it depends on the wall clock."""
         self.publisher.put(encode_report(Report("busy", tick)))
 
     def _put(self, report: Report) -> None:
@@ -53,7 +53,7 @@ class ReportPublisher:
         self._counts.sent += 1
 
     def publish_counters(self, tick: int) -> None:
-        """What the shard counted, as it leaves; this is not counted itself."""
+        """Report the shard's counters as the shard leaves; the report itself is not counted."""
         counts = self._counts
         numbers = (counts.sent, counts.delivered, counts.lost, counts.late)
         report = Report("counts", tick, (), "", numbers, counts.to_report(self._tally()))
@@ -62,17 +62,17 @@ class ReportPublisher:
 
 @final
 class ReportReceiver:
-    """The plant's side: takes reports in.
+    """Receiver of the shards' reports on the plant's side.
 
     Args:
-        partition: How the cells are cut into shards.
-        now: Gives the tick that is under way.
-        linked: Told which cells (indices) a shard can send to again.
+        partition: Partition of the cells into shards.
+        now: Returns the current tick.
+        linked: Called with a shard and the rejoining cells (indices) that it can send to.
 
     Attributes:
-        failed: The report on each cell that failed and that nobody has dealt with yet. The first of a cell stands:
-            whoever sends them without end fills no memory.
-        counts: By shard, what those counted that left.
+        failed: Reports of failed cells that have not been drained, by cell. Only the first report of a cell is kept,
+            which bounds the memory that a sender can fill.
+        counters: By shard, counters of shards that have left.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class ReportReceiver:
         self._busy: dict[int, int] = {}
 
     def handle(self, shard: int, payload: bytes) -> None:
-        """Takes in what a shard reports.
+        """Handle a report of a shard.
 
         Raises:
             WireError: Not such a payload, of cells that are not its own, or too far ahead.
@@ -118,7 +118,7 @@ class ReportReceiver:
             raise WireError("report", "ahead", f"tick {report.tick}: must be at most {EARLY_TICKS} ahead")
 
     def drain_failed(self) -> list[tuple[str, Sequence[int]]]:
-        """Cells (indices) that can't do the tick that is under way, each report's together, and why; each once."""
+        """Return details and cells (indices) of reports on failures up to the current tick; each cell once."""
         told = {cell: report for cell, report in self.failed.items() if report.tick <= self._now()}
         for cell in told:
             del self.failed[cell]
@@ -128,11 +128,11 @@ class ReportReceiver:
         ]
 
     def drain_busy(self, tick: int) -> set[int]:
-        """Shards that have said since the last call that they still compute ``tick``."""
+        """Return shards that reported, since the last call, to be still computing ``tick``."""
         busy, self._busy = self._busy, {}
         return {shard for shard, at in busy.items() if at == tick}
 
     def drain_hung(self) -> list[Report]:
-        """Programs that have hung since the last call, and why; their cells still take part."""
+        """Return reports of programs that hung since the last call; the cells of these programs stay live."""
         hung, self._hung = self._hung, {}
         return list(dict.fromkeys(hung.values()))

@@ -1,4 +1,4 @@
-"""What a shard takes in in a tick: what its cells sense, and what their neighbours in other shards tell them."""
+"""Inbound and outbound frames of a shard, and the shard's membership."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from bus.wire.frames import DriveFrame, LinkFrame, Mask, SenseFrame
 
 
 class TickInputs(NamedTuple):
-    """What a shard computes a tick from.
+    """Inputs from which a shard computes a tick.
 
     Attributes:
-        sense: Of this tick; rows in the order of ``partition.cells(shard)``, false and zero for cells that
-            are gone.
-        links: What the links of ``partition.incoming(shard)`` brought, sent in the tick before: ``tick - 1``.
-            At tick 0 nothing was sent. None where the firmware has no messages.
+        sense: Sense frame of this tick; rows in the order of ``partition.cells(shard)``, false and zero for dead
+            cells.
+        links: Messages on the links of ``partition.incoming(shard)``, sent in ``tick - 1``. At tick 0 nothing was
+            sent. None where the firmware has no messages.
     """
 
     sense: SenseFrame
@@ -34,14 +34,14 @@ class TickInputs(NamedTuple):
 
 @final
 class InboundFrames:
-    """Collects the payloads of a shard's frames, and waits for those of the living.
+    """Inbound frames of a shard, assembled from the payloads of live senders.
 
     Args:
-        wiring: What both sides agreed on.
-        shard: Which shard this is.
-        form: Its side of the wire form.
-        lives: Who takes part, kept by the caller, who tells of changes by ``bury`` and ``admit``.
-        counts: Where to count.
+        wiring: Schema of the run.
+        shard: Number of the shard.
+        form: The shard's side of the wire format.
+        lives: Membership, owned by the caller, who announces changes by ``update_membership`` and ``admit``.
+        counts: Counters to update.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class InboundFrames:
         self._links = FrameAssembler("link", form.blank_links, form.decode_link, counts)
 
     def subscribe(self, endpoint: Endpoint) -> dict[str, Route]:
-        """Subscribes to all of it: what takes the payloads of each key."""
+        """Subscribe to all inbound keys, and return the handler of each."""
         for key in self._form.sense_units:
             endpoint.subscribe(key)
         # The plant senses again only when all drives have come, and messages are put before drives: they are there
@@ -77,17 +77,17 @@ class InboundFrames:
     # --- a tick ---------------------------------------------------------------------------------
 
     def slots(self, tick: int) -> tuple[PartialFrame, PartialFrame | None]:
-        """The tick's senses and the messages of the tick before, as far as they have come; None: there are none."""
+        """Return the partial frames of the tick's senses and of the previous tick's messages; None without messages."""
         # At its first tick nobody has sent it anything.
         links = None if not self._speaks or tick == self._first else self._links.slot(tick - 1)
         return self._senses.slot(tick), links
 
     def received_count(self, tick: int) -> int:
-        """How many payloads have been taken in, but for messages that were sent in ``tick`` or later."""
+        """Return the number of payloads received, without messages sent in ``tick`` or later."""
         return self._counts.delivered - (self._links.early(tick) if self._speaks else 0)
 
     def collect(self, tick: int) -> TickInputs:
-        """All of a tick, of which nothing more is waited for."""
+        """Close a tick and return its inputs."""
         senses = self._form.join_senses(self._senses.close(tick).values)
         if not self._lives.unchanged:
             gone = ~self._lives.live(tick)[self._cells]
@@ -103,22 +103,22 @@ class InboundFrames:
     # --- from when on, and of whom --------------------------------------------------------------
 
     def accept_any_tick(self) -> None:
-        """Keeps whatever tick comes until it is said which is the first."""
+        """Accept frames of any tick until ``resume`` or ``enter`` sets the first."""
         self._senses.accept_any_tick()
         self._links.accept_any_tick()
 
     def resume(self, tick: int) -> None:
-        """``tick`` is the next; its neighbours' messages of the one before will come again."""
+        """Resume at ``tick``; the neighbours' messages of the previous tick will be resent."""
         self._senses.start_at(tick)
         self._links.start_at(tick - 1)
 
     def enter(self, tick: int) -> None:
-        """``tick`` is the first that the shard takes part in: nobody has sent it anything."""
+        """Start at ``tick``, the shard's first: no neighbour has sent messages before."""
         self._first = tick
         self.resume(tick)
 
     def update_membership(self) -> None:
-        """Takes note of who is gone."""
+        """Update the expected senders and receivers after a change of membership."""
         last, form = self._lives.end_by_group, self._form
         self._senses.update_membership(last(form.unit_cells))
         # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
@@ -129,23 +129,23 @@ class InboundFrames:
 
     @property
     def awaited(self) -> int:
-        """How many messages have not come of the tick that is not over yet."""
+        """Number of messages that are missing in the current tick."""
         return len(self._links.missing(self._links.now))
 
     def discard(self, tick: int) -> None:
-        """Those who are gone by ``tick``, in which they were lost, said nothing in it; after ``bury``."""
+        """Discard messages of ``tick`` from senders lost by then; call after ``update_membership``."""
         # What they sent before has arrived, or will; of that tick it may have, or not: it never was.
         gone = [part for part, until in enumerate(self._links.end_tick) if until <= tick]
         self._links.discard(gone, tick)
 
     def allow_early(self, cells: Iterable[int]) -> None:
-        """Cells (indices) that are gone may come back: their word may come before the news of it."""
+        """Accept messages of dead cells (indices) that may rejoin before the rejoin is committed."""
         back = set(cells)
         sources = enumerate(self._form.in_sources)
         self._links.allow_early(part for part, source in sources if not back.isdisjoint(source.tolist()))
 
     def admit(self) -> None:
-        """Takes note of who takes part again."""
+        """Update the expected senders after a rejoin."""
         first, last, form = self._lives.start_by_group, self._lives.end_by_group, self._form
         self._senses.admit(first(form.unit_cells), last(form.unit_cells))
         sources, targets = form.in_sources, form.in_targets
@@ -159,14 +159,14 @@ _F8: Final = np.dtype(np.float64)
 
 @final
 class OutboundFrames:
-    """Makes a shard's frames into payloads with their publishers.
+    """Outbound frames of a shard, encoded into payloads with their publishers.
 
     Args:
         endpoint: The endpoint of the shard's process.
-        wiring: What both sides agreed on.
-        shard: Which shard this is.
-        form: Its side of the wire form.
-        lives: Who takes part, kept by the caller, who tells of changes by ``bury``.
+        wiring: Schema of the run.
+        shard: Number of the shard.
+        form: The shard's side of the wire format.
+        lives: Membership, owned by the caller, who announces changes by ``update_membership``.
 
     Attributes:
         publishers: All of them, by key.
@@ -193,7 +193,7 @@ class OutboundFrames:
         self._out_until = self._target_until = [NO_TICK_LIMIT] * len(self._out)
 
     def update_membership(self) -> None:
-        """Takes note of who is gone."""
+        """Update the expected senders and receivers after a change of membership."""
         last, form = self._lives.end_by_group, self._form
         self._drive_until = last(form.unit_cells)
         self._out_until, self._target_until = last(form.out_sources), last(form.out_targets)
@@ -238,7 +238,7 @@ class OutboundFrames:
         return [put for put, spoken in zip(puts, self._has_reader(tick), strict=True) if spoken]
 
     def _has_reader(self, tick: int) -> list[bool]:
-        """Which parts of the outgoing links have somebody to send them, and somebody to read them a tick later."""
+        """Return whether each part of the outgoing links has a live sender, and a live receiver a tick later."""
         return [
             source > tick and target > tick + 1
             for source, target in zip(self._out_until, self._target_until, strict=True)
@@ -282,14 +282,14 @@ class OutboundFrames:
 
 @final
 class ParticipantMembership:
-    """Keeps a shard's books of the living; all cells are indices in the lattice.
+    """Membership as one shard sees it. Cells are given by their index in the lattice.
 
     Args:
-        cells: The shard's own.
-        lives: Of the run's cells.
-        incoming: What the shard takes in.
-        outgoing: What it sends.
-        counts: Where to count.
+        cells: The shard's own cells.
+        lives: Membership of the run's cells.
+        incoming: Inbound frames of the shard.
+        outgoing: Outbound frames of the shard.
+        counts: Counters to update.
     """
 
     def __init__(
@@ -307,36 +307,36 @@ class ParticipantMembership:
         self._counts = counts
 
     def live(self, tick: int) -> Mask:
-        """``(n,)``: the shard's cells that take part in ``tick``."""
+        """Return the mask of the shard's cells that are live in ``tick``, ``(n,)``."""
         return self._lives.live(tick)[self._cells]
 
     def none_live(self, tick: int) -> bool:
-        """Whether no cell of the shard takes part in ``tick``."""
+        """Whether no cell of the shard is live in ``tick``."""
         return not self._lives.unchanged and not self.live(tick).any()
 
     def schedule_death(self, cells: Iterable[int], tick: int) -> None:
-        """``cells`` will be gone for good from ``tick`` on: a scheduled death."""
+        """Schedule the permanent death of ``cells`` at ``tick``."""
         self._lives.schedule_death(cells, tick)
         self._update_membership()
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
-        """``cells`` are gone from ``tick`` on."""
+        """Mark ``cells`` as dead from ``tick`` on."""
         self._lives.mark_dead(cells, tick)
         self._update_membership()
 
     def mark_lost(self, cells: Iterable[int], tick: int) -> None:
-        """``cells`` were lost in ``tick``: what they have not said yet, they won't say."""
+        """Mark ``cells`` as lost in ``tick``: count their missing messages as lost and discard those of ``tick``."""
         waited = self._incoming.awaited
         self.mark_dead(cells, tick)
         self._counts.lost += waited - self._incoming.awaited
         self._incoming.discard(tick)
 
     def allow_early(self, cells: Iterable[int]) -> None:
-        """``cells``, which are gone, may come back."""
+        """Accept messages of dead ``cells`` that may rejoin."""
         self._incoming.allow_early(cells)
 
     def admit(self, cells: Collection[int], tick: int) -> bool:
-        """``cells`` take part again from ``tick`` on, which is the next; whether any is the shard's own."""
+        """Readmit ``cells`` from ``tick`` on, the next tick; return whether any is the shard's own."""
         self._lives.admit(cells, tick)
         own = self.owns(cells)
         if own:

@@ -1,4 +1,4 @@
-"""What shards remember at a boundary of ticks, handed to the plant so that it can be kept."""
+"""Distributed snapshots: the state of all shards at a tick boundary, collected by the plant."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ CELL_LIMIT: Final = 64 * 1024
 
 
 class ShardSnapshot(NamedTuple):
-    """What one shard remembers before a tick, all before it being over.
+    """State of one shard before a tick, after all earlier ticks are complete.
 
     Attributes:
-        tick: That tick.
-        counts: Payloads that the shard's side has sent, taken in, lost and found late.
-        state: Its cells, as ``bus.state`` has it.
+        tick: Tick before which the state was saved.
+        counts: Payloads that the shard has sent, received, lost and found late.
+        state: State of the cells, from ``bus.state.save_state``.
     """
 
     tick: int
@@ -30,12 +30,12 @@ class ShardSnapshot(NamedTuple):
 
 
 def encode_snapshot(kept: ShardSnapshot) -> bytes:
-    """The payload of what a shard remembers."""
+    """Encode the snapshot of a shard."""
     return packer()({"v": VERSION, "tick": kept.tick, "counts": kept.counts, "state": kept.state})
 
 
 def decode_snapshot(payload: bytes, cells: int) -> ShardSnapshot:
-    """What a shard of ``cells`` cells remembers; the state itself is not looked at.
+    """Decode the snapshot of a shard of ``cells`` cells; the state itself is not decoded.
 
     Raises:
         WireError: Anything else.
@@ -59,12 +59,12 @@ def _is_count(value: object) -> bool:
 
 
 class GlobalSnapshot(NamedTuple):
-    """What all sides of a run remember before a tick.
+    """State of all sides of a run before a tick.
 
     Attributes:
-        tick: That tick.
-        counts: Of all sides.
-        states: By shard, what its cells remember; of those that had cells left to step the tick before.
+        tick: Tick before which the state was saved.
+        counts: Counters of all sides.
+        states: By shard, state of the cells; only shards with a live cell in the previous tick.
     """
 
     tick: int
@@ -74,11 +74,11 @@ class GlobalSnapshot(NamedTuple):
 
 @final
 class SnapshotPublisher:
-    """A shard's side: tells what it remembers before the tick for which it was asked.
+    """Publisher of a shard's snapshot before the requested tick.
 
     Args:
-        publisher: Of the shard's memory.
-        counts: What its side has counted.
+        publisher: Publisher on the shard's snapshot key.
+        counts: Counters of the shard's side.
     """
 
     def __init__(self, publisher: Publisher, counts: MessageCounters) -> None:
@@ -87,15 +87,15 @@ class SnapshotPublisher:
         self._taken_in = 0
 
     def record_counters(self, taken_in: int) -> None:
-        """Note how many payloads had been taken in when all of the tick before was there."""
+        """Record the number of payloads received when the previous tick was complete."""
         self._taken_in = taken_in
 
     def publish(self, tick: int, state: bytes) -> None:
-        """Tell it.
+        """Publish the snapshot.
 
         Args:
-            tick: Before which it is remembered.
-            state: As ``bus.state`` has it.
+            tick: Tick before which the state was saved.
+            state: Result of ``bus.state.save_state``.
         """
         counts = self._counts
         numbers = (counts.sent, self._taken_in, counts.lost, counts.late)
@@ -104,11 +104,11 @@ class SnapshotPublisher:
 
 @final
 class SnapshotCollector:
-    """The plant's side: takes in what the shards remember before one tick.
+    """Collector of the shards' snapshots before one tick, on the plant's side.
 
     Args:
-        tick: Which.
-        shards: Who is asked.
+        tick: Tick before which the state is saved.
+        shards: Shards that must answer.
     """
 
     def __init__(self, tick: int, shards: Iterable[int]) -> None:
@@ -118,14 +118,14 @@ class SnapshotCollector:
         self._counts: MessageCounters | None = None
 
     def record_counters(self, own: MessageCounters) -> None:
-        """Note what the plant's side has counted by then."""
+        """Record the plant's counters before the tick."""
         self._counts = own + MessageCounters()
 
     def handle(self, shard: int, kept: ShardSnapshot) -> None:
-        """Take one in.
+        """Handle the snapshot of a shard.
 
         Raises:
-            WireError: It was not asked for.
+            WireError: The snapshot was not requested.
         """
         if kept.tick != self.tick or shard not in self._shards:
             raise WireError("memory", "tick", "was not asked for")
@@ -137,10 +137,10 @@ class SnapshotCollector:
         return sorted(self._shards - self._kept.keys())
 
     def combined(self, left: dict[int, MessageCounters]) -> GlobalSnapshot | None:
-        """All of it, once it is there.
+        """Return the global snapshot once it is complete, else None.
 
         Args:
-            left: What shards counted that have left the run.
+            left: Counters of shards that have left the run.
         """
         if self._counts is None or self.missing:
             return None

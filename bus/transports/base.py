@@ -1,4 +1,4 @@
-"""What the lockstep asks of a transport, and what every transport promises."""
+"""Transport interface of the lockstep: publishers, subscriptions, tokens, and delivery guarantees."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import Literal, NamedTuple
 
 
 class Received(NamedTuple):
-    """A payload that somebody put on a key."""
+    """A payload received on a key."""
 
     key: str
     payload: bytes
 
 
 class LivelinessChange(NamedTuple):
-    """A token that appeared (``present``) or went: withdrawn, or its process gone."""
+    """A token that appeared (``present``) or disappeared: withdrawn, or its process ended."""
 
     key: str
     present: bool
 
 
 class Wakeup(NamedTuple):
-    """Somebody called ``wake``."""
+    """An event caused by ``wake``."""
 
 
 Event = Received | LivelinessChange | Wakeup
@@ -38,11 +38,11 @@ class Publisher(ABC):
 
     @abstractmethod
     def matched(self) -> bool:
-        """Whether at least one subscriber is known to this side. What is put before that may reach nobody."""
+        """Whether at least one subscriber is known; earlier payloads may reach no subscriber."""
 
 
 class Endpoint(ABC):
-    """One participant: what it subscribes to and the tokens it watches arrive in one inbox.
+    """Participant of a transport: one inbox for subscribed payloads and watched tokens.
 
     Every transport promises, and one conformance suite checks:
 
@@ -54,9 +54,9 @@ class Endpoint(ABC):
     - **Patience.** ``receive`` may be told how many payloads it takes to get on: it then lets fewer wait, but
       never beyond its time, and never behind a token, a ``Wakeup`` or an urgent subscription's payload.
     - **Bytes.** Payloads arrive as they were put, empty ones included.
-    - **Late joiners** get nothing of what was put before they subscribed. Tokens are otherwise: a watcher is
-      told of every token that is there when it begins to watch. The same presence may be told twice.
-    - **Tokens follow the data.** What an endpoint put arrives before the news that its token went.
+    - **Late joiners** get nothing of what was put before they subscribed. Tokens are different: a watcher
+      is notified of every token present when it begins to watch, possibly twice.
+    - **Tokens follow the data.** Payloads of an endpoint arrive before the disappearance of its token.
     - **Threads.** ``put``, ``put_all``, ``wake`` and ``matched`` may be called from any thread, ``receive`` from
       one at a time. In the main thread a blocked ``receive`` lets signal handlers run.
     - **Close** withdraws the tokens; closing twice is harmless; anything else on a closed endpoint raises
@@ -77,13 +77,12 @@ class Endpoint(ABC):
 
     @abstractmethod
     def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
-        """Lets everything put on matching keys into the inbox; a second time with the same words is a no-op.
+        """Subscribe to matching keys; subscribing to the same expression twice is a no-op.
 
         Args:
             key_expr: A key, or a pattern: ``*`` is one chunk, ``**`` any number of them.
-            haste: What this does to a ``receive`` that waits: ``"wake"``: as it was told; ``"urgent"``: makes it
-                return; ``"quiet"``: nothing, and it does not count. Quiet payloads are there when the wait
-                ends, before what ended it.
+            haste: Effect of a payload on a waiting ``receive``: ``"wake"`` counts towards ``enough``; ``"urgent"`` ends
+                the wait; ``"quiet"`` neither counts nor ends the wait. Quiet payloads come first when the wait ends.
 
         Raises:
             TransportError: The expression overlaps another subscription of this endpoint.
@@ -91,18 +90,18 @@ class Endpoint(ABC):
 
     @abstractmethod
     def declare_alive(self, key: str) -> None:
-        """Shows a token that stands until it is withdrawn or this process goes."""
+        """Declare a token; it stands until withdrawn or until this process ends."""
 
     @abstractmethod
     def withdraw(self, key: str) -> None:
-        """Takes a token back; a no-op where none was declared."""
+        """Withdraw a token; a no-op where none was declared."""
 
     @abstractmethod
     def watch_alive(self, key_expr: str) -> None:
-        """Lets the coming and going of matching tokens into the inbox; first, those that are there."""
+        """Watch matching tokens: present ones first, then appearances and disappearances."""
 
     def receive(self, timeout_s: float | None, enough: int = 1) -> Event | None:
-        """The oldest event in the inbox; at once where ``receive`` left some behind.
+        """Return the oldest event in the inbox, else wait for one.
 
         Args:
             timeout_s: Wall seconds after which None is returned if there is none; 0: at once; None: never.
@@ -113,7 +112,7 @@ class Endpoint(ABC):
         return self._rest.pop(0) if self._rest else None
 
     def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
-        """As ``receive``, but all that is in the inbox, oldest first; empty after ``timeout_s``."""
+        """Return all events in the inbox, oldest first, else wait as ``receive``; empty after ``timeout_s``."""
         if self._rest:
             rest, self._rest = self._rest, []
             return rest + self.poll_all(0, 1)
@@ -121,7 +120,7 @@ class Endpoint(ABC):
 
     @abstractmethod
     def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
-        """What ``receive_all`` hands over; for a transport to say how."""
+        """Return all events in the inbox, as ``receive_all`` does; implemented by each transport."""
 
     @abstractmethod
     def wake(self) -> None:

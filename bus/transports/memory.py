@@ -41,10 +41,10 @@ class EventQueue:
         self._queue.put(_Urgent(item))
 
     def take(self, timeout_s: float | None, enough: int) -> list[Any]:
-        """All that is there, oldest first, once it is enough or something of it is urgent.
+        """Return all items, oldest first, once there are enough or one is urgent.
 
         Args:
-            timeout_s: Wall seconds after which whatever there is will do. 0: at once. None: never.
+            timeout_s: Wall seconds after which all items present are returned. 0: at once. None: never.
             enough: At least 1.
         """
         items: list[Any] = []
@@ -66,7 +66,7 @@ class EventQueue:
 
 @final
 class MemoryBus:
-    """Where the endpoints of one process meet. Thread-safe; a put is delivered before it returns."""
+    """Rendezvous of the endpoints of one process. Thread-safe; ``put`` delivers before returning."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -82,7 +82,7 @@ class MemoryBus:
         return endpoint
 
     def route(self, key: str) -> tuple[Callable[[Event], None], ...]:
-        """Where to put what comes on ``key``: the inboxes of those who subscribed."""
+        """Return the ``put`` functions of all inboxes subscribed to ``key``."""
         route = self._routes.get(key)
         if route is None:
             with self._lock:
@@ -98,13 +98,13 @@ class MemoryBus:
             door(event)
 
     def subscribe(self, endpoint: MemoryEndpoint, key_expr: str, haste: Urgency) -> None:
-        """Lets what comes on matching keys into the endpoint's inbox."""
+        """Subscribe an endpoint to matching keys."""
         with self._lock:
             endpoint.subscriptions[key_expr] = haste
             self._routes.clear()
 
     def declare(self, key: str, endpoint: MemoryEndpoint) -> None:
-        """Shows a token."""
+        """Declare a token."""
         with self._lock:
             if key in self._tokens:
                 raise TransportError(f"token {key} is declared already")
@@ -112,14 +112,14 @@ class MemoryBus:
             self._announce(LivelinessChange(key, True))
 
     def withdraw(self, key: str, endpoint: MemoryEndpoint) -> None:
-        """Takes back a token of ``endpoint``."""
+        """Withdraw a token of ``endpoint``."""
         with self._lock:
             if self._tokens.get(key) is endpoint:
                 del self._tokens[key]
                 self._announce(LivelinessChange(key, False))
 
     def watch(self, key_expr: str, endpoint: MemoryEndpoint) -> None:
-        """Begins to tell ``endpoint`` of tokens, those that are there first."""
+        """Begin to notify ``endpoint`` of matching tokens, present ones first."""
         with self._lock:
             endpoint.watches.append(key_expr)
             for key in self._tokens:
@@ -127,7 +127,7 @@ class MemoryBus:
                     endpoint.enqueue(LivelinessChange(key, True))
 
     def leave(self, endpoint: MemoryEndpoint) -> None:
-        """Forgets ``endpoint`` and withdraws its tokens."""
+        """Remove ``endpoint`` and withdraw its tokens."""
         with self._lock:
             if endpoint in self._endpoints:
                 self._endpoints.remove(endpoint)
@@ -156,7 +156,7 @@ class MemoryPublisher(Publisher):
         self._bus.put(self._key, payload)
 
     def matched(self) -> bool:
-        """Whether somebody subscribed to the key."""
+        """Whether the key has a subscriber."""
         self._endpoint.check_open()
         return bool(self._bus.route(self._key))
 
@@ -190,7 +190,7 @@ class MemoryEndpoint(Endpoint):
             publisher.put(payload)
 
     def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
-        """Lets everything put on matching keys into the inbox."""
+        """Subscribe to matching keys."""
         self.check_open()
         if key_expr in self.subscriptions:
             return
@@ -198,17 +198,17 @@ class MemoryEndpoint(Endpoint):
         self._bus.subscribe(self, key_expr, haste)
 
     def declare_alive(self, key: str) -> None:
-        """Shows a token."""
+        """Declare a token."""
         self.check_open()
         self._bus.declare(key, self)
 
     def withdraw(self, key: str) -> None:
-        """Takes a token back."""
+        """Withdraw a token."""
         self.check_open()
         self._bus.withdraw(key, self)
 
     def watch_alive(self, key_expr: str) -> None:
-        """Lets the coming and going of matching tokens into the inbox."""
+        """Watch matching tokens."""
         self.check_open()
         self._bus.watch(key_expr, self)
 
@@ -229,14 +229,14 @@ class MemoryEndpoint(Endpoint):
             self._closed = True
 
     def queue_of(self, key: str) -> Callable[[Event], None] | None:
-        """Where to put what comes on ``key``; None where no subscription matches."""
+        """Return the ``put`` function for payloads on ``key``; None if no subscription matches."""
         for expr, haste in self.subscriptions.items():
             if intersects(expr, key):
                 return self._doors[haste]
         return None
 
     def enqueue(self, event: LivelinessChange) -> None:
-        """Puts news of a token in the inbox."""
+        """Put a change of a token in the inbox."""
         self._inbox.put_urgent(event)
 
     def check_open(self) -> None:

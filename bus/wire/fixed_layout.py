@@ -1,8 +1,8 @@
-"""Payloads that are the same bytes every tick but for the values: one call writes or reads the whole.
+"""Codec of payloads with a fixed layout: one call encodes or decodes a whole payload.
 
-MessagePack lets the writer choose how wide a number is. Written always as wide as its type, whatever its value,
-numbers stand always in the same places, and the struct module puts them there. What others write narrower is as
-good, but for ``bus.wire.msgpack_codec.reader`` to read.
+MessagePack lets the writer choose the width of a number. With the full width of its type, whatever the value, every
+number has a fixed position, and the struct module reads and writes it there. Payloads with narrower numbers are valid
+too, and are decoded by ``bus.wire.msgpack_codec.reader``.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _MARKS: Final = {
     "d": b"\xcb", "f": b"\xca", "B": b"\xcc", "H": b"\xcd", "I": b"\xce", "Q": b"\xcf",
     "b": b"\xd0", "h": b"\xd1", "i": b"\xd2", "q": b"\xd3",
 }  # fmt: skip
-"""What MessagePack puts before a number, by its type in the struct module's words."""
+"""MessagePack's prefix of a number, by the struct module's letter for its type."""
 _TO_WIRE: Final = bytes.maketrans(b"\x00\x01", b"\xc2\xc3")
 _FROM_WIRE: Final = bytes({0xC2: 0, 0xC3: 1}.get(byte, 2) for byte in range(256))
 
 FieldLayout = str | tuple[str, ...] | int | None
-"""What stands under a name: a number, a list of numbers, a list of so many booleans, or nil; ``"?"``: a boolean."""
+"""Layout of a field: a number, a list of numbers, a list of so many booleans, or nil; ``"?"``: a boolean."""
 
 
 Decode = Callable[[int, bytes], tuple[int, Any]]
@@ -42,7 +42,7 @@ class FixedLayoutCodec:
     """One kind of payload; writes for one thread at a time.
 
     Args:
-        places: What stands under each name, after ``v`` and ``tick``.
+        places: Layout of each field, after ``v`` and ``tick``.
     """
 
     def __init__(self, places: Mapping[str, FieldLayout]) -> None:
@@ -66,12 +66,12 @@ class FixedLayoutCodec:
         return payloads
 
     def decoder(self, make: Callable[..., Any], other: Decode) -> Decode:
-        """What decodes such payloads.
+        """Return a decoder of payloads in this layout.
 
         Args:
-            make: From the values to what they stand for, or None if they are not what they should be; booleans
-                are for ``flags`` to read.
-            other: Decodes all else, and says what is wrong.
+            make: Converts the values to the decoded object, or None for invalid values; booleans are decoded by
+                ``decode_booleans``.
+            other: Decodes all other payloads, and raises errors.
         """
         size, between, unpack = self._layout.size, self._between, self._layout.unpack
 
@@ -88,7 +88,7 @@ class FixedLayoutCodec:
 
 
 def _layout(places: Mapping[str, FieldLayout]) -> tuple[list[bytes], list[str], list[int]]:
-    """The bytes before, between and after the values; the values' types; where between both the booleans are."""
+    """Return the constant bytes around the values, the values' types, and the positions of booleans among both."""
     packer = cast("Any", msgpack).Packer()
     between, values, booleans = [b""], list[str](), list[int]()
 

@@ -1,7 +1,7 @@
-"""What the lockstep asks of a wire form: frames to keys and payloads, and back.
+"""Wire format interface: frames to keys and payloads, and back.
 
-A form cuts the cells into *units*, each with its own keys: a shard in the packed form, a cell in the other. It
-cuts a shard's border links into *parts* likewise: a border between two shards, or a single link.
+A wire format divides the cells into *units*, each with its own keys: a shard in the packed format, a cell in the other.
+It divides a shard's border links into *parts*: a border between two shards, or a single link.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from bus.wire.keys import check_run
 @final
 @dataclass(frozen=True, slots=True)
 class RunSchema:
-    """What both sides of a run must agree on.
+    """Schema of a run: parameters that both sides must agree on.
 
     Args:
         run: Name of the run, second chunk of every key.
-        partition: How the cells are cut into shards.
-        readings: What there is to read.
-        message: The protocol's message type, None where cells send each other nothing.
+        partition: Partition of the cells into shards.
+        readings: Sensors of the cells.
+        message: The protocol's message type; None without messages.
 
     Raises:
         RunNameError: The name can't stand in a key.
@@ -47,14 +47,14 @@ class RunSchema:
 
 
 class Senses(NamedTuple):
-    """What n cells sense; may be written.
+    """Sensor readings of n cells; the arrays are writable.
 
     Attributes:
         presence: ``(n, sensors)``.
         encoder_m: ``(n, 2)`` travel, None without encoders.
         level: ``(n, sensors)`` in [0, 1], None without levels.
         label: ``(n,)``, None without scanners.
-        picture: The same for all; None where none comes in.
+        picture: Frame of a camera, the same for all; None in ticks without a frame.
     """
 
     presence: Mask
@@ -65,14 +65,14 @@ class Senses(NamedTuple):
 
 
 class CoordinatorCodec(ABC):
-    """The plant's side of a form.
+    """The plant's side of a wire format.
 
     Attributes:
         unit_cells: Indices of each unit's cells.
         sense_keys: Key of each unit's sense.
         drive_units, alive_units, ready_units: Unit of each such key.
-        drive_expr, alive_expr, ready_expr: What to subscribe to and to watch.
-        blank_drives: What stands for each unit that sends none.
+        drive_expr, alive_expr, ready_expr: Expressions to subscribe to and to watch.
+        blank_drives: Substitute for each unit that sends no drive.
         decode_drive: From a unit and any payload to the tick and value of its drive, or WireError.
     """
 
@@ -97,20 +97,20 @@ class CoordinatorCodec(ABC):
 
 
 class ParticipantCodec(ABC):
-    """A shard's side of a form.
+    """A shard's side of a wire format.
 
     Attributes:
         alive_keys, ready_keys, drive_keys: The shard's own keys, one a unit.
         unit_cells: Indices (in the lattice) of each unit's cells.
         sense_units: Unit of each sense key.
-        blank_senses: What stands for each unit that gets none.
+        blank_senses: Substitute for each unit without a sense payload.
         decode_sense: From a unit and any payload to the tick and value of its sense, or WireError.
-        in_parts: Part of each key on which the shard hears its neighbours, in the order of its incoming links.
-        in_sources, in_targets: Cells of the units that send and hear each part.
-        blank_links: What stands for each part that does not come.
+        in_parts: Part of each key on which the shard receives, in the order of its incoming links.
+        in_sources, in_targets: Cells of the units that send and receive each part.
+        blank_links: Substitute for each part that does not arrive.
         decode_link: From a part and any payload to the tick and value of its frame, or WireError.
         out_keys: Key of each part that the shard sends, in the order of its outgoing links.
-        out_sources, out_targets: Cells of the units that send and hear each part.
+        out_sources, out_targets: Cells of the units that send and receive each part.
     """
 
     alive_keys: tuple[str, ...]
@@ -131,7 +131,7 @@ class ParticipantCodec(ABC):
 
     @abstractmethod
     def join_senses(self, values: list[Any]) -> Senses:
-        """What the shard's cells sense."""
+        """Join the decoded senses of all units of the shard."""
 
     @abstractmethod
     def join_links(self, values: list[Any]) -> tuple[Mask, Message]:
@@ -151,7 +151,7 @@ class ParticipantCodec(ABC):
 
 
 def as_slice(index: Index) -> slice | Index:
-    """The same selection as a slice where it is one: NumPy then copies instead of gathering."""
+    """Return a selection as a slice where it is contiguous: NumPy then copies instead of gathering."""
     if len(index) and int(index[-1]) - int(index[0]) == len(index) - 1:
         return slice(int(index[0]), int(index[-1]) + 1)
     return index

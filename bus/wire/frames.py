@@ -1,4 +1,4 @@
-"""What goes over the bus: frames, which the two wire forms lay out as payloads, and records, alike in both."""
+"""Bus data types: frames, encoded differently by each wire format, and records, encoded alike by all."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _MESSAGE_FIELDS: Final = 64
 
 
 class SenseFrame(NamedTuple):
-    """What the cells sense as a tick begins: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None.
+    """Sensor readings at the start of a tick: presence ``(n, sensors)``, encoder travel ``(n, 2)`` m or None.
 
-    ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue; ``label`` ``(n,)`` what scanners read,
-    None where there are none; ``picture`` what a camera saw, in the ticks in which one comes in.
+    ``level`` is ``(n, sensors)`` in [0, 1], None unless sensors are analogue. ``label`` is ``(n,)``, None without
+    scanners. ``picture`` is a camera frame, None in ticks without one.
     """
 
     tick: int
@@ -36,14 +36,14 @@ class SenseFrame(NamedTuple):
 
 
 class DriveFrame(NamedTuple):
-    """What the wheels are to do during a tick: ``(n, 2)`` float64, m/s or volts."""
+    """Wheel commands for a tick: ``(n, 2)`` float64, m/s or volts."""
 
     tick: int
     drive: Values
 
 
 class LinkFrame(NamedTuple):
-    """What links carried in a tick: ``sent`` ``(m,)`` says which; ``message`` ``(m,)`` is zero elsewhere."""
+    """Messages of a tick: ``sent`` ``(m,)`` marks links with a message; ``message`` ``(m,)`` is zero elsewhere."""
 
     tick: int
     sent: Mask
@@ -53,9 +53,9 @@ class LinkFrame(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True)
 class Control:
-    """The plant's word to all: ``cells`` are ``(row, column)``.
+    """Control record of the plant to all shards; ``cells`` are ``(row, column)``.
 
-    ``keep``: it wants what the shards remember before ``tick``.
+    ``keep`` requests a snapshot before ``tick``.
     """
 
     kind: Literal["start", "keep", "lost", "joining", "joined", "fault", "stop"]
@@ -67,10 +67,10 @@ class Control:
 @final
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A shard's word to the plant.
+    """Report of a shard to the plant.
 
-    Cells that ``failed``, whose program is ``hung``, or that can be sent to again (``linked``); that the shard is still
-    ``busy`` with ``tick``; or its final ``counts``.
+    Kinds: cells ``failed``; a program is ``hung``; rejoining cells can be sent to (``linked``); the shard is still
+    ``busy`` with ``tick``; final ``counts``.
     """
 
     kind: Literal["failed", "hung", "linked", "busy", "counts"]
@@ -80,11 +80,11 @@ class Report:
     counts: tuple[int, int, int, int] = (0, 0, 0, 0)
     """Payloads sent, delivered, lost, late."""
     tally: tuple[tuple[str, int], ...] = ()
-    """What the cells counted themselves, by name."""
+    """Counters of the cells, by name."""
 
 
 def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
-    """A protocol's message type as it goes over the wire: packed, little-endian.
+    """Return a protocol's message type as encoded on the wire: packed, little-endian.
 
     Args:
         dtype: Structured, of plain booleans, integers and floats.
@@ -111,7 +111,7 @@ def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
 
 
 def check_sense(frame: SenseFrame, readings: SensorSchema, cells: int) -> None:
-    """Checks that a frame of ``cells`` cells has what was agreed on, and nothing else.
+    """Check that a frame of ``cells`` cells has the fields of the sensor schema, and no others.
 
     Raises:
         BusError: It has not.

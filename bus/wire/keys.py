@@ -79,7 +79,7 @@ def message_kinds(run: str, form: Literal["packed", "cells"], units: int) -> dic
 
 
 def owner_of(key: str) -> str:
-    """Whose a key of a run is, in words: ``cell 3,4``, ``shard 2`` or ``plant``."""
+    """Describe the owner of a key of a run: ``cell 3,4``, ``shard 2`` or ``plant``."""
     match key.split("/")[2:]:
         case ["cell", row, column, *_]:
             return f"cell {row},{column}"

@@ -1,7 +1,7 @@
 """The MessagePack envelope of every payload, and readers of what is inside: bounded, typed, versioned.
 
-What a key promises is checked field by field: every payload becomes values or a ``WireError``, whoever
-wrote it. These run for every payload of every tick, hence the plain code and the few calls into NumPy.
+Every field of a payload is checked: a payload becomes values or a ``WireError``. These functions run for every
+payload of every tick, hence the plain code and the few calls into NumPy.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Read = Callable[[bytes], tuple[int, dict[str, Any]]]
 
 
 def packer() -> Pack:
-    """What makes payloads of maps, which must begin with ``v`` and ``tick``; for one thread at a time."""
+    """Return an encoder of payloads: maps that begin with ``v`` and ``tick``; for one thread at a time."""
     # A packer brings a buffer of 256 kB: one for all payloads, not one for each.
     return cast("Pack", _Packer().pack)
 
@@ -51,13 +51,13 @@ def layout(*names: str) -> frozenset[str]:
 
 
 def reader(kind: str, limit: int, *layouts: frozenset[str]) -> Read:
-    """What reads payloads of one kind: a function from any bytes to the tick and the fields.
+    """Return a decoder of payloads of one kind: from any bytes to the tick and the fields.
 
     The function raises WireError for bytes that are too many, not MessagePack, no such map, of another version,
     or without a sensible tick.
 
     Args:
-        kind: What it is, for the error.
+        kind: Kind of the payload, for the error.
         limit: Bytes that the values may take; the envelope comes on top.
         layouts: The sets of fields allowed (``layout``): one of them, no more and no less.
     """
@@ -80,7 +80,7 @@ def reader(kind: str, limit: int, *layouts: frozenset[str]) -> Read:
 
 
 def _wrong(kind: str, found: object, layouts: tuple[frozenset[str], ...]) -> WireError:
-    """What is wrong with a payload that is MessagePack."""
+    """Return the error that describes an invalid MessagePack payload."""
     if type(found) is not dict:
         return WireError(kind, "type", f"a {type(found).__name__}: must be a map")
     fields = cast("dict[Any, Any]", found)
@@ -231,7 +231,7 @@ def messages(kind: str, value: object, count: int, dtype: np.dtype[np.void]) -> 
 
 
 def scalar_reader(kind: str, name: str, dtype: np.dtype[Any]) -> Callable[[object], Any]:
-    """What reads one field of a message: a function from any value to the Python value that its type holds.
+    """Return a decoder of one message field: from any value to the Python value of its type.
 
     The function raises WireError for a value of another type or out of range.
     """
@@ -311,7 +311,7 @@ def picture_rows(shown: CameraFrame | None) -> list[list[float]] | None:
 
 
 def picture(kind: str, value: object, most: int) -> CameraFrame | None:
-    """What a camera saw from what ``picture_rows`` made: of parcels 0 to ``most`` - 1, each once, in their order.
+    """Decode the camera frame that ``picture_rows`` encoded: parcels in 0..``most`` - 1, ascending, each once.
 
     Raises:
         WireError: Something else.

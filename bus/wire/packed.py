@@ -18,7 +18,7 @@ from bus.wire.keys import shard_key, shard_link_key
 _DRIVE: Final = codec.layout("drive")
 _LINK: Final = codec.layout("sent", "message")
 _NAME: Final = 16
-"""Bytes that the name of a value takes at most, and what says how long the value is."""
+"""Most bytes of a value's name and length."""
 
 
 @final
@@ -67,7 +67,7 @@ class PackedCoordinator(CoordinatorCodec):
 
 
 def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, object]:
-    """What one shard is told of its cells; there is no field for levels or labels in a run that has none."""
+    """Return the fields of one shard's sense payload; levels and labels only in runs that have them."""
     encoder_m, level = frame.encoder_m, frame.level
     fields: dict[str, object] = {
         "v": codec.VERSION,
@@ -83,7 +83,7 @@ def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, obje
 
 
 def _sense_reader(readings: SensorSchema, rows: int) -> codec.Read:
-    """What reads the senses of so many cells."""
+    """Return a decoder of the senses of ``rows`` cells."""
     names, limit = ["presence", "encoder_m"], rows * (readings.sensors + 16)
     if readings.levels:
         names.append("level")
@@ -161,7 +161,7 @@ class PackedParticipant(ParticipantCodec):
         return tick, Senses(presence, encoder_m, level, label, picture)
 
     def join_senses(self, values: list[Any]) -> Senses:
-        """Those of the one unit."""
+        """Return the senses of the single unit."""
         return values[0]
 
     def _decode_link(self, part: int, payload: bytes) -> tuple[int, Any]:

@@ -28,12 +28,12 @@ Sensed = tuple[bytes, bytes, bytes, int, CameraFrame | None]
 
 
 def blank(readings: SensorSchema) -> Sensed:
-    """What stands for a cell that senses nothing."""
+    """Return blank senses of a cell: no presence, zero travel, zero levels, no label, no camera frame."""
     return bytes(readings.sensors), bytes(PAIR.size), bytes(8 * readings.sensors), 0, None
 
 
 def _places(readings: SensorSchema) -> dict[str, FieldLayout]:
-    """What stands under each name, in a tick without a picture."""
+    """Return the field layout of a sense payload without a camera frame."""
     places: dict[str, FieldLayout] = {
         "presence": readings.sensors,
         "encoder_m": ("d", "d") if readings.encoders else None,
@@ -52,7 +52,7 @@ class SenseWriter:
     """Makes a payload a cell; for one thread at a time.
 
     Args:
-        readings: What there is to read.
+        readings: Sensors of the cells.
     """
 
     def __init__(self, readings: SensorSchema) -> None:
@@ -81,7 +81,7 @@ class SenseWriter:
         return [made[row] for row in rows]
 
     def _write_pictured(self, frame: wire.SenseFrame, picture: CameraFrame) -> list[bytes]:
-        """In a tick in which a picture comes in: not the same places as ever."""
+        """Encode a tick with a camera frame, which has no fixed layout."""
         n, shown = len(frame.presence), readings_codec.picture_rows(picture)
         columns: dict[str, list[Any]] = {
             "presence": frame.presence.tolist(),
@@ -101,7 +101,7 @@ class SenseWriter:
 
 
 def joined(readings: SensorSchema, values: list[Sensed]) -> Senses:
-    """What so many cells sense; the picture is the first one's that has one: all are told the same."""
+    """Join the senses of all cells; the first camera frame found is used, as all cells get the same frame."""
     bits, travel, levels, labels, pictures = zip(*values, strict=True)
     each = (len(values), readings.sensors)
     presence, encoder_m, level, label = np.ndarray(each, np.bool_, bytearray().join(bits)), None, None, None
@@ -116,7 +116,7 @@ def joined(readings: SensorSchema, values: list[Sensed]) -> Senses:
 
 
 def sense_decoder(readings: SensorSchema) -> Decode:
-    """From a sense payload to its tick and what the cell senses."""
+    """Return a decoder of sense payloads: to the tick and the cell's senses."""
     sensors, largest, most = readings.sensors, readings.labels, readings.camera
     names = list(_places(readings))
     limit = (len(names) - 1) * VALUE + most * readings_codec.PICTURED_BYTES
@@ -142,7 +142,7 @@ def sense_decoder(readings: SensorSchema) -> Decode:
 
 
 def _short(readings: SensorSchema, pack: Callable[..., bytes]) -> Callable[..., Sensed | None]:
-    """From the values as they come to what the cell senses; None if they are not what they should be."""
+    """Return a converter from decoded values to a cell's senses; the converter returns None for invalid values."""
     encoders, levels, largest = readings.encoders, readings.levels, readings.labels
 
     def sensed(marks: bytes, *values: float) -> Sensed | None:
@@ -214,7 +214,7 @@ class PerCellCoordinator(CoordinatorCodec):
 
 
 def _drive_decoder() -> Decode:
-    """From a drive payload to its tick and the drive as a packed pair."""
+    """Return a decoder of drive payloads: to the tick and the drive as a packed pair."""
 
     def decode(unit: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all cells alike
         tick, fields = _read_drive(payload)
@@ -266,11 +266,11 @@ class PerCellParticipant(ParticipantCodec):
         self.out_targets = tuple(outgoing.target[i : i + 1] for i in said)
 
     def join_senses(self, values: list[Any]) -> Senses:
-        """From what each cell senses."""
+        """Join the senses of all cells."""
         return joined(self._readings, values)
 
     def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
-        """From the packed message of each link, empty where there was none."""
+        """Join the packed messages of all links, empty where nothing was sent."""
         sent = bytearray(map(bool, values))
         if 0 in sent:
             values = [value or self._no_message for value in values]
@@ -294,13 +294,13 @@ class PerCellParticipant(ParticipantCodec):
 
 
 def _link_decoder(message: np.dtype[Any]) -> Decode:
-    """From a link payload to its tick and the message's packed fields, empty where nothing was sent."""
+    """Return a decoder of link payloads: to the tick and the message's packed fields, empty where nothing was sent."""
     silence = FixedLayoutCodec({}).decoder(bytes, _any_link_decoder(message))
     return FixedLayoutCodec(_link_places(message)).decoder(_message_packer(message), silence)
 
 
 def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
-    """From a message's values as they come to its packed fields."""
+    """Return a converter from a message's decoded values to its packed fields."""
     letters = _letters(message).values()
     packed = _struct(message, "1s")
     if not {"?", "e"} & set(letters):
@@ -321,7 +321,7 @@ def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
 
 
 def _any_link_decoder(message: np.dtype[Any]) -> Decode:
-    """As ``_link_decoder``, whatever the layout."""
+    """Return a decoder of link payloads in any layout."""
     names = message.names or ()
     pack = _struct(message, "?").pack
     readers = [codec.scalar_reader("link", name, message[name]) for name in names]

@@ -1,1 +1,1 @@
-"""Effects, one a file: what cells have only where a scene asks for it."""
+"""Optional effects of the cells, one module each, enabled by a scene."""

@@ -1,4 +1,4 @@
-"""What effects of the cells are made of: stages between the bus and the firmware."""
+"""Base classes of cell effects: specifications, and filters between the bus and the firmware."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ class ShardContext:
         return None if self.clocks is None else self.clocks.instants(tick - 1) != NOT_IN_WINDOW
 
     def sensor_stream_ids(self) -> NDArray[np.int64]:
-        """``(n sensors,)``: a number for every sensor that is its own in the whole array."""
+        """Return an identifier for every sensor, ``(n sensors,)``, unique in the whole array."""
         return stream_ids(self.cells, self.sensors)
 
     def link_stream_ids(self) -> NDArray[np.int64]:
-        """``(4 n,)``: the same for every side on which a cell may hear a neighbour."""
+        """Return an identifier for every side of every cell, ``(4 n,)``, unique in the whole array."""
         return stream_ids(self.cells, len(SIDES))
 
 
@@ -66,10 +66,10 @@ def stream_ids(whose: NDArray[np.int64], each: int) -> NDArray[np.int64]:
 
 
 class InputFilter(ABC):
-    """Changes what the cells of a shard see: each tick once, in order of ticks, before the firmware.
+    """Filter of the inputs of a shard's cells: applied once a tick, in order of ticks, before the firmware.
 
     Attributes:
-        counted: What happened so far to cells that were alive, by name.
+        counters: Events in live cells so far, by name.
     """
 
     remembers: ClassVar[StateFields] = StateFields("counters")
@@ -79,32 +79,32 @@ class InputFilter(ABC):
 
     @abstractmethod
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells see instead.
+        """Filter the inputs of a tick.
 
         Args:
             tick: The tick.
             inputs: Of all n cells of the shard, dead ones too. The inbox may be written to.
-            alive: Rows of the cells that live. What becomes of the others concerns nobody, and is not counted.
+            alive: Rows of live cells. Inputs of dead cells are not used, and their events are not counted.
         """
 
     def count(self, name: str, happened: Bools, alive: NDArray[np.int64] | slice) -> None:
-        """Counts what ``happened``, ``(n, ...)``, to cells that live."""
+        """Count events: true values of ``happened``, ``(n, ...)``, in live cells."""
         self.counters[name] += int(np.count_nonzero(happened[alive]))
 
 
 class CellEffectSpec(EffectSpec):
-    """An effect of the cells: assembled once, when a shard is built; what it does not need is not there.
+    """An effect of the cells, assembled once, when a shard is built.
 
-    It acts on what cells see, as stages, or it is a part of their board: see ``cell_firmware.build``.
+    An effect either filters the inputs of cells or is a part of their board: see ``cell_firmware.build``.
     """
 
     def input_filters(self, site: ShardContext) -> Iterator[InputFilter]:  # noqa: ARG002
-        """What the shard's inputs have to pass, in this order; nothing where the settings change nothing."""
+        """Yield the filters of the shard's inputs, in order; none where the settings have no effect."""
         yield from ()
 
     def fit_problems(
         self,
         cells: CellsSpec,  # noqa: ARG002
     ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """What does not fit the cells: path from the effect's table, value, and the rule that it breaks."""
+        """Yield settings that do not fit the cells: path from the effect's table, value, and violated rule."""
         yield from ()

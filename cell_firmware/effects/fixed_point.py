@@ -27,5 +27,5 @@ class FixedPointSpec(CellEffectSpec):
 
     @property
     def unit_m_s(self) -> float:
-        """Where there is no encoder."""
+        """Unit of speeds without an encoder, m/s."""
         return self.speed_unit_m_s or SPEED_UNIT_M_S

@@ -146,7 +146,7 @@ class _EachItsOwn(InputFilter):
         return replace(inputs, inbox=due)
 
     def _due(self, tick: int, came: NDArray[np.int64]) -> NDArray[np.int64]:
-        """When each of the messages that ``came`` is to be read: the tick."""
+        """Return the delivery tick of each message in ``came``."""
         chance = self._draws.uniform(tick)[came]
         due = tick + self._least + (chance * self._choices).astype(np.int64)
         if self._last_due is not None:

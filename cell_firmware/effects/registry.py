@@ -38,14 +38,14 @@ class CellEffects(Effects):
     cop: CopSpec | None = None
 
     def fit_problems(self, cells: CellsSpec) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """What effects say that does not fit the cells: path from ``effects``, value, and the broken rule."""
+        """Yield settings of effects that do not fit the cells: path from ``effects``, value, and violated rule."""
         for name, effect in self.enabled():
             if isinstance(effect, CellEffectSpec):
                 for path, value, rule in effect.fit_problems(cells):
                     yield (name, *path), value, rule
 
     def input_filters(self, site: ShardContext) -> dict[str, tuple[InputFilter, ...]]:
-        """What the inputs of a shard's cells have to pass, in order, by the name of the effect."""
+        """Return the filters of the shard's inputs, in order, by name of the effect."""
         return {
             name: tuple(effect.input_filters(site))
             for name, effect in self.enabled()

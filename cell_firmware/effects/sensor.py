@@ -65,7 +65,7 @@ class SensorSpec(CellEffectSpec):
 
     @property
     def switching_levels(self) -> tuple[float, float]:
-        """The level below which it says that nothing is there, and that from which on it says that something is."""
+        """Switching levels: absence below the first, presence from the second on."""
         threshold = THRESHOLD if self.threshold is None else self.threshold
         return threshold - 0.5 * self.hysteresis, threshold + 0.5 * self.hysteresis
 

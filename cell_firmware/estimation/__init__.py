@@ -1,1 +1,1 @@
-"""Where a parcel is, from the sensors and the messages of the cells under it: what protocols that need it share."""
+"""Distributed estimation of a parcel's pose from sensors and messages, shared by several protocols."""

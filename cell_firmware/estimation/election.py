@@ -1,4 +1,4 @@
-"""Cells that sense one parcel find each other: who belongs to them, who leads, and a tree that ends at the leader."""
+"""Leader election among cells that sense one parcel: groups, leaders, and a tree to each leader."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ FIELDS: Final = [("level", "u1"), ("leader", "<u4"), ("hops", "u1"), ("parent", 
 
 
 class ElectionState(NamedTuple):
-    """Where cells are in their groups; arrays ``(n,)`` int64.
+    """Election state of cells: leader, distance and parent in the tree; arrays ``(n,)`` int64.
 
     Attributes:
         level: ``halo + 1`` where a parcel is sensed, one less a hop away, 0 outside every group.
         leader: Key of the leader.
         hops: Links to it.
         parent: Side of the neighbour that is one link nearer, or ``ROOT``.
-        barred: Leader that the cell believes to be gone.
-        bar: For how many periods it is not listened to.
+        blocked_leader: Leader that the cell believes to be dead.
+        block_ticks: Periods for which this leader's key is ignored.
     """
 
     level: Integers
@@ -44,7 +44,7 @@ class ElectionState(NamedTuple):
 
 
 def keys(row: Integers, column: Integers, leads: Bools) -> Integers:
-    """What leaders are elected by, ``(n,)``: the least of a group leads. Who leads already is before who does not."""
+    """Return election keys, ``(n,)``: the least key of a group leads, and current leaders rank first."""
     return np.where(leads, 0, _NEWCOMER) | row << 16 | column
 
 

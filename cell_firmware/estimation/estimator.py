@@ -1,4 +1,4 @@
-"""Cells that estimate together where the parcel over them is: what a protocol puts inside itself to know it."""
+"""Distributed estimator of a parcel's pose, for protocols to embed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _GROUP: Final = np.dtype(group.FIELDS)
 @final
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What n cells know of the parcel that is over them or near.
+    """Estimates of n cells: pose and motion of the parcel over or near each cell.
 
     Attributes:
         known: ``(n,)``: does the cell know a pose at all?
@@ -66,7 +66,7 @@ class Estimator:
         self._halo, self._patience, self._memory = halo, ttl_periods, memory
 
     def init(self, cells: Cells) -> State:
-        """What cells remember; nothing is known.
+        """Return the initial state, without an estimate.
 
         Raises:
             ValueError: Groups of cells under such parcels would be wider than the map of their sensors.
@@ -92,8 +92,8 @@ class Estimator:
             "leader": nobody,
             "hops": nothing,
             "parent": np.full(n, group.ROOT),
-            "barred": nobody,
-            "bar": nothing,
+            "blocked_leader": nobody,
+            "block_ticks": nothing,
             "heard_known": np.zeros((n, 4, *words), dtype=np.uint64),
             "heard_covered": np.zeros((n, 4, *words), dtype=np.uint64),
             "sent_known": np.zeros((n, *words), dtype=np.uint64),
@@ -147,7 +147,7 @@ class Estimator:
         return dict.fromkeys(SHOWN, (-1000.0, 1000.0))
 
     def estimate(self, state: State) -> Estimate:
-        """What cells know now."""
+        """Return the current estimates of the cells."""
         return Estimate(
             state["age"] < UNKNOWN,
             state["leads"],
@@ -161,7 +161,7 @@ class Estimator:
     def _step(
         self, state: State, presence: Bools, inbox: Inbox, command: Floats
     ) -> tuple[dict[str, NDArray[Any]], Bools, NDArray[Any]]:
-        """The same, of cells that have something to do: what of their state changes, who tells something, and what."""
+        """Compute a control period of active cells: changed arrays, which cells send, and the messages."""
         counts = np.where(inbox.received, self._patience, np.maximum(state["counts"], 1) - 1)
         heard, told = counts > 0, state["told"].copy()
         told[inbox.received] = inbox.message[list(_GROUP.names or ())][inbox.received]
@@ -209,7 +209,7 @@ class Estimator:
         whole: pattern.OccupancyMap,
         command: Floats,
     ) -> dict[str, NDArray[Any]]:
-        """What everybody believes of the parcel now."""
+        """Return the pose estimates after a period, by name of the state's array."""
         views = followed(state, place, inbox, float(state["site"][0, 1]))
         lost = views["age"] > self._memory
         views["age"] = np.where(lost | (place.level == 0), UNKNOWN, views["age"])
@@ -232,7 +232,7 @@ def _message(
     turn: NDArray[np.int64],
     views: dict[str, NDArray[Any]],
 ) -> NDArray[Any]:
-    """What cells tell, ``(n,)`` of ``MESSAGE``."""
+    """Return the messages of cells, ``(n,)`` of ``MESSAGE``."""
     message = np.zeros(len(turn), dtype=MESSAGE)
     for name in ("level", "leader", "hops", "parent"):
         message[name] = getattr(place, name)

@@ -11,7 +11,7 @@ from cell_firmware.firmware import Bools, Floats
 
 
 class Pose(NamedTuple):
-    """Where n rectangles are, and how they move.
+    """Poses and velocities of n rectangles.
 
     Attributes:
         centre_m: ``(n, 2)``.
@@ -25,7 +25,7 @@ class Pose(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """What n leaders know of m sensors each.
+    """Sensor readings gathered by n leaders, m sensors each.
 
     Attributes:
         x_m: ``(n, m)``, where they are.
@@ -42,7 +42,7 @@ class Sensors(NamedTuple):
     age_s: Floats
 
     def take(self, rows: NDArray[np.int64]) -> Sensors:
-        """What these leaders know, in this order."""
+        """Select the readings of ``rows``, in order."""
         return Sensors(self.x_m[rows], self.y_m[rows], self.known[rows], self.covered[rows], self.age_s)
 
 

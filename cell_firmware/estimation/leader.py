@@ -1,4 +1,4 @@
-"""What a leader makes of the pattern that it has gathered, and what becomes of it with those that are told."""
+"""Pose estimation by a group's leader, and propagation of the pose to followers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _DOUBT_PERIODS: Final = 32
 
 
 class EstimatorParameters(Spec):
-    """What cells know of parcels."""
+    """Parcel parameters of the estimator."""
 
     size_m: tuple[Positive, Positive]
     """Length along a parcel's x and along its y."""

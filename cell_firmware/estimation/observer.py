@@ -34,7 +34,7 @@ _FASTEST_RAD_S: Final = 10.0
 
 
 class Belief(NamedTuple):
-    """What n leaders believe of their parcels.
+    """Estimates of n leaders: pose and covariance of each parcel.
 
     Attributes:
         pose: The best guess.

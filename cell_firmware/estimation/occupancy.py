@@ -37,12 +37,12 @@ class OccupancyMap(NamedTuple):
     covered: Words
 
     def take(self, rows: Integers) -> OccupancyMap:
-        """Those of these cells, in this order."""
+        """Select the maps of ``rows``, in order."""
         return OccupancyMap(self.known[rows], self.covered[rows])
 
 
 def own(row: Integers, column: Integers, presence: Bools, member: Bools) -> OccupancyMap:
-    """What cells know by themselves: members of a group their own bits, others nothing."""
+    """Return each cell's own map: its own bits for members of a group, empty for others."""
     word = np.where(member, row % WINDOW // WORDS, -1)
     bit = np.left_shift(_ONE, (row % WORDS * WINDOW + column % WINDOW).astype(np.uint64))
     here = np.where(np.arange(WORDS) == word[:, None], bit[:, None], _NONE)
@@ -51,7 +51,7 @@ def own(row: Integers, column: Integers, presence: Bools, member: Bools) -> Occu
 
 
 def heard(before: OccupancyMap, told: NDArray[Any], received: Bools, counts: Bools) -> OccupancyMap:
-    """The neighbours' maps with what has just come in; nothing of who is silent."""
+    """Update the neighbours' maps with received messages; maps of silent neighbours are cleared."""
     sensors = int(before.known.shape[2])
     number: Integers = told["sensor"].astype(np.int64)
     fresh = (received[:, :, None] & (number[:, :, None] == np.arange(sensors)))[:, :, :, None]
@@ -76,7 +76,7 @@ def _joined(mine: Words, theirs: Words, children: Bools) -> Words:
 
 
 def next_sensor(whole: OccupancyMap, sent: OccupancyMap, turn: Integers) -> Integers:
-    """Whose maps are told next, ``(n,)``: a sensor's that have changed since, else that whose turn it is."""
+    """Choose the sensor to send next, ``(n,)``: sensors with changed maps first, else by turn."""
     sensors = int(whole.known.shape[1])
     changed = ((whole.known != sent.known) | (whole.covered != sent.covered)).any(axis=2)
     waits = (np.arange(sensors) - turn[:, None]) % sensors + np.where(changed, 0, sensors)
@@ -84,7 +84,7 @@ def next_sensor(whole: OccupancyMap, sent: OccupancyMap, turn: Integers) -> Inte
 
 
 def mark_sent(sent: OccupancyMap, whole: OccupancyMap, told: Integers) -> OccupancyMap:
-    """What has been told of each sensor, now that one is."""
+    """Return the sent maps after sending the maps of sensor ``told``."""
     now = (np.arange(int(whole.known.shape[1])) == told[:, None])[:, :, None]
     return OccupancyMap(np.where(now, whole.known, sent.known), np.where(now, whole.covered, sent.covered))
 

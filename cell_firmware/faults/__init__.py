@@ -1,1 +1,1 @@
-"""Faults of cells, one a file: of their programs, their sensors, and the links between them."""
+"""Faults of cells, one module each: faults of programs, sensors and links."""

@@ -1,4 +1,4 @@
-"""How a fault comes to what carries it out: a controller around that of the cells."""
+"""Attachment of faults to a controller by wrappers around the controller of the cells."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ _Kind = TypeVar("_Kind", bound=FaultWrapper)
 def attach_fault(
     controller: Controller, lattice: Lattice, seed: int, fault: FaultInstance[CellFault]
 ) -> Controller:
-    """A controller that carries out one more fault; it, or what is inside of it, is changed.
+    """Attach a fault to a controller: extend the wrappers that exist, and insert those that are missing.
 
     Args:
-        controller: Of the cells.
-        lattice: Of the array.
-        seed: The scene's.
-        fault: Which.
+        controller: Controller of the cells.
+        lattice: Lattice of the array.
+        seed: Seed of the scene.
+        fault: The fault.
+
+    Returns:
+        The outermost controller.
     """
     for kind in _kinds(fault.fault, talks=controller.message_type is not None):
         controller, found = _found(controller, kind, lattice, seed)
@@ -32,12 +35,12 @@ def attach_fault(
 
 
 def init_new_wrappers(controller: Controller, state: ControllerState, drive: Floats) -> ControllerState:
-    """The state of a running controller's cells, with what it does not have yet of what was ``joined`` to it.
+    """Add the state of wrappers that were attached to a running controller.
 
     Args:
-        controller: It.
-        state: Of n cells.
-        drive: ``(n, 2)``, what they drive.
+        controller: The running controller.
+        state: State of n cells.
+        drive: ``(n, 2)``, current drives.
     """
     inside = controller
     while isinstance(inside, ControllerWrapper):
@@ -48,7 +51,7 @@ def init_new_wrappers(controller: Controller, state: ControllerState, drive: Flo
 
 
 def _kinds(fault: CellFault, *, talks: bool) -> list[type[FaultWrapper]]:
-    """What carries out a fault, of cells that talk or not; where it is stages alone, nothing."""
+    """Return the wrapper types that a fault needs; none where input filters suffice."""
     kinds: list[type[FaultWrapper]] = []
     if fault.skips_periods:
         from cell_firmware.faults.execution import ClockFaultWrapper
@@ -68,7 +71,7 @@ def _kinds(fault: CellFault, *, talks: bool) -> list[type[FaultWrapper]]:
 def _found(
     controller: Controller, kind: type[_Kind], lattice: Lattice, seed: int
 ) -> tuple[Controller, _Kind]:
-    """What carries out faults of a kind inside of a controller; put there if there is none yet."""
+    """Return a controller and its wrapper of type ``kind``; insert a wrapper if there is none."""
     around: ControllerWrapper | None = None
     inside, lag = controller, 0
     while isinstance(inside, ControllerWrapper) and isinstance(inside, kind.beneath):

@@ -1,4 +1,4 @@
-"""What faults of cells are made of."""
+"""Base classes of cell faults."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 @final
 @dataclass(slots=True)
 class ExecutionFaults:
-    """What faults do to the programs of all cells of the array in a tick; each fault adds its own.
+    """Actions of faults on the programs of all cells of the array in a tick; each fault adds its own.
 
     Attributes:
-        stopped: ``(N,)``: does the program stand still?
-        keeps: ``(N,)``: of those that do, do the pins keep what they had? Else wheels are commanded to 0.
-        unserved: ``(N,)``: of those, does nobody serve the watchdog?
-        reset: ``(N,)``: does the program begin anew in this tick, as after power-on?
+        halted: ``(N,)``, whether the program is halted.
+        outputs_held: ``(N,)``, whether the pins of a halted program are held; else wheels are commanded to 0.
+        watchdog_unserved: ``(N,)``, whether the watchdog of a halted program is not served.
+        reset: ``(N,)``, whether the program restarts in this tick, as after power-on.
     """
 
     halted: Bools
@@ -40,19 +40,19 @@ class ExecutionFaults:
 
     @staticmethod
     def none(cells: int) -> ExecutionFaults:
-        """Nothing happens to any of them."""
+        """Return a record without any action."""
         return ExecutionFaults(*(np.zeros(cells, dtype=np.bool_) for _ in range(4)))
 
 
 class CellFault(FaultSpec):
-    """A fault of cells: it acts on what they see, as stages after those of the effects, or on their programs."""
+    """A fault of cells: acts on their inputs, by filters that follow the effects' filters, or on their programs."""
 
     halts_program: ClassVar[bool] = False
-    """Whether it stops programs or lets them begin anew (``pause``)."""
+    """Whether the fault halts or resets programs (``execution``)."""
     skips_periods: ClassVar[bool] = False
-    """Whether it keeps programs from running in some of their periods (``runs``)."""
+    """Whether programs skip some of their control periods (``running_periods``)."""
     corrupts_messages: ClassVar[bool] = False
-    """Whether messages may come of it that no program sends, so that receivers have to look what they take."""
+    """Whether the fault can produce messages that no program sends, so that receivers must check messages."""
 
     def input_filters(
         self,
@@ -60,7 +60,7 @@ class CellFault(FaultSpec):
         lattice: Lattice,  # noqa: ARG002
         injected: FaultInstance[CellFault],  # noqa: ARG002
     ) -> Iterator[FaultFilter]:
-        """What the inputs of a shard's cells have to pass; nothing where none of its cells is struck.
+        """Yield the input filters of a shard's cells; none where no cell of the shard is affected.
 
         Args:
             site: The shard's cells.
@@ -70,20 +70,20 @@ class CellFault(FaultSpec):
         yield from ()
 
     def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """Say what becomes of programs in a tick, in which it need not act: a repair is of the tick after.
+        """Add the fault's actions on programs in a tick; the fault may be inactive, as a repair acts at its end tick.
 
         Args:
-            tick: Which.
+            tick: The tick.
             injected: This fault, with its number, cells and times.
-            pause: To be changed.
+            pause: Actions in the tick, changed in place.
         """
 
     def running_periods(self, period: NDArray[np.int64]) -> Bools:
-        """In which control periods, counted from when it began, a program runs that it slows."""
+        """Return in which control periods, counted from the fault's start, an affected program runs."""
         return np.ones(period.shape, dtype=np.bool_)
 
     def message_faults(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> MessageFault | None:  # noqa: ARG002
-        """What it does to whole messages, as they are heard or said; None: nothing.
+        """Return the fault's changes to whole messages, received or sent; None if there are none.
 
         Args:
             talk: How programs talk.
@@ -92,22 +92,22 @@ class CellFault(FaultSpec):
         return None
 
     def fit_problems(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:  # noqa: ARG002
-        """What of it does not fit the cells.
+        """Yield settings of the fault that do not fit the cells.
 
         Args:
-            cells: What the scene says of them.
-            sensors: How many presence sensors each has.
+            cells: The scene's settings of cells.
+            sensors: Number of presence sensors of a cell.
         """
         yield from ()
 
 
 class FaultFilter(InputFilter):
-    """A stage that acts while its fault does. What it counts is told by the fault's kind.
+    """An input filter that is active while its fault is; counters are named by the fault's kind.
 
     Args:
         injected: The fault.
-        counts: Names of what it counts.
-        lingers: For how many ticks after its end the fault may still have something to hand over.
+        counts: Names of the filter's counters.
+        lingers: Ticks after the fault's end during which messages may be left to deliver.
     """
 
     def __init__(self, injected: FaultInstance[CellFault], *counts: str, lingers: int = 0) -> None:
@@ -117,17 +117,17 @@ class FaultFilter(InputFilter):
         self.counters.update(dict.fromkeys((self._named(name) for name in counts), 0))
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells see instead, while the fault acts or has something left to hand over."""
+        """Filter the inputs while the fault is active or has messages left to deliver."""
         if self._injected.start_tick <= tick < self._injected.end_tick + self._lingers:
             return self.apply_active(tick, inputs, alive)
         return inputs
 
     @abstractmethod
     def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells see instead; see ``InputFilter.apply``."""
+        """Filter the inputs; see ``InputFilter.apply``."""
 
     def count(self, name: str, happened: Bools, alive: NDArray[np.int64] | slice) -> None:
-        """Counts what ``happened``, ``(n, ...)``, to cells that live."""
+        """Count events: true values of ``happened``, ``(n, ...)``, in live cells."""
         super().count(self._named(name), happened, alive)
 
     def _named(self, name: str) -> str:
@@ -135,26 +135,26 @@ class FaultFilter(InputFilter):
 
 
 def stream_name(injected: FaultInstance[CellFault], what: str = "") -> str:
-    """What a fault's draws are named after: no two faults of a scene draw the same numbers."""
+    """Name the random stream of a fault; no two faults of a scene share a stream."""
     return f"faults.{injected.number}.{injected.fault.kind_name}{what}"
 
 
 class FaultWrapper(ControllerWrapper):
-    """Base of what carries out faults around the cells' controller.
+    """Base of wrappers that carry out faults around the cells' controller.
 
     Args:
-        controller: Of the cells.
-        lattice: Of the array.
-        seed: The scene's.
-        lag: By how many ticks an instant is older than the exchange in which its cells are stepped: 1 where cells have
-            clocks of their own.
+        controller: Controller of the cells.
+        lattice: Lattice of the array.
+        seed: Seed of the scene.
+        lag: Age of an instant in the exchange in which its cells are stepped, ticks: 1 where cells have their own
+            clocks.
 
     Attributes:
-        faults: What it carries out.
+        faults: Faults that the wrapper carries out.
     """
 
     beneath: ClassVar[tuple[type[ControllerWrapper], ...]]
-    """What goes around it."""
+    """Types of wrappers that stay outside of this one."""
 
     def __init__(self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0) -> None:
         super().__init__(controller)
@@ -164,7 +164,7 @@ class FaultWrapper(ControllerWrapper):
         self.faults: list[FaultInstance[CellFault]] = []
 
     def add(self, fault: FaultInstance[CellFault]) -> None:
-        """One more, from its first tick on."""
+        """Add a fault, effective from its start tick."""
         self.faults.append(fault)
 
     def init(self, cells: Cells) -> ControllerState:
@@ -173,9 +173,9 @@ class FaultWrapper(ControllerWrapper):
 
     @abstractmethod
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
-        """The state of cells that no fault has struck so far.
+        """Return the state of cells that no fault has affected so far.
 
         Args:
-            inner: Their other parts.
-            drive: ``(n, 2)``, what they drive; None: nothing yet.
+            inner: State of the wrapped controller.
+            drive: ``(n, 2)``, current drives; None: no drives yet.
         """

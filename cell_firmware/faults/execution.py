@@ -1,4 +1,4 @@
-"""Cells whose program stands still, or begins anew, because a fault says so."""
+"""Wrappers for faults that halt or reset programs, or skip control periods."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from cell_firmware.firmware import Bools, Floats, Inbox, Inputs, State, opaque_v
 
 @final
 class ClockFaultWrapper(FaultWrapper):
-    """Steps the cells in the periods in which their clock lets them; what they drive holds in between.
+    """Wrapper that skips control periods of cells with a slow clock; drives are held in between.
 
-    Their controller, watchdog and all, knows nothing of the periods between. Lines are listened to in each of them, but
-    a message that goes over whole, without a mailbox or a ring to wait in, is lost with its period.
+    The wrapped controller, including the watchdog, does not see the skipped periods. Lines receive in skipped periods
+    too, but a message that is delivered whole, without a mailbox or receive ring, is lost with its period.
 
-    It is around the watchdog, whose counter is as slow.
+    This wrapper is outside of the watchdog, whose counter is slowed as well.
     """
 
     part = "slow_clock"
@@ -32,7 +32,7 @@ class ClockFaultWrapper(FaultWrapper):
     shown = ("skipped",)
 
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
-        """The state of cells none of whose periods was counted so far."""
+        """Return the state of cells without skipped periods so far."""
         n = len(inner.cells)
         own: State = {
             "place": self.lattice.find(inner.cells.row, inner.cells.column),
@@ -46,7 +46,7 @@ class ClockFaultWrapper(FaultWrapper):
     def receive(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, Inputs]:
-        """What came over the lines, for the cells that run."""
+        """Receive from the lines, for the cells that run."""
         own, tick = dict(state.parts[self.part]), now.tick + self.start_tick
         steps, runs = np.asarray(now.at_ns >= 0), np.ones(len(state.cells), dtype=np.bool_)
         for injected in self.faults:
@@ -67,7 +67,7 @@ class ClockFaultWrapper(FaultWrapper):
     def compute(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
-        """One control period of those that run."""
+        """Compute a control period of the cells that run."""
         own = state.parts[self.part]
         inner, outputs = self.controller.compute_rows(
             np.flatnonzero(own["runs"]), now, self.unwrap_state(state), inputs
@@ -79,23 +79,23 @@ class ClockFaultWrapper(FaultWrapper):
         )
 
     def counters(self, state: ControllerState) -> dict[str, int]:
-        """Periods that cells missed."""
+        """Return the number of skipped periods."""
         skipped = int(state.parts[self.part]["skipped"].sum())
         return {f"faults.{self.part}.periods": skipped, **super().counters(state)}
 
 
 @final
 class ExecutionFaultWrapper(FaultWrapper):
-    """Steps the cells whose programs no fault has stopped.
+    """Wrapper that halts and restarts programs.
 
-    A program that stands still sends nothing; its parts go on as on a board without power for their program
-    (``Controller.idle``), and its wheels are commanded to 0 or to what they were. One that begins anew has forgotten
-    everything but what the observer counted, and its wheels stand until it commands them.
+    A halted program sends nothing; the other parts of its board continue (``Controller.idle``), and its wheels are
+    commanded to 0 or held. A restarted program has lost its state except the observer's counters, and its wheels are
+    commanded to 0 until it commands them.
 
-    What faults say is noted in every exchange, of all cells, and carried out when the cell is stepped: with clocks of
-    their own cells are not stepped in every exchange, and one that is repaired meanwhile still begins anew.
+    Actions of faults are recorded in every exchange, for all cells, and carried out when the cell is stepped: cells
+    with their own clocks are not stepped in every exchange, and a cell repaired in between still restarts.
 
-    It is inside of the watchdog, which resets a program that hangs.
+    This wrapper is inside of the watchdog, which resets a program that hangs.
     """
 
     part = "faults"
@@ -103,7 +103,7 @@ class ExecutionFaultWrapper(FaultWrapper):
     shown = ("stopped", "begun_anew")
 
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
-        """The state of cells whose programs nothing has stopped so far."""
+        """Return the state of cells whose programs have not been halted so far."""
         n = len(inner.cells)
         own = {
             "place": self.lattice.find(inner.cells.row, inner.cells.column),
@@ -115,7 +115,7 @@ class ExecutionFaultWrapper(FaultWrapper):
         return self.wrap_state(inner, own)
 
     def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
-        """What the cells' controller keeps of itself; pins are low, and what a reset was to do is done."""
+        """Reset the wrapped controller; drives become 0, and a pending restart is cancelled."""
         own = state.parts[self.part]
         after = {**own, "drive": np.zeros_like(own["drive"]), "reset": np.zeros_like(own["reset"])}
         return self.wrap_state(self.controller.reset(self.unwrap_state(state), warm=warm), after)
@@ -123,7 +123,7 @@ class ExecutionFaultWrapper(FaultWrapper):
     def receive(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, Inputs]:
-        """What came over the lines; and what faults say."""
+        """Receive from the lines, and record the actions of faults."""
         inner, inputs = self.controller.receive(now, self.unwrap_state(state), inputs)
         own = state.parts[self.part]
         place, steps = own["place"], np.asarray(now.at_ns >= 0)
@@ -145,7 +145,7 @@ class ExecutionFaultWrapper(FaultWrapper):
     def compute(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
-        """One control period of the programs that run."""
+        """Compute a control period of the programs that run."""
         own, inner = state.parts[self.part], self.unwrap_state(state)
         stopped, reset, before = own["stopped"], own["reset"], own["drive"]
         if reset.any():
@@ -174,7 +174,7 @@ class ExecutionFaultWrapper(FaultWrapper):
         )
 
     def counters(self, state: ControllerState) -> dict[str, int]:
-        """Periods in which programs stood still, by what stopped them, and how often one began anew."""
+        """Return the periods in which programs were halted, by kind of fault, and the number of restarts."""
         own = state.parts[self.part]
         told = {
             f"{self.part}.{name.removeprefix(_PERIODS)}.periods": int(value.sum())
@@ -188,12 +188,12 @@ _PERIODS = "periods_"
 
 
 def _periods(injected: FaultInstance[CellFault]) -> str:
-    """Where it is counted for how many periods a fault's kind has stopped programs."""
+    """Name the counter of periods in which faults of this kind halted programs."""
     return f"{_PERIODS}{injected.fault.kind_name}"
 
 
 def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:
-    """The inputs, but these cells hear nothing: what was sent to them came before they began."""
+    """Return the inputs without messages to these cells: they were sent before the restart."""
     if inputs.inbox is None:
         return inputs
     received, message = inputs.inbox.received.copy(), inputs.inbox.message.copy()
@@ -204,5 +204,5 @@ def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:
 
 
 def _served(stopped: Bools, unserved: Bools, told: Bools | None) -> Bools:
-    """Whose watchdog is served: of those that stand still, where the fault doesn't say otherwise."""
+    """Return which watchdogs are served; a halted program's watchdog is, unless the fault prevents it."""
     return np.where(stopped, ~unserved, True if told is None else told)

@@ -1,4 +1,4 @@
-"""What faults of links have in common: where their links are heard in a shard, and what a stage does to messages."""
+"""Base classes of link faults: affected links of a shard, and filters of messages on these links."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from cell_firmware.firmware import Bools, Inbox, Inputs, Messages, opaque_view
 
 Ints = NDArray[np.int64]
 Changed = tuple[Bools, Messages, dict[str, Bools | Ints]]
-"""What links bring instead: whether, and what; and by name what is counted."""
+"""Result of a link filter: whether links deliver a message, the messages, and counted events by name."""
 
 
 class LinkFault(CellFault):
-    """A fault of links, which acts on what they bring where it is heard.
+    """A fault of links, which acts on messages at the receiver.
 
     A message is what a link carries in a tick: of the program's, or with the effect ``serial`` the bytes of a tick.
     """
 
     @abstractmethod
     def affected_links(self, lattice: Lattice, seed: int, number: int) -> Ints:
-        """Its links, as ``(m, 2)``: the cell that hears it, by index, and the side on which; ascending, each once."""
+        """Return the affected links, ``(m, 2)``: index of the receiving cell and side; ascending, each once."""
 
     def input_filters(
         self, site: ShardContext, lattice: Lattice, injected: FaultInstance[CellFault]
     ) -> Iterator[FaultFilter]:
-        """One, where the shard's cells hear something on a link that is struck."""
+        """Yield one filter, where cells of the shard receive on an affected link."""
         if site.message is None:
             return
         heard = self.affected_links(lattice, site.seed, injected.number)
@@ -45,19 +45,19 @@ class LinkFault(CellFault):
 
     @abstractmethod
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> FaultFilter:
-        """The stage, for links of a shard that are struck."""
+        """Return the filter of a shard's affected links."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class AffectedLinks:
-    """Links on which cells of a shard hear something.
+    """Affected links on which cells of a shard receive.
 
     Attributes:
         site: The shard.
-        slot: ``(m,)``, where each is among the ``4 n`` slots of the shard's inbox.
-        place: ``(m,)``, a number for each that is its own in the whole array.
-        message: Type of what they carry.
+        slot: ``(m,)``, position of each link among the ``4 n`` slots of the shard's inbox.
+        place: ``(m,)``, identifier of each link, unique in the whole array.
+        message: Type of the links' payload.
     """
 
     site: ShardContext
@@ -67,7 +67,7 @@ class AffectedLinks:
 
     @staticmethod
     def of(site: ShardContext, heard: Ints, message: np.dtype[Any]) -> AffectedLinks:
-        """Those that cells of a shard hear, ``(m, 2)`` cell and side."""
+        """Return the affected links of a shard, given receiving cell and side, ``(m, 2)``."""
         order = np.argsort(site.cells)
         row = order[np.searchsorted(site.cells, heard[:, 0], sorter=order)]
         sides = len(SIDES)
@@ -82,7 +82,7 @@ class AffectedLinks:
 
 
 class LinkFilter(FaultFilter):
-    """A stage that changes what the struck links bring.
+    """A filter of messages on the affected links.
 
     Args:
         links: The links.
@@ -99,7 +99,7 @@ class LinkFilter(FaultFilter):
         self._nothing = np.zeros((), dtype=opaque_view(np.zeros((), dtype=links.message)).dtype)
 
     def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells hear instead."""
+        """Filter the messages of the affected links."""
         inbox, slot = inputs.inbox, self._links.slot
         assert inbox is not None, "this is a bug: no inbox, but links"
         received, message = inbox.received.copy(), np.ascontiguousarray(inbox.message)
@@ -115,15 +115,16 @@ class LinkFilter(FaultFilter):
 
     @abstractmethod
     def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
-        """What the links bring instead.
+        """Change the messages of the affected links.
 
         Args:
-            tick: When; the fault may be over, if it lingers.
-            came: ``(m,)``: did a message come?
-            words: ``(m,)``, what came, as bare items of the message's size; may be written to.
+            tick: The tick; the fault may be over, if it lingers.
+            came: ``(m,)``, whether a message arrives.
+            words: ``(m,)``, the messages, as opaque items of the message's size; may be written to.
 
         Returns:
-            The same of what is heard, what is not being of no matter; and by name what is counted, ``(m,)`` each.
+            Whether a message is delivered, the messages (arbitrary where none is), and counted events by name, ``(m,)``
+            each.
         """
 
     def blank(self, *shape: int) -> Messages:
@@ -131,5 +132,5 @@ class LinkFilter(FaultFilter):
         return np.zeros((*shape, len(self._links)), dtype=self._nothing.dtype)
 
     def active_at(self, tick: int) -> bool:
-        """Whether the fault acts, rather than has things left to hand over."""
+        """Whether the fault is active, and not only delivering remaining messages."""
         return self._injected.active_at(tick)

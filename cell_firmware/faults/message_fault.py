@@ -1,4 +1,4 @@
-"""What faults do to whole messages, behind the lines that carry them."""
+"""Interface of faults that act on whole messages, beyond the lines."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Ints = NDArray[np.int64]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageContext:
-    """How programs talk in a run.
+    """Messages and links of a run.
 
     Attributes:
         lattice: Of the array.
         seed: Of the scene.
-        message: Type of what programs say.
-        links: What carries messages; None where they go over whole.
+        message: Type of the programs' messages.
+        links: Driver of the links; None where links deliver whole messages.
     """
 
     lattice: Lattice
@@ -39,7 +39,7 @@ class MessageContext:
 
 
 class MessageFault(ABC):
-    """What a fault does to whole messages after they came off the lines, or to what goes out on the lines.
+    """Changes of a fault to whole messages received from the lines, or to payloads sent on the lines.
 
     Args:
         injected: The fault.
@@ -49,26 +49,26 @@ class MessageFault(ABC):
     """
 
     counts: ClassVar[str]
-    """What it counts of each cell."""
+    """Name of the counter of changed messages."""
 
     def __init__(self, injected: FaultInstance[FaultSpec]) -> None:
         self.injected = injected
 
     def begin(self, cells: int) -> State:  # noqa: ARG002
-        """What it remembers of cells before it has heard anything, arrays by name with a row a cell."""
+        """Return the initial state: arrays by name, with a row a cell."""
         return {}
 
     def on_receive(self, tick: int, own: State, place: Ints, inbox: Inbox) -> tuple[State, Inbox, Ints]:  # noqa: ARG002
-        """What programs hear instead.
+        """Change received messages.
 
         Args:
             tick: Of the exchange.
-            own: What it remembers.
+            own: State of the fault.
             place: ``(n,)``, the cells, by index into the lattice.
             inbox: Whole messages.
 
         Returns:
-            What it remembers next; the messages; and of each cell how many it changed.
+            The next state, the messages, and the number changed for each cell.
         """
         return own, inbox, np.zeros(len(place), dtype=np.int64)
 
@@ -79,5 +79,5 @@ class MessageFault(ABC):
         place: Ints,
         outbox: Outbox | None,
     ) -> tuple[Outbox | None, Ints]:
-        """What goes out instead, and how many messages of each cell that are its doing."""
+        """Change sent payloads; return the payloads, and the number changed for each cell."""
         return outbox, np.zeros(len(place), dtype=np.int64)

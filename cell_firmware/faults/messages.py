@@ -1,4 +1,4 @@
-"""What programs hear and say, where faults lie, babble or damage messages."""
+"""Wrapper for faults that corrupt messages, and refusal of implausible messages at receivers."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Ints = NDArray[np.int64]
 
 @final
 class MessageFaultWrapper(FaultWrapper):
-    """Lets faults change what cells hear and say; and has receivers refuse what no program says.
+    """Applies message faults on receive and on send, and drops received messages that are not plausible.
 
-    A float that is no number, or infinite, is damage, and not handed over: a serial line's driver refuses it too. So is
-    what the program says that no cell of it ever tells (``Program.credible``).
+    A NaN or infinite float counts as damage and is not delivered, as with a serial line's driver. A message that no
+    cell of the program could have sent (``Program.accepts``) is refused as well.
 
-    It is inside of all else: what does not run neither hears nor says anything.
+    Innermost wrapper: a halted program neither receives nor sends.
     """
 
     part = "words"
@@ -44,7 +44,7 @@ class MessageFaultWrapper(FaultWrapper):
         self._program = None if board is None else board.firmware
 
     def add(self, fault: FaultInstance[CellFault]) -> None:
-        """One more, from its first tick on."""
+        """Add a fault, effective from its start tick."""
         super().add(fault)
         message = self.message_type
         assert message is not None, "this is a bug: words of programs that have none"
@@ -55,7 +55,7 @@ class MessageFaultWrapper(FaultWrapper):
             self._tampers.append(tamper)
 
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
-        """The state of cells that have heard nothing so far."""
+        """Return the state of cells without received messages so far."""
         del drive
         n = len(inner.cells)
         own: dict[str, NDArray[np.generic]] = {
@@ -68,14 +68,14 @@ class MessageFaultWrapper(FaultWrapper):
         return self.wrap_state(inner, own)
 
     def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
-        """What the cells' controller keeps of itself; faults know nothing of resets."""
+        """Reset the wrapped controller; the state of faults is kept."""
         own = state.parts[self.part]
         return self.wrap_state(self.controller.reset(self.unwrap_state(state), warm=warm), own)
 
     def receive(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, Inputs]:
-        """Whole messages, as faults left them."""
+        """Receive whole messages, apply active faults, and refuse implausible messages."""
         inner, inputs = self.controller.receive(now, self.unwrap_state(state), inputs)
         own, inbox = dict(state.parts[self.part]), inputs.inbox
         assert inbox is not None, "this is a bug: no inbox, but messages to tamper with"
@@ -94,7 +94,7 @@ class MessageFaultWrapper(FaultWrapper):
     def compute(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
-        """One control period, and what faults make of what is said in it."""
+        """Compute a control period, and apply active faults to sent messages."""
         own, tick = dict(state.parts[self.part]), now.tick + self.start_tick
         inner, outputs = self.controller.compute(now, self.unwrap_state(state), inputs)
         for tamper in self._tampers:
@@ -105,11 +105,11 @@ class MessageFaultWrapper(FaultWrapper):
         return self.wrap_state(inner, own), outputs
 
     def idle(self, now: StepTime, state: ControllerState) -> ControllerState:
-        """What of the cells' controller goes on."""
+        """Advance the wrapped controller by a control period in which no program runs."""
         return self.wrap_state(self.controller.idle(now, self.unwrap_state(state)), state.parts[self.part])
 
     def _checked(self, inbox: Inbox) -> tuple[Inbox, Ints]:
-        """What receivers take, and how many messages each refuses."""
+        """Drop implausible messages; return the others, and the number refused by each cell."""
         assert self._program is not None, "this is a bug: words of no program"
         refused = inbox.received & ~self._program.accepts(inbox.message)
         if not refused.any():
@@ -120,7 +120,7 @@ class MessageFaultWrapper(FaultWrapper):
         return Inbox(inbox.received & ~refused, message), refused.sum(axis=1)
 
     def counters(self, state: ControllerState) -> dict[str, int]:
-        """Messages that were refused, and those that were changed, by the kind of fault."""
+        """Return the numbers of refused messages, and of changed messages by kind of fault."""
         own, told = state.parts[self.part], dict[str, int]()
         for tamper in self._tampers:
             name = f"faults.{tamper.injected.fault.kind_name}.{tamper.counts}"

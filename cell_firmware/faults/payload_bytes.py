@@ -1,4 +1,4 @@
-"""The bytes of messages as they are on the wire, and what becomes of messages whose bytes somebody changed."""
+"""Payloads as bytes on the wire, and random changes of these bytes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DRAWN: Final = 6
 
 
 class PayloadView(ABC):
-    """What links carry, as bytes.
+    """Byte view of link payloads.
 
     Attributes:
         width: Most bytes of a link in a tick.
@@ -39,7 +39,7 @@ class PayloadView(ABC):
 
     @staticmethod
     def of(carried: np.dtype[Any], said: np.dtype[Any]) -> PayloadView:
-        """Of links that carry ``carried`` for programs that say ``said``: that and perhaps a stamp, or bytes of it."""
+        """Return the byte view of payloads ``carried`` for messages ``said``: of whole messages, or of serial bytes."""
         if set(said.names or ()) <= set(carried.names or ()):
             return MessageBytes(said)
         words = sum(name.startswith("word_") for name in carried.names or ())
@@ -77,7 +77,7 @@ class MessageBytes(PayloadView):
 
 @final
 class SerialBytes(PayloadView):
-    """Bytes on serial lines: those that are there change, and neither their number nor their times.
+    """Bytes on serial lines: values can change, numbers and times of bytes can't.
 
     Args:
         burst: Of what a line carries in a window.
@@ -88,13 +88,13 @@ class SerialBytes(PayloadView):
         self.width = burst.width
 
     def read(self, messages: Messages) -> tuple[Bytes, Ints]:
-        """Those of both runs."""
+        """Return the bytes of both runs."""
         parts = self._burst.from_wire(messages)
         count = parts["bytes_1"].astype(np.int64) + parts["bytes_2"]
         return parts["byte"].copy(), np.minimum(count, self.width)
 
     def write(self, messages: Messages, data: Bytes) -> Messages:
-        """The same runs of other bytes."""
+        """Replace the bytes of both runs."""
         parts = self._burst.from_wire(messages).copy()
         parts["byte"] = data
         return self._burst.to_wire(parts)

@@ -1,4 +1,4 @@
-"""What faults of presence sensors have in common: which sensors, and how they are found in a shard."""
+"""Base classes of sensor faults: affected sensors of a shard, and filters of readings."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from cell_firmware.specs import CellsSpec
 
 
 class SensorFault(CellTarget, CellFault):
-    """A fault of the struck cells' presence sensors: of one of each, or of all.
+    """A fault of presence sensors of the affected cells: one sensor of each, or all.
 
-    It concerns what cells are told last, after all effects: the bit, and where sensors are analogue the level too.
+    It acts after all effects, on the bit, and where sensors are analogue on the level too.
     """
 
     sensor: Annotated[int, Field(ge=0)] | None = None
     """Its number among the cell's sensors; None: all of them."""
 
     def fit_problems(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:
-        """A sensor that cells don't have."""
+        """Yield a sensor that cells don't have."""
         del cells
         if self.sensor is not None and self.sensor >= sensors:
             yield ("sensor",), self.sensor, f"each cell has sensors 0..{sensors - 1}"
@@ -38,7 +38,7 @@ class SensorFault(CellTarget, CellFault):
     def input_filters(
         self, site: ShardContext, lattice: Lattice, injected: FaultInstance[CellFault]
     ) -> Iterator[FaultFilter]:
-        """One, where the shard has a cell that is struck."""
+        """Yield one filter, where the shard has an affected cell."""
         del lattice
         rows = np.flatnonzero(np.isin(site.cells, injected.cells))
         if len(rows):
@@ -47,7 +47,7 @@ class SensorFault(CellTarget, CellFault):
 
     @abstractmethod
     def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> FaultFilter:
-        """The stage, for sensors of a shard that are struck."""
+        """Return the filter of a shard's affected sensors."""
 
 
 @final
@@ -56,8 +56,8 @@ class AffectedSensors:
 
     Args:
         site: The shard.
-        rows: ``(m,)``, its cells that are struck.
-        which: ``(k,)``, those of each cell's sensors.
+        rows: ``(m,)``, rows of affected cells.
+        which: ``(k,)``, affected sensors of each cell.
     """
 
     def __init__(self, site: ShardContext, rows: NDArray[np.int64], which: NDArray[np.int64]) -> None:
@@ -77,7 +77,7 @@ class AffectedSensors:
 
 
 class SensorFilter(FaultFilter):
-    """A stage that changes what the struck sensors say, and counts which of their bits it did.
+    """A filter that changes readings of the affected sensors, and counts wrong bits.
 
     Args:
         struck: The sensors.
@@ -89,7 +89,7 @@ class SensorFilter(FaultFilter):
         self._struck = struck
 
     def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What these sensors say instead."""
+        """Replace the readings of the affected sensors."""
         told, at = self._struck.copied(inputs), self._struck.at
         level = None if told.level is None else told.level[at]
         bit, level = self.override(tick, told.presence[at], level)
@@ -103,4 +103,4 @@ class SensorFilter(FaultFilter):
     def override(
         self, tick: int, bit: NDArray[np.bool_], level: Floats | None
     ) -> tuple[NDArray[np.bool_] | bool, Floats | float | None]:
-        """What ``(m, k)`` sensors say instead of this bit and level; a level of None where there are none."""
+        """Return replacements of the bits and levels of ``(m, k)`` sensors; level is None for binary sensors."""

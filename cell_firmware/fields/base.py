@@ -1,4 +1,4 @@
-"""What every velocity field is."""
+"""Base class of velocity fields."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ class Formula:
         self._value = _Reader(text, constants).read()
 
     def __call__(self, x: Array, y: Array) -> Array:
-        """What it comes to at places ``(n,)``; it may be no number."""
+        """Evaluate the formula at places ``(n,)``; values may be infinite or NaN."""
         with np.errstate(all="ignore"):
             return self._value((x, y))
 

@@ -1,4 +1,4 @@
-"""The same velocity everywhere."""
+"""Uniform velocity field."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ _AGAIN: Final = 2.0
 
 
 class AlignParameters(EstimatorParameters):
-    """How the parcel is to lie, and how fast it is brought there."""
+    """Target pose of the parcel, source of its pose, gain and speed limits."""
 
     angle_rad: Finite = 0.0
     """Of the parcel's x axis; which way round is left open."""
@@ -77,15 +77,15 @@ class Align(Firmware):
         self._corner_m = 0.5 * float(np.sqrt(parameters.size_m[0] ** 2 + parameters.size_m[1] ** 2))
 
     def required_effects(self) -> tuple[str, ...]:
-        """A camera, where that is to tell the pose."""
+        """Require the camera where it is the source of the pose."""
         return () if self._sightings is None else ("camera",)
 
     def uses_camera(self) -> bool:
-        """To the camera, where that is to tell the pose."""
+        """Whether the camera is the source of the pose."""
         return self._sightings is not None
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
-        """A gain with which parcels overshoot."""
+        """Warn of a gain with which parcels overshoot."""
         del lattice
         damping = self._damping()
         if damping >= 1.0:
@@ -99,7 +99,7 @@ class Align(Firmware):
         return (line,)
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
-        """What the estimator says of its words."""
+        """Return the value ranges of the estimator's message fields."""
         return {} if self._estimator is None else self._estimator.plausible()
 
     def theory(self, lattice: Lattice) -> Theory:
@@ -116,7 +116,7 @@ class Align(Firmware):
         return float(0.5 / np.sqrt(self.parameters.gain_per_s * self.parameters.response_s))
 
     def init(self, cells: Cells) -> State:
-        """What the source remembers; the motion asked for, ``(n, 3)``; distance, m, and sine of the angle left."""
+        """Return the initial state: pose source, commanded motion ``(n, 3)``, remaining distance and angle's sine."""
         n = len(cells)
         source = self._estimator or self._sightings
         assert source is not None

@@ -1,4 +1,4 @@
-"""All cells come to know the mean of what each of them has."""
+"""Average consensus: all cells converge to the mean of the cells' values."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ of 1 in m to the fourth, so cells err a few times at first and then no more.
 
 
 class AverageConsensusParameters(Spec):
-    """What is averaged, and how fast cells give way to each other."""
+    """Values to average, and weights of the links."""
 
     source: Literal["given", "presence"] = "given"
     """Of what the mean is: of ``value`` and ``values``, or of how many of a cell's sensors see a parcel, 0 to 1."""
@@ -116,10 +116,10 @@ class AverageConsensus(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """What cells have and take the mean for, ``(n,)``; what has flown to them over each side, ``(n, 4)``.
+        """Return the initial state: values and estimates, ``(n,)``, and flows over each side, ``(n, 4)``.
 
-        For how many periods each side has been silent, ``(n, 4)``, -1 before its first word; and the longest silence
-        after which a side of the cell has spoken again, ``(n,)``.
+        Also the silence of each side, ``(n, 4)`` periods, -1 before its first message; and the longest silence that any
+        side of the cell has ended, ``(n,)`` periods.
         """
         given = self._given(cells.row, cells.column)
         has_neighbour = cells.has_neighbour

@@ -15,7 +15,7 @@ from cell_firmware.specs import CellName, Spec
 
 
 class HangingFieldParameters(Spec):
-    """The field, and who hangs when."""
+    """The field, and the cells that hang after a number of periods."""
 
     field: FieldSpec
     cells: tuple[CellName, ...]
@@ -54,7 +54,7 @@ class HangingField(Firmware):
         return {"speed_m_s": self.parameters.field.velocity(x, y), "left": left}
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """The same speed, for as many periods as it can."""
+        """Drive the field's velocity; raise once the counter of periods has run over."""
         del inputs
         left = state["left"]
         if (left == 0).any():

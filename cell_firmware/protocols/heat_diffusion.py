@@ -64,18 +64,18 @@ class HeatDiffusion(Firmware):
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """The scheme's limit: 1/4 on four neighbours, ``2 / lambda_max`` on this array."""
-        number, links = self.parameters.diffusion_number, self.parameters.links
+        number, links = self.parameters.diffusion_number, self.parameters.laplacian
         return explicit_warnings("diffusion_number", number, "speeds", lambda: links(lattice))
 
     def theory(self, lattice: Lattice) -> Theory:
         """Factor from the spectrum; the limit is harmonic between held cells, and flat where there are none."""
-        links = self.parameters.links(lattice)
+        links = self.parameters.laplacian(lattice)
         speed, _ = self.parameters.start(lattice.rows, lattice.columns)
         number = self.parameters.diffusion_number
         return Theory(
             f"explicit conduction: slowest of |1 - {number:g} lambda| over the Laplacian's spectrum (Crank 1975)",
             factor=convergence_factor(links.spectrum(), number),
-            limit=links.at_rest(speed),
+            limit=links.steady_state(speed),
         )
 
     def init(self, cells: Cells) -> State:

@@ -1,4 +1,4 @@
-"""Every cell learns how many links it is from the nearest goal, and carries that way."""
+"""Hop gradient: cells learn their distance from the nearest goal, in links, and drive towards it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _AHEAD: Final = np.array([(column, row) for row, column in STEPS], dtype=np.floa
 
 
 class HopGradientParameters(Spec):
-    """Where to, how fast, and when a distance or a silence is too long."""
+    """Goals, speed, and limits of distance and silence."""
 
     goals: Annotated[tuple[Region, ...], Field(min_length=1)]
     speed_m_s: Positive = 0.2
@@ -60,7 +60,7 @@ class HopGradient(Firmware):
             raise ParametersError("hop_gradient", problems)
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
-        """Cells that ``limit`` keeps from ever knowing their way."""
+        """Warn of cells too far away for ``limit``, which never find a way to a goal."""
         away, limit = self._away(lattice), self.parameters.limit
         if away.max() < limit:
             return ()
@@ -87,7 +87,7 @@ class HopGradient(Firmware):
         return hop_distance(lattice, np.flatnonzero(self._is_goal(lattice.rows, lattice.columns)))
 
     def init(self, cells: Cells) -> State:
-        """Who is a goal; each cell's distance; what each side told last, and for how long that counts."""
+        """Return the initial state: goals, distances, and last distances of neighbours with remaining validity."""
         goal, n = self._is_goal(cells.row, cells.column), len(cells)
         return {
             "goal": goal,

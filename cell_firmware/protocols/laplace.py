@@ -1,4 +1,4 @@
-"""Cells relax to a potential between those that hold theirs, and their wheels run down it."""
+"""Laplace potential: cells relax between held cells, and wheels drive along the gradient."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cell_firmware.toolkit.stencil import across, gradient, total
 
 
 class LaplaceParameters(Spec):
-    """Where the potential is held, how cells relax to it, and what wheels make of it."""
+    """Held potentials, relaxation, and speed of the wheels."""
 
     held: Annotated[tuple[RegionValue, ...], Field(min_length=1)]
     """Cells that keep their potential: sources, sinks, obstacles that repel."""
@@ -109,7 +109,7 @@ class Laplace(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """Potentials ``(n,)`` of this tick and the one before, who is held, what each side told, the pitch."""
+        """Return the initial state: potentials ``(n,)`` of this tick and the last, held cells, messages, and pitch."""
         potential, held = self._start(cells.row, cells.column)
         sides = cells.has_neighbour.shape
         return {

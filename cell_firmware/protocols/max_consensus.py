@@ -1,4 +1,4 @@
-"""All cells agree on a leader: the one of the highest rank."""
+"""Max consensus: all cells agree on the leader of the highest rank."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Ranked(Region):
 
     @property
     def amount(self) -> int:
-        """What each of them gets."""
+        """Rank of each cell."""
         return self.rank
 
 
 class MaxConsensusParameters(Spec):
-    """Who ranks how high, and for how long a leader's word is good."""
+    """Ranks of cells, and lifetime of a leader's messages."""
 
     rank: Rank = 0
     """Of every cell, unless ``ranks`` names it. Among equals the highest row leads, then the highest column."""
@@ -97,7 +97,7 @@ class MaxConsensus(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """Each cell's own key, and the greatest that it knows with its age: ``(n,)``, its own."""
+        """Return the initial state: each cell's own key as the greatest known, with age 0."""
         key = self._keys(cells.row, cells.column)
         leader = np.stack((cells.row, cells.column), axis=1)
         return {"own": key, "key": key, "age": np.zeros(len(cells), dtype=np.int64), "leader": leader}

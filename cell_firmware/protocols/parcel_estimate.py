@@ -15,7 +15,7 @@ from cell_firmware.specs import Positive, Vector
 
 
 class ParcelEstimateParameters(EstimatorParameters):
-    """What cells know of parcels, and where to bring them."""
+    """Parcel parameters, target, gain and speed limit."""
 
     target_m: Vector
     """Where the parcel's centre is to come to rest."""
@@ -44,7 +44,7 @@ class ParcelEstimate(Firmware):
         self._estimator = Estimator(parameters)
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
-        """What the estimator says of its words."""
+        """Return the value ranges of the estimator's message fields."""
         return self._estimator.plausible()
 
     def theory(self, lattice: Lattice) -> Theory:

@@ -15,22 +15,22 @@ from cell_firmware.tiles.firmware import TileFirmware, TileParameters
 class Route(TileFirmware):
     """Takes every parcel to its own exit along the lanes; see ``TileFirmware``.
 
-    Its label is read where it enters, and goes with it from tile to tile in what these tell each other.
+    A parcel's label is read where the parcel enters, and is passed from tile to tile in messages.
     """
 
     name = "route"
 
     @staticmethod
     def kinds(parameters: TileParameters) -> int:
-        """Every exit is one of its own."""
+        """Return the number of exits: parcels distinguish each of them."""
         return len(parameters.exits)
 
     def required_effects(self) -> tuple[str, ...]:
-        """Labels have to be read."""
+        """Require scanners, which read the labels."""
         return ("scanners",)
 
     def labels(self, inputs: Inputs) -> NDArray[np.int64]:
-        """What the cell's label reader says; labels of exits that these parameters do not know are none."""
+        """Return the readings of label readers, ``(n,)``; 0 for labels without an exit in the parameters."""
         if inputs.label is None:
             return np.zeros(len(inputs.presence), dtype=np.int64)
         return np.where(inputs.label <= len(self.parameters.exits), inputs.label, 0)

@@ -34,12 +34,12 @@ class Source(Region):
 
     @property
     def amount(self) -> float:
-        """What each of them gets."""
+        """Flow out of each cell."""
         return self.flow_m2_s
 
 
 class StreamParameters(Spec):
-    """Where the fluid comes from and goes to, and how fast cells find its potential."""
+    """Sources and sinks of the fluid, and relaxation of the potential."""
 
     sources: Annotated[tuple[Source, ...], Field(min_length=1)]
     """Sources and sinks; together they should be even."""

@@ -18,7 +18,7 @@ class VelocityFieldParameters(Spec):
 
 @final
 class VelocityField(Firmware):
-    """Looks its speed up once and keeps it."""
+    """Open-loop drive: each cell evaluates its velocity once and keeps it."""
 
     Parameters = VelocityFieldParameters
 
@@ -33,6 +33,6 @@ class VelocityField(Firmware):
         return {"speed_m_s": self.parameters.field.velocity(x, y)}
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """The same speed, whatever happens."""
+        """Drive the constant velocity."""
         del inputs
         return state, Outputs(state["speed_m_s"])

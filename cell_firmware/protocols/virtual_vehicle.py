@@ -28,7 +28,7 @@ _LONGEST: Final = 2**31
 
 
 class Vehicle(Spec):
-    """One vehicle: where it begins, how large and fast it is, and where it goes."""
+    """Specification of a vehicle: initial pose, radius, speeds and journey."""
 
     start_m: Vector
     """Its reference at first: where its parcel's centre of mass should be."""
@@ -46,7 +46,7 @@ class Vehicle(Spec):
     """How often it goes through its legs."""
 
     def journey(self) -> ReferenceTrajectory:
-        """Where its reference is after a time."""
+        """Return the trajectory of the vehicle's reference."""
         legs = self.legs * self.laps
         return ReferenceTrajectory(
             (*self.start_m, self.angle_rad), legs, self.speed_m_s, self.turn_rate_rad_s
@@ -54,7 +54,7 @@ class Vehicle(Spec):
 
 
 class VirtualVehicleParameters(Spec):
-    """The vehicles, and how they hold what they carry."""
+    """Vehicles, and the control of their parcels."""
 
     vehicles: Annotated[tuple[Vehicle, ...], Field(min_length=1, max_length=100)]
     ahead: Annotated[int, Field(ge=1, le=20)] = 1
@@ -72,7 +72,7 @@ class VirtualVehicleParameters(Spec):
 @final
 @dataclass(frozen=True, slots=True)
 class _Words:
-    """What cells believe of the vehicles: arrays ``(n, vehicles)``, or ``(n,)`` of each cell's own.
+    """Vehicles as known to cells: arrays ``(n, vehicles)``, or ``(n,)`` for each cell's own vehicle.
 
     Attributes:
         periods: The record: for how many periods the journey has gone on; -1 where it was never heard of.
@@ -167,7 +167,7 @@ class VirtualVehicle(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """Who belongs to a vehicle at first; nothing heard, nothing sensed."""
+        """Return the initial state: cells in a vehicle's circle know its record; no messages, no presence."""
         n, vehicles = len(cells), self.parameters.vehicles
         start: Floats = np.array([vehicle.start_m for vehicle in vehicles])
         dx, dy = cells.position_m[:, 0, None] - start[:, 0], cells.position_m[:, 1, None] - start[:, 1]
@@ -223,7 +223,7 @@ class VirtualVehicle(Firmware):
     # --- what is heard ----------------------------------------------------------------------------
 
     def _told(self, state: State, inbox: Inbox) -> dict[str, NDArray[Any]]:
-        """What each side told last, where that still counts; else nothing."""
+        """Return each neighbour's last message while still valid, else zeros; and the remaining validity."""
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
         told = {
             name: hold_last(inbox.received, counts, inbox.message[name.removeprefix("told_")], state[name])
@@ -232,7 +232,7 @@ class VirtualVehicle(Firmware):
         return {**told, "counts": counts}
 
     def _words(self, state: State, told: Mapping[str, Integers], inbox: Inbox) -> _Words:
-        """What there is to say of every vehicle after what came in."""
+        """Update the state of all vehicles by received messages."""
         pitch_m = state["pitch_m"][:, None]
         come = np.where(inbox.received, inbox.message["vehicle"], 0)[:, :, None] == self._numbers
         heard = np.where(come, inbox.message["periods"].astype(np.int64)[:, :, None], -1).max(axis=1)
@@ -325,7 +325,7 @@ def _own(words: _Words) -> Integers:
 def _spread(
     told: Mapping[str, Integers], own: Integers, what: str, source: Bools, most: Integers | int
 ) -> Integers:
-    """A number that is ``most`` at its sources and one less each hop, among cells of one vehicle."""
+    """Propagate a number: ``most`` at its sources, less by 1 a hop, within cells of a vehicle."""
     same = (told["told_vehicle"] == own[:, None]) & (own > 0)[:, None]
     highest = np.where(same, told[f"told_{what}"], 0).max(axis=1)
     return np.where(source, most, np.maximum(highest - 1, 0))

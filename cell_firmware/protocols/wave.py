@@ -71,7 +71,7 @@ class Wave(Firmware):
             return ()
         beyond = f"courant_number_squared {number:g} is above 1/2, the bound on four neighbours"
         grow = "waves that alternate in sign from cell to cell and from tick to tick grow"
-        greatest = self.parameters.links(lattice).spectrum().greatest
+        greatest = self.parameters.laplacian(lattice).spectrum().greatest
         if number * greatest <= 4.0:
             return (f"{beyond}; this array bears {4.0 / greatest:.6g}",)
         over = f"and above {4.0 / greatest:.6g}, what this array bears"
@@ -80,7 +80,7 @@ class Wave(Firmware):
 
     def theory(self, lattice: Lattice) -> Theory:
         """Factor of the mode that lasts longest, or grows; with damping the limit is the one that heat has."""
-        links = self.parameters.links(lattice)
+        links = self.parameters.laplacian(lattice)
         speed, _ = self.parameters.start(lattice.rows, lattice.columns)
         ends = links.spectrum()
         factor = None if ends.least is None else max(self._factor(ends.least), self._factor(ends.greatest))
@@ -88,7 +88,7 @@ class Wave(Firmware):
             "leapfrog: greatest root of (1 + b) z^2 - (2 - c2 lambda) z + 1 - b over the Laplacian's spectrum"
             " (Courant, Friedrichs & Lewy 1928)",
             factor=factor,
-            limit=links.at_rest(speed) if self.parameters.damping > 0.0 else None,
+            limit=links.steady_state(speed) if self.parameters.damping > 0.0 else None,
         )
 
     def init(self, cells: Cells) -> State:

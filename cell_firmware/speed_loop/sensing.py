@@ -33,7 +33,7 @@ class Tachometer(ABC):
 
     @abstractmethod
     def init(self, n: int) -> State:
-        """What it remembers after power-on: the last reading and ``seen`` ``(n, 1)``, whether there was one."""
+        """Return the state after power-on: last reading, and ``seen`` ``(n, 1)``, whether there was one."""
 
     @abstractmethod
     def read(self, state: State, encoder_m: Floats) -> tuple[State, NDArray[Any]]:
@@ -45,7 +45,7 @@ class Tachometer(ABC):
         """
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:  # noqa: ARG002
-        """What can be read of it."""
+        """Return the readable registers."""
         return {}
 
 

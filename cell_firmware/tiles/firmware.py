@@ -1,4 +1,4 @@
-"""Firmware whose tiles pass parcels on, reserved before they carry: what ``reserve_path`` and ``route`` share."""
+"""Base of protocols on tiles that reserve a path before carrying a parcel: ``reserve_path`` and ``route``."""
 
 from __future__ import annotations
 
@@ -90,11 +90,11 @@ class TileFirmware(Firmware):
     @staticmethod
     @abstractmethod
     def kinds(parameters: TileParameters) -> int:
-        """How many kinds of exits parcels tell apart."""
+        """Return the number of kinds of exits that parcels distinguish."""
 
     @abstractmethod
     def labels(self, inputs: Inputs) -> Ints:
-        """``(n,)``: what each cell knows of the parcel over it: the kind of its exit, or 0."""
+        """Return the kind of exit of the parcel over each cell, ``(n,)``; 0 where unknown."""
 
     def check(self, lattice: Lattice) -> None:
         """Every cell of every tile must exist."""
@@ -103,7 +103,7 @@ class TileFirmware(Firmware):
             raise ParametersError(self.name, problems)
 
     def accepts(self, messages: NDArray[Any]) -> Bools:
-        """Words of what tiles do, for exits that there are."""
+        """Return which messages are plausible: valid words, with known modes and exits."""
         good = super().accepts(messages)
         for name in ("own", *NEIGHBOURS):
             told = messages[name].astype(np.int64)
@@ -127,7 +127,7 @@ class TileFirmware(Firmware):
         )
 
     def init(self, cells: Cells) -> State:
-        """Where each cell is in its tile; what it knows of its tile and those around it; distances; a leader's mind."""
+        """Return the initial state: place in the tile, words of tiles, distances, rounds, and leader's state."""
         place, n, sides = self.tiling.place(cells), len(cells), (len(cells), 4)
         silence = np.full(
             n, -self.parameters.ttl_periods
@@ -213,7 +213,7 @@ class TileFirmware(Firmware):
         here: Bools,
         label: Ints,
     ) -> Ints:
-        """The word of the own tile from now on, where a cell leads; adds to ``after`` what it remembers of that."""
+        """Return the new word of the own tile where a cell leads; adds the leader's state to ``after``."""
         last = np.where(own > 0, own, state["last"])
         after["last"] = last
         own = np.where(takes_over, ahead_by(last, _AFRESH), own)

@@ -1,4 +1,4 @@
-"""Who leads a tile, which of its cells live, and whether a parcel is over any: asked by its leader in rounds."""
+"""Heartbeat rounds of a tile: leadership, live cells, and presence of a parcel."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SILENT_ROUNDS: Final = 2
 
 
 def initial_state(place: dict[str, NDArray[Any]], tile_cells: int) -> dict[str, NDArray[Any]]:
-    """What a cell remembers of its tile's rounds before the first tick: nothing, and it takes all cells for living."""
+    """Return the initial state of rounds: no pulse, and all cells of the tile assumed live."""
     n, everyone = len(place["used"]), (1 << tile_cells * tile_cells) - 1
     return {
         **{name: np.zeros(n, dtype=np.int64) for name in ("pulse", "alive", "covered", "label")},
@@ -34,21 +34,21 @@ def initial_state(place: dict[str, NDArray[Any]], tile_cells: int) -> dict[str, 
 def on_messages(
     state: Any, inbox: Inbox, here: Bools, label: Ints, ttl_periods: int
 ) -> tuple[dict[str, NDArray[Any]], Bools, Bools]:
-    """A tick of listening: the newest pulse, one's own answer to it, and who leads.
+    """Handle received pulses: find the newest, add the cell's own answer, and determine the leader.
 
     A cell leads whose pulse is the newest that it knows. Where the last has died out, ``ttl_periods`` ticks after it
     was sent, cells take over in the order of their rank. Where two lead, the one of lower rank has the greater pulse,
     and the other follows.
 
     Args:
-        state: Of the firmware.
-        inbox: What came.
-        here: ``(n,)``: is a parcel over the cell?
-        label: ``(n,)``, what its label reader says; 0 for nothing.
-        ttl_periods: For how many ticks a pulse is believed.
+        state: State of the firmware.
+        inbox: Received messages.
+        here: ``(n,)``, whether a parcel is over the cell.
+        label: ``(n,)``, reading of the label reader; 0 for none.
+        ttl_periods: Validity of a pulse, ticks.
 
     Returns:
-        What it remembers from now on; who leads; who has just taken over.
+        The next state, which cells lead, and which have just taken over.
     """
     pulse, alive, covered, read = gathered(state, inbox)
     silence = np.where(pulse == 0, state["silence"] + 1, 0)
@@ -68,13 +68,13 @@ def on_messages(
 
 
 def round_finished(state: Any, after: dict[str, NDArray[Any]], leads: Bools) -> Bools:
-    """A tick of a leader's rounds; adds to ``after`` what it has learnt.
+    """Advance a leader's rounds by a tick, and add the results to ``after``.
 
-    A round in which all that count as living have answered says whether a parcel is over any of them. One that takes
-    too long says nothing; after some of these in a row, who has answered in none counts as dead. Who answers lives.
+    A round in which all live cells answer tells whether a parcel is over any of them. A round that takes too long has
+    no result; after several of these in a row, a cell that answered in none counts as dead. A cell that answers lives.
 
     Returns:
-        ``(n,)``: has a round ended in which all have answered?
+        ``(n,)``, whether a round has ended, complete or timed out.
     """
     since = state["since"] + 1
     full = leads & (after["alive"] & state["members"] == state["members"])
@@ -94,7 +94,7 @@ def round_finished(state: Any, after: dict[str, NDArray[Any]], leads: Bools) -> 
 
 
 def start_round(state: Any, after: dict[str, NDArray[Any]], where: Bools, here: Bools, label: Ints) -> None:
-    """Leaders begin a new round, at once, where they want to know something anew."""
+    """Begin a new round where requested."""
     pulse = after["pulse"]
     number = (pulse >> 8) + 1 & MASK_16
     after["pulse"] = np.where(where, pulse >> 24 << 24 | number << 8 | pulse & 255, pulse)

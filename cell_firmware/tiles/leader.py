@@ -1,4 +1,4 @@
-"""What the leader of a tile decides: whose parcel it takes, when it passes its own on, and to whom.
+"""Decisions of a tile's leader: when to accept a parcel, and when and where to pass its own on.
 
 Two tiles pass a parcel on in four steps, each of which its tile tells until the other has heard: A *wants*, B *expects*
 (and names by its ticket which wish it grants), A *pushes*, and once no cell of A senses it, A is free; B, hearing that,
@@ -22,14 +22,14 @@ Ints = NDArray[np.int64]
 @final
 @dataclass(frozen=True, slots=True)
 class NeighbourTiles:
-    """What a leader knows of the tiles on its four sides, ``(n, 4)`` each.
+    """Neighbouring tiles on the four sides, as known to a leader, ``(n, 4)`` each.
 
     Attributes:
-        doing: What each does.
-        faces: Is what it does about the side towards this tile?
-        exit: For which exit its parcel is.
-        version: Of its word.
-        ticket: Which wish it grants.
+        doing: Mode of each tile.
+        faces: Whether the mode concerns the side towards this tile.
+        exit: Exit of the tile's parcel.
+        version: Version of the tile's word.
+        ticket: Version of the request that the tile grants.
     """
 
     doing: Ints
@@ -40,13 +40,13 @@ class NeighbourTiles:
 
     @staticmethod
     def of(words: Ints) -> NeighbourTiles:
-        """From the words of the four tiles."""
+        """Decode the words of the four tiles."""
         return NeighbourTiles(
             doing(words), side(words) == OPPOSITES, exit_of(words), version(words), ticket(words)
         )
 
     def on(self, sides: Ints) -> NeighbourTiles:
-        """Of one side each, ``(n,)``."""
+        """Select one side for each row, ``(n,)``."""
         row = np.arange(len(sides))
         return NeighbourTiles(
             self.doing[row, sides],
@@ -60,14 +60,14 @@ class NeighbourTiles:
 @final
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a tile does from now on, ``(n,)`` each: four times what it does plus its side; its exit; its ticket."""
+    """Next state of tiles, ``(n,)`` each: four times the mode plus the side, exit of the parcel, and ticket."""
 
     code: Ints
     exit: Ints
     ticket: Ints
 
     def where(self, condition: Bools, code: Ints, exit_: Ints, ticket_: Ints) -> Decision:
-        """Another one where a condition holds."""
+        """Replace the decision where a condition holds."""
         return Decision(
             np.where(condition, code, self.code),
             np.where(condition, exit_, self.exit),
@@ -76,7 +76,7 @@ class Decision:
 
 
 def with_parcel(state: Any, ways: Ints, limit: int, exit_: Ints) -> Ints:
-    """What a tile does that has a parcel for an exit: carry it out, ask for the way, or hold it."""
+    """Return mode and side of a tile with a parcel for an exit: push, request the way, or hold."""
     way = _way_to(ways, exit_[:, None])[:, 0]
     known = (exit_ > 0) & (way >> 2 < limit)
     onward = np.where(known, TileMode.WANT * 4 + (way & 3), TileMode.HOLD * 4)
@@ -86,15 +86,15 @@ def with_parcel(state: Any, ways: Ints, limit: int, exit_: Ints) -> Ints:
 def decide(
     state: Any, after: dict[str, NDArray[Any]], own: Ints, around: NeighbourTiles, ways: Ints, limit: int
 ) -> Decision:
-    """What tiles do from now on, as their leaders see it.
+    """Decide the next state of tiles.
 
     Args:
-        state: Of the firmware.
-        after: What rounds have told.
-        own: ``(n,)``, the tile's word so far.
-        around: What is known of the tiles next to it.
+        state: State of the firmware.
+        after: Results of rounds.
+        own: ``(n,)``, the tile's current word.
+        around: The neighbouring tiles.
         ways: ``(n, exits)``, four times the distance to each exit, plus the side over which the way leads.
-        limit: Distance that means that there is none.
+        limit: Distance that means no way.
     """
     was, at, exit_, ticket_ = doing(own), side(own), exit_of(own), ticket(own)
     partner = around.on(at)
@@ -132,7 +132,7 @@ def decide(
 
 
 def refused(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
-    """Of a tile that pushes a parcel on: has the other closed? Nobody can refuse what leaves by an exit."""
+    """Return where the receiver of a pushed parcel has closed; a parcel that leaves by an exit can't be refused."""
     leaving = state["exit"] == exit_of(own)
     return (doing(own) == TileMode.PUSH) & ~leaving & (around.on(side(own)).doing == TileMode.CLOSED)
 
@@ -149,7 +149,7 @@ def doubtful(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
 def _granted(
     news: Decision, state: Any, free: Bools, vacant: Bools, around: NeighbourTiles, ways: Ints, limit: int
 ) -> Decision:
-    """A free tile's choice among those that ask it, each side having its turn; one that pushes already comes first."""
+    """Grant a request to a free tile: a neighbour that already pushes first, else the sides in turn."""
     ours = around.faces & state["into"]
     pushes = ours & (around.doing == TileMode.PUSH)
     leads_on = (around.exit > 0) & (_way_to(ways, around.exit) >> 2 < limit)

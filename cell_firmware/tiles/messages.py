@@ -47,7 +47,7 @@ whether the parcel that leaves has passed the cell, and the words of the own til
 
 
 class TileMode(IntEnum):
-    """What a tile does."""
+    """Mode of a tile."""
 
     CLOSED = 0
     """Takes no part: too few of its cells live, or it has yet to begin."""
@@ -68,12 +68,12 @@ def word(version: Ints, fresh: int, doing: Ints, exit_: Ints, ticket: Ints) -> I
 
 
 def version(words: Ints) -> Ints:
-    """Version of each."""
+    """Return the version of each word."""
     return words >> _VERSION & MASK_16
 
 
 def ahead_by(words: Ints, versions: int) -> Ints:
-    """Words with versions that are so many newer, all else alike."""
+    """Return the words with the version increased by ``versions``."""
     below = (1 << _VERSION) - 1
     return (version(words) + versions & MASK_16) << _VERSION | words & below
 
@@ -84,32 +84,32 @@ def is_word(words: Ints) -> Bools:
 
 
 def doing(words: Ints) -> Ints:
-    """What each tile does; ``CLOSED`` where nothing is known."""
+    """Return the mode of each tile; ``CLOSED`` where unknown."""
     return words >> 26 & 63
 
 
 def side(words: Ints) -> Ints:
-    """Over which side."""
+    """Return the side that the mode concerns."""
     return words >> 24 & 3
 
 
 def exit_of(words: Ints) -> Ints:
-    """For which exit its parcel is."""
+    """Return the exit of the tile's parcel."""
     return words >> 16 & MASK_8
 
 
 def ticket(words: Ints) -> Ints:
-    """Which wish it grants."""
+    """Return the version of the request that the tile grants."""
     return words & MASK_16
 
 
 def older(words: Ints) -> Ints:
-    """A tick later, or one cell farther on: 0 where a word is no longer fresh."""
+    """Age words by a tick or a hop; 0 where a word expires."""
     return np.where(words >> 32 & MASK_8 > 1, words - _FRESH, 0)
 
 
 def older_pulse(pulses: Ints) -> Ints:
-    """Pulses a tick later, or one cell farther on: 0 where one is no longer fresh."""
+    """Age pulses by a tick or a hop; 0 where a pulse expires."""
     return np.where(pulses & MASK_8 > 1, pulses - 1, 0)
 
 
@@ -126,17 +126,17 @@ def newest(words: Ints) -> Ints:
 
 
 def newest_words(own: Ints, around: Ints, inbox: Inbox, mate: Bools, used: Bools) -> tuple[Ints, Ints]:
-    """The newest that a cell has heard of its own tile and of the four around it.
+    """Return the newest words received of a cell's own tile and of the four neighbouring tiles.
 
     Args:
-        own: ``(n,)``, of its own tile, as it knew it a tick ago.
-        around: ``(n, 4)``, of the tiles on each side, likewise.
-        inbox: What came.
-        mate: ``(n, 4)``: is the neighbour on that side in the same tile?
-        used: ``(n,)``: is the cell in a tile?
+        own: ``(n,)``, word of the own tile in the previous tick.
+        around: ``(n, 4)``, words of the neighbouring tiles in the previous tick.
+        inbox: Received messages.
+        mate: ``(n, 4)``, whether the neighbour on the side is in the same tile.
+        used: ``(n,)``, whether the cell is in a tile.
 
     Returns:
-        Both from now on.
+        New words of the own tile and of the neighbouring tiles.
     """
     message, n = inbox.message, len(own)
     heard = np.empty((n, 5, 5), dtype=np.int64)  # of which tile, its own last; from whom, itself first

@@ -1,4 +1,4 @@
-"""Tiles: square blocks of cells that hold one parcel each, and the one-way lanes between them."""
+"""Tiles: square blocks of cells for one parcel each, and one-way lanes in between."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _LETTERS: Final = {side[0]: number for number, side in enumerate(SIDES)}
 
 
 class ExitTile(Spec):
-    """Where parcels leave: a tile, and the side over which it carries them out."""
+    """Exit of the array: a tile, and the side over which parcels leave."""
 
     tile: CellName
     side: Literal["north", "east", "south", "west"]
 
 
 class TilesSpec(Spec):
-    """How an array is cut into tiles, and from which tile to which parcels may go."""
+    """Tiles of an array, one-way lanes between tiles, and exits."""
 
     tile_cells: Annotated[int, Field(ge=3, le=4)] = 4
     """Cells along a tile's side."""
@@ -62,11 +62,11 @@ class Tiling:
 
     Attributes:
         side: Cells along a tile's side.
-        used: ``(rows, columns)`` of tiles: is there one?
-        out: ``(rows, columns, 4)``: may it pass parcels on over that side?
-        into: ``(rows, columns, 4)``: may the tile on that side pass parcels on to it?
-        exit: ``(rows, columns)``: number of the exit there, from 1; 0 where there is none.
-        exit_side: ``(rows, columns)``: over which side that carries parcels out.
+        used: ``(rows, columns)``, whether there is a tile.
+        out: ``(rows, columns, 4)``, whether the tile may pass parcels on over the side.
+        into: ``(rows, columns, 4)``, whether the tile may receive parcels over the side.
+        exit: ``(rows, columns)``, number of the exit at the tile, from 1; 0 where there is none.
+        exit_side: ``(rows, columns)``, side over which parcels leave at the exit.
 
     Raises:
         ValueError: A lane leads where there is no tile, lanes form a ring, or an exit is no tile or named twice.
@@ -97,7 +97,7 @@ class Tiling:
         return ((int(row), int(column)) for row, column in np.argwhere(self.used))
 
     def onward(self, tile: Tile) -> Iterator[Tile]:
-        """The tiles to which one may pass parcels on."""
+        """Yield the tiles to which a tile may pass parcels on."""
         for side in np.flatnonzero(self.out[tile]).tolist():
             yield tile[0] + STEPS[side][0], tile[1] + STEPS[side][1]
 
@@ -121,7 +121,7 @@ class Tiling:
             raise ValueError(f"lanes: a ring, on which parcels might wait for each other: {ring}") from None
 
     def problems(self, lattice: Lattice) -> Iterator[Problem]:
-        """Tiles of which the array has not every cell."""
+        """Yield tiles with a cell that the array does not have."""
         for tile in self.tiles():
             for cell in self.cells(tile):
                 if cell not in lattice:
@@ -136,7 +136,7 @@ class Tiling:
                 yield tile[0] * self.side + row, tile[1] * self.side + column
 
     def place(self, cells: Cells) -> dict[str, NDArray[Any]]:
-        """What cells know of their place in their tile, by name; all rows are zeros where a cell is in none."""
+        """Return the place of cells in their tiles, arrays by name; rows of cells outside tiles are zero."""
         row, column = cells.row // self.side, cells.column // self.side
         inside = (row < self.shape[0]) & (column < self.shape[1])
         at = np.where(inside, row, 0), np.where(inside, column, 0)
@@ -161,7 +161,7 @@ class Tiling:
 
 
 def _ranks(side: int) -> Ints:
-    """``(side, side)``: who leads a tile before whom; cells near its middle come first."""
+    """Return the rank of each cell of a tile for leadership, ``(side, side)``; cells near the middle first."""
     across = np.arange(side) - 0.5 * (side - 1)
     away = across[:, None] * across[:, None] + across * across
     ranks = np.empty(side * side, dtype=np.int64)

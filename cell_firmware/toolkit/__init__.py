@@ -1,1 +1,1 @@
-"""What protocols are built of: neighbours' last words, places, ways, spectra; no protocol, and nothing of a board."""
+"""Building blocks of protocols: last messages, regions, trajectories and spectra, independent of boards."""

@@ -1,4 +1,4 @@
-"""What protocols have in common that spread a speed over the array: where it begins, and where it is held."""
+"""Initial and boundary conditions of protocols that spread a speed over the array."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cell_firmware.toolkit.regions import RegionVelocity, assign, region_problem
 
 
 class InitialAndHeld(Spec):
-    """Speeds at the start, and speeds that stay."""
+    """Initial speeds of cells, and speeds of held cells."""
 
     speed_m_s: Vector = (0.0, 0.0)
     """Speed that every cell starts with, unless ``initial`` or ``held`` names it."""
@@ -39,7 +39,7 @@ class InitialAndHeld(Spec):
         return {name: (min(values), max(values)) for name, values in components}
 
     def laplacian(self, lattice: Lattice) -> GraphLaplacian:
-        """The array's links, with the cells that are held as their boundary."""
+        """Return the graph Laplacian of the array, with held cells as the boundary."""
         return GraphLaplacian(lattice, self.start(lattice.rows, lattice.columns)[1])
 
     def check(self, firmware: str, lattice: Lattice) -> None:

@@ -1,4 +1,4 @@
-"""Where the nearest parcel is, by a camera's pictures: what a cell remembers of the last one."""
+"""Tracking of the nearest parcel by camera frames."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from cell_firmware.firmware import Bools, Cells, Floats, Inputs, State
 
 _MARGIN: Final = 1.5
-"""Pitches from a parcel's corner beyond which it is none of a cell's business."""
+"""Distance from a parcel's corner beyond which a cell ignores the parcel, pitches."""
 
 
 @final
 class CameraTracker:
-    """Picks, of each picture, the parcel whose centre is nearest, if any of it may be over the cell or next to it.
+    """Tracker of the parcel with the nearest centre in each frame, if it may be over the cell or next to it.
 
     Args:
         size_m: Length of the parcels along their x and y.
-        patience_s: For how long a picture counts.
+        patience_s: Validity of a frame, s.
     """
 
     def __init__(self, size_m: tuple[float, float], patience_s: float) -> None:
@@ -27,7 +27,7 @@ class CameraTracker:
         self._patience_s = patience_s
 
     def init(self, cells: Cells) -> State:
-        """What cells remember; they have seen nothing."""
+        """Return the initial state, without a tracked parcel."""
         n = len(cells)
         return {
             "position_m": cells.position_m,
@@ -60,5 +60,5 @@ class CameraTracker:
         }
 
     def pose(self, state: State) -> tuple[Bools, Floats, Floats]:
-        """``(n,)``: is it known? ``(n, 2)``, its centre; ``(n, 2)``, unit vector along its x."""
+        """Return whether a pose is known, ``(n,)``, the centre, ``(n, 2)``, and the unit vector along x, ``(n, 2)``."""
         return state["counts"] > 0, state["centre_m"], state["direction"]

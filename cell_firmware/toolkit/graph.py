@@ -1,4 +1,4 @@
-"""Spectra of an array's links, and fields at rest on them: what linear protocols come to, and how fast.
+"""Spectra of an array's links, and steady states on them: limits and convergence rates of linear protocols.
 
 Everything is about ``L = D - A``, the Laplacian of the cells that are free, held cells being its boundary: a link to
 a held cell counts in the diagonal, and nowhere else.
@@ -77,7 +77,7 @@ class Spectrum:
         least: The least eigenvalue of a part of the array that is not the 0 of a part without held cells.
             None where every part is one free cell by itself.
         greatest: The greatest eigenvalue.
-        loose: ``(n,)``: free cells that no chain of links joins to a held one.
+        unanchored: ``(n,)``: free cells that no chain of links joins to a held one.
     """
 
     least: float | None
@@ -98,7 +98,7 @@ class GraphLaplacian:
 
     Attributes:
         laplacian: L of all cells, sparse.
-        loose: ``(n,)``: free cells that no chain of links joins to a held one.
+        unanchored: ``(n,)``: free cells that no chain of links joins to a held one.
     """
 
     def __init__(
@@ -227,13 +227,13 @@ def second_order(radius: float, relaxation: float) -> float:
 def explicit_warnings(
     name: str, number: float, what: str, links: Callable[[], GraphLaplacian]
 ) -> tuple[str, ...]:
-    """What is to be said of ``u - number L u`` before it runs: 1/4 on four neighbours, ``2 / lambda_max`` on an array.
+    """Return warnings of instability of ``u - number L u``: above 1/4, and above ``2 / lambda_max`` of the array.
 
     Args:
-        name: The parameter's.
-        number: Its value.
-        what: Whose values u are, in the plural.
-        links: Gives the array's, if asked.
+        name: Name of the parameter.
+        number: Value of the parameter.
+        what: Name of the values u, in the plural.
+        links: Returns the array's Laplacian; called only if needed.
     """
     if number <= 0.25:
         return ()

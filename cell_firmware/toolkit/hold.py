@@ -1,4 +1,4 @@
-"""A neighbour's last word, kept for as long as it counts: what firmware does about messages that do not come."""
+"""Time to live of messages: a neighbour's last message is held while still valid."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from pydantic import Field
 from cell_firmware.firmware import Bools
 
 Ttl = Annotated[int, Field(ge=1, le=1_000)]
-"""For how many periods a neighbour's word counts: 1 for the period in which it comes alone."""
+"""Validity of a neighbour's message, periods: 1 for the period of arrival alone."""
 Counts = NDArray[np.int16]
 
 
 def age_ttl(received: Bools, counts: Counts, ttl_periods: int) -> Counts:
-    """For how many periods, this one among them, each side's word still counts; 0 where there is none.
+    """Return for how many periods, the current one included, each side's message is valid; 0 without a message.
 
     Args:
-        received: ``(n, 4)``: did one come?
-        counts: ``(n, 4)``, this function's answer of the period before.
-        ttl_periods: For how many periods a word counts.
+        received: ``(n, 4)``, whether a message arrived.
+        counts: ``(n, 4)``, result of the previous period.
+        ttl_periods: Validity of a message, periods.
     """
     return np.where(received, ttl_periods, np.maximum(counts, 1) - 1).astype(np.int16)
 
@@ -29,14 +29,14 @@ def age_ttl(received: Bools, counts: Counts, ttl_periods: int) -> Counts:
 def hold_last(
     received: Bools, counts: Counts, message: NDArray[Any], before: NDArray[Any], silence: int = 0
 ) -> NDArray[Any]:
-    """What each side told last, ``(n, 4)`` or ``(n, 4, components)``.
+    """Return each neighbour's last message, ``(n, 4)`` or ``(n, 4, components)``.
 
     Args:
-        received: ``(n, 4)``: did a word come?
-        counts: ``(n, 4)``, what ``still_counts`` says.
-        message: What came.
-        before: This function's answer of the period before.
-        silence: What a side counts as whose word no longer does.
+        received: ``(n, 4)``, whether a message arrived.
+        counts: ``(n, 4)``, result of ``age_ttl``.
+        message: Received messages.
+        before: Result of the previous period.
+        silence: Substitute for a message that has expired.
     """
     shape = received.shape + (1,) * (message.ndim - 2)
     kept = np.where(counts.reshape(shape) > 0, before, np.array(silence, dtype=before.dtype))

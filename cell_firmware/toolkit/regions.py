@@ -1,4 +1,4 @@
-"""Cells that a scene's parameters name: one by itself, or a block of rows and columns."""
+"""Regions of cells in a scene's parameters: a single cell, or a block of rows and columns."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Region(Spec):
         return self
 
     def has(self, row: Ints, column: Ints) -> NDArray[np.bool_]:
-        """``(n,)``: is the cell in this row and column meant?"""
+        """Return whether the cell at this row and column is in the region, ``(n,)``."""
         if self.cell is not None:
             return (row == self.cell[0]) & (column == self.cell[1])
         among = np.ones(len(row), dtype=np.bool_)
@@ -62,7 +62,7 @@ class RegionValue(Region):
 
     @property
     def amount(self) -> float:
-        """What each of them gets."""
+        """Value of each cell."""
         return self.value
 
 
@@ -73,7 +73,7 @@ class RegionVelocity(Region):
 
     @property
     def amount(self) -> tuple[float, float]:
-        """What each of them gets."""
+        """Speed of each cell."""
         return self.speed_m_s
 
 
@@ -82,18 +82,18 @@ class RegionAssignment(Protocol):
 
     @property
     def amount(self) -> Any:
-        """What each of them gets."""
+        """Amount of each cell."""
         ...
 
     def has(self, row: Ints, column: Ints) -> NDArray[np.bool_]:
-        """``(n,)``: is the cell in this row and column meant?"""
+        """Return whether the cell at this row and column is in the region, ``(n,)``."""
         ...
 
 
 def assign(
     named: Sequence[RegionAssignment], row: Ints, column: Ints, into: NDArray[Any]
 ) -> NDArray[np.bool_]:
-    """Writes what is given for some cells ``into`` ``(n, ...)``; returns ``(n,)``: is the cell among them?"""
+    """Assign the amounts of regions ``into`` ``(n, ...)``; return which cells are in a region, ``(n,)``."""
     found = np.zeros(len(row), dtype=np.bool_)
     for place in named:
         mine = place.has(row, column)
@@ -103,7 +103,7 @@ def assign(
 
 
 def region_problems(lattice: Lattice, named: Mapping[str, Sequence[Region]]) -> tuple[Problem, ...]:
-    """What is wrong with places on an array: that they have no cell, or one that another of their list has.
+    """Return the problems of regions on an array: no cell, or a cell of an earlier region in the list.
 
     Args:
         lattice: The cells.

@@ -1,4 +1,4 @@
-"""A potential across the four faces of a cell: what its neighbours tell, less what it has itself."""
+"""Differences of a potential across the four faces of a cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mdms accuracy``: what accuracy costs on a scene, solver by solver."""
+"""``mdms accuracy``: cost of accuracy on a scene, solver by solver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``mdms`` understands: its commands, of which only the one asked for is imported, and its help."""
+"""The ``mdms`` command line: help, and commands that are imported on demand."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def application(arguments: Sequence[str]) -> typer.Typer:
 
 
 def _words_to_complete() -> list[str]:
-    """What stands on the shell's line after the program's name."""
+    """Return the words after the program's name on the command line to be completed."""
     line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
     return line.split()[1:]
 

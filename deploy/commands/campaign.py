@@ -1,4 +1,4 @@
-"""``mdms campaign``: many runs over seeds, faults and parameters; one table and one picture."""
+"""``mdms campaign``: many runs over seeds, faults and parameters, with a table and a plot."""
 
 from __future__ import annotations
 
@@ -308,7 +308,7 @@ def _run(
 
 
 def _finish(report: CampaignReport, *, picture: bool, as_json: bool) -> None:
-    """Print and write what a campaign came to, and end the command with the status that goes with it."""
+    """Print and write a campaign's report, and exit with the matching status."""
     from deploy.commands.outcome import EXIT_STATUS
     from deploy.studies.campaign.console import print_report
     from deploy.studies.campaign.plot import FILE_NAME, draw_campaign, why_none

@@ -1,4 +1,4 @@
-"""``mdms constants``: what the wheels do to a parcel at a pose, as long as the same cells carry it."""
+"""``mdms constants``: constants of motion of a parcel at a pose, valid while its supports stay the same."""
 
 from __future__ import annotations
 

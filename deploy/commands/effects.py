@@ -1,4 +1,4 @@
-"""``mdms effects``: what every effect adds, costs and changes."""
+"""``mdms effects``: additions, cost and influence of every effect."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def effects(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Tell what every effect adds to a scene, what it costs, and how far it moves the answer.
+    """Show each effect's additions to a scene, its cost, and its influence on the result.
 
     Each effect is toggled by itself: the scene as it is against the scene without; or, where the scene lacks the
     effect, the scene with typical settings of it against the scene. Both run in this process under one solver. The

@@ -1,4 +1,4 @@
-"""``mdms fault``: a fault injected into a running system."""
+"""``mdms fault``: inject a fault into a running system."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _requests(
 
 
 def _target(texts: list[str]) -> dict[str, Any]:
-    """A fault's keys for what it strikes; none for a fault that says it otherwise."""
+    """Parse a fault's target into scene keys; empty for a fault whose target is given otherwise."""
     if not texts:
         return {}
     if all(_CELL.fullmatch(text) for text in texts):

@@ -1,4 +1,4 @@
-"""``mdms keys``: who may take part in a run, and do what in it."""
+"""``mdms keys``: certificates and permissions of a run's processes."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress an
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
-    """What both ``run`` and ``simulate`` are asked for, an option a field."""
+    """Options common to ``run`` and ``simulate``, an option a field."""
 
     scene: SceneArgument
     sets: SetOption = None
@@ -121,13 +121,13 @@ class SceneOptions:
 @final
 @dataclass(frozen=True, slots=True)
 class AskedOfRun(SceneOptions):
-    """The same of a run, which may have its scene from one that it goes on with."""
+    """Options of ``run``, in which a resumed run can provide the scene."""
 
     scene: Annotated[str, typer.Argument(metavar="[SCENE]", help=_SCENE, autocompletion=scenes)] = ""
 
     @property
     def changes(self) -> dict[str, object]:
-        """What is asked for that only a run from its beginning can have, by option."""
+        """Given options, by name, that are allowed only for a run from its beginning."""
         given = {
             "SCENE": self.scene,
             "--set": self.sets,
@@ -149,7 +149,7 @@ def load_scene(
     tolerance: float | None = None,
     step: float | None = None,
 ) -> Scene:
-    """The scene with what the options change in it, validated as if the file had said so.
+    """Load a scene and apply the options, validated together.
 
     Args:
         scene: A scene file, or the name of a bundled scene.
@@ -231,7 +231,7 @@ def numbers(option: str, text: str, form: str) -> list[float]:
 
 
 def expand_dataclass(command: Callable[..., None]) -> Callable[..., None]:
-    """A command as typer reads it: its first parameter, a dataclass of options, as one parameter a field.
+    """Return the command with its first parameter, a dataclass of options, expanded to one parameter a field.
 
     Args:
         command: Takes an instance of a dataclass with typer's annotations, and options of its own by keyword.

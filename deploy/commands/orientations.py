@@ -1,4 +1,4 @@
-"""``mdms orientations``: how a parcel comes to lie in a field, and how its size decides that."""
+"""``mdms orientations``: rest orientations of parcels in a field, by size."""
 
 from __future__ import annotations
 

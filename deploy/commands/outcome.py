@@ -1,4 +1,4 @@
-"""How ``run`` and ``simulate`` are carried out, what they print at the end, and the exit status that goes with it."""
+"""Execution of ``run`` and ``simulate``: printed summary and exit status."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def execute(what: str, work: Callable[[Interruption], Outcome], *, as_json: bool
 
 
 def report(outcome: Outcome, *, as_json: bool) -> int:
-    """Print the outcome; what went wrong goes to stderr, its last line saying what and where.
+    """Print the outcome; errors go to stderr, with error and place in the last line.
 
     Returns:
         The exit status.

@@ -1,4 +1,4 @@
-"""``mdms plot``: a picture of a recording."""
+"""``mdms plot``: plots of a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 
 class Kind(StrEnum):
-    """The pictures there are."""
+    """Kinds of plots."""
 
     overview = "overview"
     protocol = "protocol"

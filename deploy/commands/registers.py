@@ -1,4 +1,4 @@
-"""``mdms registers``: what the cells of a running system show of themselves."""
+"""``mdms registers``: registers of a running system's cells."""
 
 from __future__ import annotations
 

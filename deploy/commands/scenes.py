@@ -1,4 +1,4 @@
-"""``mdms scenes``: what is bundled, and what it looks like."""
+"""``mdms scenes``: list and print bundled scenes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def scenes(
     *,
     as_json: JsonOption = False,
 ) -> None:
-    """List the bundled scenes, or print one of them.
+    """List the bundled scenes, or print a scene.
 
     A scene printed is a scene file: [cyan]mdms scenes elliptic > mine.toml[/cyan] begins one of your own.
     With --json a scene is printed as it is understood, defaults and all.

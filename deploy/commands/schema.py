@@ -1,4 +1,4 @@
-"""``mdms schema``: what a scene file may say, for editors and other programs."""
+"""``mdms schema``: JSON Schema of scene files, for editors and other programs."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Faults of a scene: those that concern cells and plant alike, all of them by name, and when they act."""
+"""Faults of a scene: fault kinds for cells and plant together, and the registry of all kinds."""

@@ -1,4 +1,4 @@
-"""A cell dies: from one tick on it computes, drives and sends nothing."""
+"""Crash fault: from one tick on the cell computes, drives and sends nothing."""
 
 from __future__ import annotations
 

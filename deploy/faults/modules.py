@@ -1,4 +1,4 @@
-"""Modules that are not in the array for a while: what pulling one and plugging it in have in common."""
+"""Base of faults in which modules are absent from the array for a while."""
 
 from __future__ import annotations
 

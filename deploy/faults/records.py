@@ -1,4 +1,4 @@
-"""Faults that begin and end, as recordings, summaries and pictures have them, and in words."""
+"""Records of fault transitions for recordings, summaries and plots, and their descriptions."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def describe_faults(faults: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def plot_marks(faults: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
-    """When faults begin or end, cells are lost or come back, and a few words, as a picture's marks have them."""
+    """Return times and labels of plot marks: faults begin or end, cells are lost or rejoin."""
     return [
         (
             float(alike[0]["time_s"]),
@@ -83,7 +83,7 @@ def lost_for_good(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], 
 
 
 def out_of_array(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], float | None]:
-    """Each cell that was out of the array, and when it came back or came; None: it isn't there at the end."""
+    """Return each cell that was out of the array and the time of its return; None: absent at the end."""
     out: dict[tuple[int, int], float | None] = {}
     away: dict[tuple[int, int], int] = {}
     for fault in faults:
@@ -97,7 +97,7 @@ def out_of_array(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], f
 
 
 def _together(faults: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
-    """Faults one by one, but cells that were lost at once, and alike."""
+    """Group records of cells lost at the same time; every other record is a group by itself."""
     found: dict[object, list[Mapping[str, Any]]] = {}
     for place, fault in enumerate(faults):
         found.setdefault(place if "phase" in fault else (fault["kind"], fault["time_s"]), []).append(fault)

@@ -1,4 +1,4 @@
-"""Every fault that a scene may schedule: a new one is a file and a line here."""
+"""Registry of all fault kinds; a new kind is a module and a line here."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ AnyFault = (
 Fault = Annotated[Annotated[AnyFault, Field(discriminator="kind")], BeforeValidator(tagged("kind", "crash"))]
 """A scene's ``[[faults]]`` are told apart by ``kind``."""
 
-KINDS: dict[str, type[AnyFault]] = {kind.called: kind for kind in get_args(AnyFault)}
+KINDS: dict[str, type[AnyFault]] = {kind.kind_name: kind for kind in get_args(AnyFault)}
 
 
 def gist(kind: str) -> str:

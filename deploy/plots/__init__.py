@@ -1,1 +1,1 @@
-"""The picture of a run."""
+"""Plots of a run."""

@@ -1,4 +1,4 @@
-"""The overhead view: array, wheel velocities, the parcels' paths and outlines."""
+"""Map view: array, wheel velocities, the parcels' paths and outlines."""
 
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -148,7 +148,7 @@ def _draw_arrows(axes: Axes, track: RunTrace) -> None:
 
 
 def struck_cells(track: RunTrace) -> set[tuple[int, int]]:
-    """Cells that a fault struck which begins and ends, and that were in the array all the time."""
+    """Return the cells affected by a fault with begin and end, except cells that were out of the array."""
     return {
         (row, column)
         for fault in track.faults
@@ -158,9 +158,10 @@ def struck_cells(track: RunTrace) -> set[tuple[int, int]]:
 
 
 def _draw_faults(axes: Axes, track: RunTrace) -> None:
-    """Cells that were pulled, white and dashed; that a fault struck, with a red rim; that are lost, with a cross too.
+    """Mark affected cells: white and dashed for removed modules, a red rim for faults, a cross for lost cells.
 
-    One that was plugged in, or in again, has its arrow; one that isn't there at the end has none.
+    A module that was added, for the first time or again, keeps its arrow. A module that is absent at the end has no
+    arrow.
     """
     if not track.faults:
         return
@@ -288,7 +289,7 @@ def _left(track: RunTrace) -> set[int]:
 
 
 def event_annotations(track: RunTrace) -> list[tuple[float, str, int | None]]:
-    """Time, words and parcel of the events worth a mark: outcomes, not every change of support."""
+    """Return time, label and parcel of annotated events: outcomes, without changes of support."""
     return [
         (float(event["time_s"]), str(event["kind"]).replace("_", " "), event.get("parcel"))
         for event in track.events

@@ -1,4 +1,4 @@
-"""The picture of a run: the overhead view and, beside it, x, y and angle against time."""
+"""Overview plot of a run: the map view, with x, y and angle against time beside it."""
 
 # pyright: reportUnknownMemberType=false
 
@@ -153,7 +153,7 @@ def _beside(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
 
 
 def _below(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
-    """The same for a wide array: the panels in a row under the view."""
+    """Lay out a wide array: the panels in a row under the view."""
     width, panel = 11.0, 2.4
     height = max(width / ratio, 0.8)
     lift = _FOOT + (panel + _FOOT if timed else 0.0)

@@ -1,4 +1,4 @@
-"""What all pictures have in common: how they look, their heading, and that their file is whole or not there."""
+"""Common style of all plots: fonts and colours, headings, and atomic writes of image files."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)

@@ -1,1 +1,1 @@
-"""What a protocol did in a run: residuals, rate against theory, load on its links, its field as a picture."""
+"""Protocol reports of a run: residuals, rate against theory, load on links, plot of the field."""

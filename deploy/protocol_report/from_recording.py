@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def report_from_recording(run: Recording) -> tuple[Reporter, ProtocolReport]:
-    """What a run's protocol did, as far as its recording tells: all but its messages.
+    """Build the protocol report of a recorded run, without message statistics.
 
     Raises:
         InputError: The recording has no registers of the protocol's field, or this version can't read its scene.

@@ -1,4 +1,4 @@
-"""A protocol's report as lines for people."""
+"""Text output of a protocol report."""
 
 from __future__ import annotations
 

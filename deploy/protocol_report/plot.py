@@ -1,4 +1,4 @@
-"""The picture of a protocol: its field over the array at some ticks, and below it how its residuals fell."""
+"""Plot of a protocol: maps of its field at some ticks, and its residuals against time below."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -119,7 +119,7 @@ def _facts(reporter: Reporter, report: ProtocolReport) -> str:
 
 
 def _size(field: Floats) -> Floats:
-    """What a map's colours show: the number itself, or a vector's length."""
+    """Return the values that a map's colours show: numbers, or lengths of vectors."""
     with np.errstate(over="ignore"):
         return field[..., 0] if field.shape[-1] == 1 else np.sqrt((field * field).sum(axis=-1))
 

@@ -1,4 +1,4 @@
-"""What a protocol did in a run, and what theory had said: numbers, and a sentence for people."""
+"""Protocol report: measured convergence compared with theory, as numbers and as a sentence."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def link_load(
     cell_ticks: int,
     link_ticks: int,
 ) -> LinkLoad | None:
-    """What the messages of a run took; None for firmware without any, or a run of no ticks.
+    """Compute the load of a run's messages; None for firmware without messages, or a run of no ticks.
 
     Args:
-        scene: What ran.
-        message: The type of its messages.
-        tally: What its cells counted.
-        cell_ticks: The ticks of every cell in which it lived, summed.
-        link_ticks: Those of every direction of a link whose sender lived.
+        scene: Scene of the run.
+        message: Type of its messages.
+        tally: Counters of its cells.
+        cell_ticks: Sum over cells of the ticks in which the cell was alive.
+        link_ticks: Sum over directed links of the ticks in which the sender was alive.
     """
     if message is None or not cell_ticks:
         return None
@@ -107,15 +107,16 @@ _DISTURBS: Final = ("link_loss", "link_delay", "serial", "clock", "cop", "sensor
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualHistory:
-    """What became of a residual.
+    """History of a residual.
 
     Attributes:
-        first_rms: Root mean square when it was first known.
-        greatest_rms: In the run.
-        last_rms: In the last tick.
-        last_max: The greatest number in the last tick.
-        settled_1_percent_tick: From when on the root mean square is at most 1 % of the greatest; None if it isn't.
-        settled_1e6_tick: Likewise 1e-6.
+        first_rms: First known root mean square.
+        greatest_rms: Greatest root mean square of the run.
+        last_rms: Root mean square in the last tick.
+        last_max: Greatest residual in the last tick.
+        settled_1_percent_tick: Tick from which the root mean square stays within 1 % of the greatest; None if it
+            doesn't.
+        settled_1e6_tick: Tick from which the root mean square stays within 1e-6 of the greatest; None if it doesn't.
     """
 
     first_rms: float
@@ -129,7 +130,7 @@ class ResidualHistory:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProtocolReport:
-    """A protocol's run, held against theory.
+    """Report of a protocol's run, compared with theory.
 
     Attributes:
         observed: Its field: a variable of the program, or ``drive`` where the program names none.
@@ -169,7 +170,7 @@ class ProtocolReport:
 
 
 def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> ResidualHistory | None:
-    """What became of a residual; None if there never was a number of it."""
+    """Summarise a residual's history; None if no value was finite."""
     sizes = np.asarray(rms, dtype=np.float64)
     known: NDArray[np.int64] = np.flatnonzero(np.isfinite(sizes))
     if not len(known):
@@ -194,7 +195,7 @@ def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> 
 
 
 def dominant_residual(residuals: Residuals) -> str:
-    """The residual whose rate says most: one that no drift of a common value keeps up."""
+    """Name the residual that the rate is fitted to: disagreement if known, else error, else change."""
     return next(name for name in (DISAGREEMENT, ERROR, CHANGE) if name in residuals.rms)
 
 
@@ -281,7 +282,7 @@ def _too_little(residuals: Residuals) -> str:
 
 
 def excluded_effects(scene: Scene, cells_dead: int) -> list[str]:
-    """What of a run theory leaves out: effects on cells and links, and deaths."""
+    """List the disturbances of a run that theory leaves out: effects on cells and links, and deaths."""
     asked = dict(scene.effects.enabled())
     found = [f"effect {name}" for name in _DISTURBS if name in asked]
     if cells_dead:

@@ -1,4 +1,4 @@
-"""Watches a protocol through a run, and says in the end what it did."""
+"""Reporter that observes a protocol through a run and reports at the end."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _PROGRAM: Final = "firmware."
 
 @final
 class Reporter:
-    """Takes a protocol's field tick by tick; what it keeps does not grow with the array's size times the run's length.
+    """Collects a protocol's field tick by tick, in memory that doesn't grow with array size times run length.
 
     Args:
         scene: What runs.
@@ -102,12 +102,12 @@ class Reporter:
     def report(
         self, ticks: int, dead: Mapping[tuple[int, int], int], tally: Mapping[str, int] | None
     ) -> ProtocolReport:
-        """What the protocol did.
+        """Build the report of the protocol.
 
         Args:
-            ticks: Of the run.
-            dead: Of every cell that died, in which tick.
-            tally: What the cells counted; None if that is not known.
+            ticks: Number of ticks of the run.
+            dead: Tick of death of every dead cell.
+            tally: Counters of the cells; None if unknown.
         """
         self.deaths = dead
         residuals, theory = self.residuals, self.theory
@@ -192,7 +192,7 @@ class Reporter:
 
 
 def deaths_of(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], int]:
-    """Of every cell that died for good its tick, from a run's faults."""
+    """Return the tick of every permanently dead cell, from a run's fault records."""
     return {
         (fault["cell"][0], fault["cell"][1]): int(fault["tick"]) for fault in faults if "phase" not in fault
     }

@@ -1,4 +1,4 @@
-"""How far a protocol's field is from where it was and from where it goes, tick by tick, in bounded memory."""
+"""Residuals of a protocol's field: distance from the previous tick and from the limit, in bounded memory."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ _Z: Final = 1.959964
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """By which factor a residual shrinks from tick to tick.
+    """Fitted convergence rate of a residual: factor from tick to tick.
 
     Attributes:
-        factor: Below 1 it dies out, above 1 it grows.
-        low: Of the interval of 95 % about it.
-        high: Likewise.
+        factor: Below 1 the residual decays, above 1 it grows.
+        low: Lower end of the 95 % confidence interval.
+        high: Upper end of the 95 % confidence interval.
         from_tick: First tick of the fit.
-        to_tick: Its last.
-        decades: By which the residual fell in between; negative if it rose.
-        floor: Where the residual stopped falling, above rounding; None where it had not stopped.
+        to_tick: Last tick of the fit.
+        decades: Decades by which the residual fell in between; negative if it rose.
+        floor: Level at which the residual stopped falling, above rounding; None if it had not stopped.
     """
 
     factor: float
@@ -116,7 +116,7 @@ def _level(log: Floats) -> float | None:
 
 
 def _first(log: Floats) -> int:
-    """Where the last decades begin; the middle if there are no more than those."""
+    """Find the start of the last decades, or the middle if the series spans no more."""
     far = np.flatnonzero(np.abs(log - np.median(log[-3:])) > _FIT_DECADES)
     first = int(far[-1]) + 1 if len(far) else len(log) // 2
     return max(min(first, len(log) - _FEW_POINTS), 0)
@@ -154,7 +154,7 @@ _SPREAD: Final = 1.25
 
 @final
 class Residuals:
-    """Takes the field of every tick and keeps what is left of it: two numbers a residual.
+    """Residuals of a field over all ticks, two numbers a residual and tick.
 
     ``change`` is to the tick before that was taken, ``error`` to the limit, ``disagreement`` to the mean of the cells,
     kept where the limit is the same for all. Cells that are not there, and numbers that are none, are left out.
@@ -225,7 +225,7 @@ class Residuals:
 
 @final
 class Snapshots:
-    """A few fields of a run, close together at first and ever farther apart: a run's length does not matter.
+    """Sampled fields of a run, dense at first and then ever sparser, so that memory doesn't grow with run length.
 
     Attributes:
         kept: Tick, how far the field had moved by then (the sum of its changes' root mean squares), and the field.

@@ -1,1 +1,1 @@
-"""The effects of all packages, as a scene has them."""
+"""Scenes: the specifications of all packages composed, loaded and checked."""

@@ -1,4 +1,4 @@
-"""What has to agree between sections of a scene, checked with whatever sections are valid."""
+"""Consistency checks between sections of a scene, for all sections that are valid."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def cross_problems(
     faults: Mapping[int, Fault],
     parcels: Mapping[int, ParcelSpec],
 ) -> list[Problem]:
-    """What does not agree. A section that is None is not valid by itself: what depends on it is not checked.
+    """Find disagreements between sections. None stands for an invalid section; checks that depend on it are skipped.
 
     Args:
         array: The cells that exist.
         cells: The firmware and its parameters.
         friction: The law of traction.
         effects: The effects.
-        solver: How the motion is integrated.
+        solver: The solver of the motion.
         faults: Valid faults by their number in the scene.
-        parcels: Likewise the scene's own parcels.
+        parcels: Valid parcels of the scene by their number.
     """
     too_large = list(_too_large(array, effects, parcels))
     if too_large:
@@ -80,7 +80,7 @@ def cross_problems(
 def _too_large(
     array: ArraySpec | None, effects: EffectsSpec | None, parcels: Mapping[int, ParcelSpec]
 ) -> Iterator[Problem]:
-    """What of a scene can't fit in this machine's memory."""
+    """Find sizes in a scene that exceed this machine's memory."""
     if array is not None and (rule := too_many_cells(array.count)):
         side = "rows" if array.rows >= array.columns else "columns"
         yield Problem(("array", side), rule, getattr(array, side))
@@ -91,7 +91,7 @@ def _too_large(
 
 
 def _board_problems(cells: CellsSpec, effects: EffectsSpec) -> list[Problem]:
-    """What of the cells' boards does not fit the motors or their gains."""
+    """Find board settings that don't fit the motors or their gains."""
     if effects.motors is None or not any((effects.encoder, effects.pwm, effects.fixed_point)):
         return []
     from cell_firmware.build import wheels_of

@@ -10,9 +10,9 @@ class EffectsSpec(PlantEffects, CellEffects):
     """Effects the scene asks for; an absent one is not simulated and costs nothing."""
 
     def of_plant(self) -> PlantEffects:
-        """Those that the plant is told of."""
+        """Select the effects that the plant implements."""
         return PlantEffects(**{name: getattr(self, name) for name in PlantEffects.model_fields})
 
     def of_cells(self) -> CellEffects:
-        """Those that the cells are told of."""
+        """Select the effects that the cells implement."""
         return CellEffects(**{name: getattr(self, name) for name in CellEffects.model_fields})

@@ -1,4 +1,4 @@
-"""What is wrong with a scene, in the words of its file: path, value, rule; all of it at once."""
+"""Errors in a scene in terms of its file: path, value, rule. All errors are reported at once."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LONGEST_VALUE = 60
 @final
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong.
+    """Validation finding in a scene.
 
     Attributes:
         path: Where; empty for the whole scene.
@@ -58,7 +58,7 @@ class Problem:
 
 @final
 class SceneError(InputError):
-    """A scene that is refused.
+    """Error that lists the problems of a refused scene.
 
     Attributes:
         scene: Its name.

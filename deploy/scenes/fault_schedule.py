@@ -1,4 +1,4 @@
-"""When the scheduled faults of a scene act, and on whom."""
+"""Schedule of a scene's faults: ticks and affected cells."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Deaths = dict[int, tuple[int, ...]]
 
 
 class Timetable(Protocol):
-    """What the schedule needs of ``deploy.scenes.scene.Scene``, which is made of faults itself."""
+    """Part of ``deploy.scenes.scene.Scene`` that the schedule needs; avoids a circular import."""
 
     @property
     def faults(self) -> Sequence[FaultSpec]:
-        """All of them, in the scene's order."""
+        """All faults, in the scene's order."""
         ...
 
     @property
     def seed(self) -> int:
-        """Of everything that is left to chance."""
+        """Seed of all random streams."""
         ...
 
     def lattice(self) -> Lattice:
@@ -43,7 +43,7 @@ class Timetable(Protocol):
 
 
 def instances(scene: Timetable) -> tuple[FaultInstance[FaultSpec], ...]:
-    """The scene's faults with the cells that they strike and their ticks, in the scene's order."""
+    """Bind the scene's faults to affected cells and ticks, in the scene's order."""
     if not scene.faults:
         return ()
     lattice = scene.lattice()
@@ -59,7 +59,7 @@ def instances(scene: Timetable) -> tuple[FaultInstance[FaultSpec], ...]:
 
 
 def permanent_crashes(scene: Timetable) -> Deaths:
-    """When which cells crash for good. A cell that is to crash twice dies the first time."""
+    """List permanent crashes by tick. A cell with two crashes dies at the first."""
     first: dict[int, int] = {}
     for one in instances(scene):
         if is_permanent_crash(one):
@@ -72,7 +72,7 @@ def permanent_crashes(scene: Timetable) -> Deaths:
 
 
 def crash_wheel_policies(scene: Timetable) -> dict[int, LossPolicy]:
-    """What the wheels of cells do that crash for good, by cell, where the fault says it."""
+    """Return the wheel policies of permanent crashes, by cell, where the fault sets a policy."""
     found: dict[int, tuple[int, LossPolicy | None]] = {}
     for one in instances(scene):
         if isinstance(one.fault, CrashFault) and is_permanent_crash(one):
@@ -83,24 +83,24 @@ def crash_wheel_policies(scene: Timetable) -> dict[int, LossPolicy]:
 
 
 def in_run_faults(scene: Timetable) -> tuple[FaultInstance[FaultSpec], ...]:
-    """All but deaths: what happens to cells that stay in the lockstep."""
+    """Select all faults except permanent crashes: faults of cells that stay in the lockstep."""
     return tuple(one for one in instances(scene) if not is_permanent_crash(one))
 
 
 def of_cells(faults: Sequence[FaultInstance[FaultSpec]]) -> tuple[FaultInstance[CellFault], ...]:
-    """Those of the lasting ones that the cells carry out."""
+    """Select the in-run faults that the cells implement."""
     return tuple(cast("FaultInstance[CellFault]", one) for one in faults if isinstance(one.fault, CellFault))
 
 
 def of_plant(faults: Sequence[FaultInstance[FaultSpec]]) -> tuple[FaultInstance[PlantFault], ...]:
-    """Those of the lasting ones that the plant carries out."""
+    """Select the in-run faults that the plant implements."""
     return tuple(
         cast("FaultInstance[PlantFault]", one) for one in faults if isinstance(one.fault, PlantFault)
     )
 
 
 def cell_only_faults(scene: Timetable) -> list[str]:
-    """What a plant without cells leaves out, ``faults[2] (hang)`` each."""
+    """List the faults that a plant without cells leaves out, as ``faults[2] (hang)``."""
     return [
         f"faults[{number}] ({fault.kind_name})"
         for number, fault in enumerate(scene.faults)
@@ -116,11 +116,11 @@ def on_ideal_wheels(scene: Timetable, motors: MotorsSpec) -> tuple[FaultSpec, ..
 
 
 def active(scene: Timetable, lasts: Sequence[FaultInstance[FaultSpec]] | None = None) -> FaultSchedule | None:
-    """What begins and ends in the plant; None where nothing does.
+    """Build the schedule of faults in the plant; None where the plant has no faults.
 
     Args:
-        scene: What runs.
-        lasts: ``lasting(scene)``, where there is more to do with the same.
+        scene: Scene of the run.
+        lasts: Result of ``in_run_faults(scene)``, if already computed.
     """
     faults = of_plant(in_run_faults(scene) if lasts is None else lasts)
     if not faults:
@@ -136,6 +136,6 @@ def is_permanent_crash(one: FaultInstance[FaultSpec]) -> bool:
 
 
 def crash_aborts(cell: tuple[int, int], at_s: float) -> str:
-    """Why a run is over, a cell of which crashed as the scene says, where the policy is ``abort``."""
+    """Describe why a scheduled crash ends a run under the policy ``abort``."""
     row, column = cell
     return f"cell {row},{column} crashed at {at_s:g} s as scheduled; stall.policy is abort"

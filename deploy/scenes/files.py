@@ -1,4 +1,4 @@
-"""Scenes by name: bundled ones and files; reading, overriding, and every error at once."""
+"""Scene files: bundled and user scenes, loading, overrides, and error reports."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _resolve_firmware(data: dict[str, Any], folder: Path) -> None:
 
 
 def _change_solver(data: dict[str, Any], overrides: Sequence[Override]) -> None:
-    """Another solver than the file's is asked for: what the file sets that only its own one has is left out."""
+    """Replace the file's solver; settings that only the previous solver has are dropped."""
     table: Any = data.get("solver")
     chosen = [override.value for override in overrides if override.path == ("solver", "name")]
     if not chosen or not isinstance(table, dict):
@@ -126,7 +126,7 @@ def _change_solver(data: dict[str, Any], overrides: Sequence[Override]) -> None:
 
 
 def _cross_problems(data: dict[str, Any]) -> list[Problem]:
-    """What does not agree between those sections that are valid by themselves."""
+    """Find disagreements between sections that are valid by themselves."""
     return cross_problems(
         _part(ArraySpec, data.get("array")),
         _part(CellsSpec, data.get("cells", {})),
@@ -154,7 +154,7 @@ def _part(model: Any, data: Any) -> Any:
 
 
 def _blame(problem: Problem, overrides: Sequence[Override]) -> Problem:
-    """Name the option that set the value, or something inside it or around it."""
+    """Attribute a problem to the option that set the value, a part of the value, or a containing table."""
     for override in reversed(overrides):
         shared = min(len(problem.path), len(override.path))
         if shared and problem.path[:shared] == override.path[:shared]:

@@ -1,4 +1,4 @@
-"""Memory that a run needs at least, against what the machine has: asked before anything is allocated."""
+"""Estimate of a run's minimum memory against the machine's, checked before allocation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 
 def available_bytes() -> int | None:
-    """Memory that this process could still get: of the machine and of its control group; None if that isn't known."""
+    """Return the memory available to this process, limited by machine and control group; None if unknown."""
     found = [bytes_ for bytes_ in (_of_machine(), _of_group()) if bytes_ is not None]
     return min(found, default=None)
 

@@ -1,4 +1,4 @@
-"""What the cells' boards are told of the plant's motors."""
+"""Facts about the plant's motors for the cells' boards."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def motor_facts(motors: MotorsSpec | None) -> MotorFacts | None:
-    """What a board must know of a scene's motors; None where there are none."""
+    """Return the facts about a scene's motors that boards need; None without motors."""
     if motors is None:
         return None
     free_speed_m_s = motors.supply_v * motors.first_order.speed_per_volt_m_s

@@ -1,4 +1,4 @@
-"""``--set KEY=VALUE``: one value of a scene, changed before the scene is validated."""
+"""Overrides ``--set KEY=VALUE``: changes of single values before validation."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _KEY = re.compile(r"[\w-]+")
 @final
 @dataclass(frozen=True, slots=True)
 class Override:
-    """One value of a scene and where it goes.
+    """Override of one value of a scene.
 
     Attributes:
         path: Keys, and numbers of list items, from the top of the scene.
-        value: As TOML would have it.
-        option: What the user typed; errors name it.
+        value: Value as TOML would have it.
+        option: Option as typed by the user, named in errors.
     """
 
     path: KeyPath

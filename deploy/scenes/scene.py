@@ -1,4 +1,4 @@
-"""The scene: everything a run is told, composed of the specs that the packages own."""
+"""The scene: complete specification of a run, composed of the packages' specs."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class Scene(Spec):
         return self._name
 
     def named(self, name: str) -> Scene:
-        """The same scene under another name."""
+        """Return a copy of the scene under another name."""
         copy = self.model_copy()
         copy._name = name  # noqa: SLF001 - our own
         return copy
@@ -114,7 +114,7 @@ class Scene(Spec):
 
     @property
     def tick_ns(self) -> int:
-        """What one exchange between plant and cells serves: a control period, or a window of cells with own clocks."""
+        """Time served by one exchange between plant and cells: a control period, or a window with local clocks, ns."""
         clock = self.effects.clock
         return self.cells.period_ns if clock is None else clock.window_ns(self.cells.period_ns)
 
@@ -137,7 +137,7 @@ class Scene(Spec):
 
     @property
     def parcel_count(self) -> int:
-        """How many parcels there are or will be: the scene's own and those that are fed."""
+        """Number of parcels, the scene's own and fed parcels."""
         feeders = self.effects.feeders
         return len(self.parcels) + (0 if feeders is None else feeders.total)
 
@@ -164,11 +164,11 @@ class Scene(Spec):
         )
 
     def canonical(self) -> bytes:
-        """What is simulated, as bytes: the same for every way of writing the same scene.
+        """Serialize the simulated content; equivalent spellings of a scene produce the same bytes.
 
-        Sorted JSON of all values, defaults and the firmware's own included. Left out is what cannot change
-        what is simulated: the title, the goal, the limits on the wall clock, the folder of a firmware's file,
-        effects that are absent. The code of user firmware is not covered.
+        The bytes are sorted JSON of all values, including defaults and the firmware's own. Settings that don't change
+        the simulation are left out: the title, the goal, limits on the wall clock, the folder of a firmware's file, and
+        absent effects. The code of user firmware is not covered.
         """
         data = self.model_dump(mode="json", exclude=_ASIDE)
         data["effects"] = {name: table for name, table in data["effects"].items() if table is not None}

@@ -49,7 +49,7 @@ def _models(*roots: type[BaseModel]) -> Iterator[type[BaseModel]]:
 
 
 def _field_docs(model: type[BaseModel]) -> dict[str, str]:
-    """Each field's docstring, on one line, those it inherits too."""
+    """Return each field's docstring on one line, including inherited fields."""
     bases = (
         base for base in reversed(model.__mro__) if issubclass(base, BaseModel) and base is not BaseModel
     )

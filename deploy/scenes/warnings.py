@@ -1,4 +1,4 @@
-"""Cautions about values of a scene that are allowed and hardly meant."""
+"""Warnings about allowed but improbable values of a scene."""
 
 from __future__ import annotations
 

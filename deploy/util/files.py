@@ -1,4 +1,4 @@
-"""Files and folders that commands leave behind."""
+"""Atomic file writes and other file helpers."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Of this package, Python and the libraries that decide the bits of a run."""
+    """Return the versions of this package, Python and the libraries that affect a run's bits."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
     for name in _VERSIONS:
         try:

@@ -1,4 +1,4 @@
-"""Texts for people: numbers in words, lines on stderr."""
+"""Text formatting for people, and lines on stderr."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def plural(number: int, noun: str, plural: str = "") -> str:
 
 
 def short_number(value: float) -> str:
-    """Four digits; what rounding leaves of nothing, in SI units and about this size, is nothing."""
+    """Format a number with four digits; magnitudes below 1e-12 count as rounding errors and become 0."""
     return "0" if abs(value) < 1e-12 else f"{value:.4g}"
 
 

@@ -99,7 +99,7 @@ class OutputLock:
 
 @contextmanager
 def locked_folder(wanted: Path | None, warn: Callable[[str], None]) -> Generator[Path | None]:
-    """Make the folder that ``--output`` names, if it isn't there; it is locked inside the context.
+    """Create the folder of ``--output`` if missing, and hold its lock inside the context.
 
     A folder that was made here and is empty when the work is cut short is removed.
 
@@ -150,7 +150,7 @@ def new_folder(name: str) -> Path:
 
 
 def _is_at(handle: int, path: Path) -> bool:
-    """Whether an open file is the one of that path, which may have been removed or made anew."""
+    """Whether an open file is still the file at that path, neither removed nor replaced."""
     try:
         return os.path.samestat(os.fstat(handle), path.stat())
     except FileNotFoundError:

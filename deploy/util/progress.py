@@ -1,4 +1,4 @@
-"""How far a run has come, on stderr, a few times a second."""
+"""Progress of a run on stderr, updated a few times a second."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LINE_S: Final = 10.0
 
 
 class Display:
-    """A bar where stderr is a terminal, or lines; nothing at all where it is to be quiet.
+    """Progress bar on a terminal, or lines in a log; no output where quiet.
 
     Args:
         bar: Makes the bar.
@@ -53,7 +53,7 @@ _TERMINAL_S: Final = 0.2
 
 @final
 class Progress(Display):
-    """A bar with simulated time, ticks a second, events and lost cells; lines now and then in a log.
+    """Progress bar with simulated time, tick rate, events and lost cells; occasional lines in a log.
 
     Args:
         duration_ns: Simulated time of the run.

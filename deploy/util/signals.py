@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, taken when it is safe to."""
+"""Handling of Ctrl-C and SIGTERM at safe points."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class Interrupted(BaseException):
 
 @final
 class Interruption:
-    """Notes SIGINT and SIGTERM, and raises Interrupted only where that leaves nothing half done.
+    """Records SIGINT and SIGTERM, and raises Interrupted only at points that leave no work half done.
 
-    A signal raises at once inside `allowed` and whenever `waits` says that the run only waits; elsewhere at
-    the next `check`. Python hears of a signal when compiled code returns, so a thread hears of it too, and has the
-    plants' solvers return (`plant.stop`). Whatever was set before is restored by `watching`. In a thread other than
+    A signal raises at once inside `interruptible` and whenever `is_idle` says that the run only waits; elsewhere at the
+    next `raise_if_requested`. Python handles a signal when compiled code returns, so a thread receives signals as well
+    and has the plants' solvers return (`plant.stop`). `handling` restores the previous handlers. In a thread other than
     the main one signals are left alone.
 
     Attributes:
         requested: Whether a signal has come.
-        waits: Asked in the signal handler.
+        is_idle: Called in the signal handler: whether the run only waits.
     """
 
     def __init__(self) -> None:

@@ -181,7 +181,7 @@ class System:
         """Start the process of a shard anew, to take part in the run that goes on."""
         assert self._cells is not None
         assert self._order is not None
-        self._cells.restart(replace(self._order, joins=True), shard)
+        self._cells.restart(replace(self._order, joins_running=True), shard)
 
     def ended(self, shard: int) -> bool:
         """Whether the process of a shard has ended."""

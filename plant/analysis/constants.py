@@ -29,7 +29,7 @@ from plant.wheels import Floats
 @final
 @dataclass(frozen=True, slots=True)
 class ConstantsOfMotion:
-    """The motion of one parcel on its present supports.
+    """Constants of the motion of one parcel on its current supports.
 
     Attributes:
         supports: ``(row, column)`` of every cell that carries load.
@@ -126,7 +126,7 @@ def translation_rates(stiffness: Floats, mu_g: float) -> NDArray[np.complex128]:
 
 
 def _equilibrium(stiffness: Floats, offset: Floats, natural: float) -> Floats | None:
-    """Where ``f0 + k_s X`` vanishes; None where that is no single point. ``natural`` is the size of a true ``k_s``."""
+    """Solve ``f0 + k_s X = 0``; None where ``k_s`` is singular. ``natural``: magnitude of a regular ``k_s``, N/m."""
     scale = float(np.max(np.abs(stiffness)))
     if scale <= 1e-12 * natural or abs(float(np.linalg.det(stiffness / scale))) < 1e-12:
         return None

@@ -1,4 +1,4 @@
-"""Where cells come under a parcel that turns on the spot, and where they leave it: from the geometry, exactly.
+"""Exact crossings of cells and footprint edges while a parcel turns about its centre of mass.
 
 With the centre of mass fixed, a cell at distance r from it in direction a is seen from the parcel at angle theta in
 direction ``a - theta``. It is beyond an edge with outward normal in direction n and offset o where
@@ -78,7 +78,12 @@ def crossings(offsets_m: Floats, normal: Floats, reach_m: Floats) -> Crossings:
 
 
 def _arcs(offsets_m: Floats, normal: Floats, reach_m: Floats) -> tuple[Floats, Floats, Bools, Bools]:
-    """Where each cell is beyond each edge: ``(c, e)`` begins, ends and whether at all; ``(c,)`` beyond some always."""
+    """Compute the arc in which each cell is beyond each edge.
+
+    Returns:
+        Begin and end of each arc and whether the arc exists, ``(c, e)`` each, then whether the cell is beyond some edge
+        at all angles, ``(c,)``.
+    """
     distance = np.hypot(offsets_m[:, 0], offsets_m[:, 1])[:, None]
     toward = np.arctan2(offsets_m[:, 1], offsets_m[:, 0])[:, None] - np.arctan2(normal[:, 1], normal[:, 0])
     # by its tangent: the angle of a cell that only just passes an edge keeps its digits

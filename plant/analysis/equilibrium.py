@@ -1,4 +1,7 @@
-"""The same parcel on a continuous surface: what infinitely many, infinitely small cells would do to it.
+"""Continuum limit of a parcel's surface: infinitely many, infinitely small cells.
+
+Restricted to linear fields ``V = K p + v``, which have a closed form. The load is spread over the whole bottom, in a
+plane as on springs, and the torque depends on second moments of the loaded bottom alone.
 
 Only for a linear field ``V = K p + v``, where it has a closed form: the load is spread over the whole bottom, in a
 plane as on springs, and the torque depends on second moments of the loaded bottom alone.
@@ -118,19 +121,19 @@ _ATTEMPTS = 50
 
 
 def equilibrium_point(spec: PlantSpec, index: int, wheel_speed: Floats) -> Floats:
-    """Where the centre of mass of a parcel comes to rest, at the angle it starts with: ``(2,)`` m.
+    """Find the equilibrium of a parcel's centre of mass at its initial angle: ``(2,)`` m.
 
-    In a linear field that is where the field stands still, at every angle and on all supports. In others it is the
-    equilibrium of the parcel's supports, then of the supports there, until they are the same; at other angles it is
-    about the same. Along a line of equilibria it is the nearest.
+    In a linear field the equilibrium is the zero of the field, at every angle and on all supports. In other fields the
+    search solves for the equilibrium on the parcel's supports, then on the supports there, until the supports repeat.
+    The result is about the same at other angles. Along a line of equilibria the nearest point is returned.
 
     Args:
         spec: array, parcels and friction.
-        index: which parcel.
-        wheel_speed: ``(n, 2)`` m/s, of every cell.
+        index: index of the parcel.
+        wheel_speed: speeds of all cells' wheels, ``(n, 2)``, m/s.
 
     Raises:
-        PlantError: there is none, it doesn't hold the parcel, or the supports on the way chase each other.
+        PlantError: no equilibrium exists, it doesn't hold the parcel, or the supports alternate without converging.
     """
     field = linear_field(CellArray(spec.array).positions_m, wheel_speed)
     place: Floats = np.array(spec.parcels[index].position_m)

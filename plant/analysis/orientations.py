@@ -1,4 +1,4 @@
-"""How a parcel comes to lie: where the torque that turns it changes its sign, and where there is none."""
+"""Rest orientations of a parcel: angles at which its torque changes sign, and intervals without torque."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Orientation:
 @final
 @dataclass(frozen=True, slots=True)
 class TorqueProfile:
-    """Torque against angle of a parcel whose centre of mass stays at one point: a staircase.
+    """Torque of a parcel over its angle, a step function, with the centre of mass fixed at one point.
 
     Attributes:
         centre_m: ``(2,)`` that point.
@@ -79,11 +79,11 @@ class TorqueProfile:
         return self.torque_n_m[step]
 
     def largest_force_n(self) -> float:
-        """What the parcel is pulled aside with at the worst angle: 0 where the point is an equilibrium at all."""
+        """Return the largest net force over all angles, N; 0 where the point is an equilibrium at every angle."""
         return float(np.nanmax(np.hypot(self.force_n[:, 0], self.force_n[:, 1])))
 
     def orientations(self) -> tuple[Orientation, ...]:
-        """Where the torque changes its sign or vanishes, by ascending angle."""
+        """Find the zeros and sign changes of the torque, by ascending angle."""
         # 1, 0, -1, or NaN where the parcel doesn't stand
         sign = np.sign(self.torque_n_m)
         begins = np.flatnonzero(sign != np.roll(sign, 1))

@@ -1,4 +1,4 @@
-"""Which cells carry a parcel at a pose: the solver's own answer, for those who only ask and move nothing."""
+"""Load-carrying cells of a parcel at rest, from the solver's own computation, without motion."""
 
 from __future__ import annotations
 

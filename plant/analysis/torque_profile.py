@@ -1,4 +1,4 @@
-"""The torque of a field of wheel velocities on a parcel at every angle, with its centre of mass at one point.
+"""Torque profile: the torque of a wheel velocity field on a parcel at every angle about a fixed centre of mass.
 
 The loads are settled by that point X and by which cells are below, and those change only where a cell crosses an edge
 of the turning parcel: so do loads that vanish or return. Between two such angles the torque is constant (in eq. 23
@@ -32,7 +32,7 @@ _LIFTED = 1e-12
 
 @final
 class TorqueProfiler:
-    """A field on which parcels are turned on the spot, one after the other.
+    """Computes the torque profiles of parcels on one field of wheel velocities.
 
     Args:
         spec: array, friction and gravity.
@@ -94,7 +94,7 @@ class TorqueProfiler:
 def _all_pressed(
     offset: Floats, speed: Floats, passed: Crossings
 ) -> tuple[Floats, Floats, NDArray[np.intp], Floats]:
-    """What each set of cells below does to the parcel if all of it carries.
+    """Compute torque and force for each set of cells under the parcel, as if every cell carried load.
 
     Sums over cells change by those that come and leave, so that a step costs the same however many cells there are.
 

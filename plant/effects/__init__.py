@@ -1,1 +1,1 @@
-"""Effects, one a file: physics that a scene has only where it asks for it."""
+"""Optional physics of the plant: one effect a package or module, active only in scenes that configure it."""

@@ -56,7 +56,7 @@ class DcMotorSpec(Spec):
 
     @property
     def stall_force_n_per_v(self) -> float:
-        """``f0`` per volt: what a wheel that stands gives at its surface, eq. 25."""
+        """Stall force at the wheel's surface per volt, N/V: ``f0`` of eq. 25."""
         per_ampere = self.torque_constant_n_m_per_a * self.gear_ratio / self.wheel_radius_m
         return per_ampere / self.resistance_ohm
 
@@ -94,7 +94,7 @@ STILL_M_S = 1e-15
 
 
 class FirstOrder(NamedTuple):
-    """What a wheel without load does with volts.
+    """First-order response of an unloaded wheel to voltage.
 
     Attributes:
         time_constant_s: tau.
@@ -111,7 +111,7 @@ class FirstOrder(NamedTuple):
 
 @final
 class MotorsSpec(EffectSpec):
-    """Motors that lag, one per wheel: told by their lag, or by what they are made of."""
+    """First-order motors, one per wheel: given by time constant and gain, or by DC motor parameters."""
 
     states: ClassVar[tuple[str, ...]] = ("speed and travel of every wheel", "integral of every speed loop")
     messages: ClassVar[tuple[str, ...]] = ("cells are told encoder counts", "drives are volts")
@@ -150,7 +150,7 @@ class MotorsSpec(EffectSpec):
 
     @property
     def first_order(self) -> FirstOrder:
-        """What the wheels do without load, whichever way it is told."""
+        """Response of the wheels without load, from first-order parameters or from ``dc``."""
         told = self if self.dc is None else self.dc
         assert told.time_constant_s is not None, "this is a bug: no time constant"
         assert told.speed_per_volt_m_s is not None, "this is a bug: no speed per volt"
@@ -272,7 +272,7 @@ class Motors:
 
 
 def _changes(rows: list[WheelChanges]) -> WheelChanges | None:
-    """One change after another as one; None of none."""
+    """Stack wheel changes; None of an empty list."""
     if len(rows) == 1:
         return WheelChanges(*(part[None] for part in rows[0]))
     return WheelChanges(*(np.stack(parts) for parts in zip(*rows, strict=True))) if rows else None

@@ -72,12 +72,12 @@ class UnevenSupportsSpec(EffectSpec):
 @final
 @dataclass(frozen=True, slots=True)
 class Supports:
-    """What every cell's support is.
+    """Heights and stiffnesses of the cells' supports.
 
     Attributes:
-        stiffness_n_per_m: mean rate.
-        rate: ``(n,)`` each cell's, over the mean.
-        height_m: ``(n,)`` without load.
+        stiffness_n_per_m: mean stiffness, N/m.
+        rate: stiffness of each cell over the mean, ``(n,)``.
+        height_m: height without load, ``(n,)``, m.
     """
 
     stiffness_n_per_m: float

@@ -1,4 +1,4 @@
-"""What faults of the plant's parts are made of."""
+"""Base classes of faults in the plant, and the state of faulty wheels."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ Bools = NDArray[np.bool_]
 @final
 @dataclass(slots=True)
 class WheelFaults:
-    """What faults do to the plant's parts from one tick on; each fault adds its own.
+    """Combined effect of active faults on the plant, from one tick on; each active fault adds its own.
 
     Attributes:
-        dead: ``(n,)``: do the cell's wheels get no drive any more? They do what ``rests`` or the stall policy says.
-        gone: ``(n,)``: is the cell not in the array?
-        stuck: ``(n, 2)``: is the wheel jammed?
-        factor: ``(n, 2)``: times which drives act.
-        most_m_s: ``(n, 2)``: the speed that a drive asks for at most, either way; infinite: no limit.
-        runs_m_s: ``(n, 2)``: the speed that takes the drive's place, infinite for all that the supply gives; NaN where
-            drives are heeded.
-        rests: What the wheels of dead cells do, where it isn't what the stall policy says.
+        dead: Whether the cell's wheels get no drive, ``(n,)``. Wheels of dead cells follow ``wheel_policies``, else the
+            stall policy.
+        gone: Whether the cell's module is removed from the array, ``(n,)``.
+        stuck: Whether the wheel is jammed, ``(n, 2)``.
+        factor: Factor on drives, ``(n, 2)``.
+        most_m_s: Largest speed that a drive commands in either direction, ``(n, 2)``, m/s; infinite: no limit.
+        runs_m_s: Speed that replaces the drive, ``(n, 2)``, m/s; infinite for the full supply, NaN where drives are
+            followed.
+        wheel_policies: Policies of dead cells' wheels that differ from the stall policy, by cell.
     """
 
     dead: Bools
@@ -47,7 +48,7 @@ class WheelFaults:
 
     @staticmethod
     def healthy(cells: int) -> WheelFaults:
-        """All is well."""
+        """Return the state without faults."""
         return WheelFaults(
             dead=np.zeros(cells, dtype=np.bool_),
             gone=np.zeros(cells, dtype=np.bool_),
@@ -62,20 +63,20 @@ class PlantFault(FaultSpec):
     """A fault of what lives in the plant."""
 
     def setting_problems(self, effects: PlantEffects) -> Iterator[Problem]:  # noqa: ARG002
-        """What of it does not go with a scene's effects."""
+        """Yield the fault's settings that are incompatible with a scene's effects."""
         yield from ()
 
     def on_ideal_wheels(self, motors: MotorsSpec) -> Self:  # noqa: ARG002
-        """The same fault where a scene's motors are left out, and its wheels run at the speed they are driven at."""
+        """Return the equivalent fault for the scene without motors, whose wheels run at the commanded speed."""
         return self
 
     @abstractmethod
     def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
-        """Say what is the matter while it acts.
+        """Add the effect of this fault, while it is active, to the combined fault state.
 
         Args:
-            cells: Those that it strikes, by index.
-            harm: To be changed.
+            cells: Indices of affected cells.
+            harm: Fault state, changed in place.
         """
 
 

@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 @final
 class FaultyWheels:
-    """Wheels as they are, but for what faults do to their drives, and to those that stand whatever they are told.
+    """Wheels whose drives pass through active faults; jammed wheels and wheels of removed cells stand.
 
-    A fault acts at once, on the drive that stands as on those that follow. With motors it acts on what reaches them:
-    they go on from the speed that they have.
+    A fault acts at once, on the present drive as on later drives. With motors, a fault changes the voltage at the
+    wheels, which continue from their present speed.
 
     Args:
-        wheels: What they are without faults.
-        motors: None where wheels are ideal: drives are m/s then, else volts.
-        cells: Of the array.
+        wheels: Wheels without faults.
+        motors: Motors of the scene; None where wheels are ideal. Drives are m/s without motors, else volts.
+        cells: Number of cells in the array.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_wheels")
@@ -43,7 +43,7 @@ class FaultyWheels:
         self._wheels.command(self._acting(drives), 0.0)
 
     def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
-        """What they do from now on; see ``plant.wheels.Wheels``."""
+        """Apply drives for ``span_s`` seconds; see ``plant.wheels.Wheels``."""
         run = self._wheels.command(self._acting(drives), span_s, acts_s)
         return _with_locked(run, self._still) if self._still.any() else run
 
@@ -62,7 +62,7 @@ class FaultyWheels:
         return self._wheels.travel
 
     def _acting(self, drives: Floats) -> Floats:
-        """What reaches the wheels of ``drives``: m/s, or volts within the supply's."""
+        """Return ``drives`` as the wheels receive them: m/s, or volts within the supply's limits."""
         harm, supply, most = self._harm, np.inf, speed_limit(self._harm, self._motors)
         if self._motors is not None:
             supply = self._motors.supply_v
@@ -79,7 +79,7 @@ def speed_limit(harm: WheelFaults, motors: MotorsSpec | None) -> Floats:
 
 
 def _with_locked(run: WheelRun, still: NDArray[np.bool_]) -> WheelRun:
-    """The same motion, but that some wheels stand from its start to its end."""
+    """Return a copy of the motion in which the wheels of ``still`` stand from start to end."""
     motion, changes = run.motion, run.changes
     halted = WheelMotion(
         np.where(still, 0.0, motion.steady), np.where(still, 0.0, motion.decay), motion.rate, motion.slowing

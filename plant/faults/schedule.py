@@ -13,15 +13,15 @@ from plant.faults.base import PlantFault, WheelFaults
 
 @final
 class FaultSchedule:
-    """Says in which ticks something changes, and what is the matter from there on.
+    """Schedule of faults in the plant: transition ticks, and the fault state from each transition on.
 
     Args:
-        cells: Of the array.
-        faults: Of the scene.
+        cells: Number of cells in the array.
+        faults: Faults of the scene.
 
     Attributes:
-        turns: The ticks in which faults begin or end from now on, ascending.
-        next_turn: The first of them; ``NOT_IN_WINDOW``: none does.
+        transitions: Remaining ticks in which faults begin or end, ascending.
+        next_transition: First of ``transitions``; ``NO_TICK_LIMIT`` if there is none.
     """
 
     remembers: ClassVar[StateFields] = StateFields("transitions", "next_transition")
@@ -34,21 +34,21 @@ class FaultSchedule:
         self.plan(0)
 
     def add(self, fault: FaultInstance[PlantFault]) -> None:
-        """One more, which begins no earlier than the next tick."""
+        """Add a fault that begins no earlier than the next tick."""
         self._faults.append(fault)
 
     def plan(self, tick: int) -> None:
-        """Look again at when they begin and end; ``tick`` is the next."""
+        """Recompute the transitions from ``tick`` on; ``tick`` is the next tick."""
         self.transitions = [turn for turn in transition_ticks(self._faults) if turn >= tick]
         self.next_transition = self.transitions[0] if self.transitions else NO_TICK_LIMIT
 
     def at_transition(self, tick: int) -> WheelFaults:
-        """What is the matter from ``tick`` on, which is ``next_turn``."""
+        """Return the fault state from the transition at ``tick`` on; ``tick`` equals ``next_transition``."""
         self.plan(tick + 1)
         return self.state_at(tick)
 
     def state_at(self, tick: int, *, live: bool = True) -> WheelFaults:
-        """What is the matter in a tick, because of the scene's faults alone if ``live`` is false."""
+        """Return the fault state in a tick. ``live``: include faults injected at run time."""
         harm = WheelFaults.healthy(self._cells)
         for injected in self._faults:
             if injected.active_at(tick) and (live or not injected.injected_at_runtime):

@@ -1,4 +1,4 @@
-"""What every traction law is: one force per wheel and slip, the gradient of a convex potential."""
+"""Interface of traction laws: one force per wheel and slip, the gradient of a convex potential."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What solvers whose parcels live in the kernels' arrays have in common."""
+"""Base classes of solvers whose parcels live in the kernels' arrays."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ from plant.wheels import Floats, WheelMotion
 
 
 class CompiledSolver(ABC):
-    """A ``plant.solver_api.Solver`` but for the moving itself.
+    """Abstract ``plant.solver_api.Solver`` on the kernels' arrays; subclasses implement the advance.
 
     Args:
         array: the surface.
-        parcels: footprint, mass and start of each.
-        rate: of the motors, 1/s; 0 without.
+        parcels: footprint, mass and start of each parcel.
+        rate: rate of the motors, 1/s; 0 without motors.
 
     Attributes:
-        packed: all parcels, side by side.
-        parcels: each by itself: parts of ``packed``.
-        capacity: cells that fit under any of them.
-        state: ``(m, 6)``: part of ``packed``.
+        packed: all parcels in common arrays.
+        parcels: views of single parcels in ``packed``.
+        capacity: maximum number of cells under a parcel.
+        state: view of ``packed``, ``(m, 6)``.
         bodies: the parcels as the plant sees them.
     """
 
@@ -94,7 +94,7 @@ class CompiledSolver(ABC):
         return members(self.parcels[index])
 
     def find_supports(self, index: int, grip: Floats) -> bool:
-        """Find a parcel's loads where it is. False where its supports can't carry it."""
+        """Compute a parcel's loads at its pose. False if the supports can't carry the parcel."""
         still = WheelMotion(self._still, self._still, 0.0)
         news = self.advance(np.array([index]), Segment.through(still, grip, 0.0, len(self.parcels)))
         return not news or news[0].termination == "moving"
@@ -104,13 +104,13 @@ class CompiledSolver(ABC):
         return self.packed.y, self.packed.par, self.packed.ctl
 
     def snapshot(self, indices: NDArray[np.int64]) -> SolverSnapshot:
-        """All that moving these parcels changes, to be able to go back."""
+        """Save all solver state that an advance of these parcels changes."""
         parcels = [self.parcels[int(i)] for i in indices]
         members = [parcel.mem[: int(parcel.ctl[layout.N_MEMBERS])].copy() for parcel in parcels]
         return SolverSnapshot(indices, [rows[indices] for rows in self._memory()], members)
 
     def restore(self, kept: SolverSnapshot) -> None:
-        """Go back to what was kept, bit for bit."""
+        """Restore a snapshot bit for bit."""
         for rows, before in zip(self._memory(), kept.rows, strict=True):
             rows[kept.indices] = before
         parcels = [self.parcels[int(i)] for i in kept.indices]
@@ -118,13 +118,13 @@ class CompiledSolver(ABC):
             parcel.mem[: len(before)] = before
 
     def set_state(self, index: int, state: Floats) -> None:
-        """Give a parcel another state ``(6,)`` from outside: what lies under it, and how, is found anew."""
+        """Set a parcel's state ``(6,)``; cells under the parcel and loads are computed again."""
         parcel = self.parcels[index]
         parcel.y[:] = state
         self._find_anew(parcel)
 
     def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
-        """Look anew at what lies under parcels, where cells have come or gone; see ``plant.solver_api.Solver``."""
+        """Find supports again where cells were added or removed; see ``plant.solver_api.Solver``."""
         news: list[AdvanceResult] = []
         for i, parcel in enumerate(self.parcels):
             changes = cells_changed(parcel, members(parcel), cells, self._array)
@@ -151,7 +151,7 @@ class CompiledSolver(ABC):
         return Surface(self._array.positions_m, self._array.grid, motion.steady, motion.decay, grip)
 
     def _done(self, index: int, moved_s: float, changes: int, events: Sequence[SolverEvent]) -> AdvanceResult:
-        """What a call of a kernel came to for one parcel, ``changes`` being those of its supports."""
+        """Build the result of a kernel call for one parcel; ``changes``: number of support changes."""
         ctl: list[int] = self.packed.ctl[index].tolist()
         return AdvanceResult(
             index,
@@ -173,7 +173,7 @@ SENSED_WORTH_WAKING = 128
 
 
 class AdvanceArgs(NamedTuple):
-    """What is the same for all parcels of a call."""
+    """Arguments shared by all parcels of a call."""
 
     surface: Surface
     span_s: float
@@ -182,7 +182,7 @@ class AdvanceArgs(NamedTuple):
 
 
 class ThreadWorkspace(NamedTuple, Generic[Workspace]):
-    """What one thread works with.
+    """Workspace of one thread.
 
     Attributes:
         work: scratch of the solver's kernels.
@@ -196,17 +196,17 @@ class ThreadWorkspace(NamedTuple, Generic[Workspace]):
 
 
 class ThreadedSolver(CompiledSolver, Generic[Workspace]):
-    """A ``plant.solver_api.Solver`` but for one block of parcels.
+    """Abstract ``plant.solver_api.Solver`` on a thread pool; subclasses advance one block of parcels.
 
-    What becomes of a parcel depends neither on the other parcels of its block nor on the thread.
+    A parcel's result depends neither on the other parcels of its block nor on the thread.
 
     Args:
         array: the surface.
-        parcels: footprint, mass and start of each.
-        rate: of the motors, 1/s; 0 without.
+        parcels: footprint, mass and start of each parcel.
+        rate: rate of the motors, 1/s; 0 without motors.
 
     Attributes:
-        crew: the threads.
+        crew: the thread pool.
     """
 
     def __init__(self, array: CellArray, parcels: tuple[ParcelSpec, ...], rate: float) -> None:
@@ -229,7 +229,7 @@ class ThreadedSolver(CompiledSolver, Generic[Workspace]):
         """
 
     def workspace(self, thread: int) -> ThreadWorkspace[Workspace]:
-        """What a thread works with, made when it first does."""
+        """Return a thread's workspace, created on first use."""
         if thread not in self._desks:
             log, report = np.zeros((2 * LOG_CAPACITY, 4)), np.zeros((len(self.parcels), REPORT_SIZE))
             self._desks[thread] = ThreadWorkspace(self._make_workspace(), log, report)

@@ -93,7 +93,7 @@ LONGEST_MEMORY_S = 10.0
 
 
 class ExactWorkspace(NamedTuple):
-    """Scratch of the kernels; one set serves one thread."""
+    """Workspace of the kernels; one instance a thread."""
 
     where: NDArray[np.int8]
     segs: Floats

@@ -105,22 +105,22 @@ class Heyoka(RestartingSolver):
 
 
 class HeyokaIntegrator:
-    """One parcel's integrator, its equations compiled, and what its parameters mean now.
+    """One parcel's compiled integrator and the present values of its parameters.
 
-    Places are from ``origin_m``, near the parcel: the expressions' x and y.
+    Positions are relative to ``origin_m``, near the parcel: the expressions' x and y.
 
     Args:
-        hy: heyoka.
-        solver: whose surface and law it is.
-        parcel: at its start.
-        rate: of the motors, 1/s; 0 without.
-        tolerance: of the integrator.
+        hy: the heyoka module.
+        solver: solver with the surface and the law.
+        parcel: parcel at its start.
+        rate: rate of the motors, 1/s; 0 without motors.
+        tolerance: tolerance of the integrator.
 
     Attributes:
-        parcel: which.
-        integrator: heyoka's.
-        events: how many event functions there are.
-        gone: whether it must ``settle``: other cells may have come into reach, or a call has ended.
+        parcel: parcel that is integrated.
+        integrator: heyoka's integrator.
+        events: number of event functions.
+        gone: whether ``settle`` must be called: other cells may have come into reach, or a call has ended.
     """
 
     def __init__(
@@ -278,9 +278,10 @@ class HeyokaIntegrator:
         return state
 
     def reached(self, at_s: float, event: int | None) -> IntegrationStop:
-        """What an event is: of an edge's line, only what is within the edge is a crossing.
+        """Translate an event index to an integration stop.
 
-        Of all that happen at one instant heyoka names one, and none at the end of a call.
+        A zero of an edge's line counts as a crossing only within the edge's length. Of several events at one instant
+        heyoka names one, and none at the end of a call.
         """
         x, y = self.integrator.state[:2].tolist()
         margin = MARGIN * self._solver.array.pitch_m - float(self.parcel.shape.par[layout.ON_SURFACE])

@@ -1,8 +1,8 @@
 """The ``implicit`` solver: a convex problem of three unknowns a step, for any law of traction.
 
-At given loads every law's force is the gradient of a convex potential of the slip, so the velocity at the end of a step
-is the one minimum of a strictly convex function, however stiff the law or set-valued its force; a parcel that sticks
-does so exactly. See ``plant/kernels``: ``implicit_step`` for that problem, ``implicit_advance`` for the steps.
+At given loads every law's force is the gradient of a convex potential of the slip. The velocity at the end of a step is
+therefore the unique minimum of a strictly convex function, however stiff the law or set-valued its force. A parcel that
+sticks does so exactly. See ``plant/kernels/implicit``: ``step`` for the problem, ``advance`` for the steps.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Murphey and Burdick's reduction of distributed manipulation: the minimum of the dissipation potential, ``0 in dPhi(u)``,
 with positions following. It holds where wheel speeds seen by the parcel change slowly against ``1 / (mu g)``. See
-``plant/kernels``: ``quasi_step`` for the velocity, ``quasi_advance`` for the steps.
+``plant/kernels/quasi/advance.py`` for the velocity and the steps.
 """
 
 from __future__ import annotations

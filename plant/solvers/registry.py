@@ -43,12 +43,12 @@ def is_compiled(spec: SolverSpec, *, divided: bool = False) -> bool:
 
 
 def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:
-    """The solver that a scene asks for, its parcels at their start.
+    """Build the solver of a scene, with its parcels at their start.
 
     Args:
         spec: the scene's physics.
         array: the surface.
-        rate: of the motors, 1/s; 0 without.
+        rate: rate of the motors, 1/s; 0 without motors.
     """
     match spec.solver:
         case ExactSpec() as how:

@@ -1,7 +1,8 @@
-"""What solvers have in common that hand a smooth motion to somebody else's integrator, from one event to the next.
+"""Base class of solvers that restart a third-party integrator at each event.
 
-All of it in NumPy: cells under a parcel, those that carry it, and the loop around the integrator: stand, integrate
-until an event function crosses zero, change the cells under the parcel or those that carry it, go on.
+Implemented in NumPy: cells under a parcel, load-carrying cells, and the loop around the integrator. The loop finds the
+supports, integrates until an event function crosses zero, changes the cells under the parcel or the carrying cells, and
+continues.
 """
 
 from __future__ import annotations
@@ -84,13 +85,13 @@ class ParcelState:
 
 
 class IntegrationStop(NamedTuple):
-    """Where an integration ended; the state is the parcel's own.
+    """Stop of an integration; the state is in the parcel.
 
     Attributes:
-        at_s: when.
+        at_s: time of the stop, s.
         crossed: cells on whose edge an event was found.
         loads: whether a load vanished or came back, or the centre of mass left a line of supports.
-        noted: what else happened on the way.
+        noted: further events up to the stop.
     """
 
     at_s: float
@@ -130,7 +131,7 @@ class RestartingSolver(ABC):
         self.bodies: Sequence[Body] = [body_of(parcel.shape) for parcel in self._parcels]
 
     def weight_n(self, parcel: ParcelState) -> float:
-        """What its supports carry in all."""
+        """Compute the total load on a parcel's supports, N."""
         return parcel.mass_kg * self._gravity
 
     @property
@@ -161,13 +162,13 @@ class RestartingSolver(ABC):
         return self._parcels[index].under
 
     def find_supports(self, index: int, grip: Floats) -> bool:
-        """Find a parcel's loads at its start. False where its supports can't carry it."""
+        """Compute a parcel's loads at its start. False if the supports can't carry the parcel."""
         del grip  # a wheel that turns freely carries all the same
         parcel = self._parcels[index]
         return self._find_supports(parcel)
 
     def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
-        """Look anew at what lies under parcels, where cells have come or gone; see ``plant.solver_api.Solver``."""
+        """Find supports again where cells were added or removed; see ``plant.solver_api.Solver``."""
         news: list[AdvanceResult] = []
         for i, parcel in enumerate(self._parcels):
             changes = cells_changed(parcel.shape, parcel.under, cells, self.array)
@@ -194,7 +195,7 @@ class RestartingSolver(ABC):
         return [one for one in done if one.termination != "moving" or one.events]
 
     def _advance_one(self, index: int, leg: Segment) -> AdvanceResult:
-        """Move one parcel; ``leg.out`` ``(k, 6)`` are its states."""
+        """Advance one parcel and write its sampled states to ``leg.out`` ``(k, 6)``."""
         parcel, now = self._parcels[index], 0.0
         ending: Ending = "moving"
         events: list[SolverEvent] = []
@@ -276,7 +277,7 @@ class RestartingSolver(ABC):
     def _changes(
         self, parcel: ParcelState, under: Cells, carrying: NDArray[np.bool_], at_s: float
     ) -> list[SolverEvent]:
-        """What is not as it was."""
+        """Compare supports and loads with the previous ones and return the changes as events."""
         now = parcel.under
         told = [SolverEvent(at_s, "support_lost", int(cell)) for cell in np.setdiff1d(under, now)]
         told += [SolverEvent(at_s, "support_gained", int(cell)) for cell in np.setdiff1d(now, under)]

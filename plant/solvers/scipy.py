@@ -89,7 +89,7 @@ class SciPy(RestartingSolver):
 
     @staticmethod
     def _outrun(parcel: ParcelState, forces: Forces, since_s: float | None, found: Any) -> list[SolverEvent]:
-        """Where the parcel begins to outrun a wheel; ``since_s`` where it did so at the start of the integration."""
+        """Report the onset of outrunning a wheel; ``since_s``: start of the integration if outrun then, else None."""
         if since_s is None and len(found.t_events[-1]):
             since_s = float(found.t_events[-1][0])
         began, parcel.outrun = not parcel.outrun, forces.drive_at(float(found.t[-1]), found.y[:, -1]) < 0.0
@@ -232,9 +232,9 @@ class EventFunctions:
         return told
 
     def reached(self, at_s: float, values: Floats, *fired: int) -> IntegrationStop:
-        """What has happened where the functions have these values, and those named have been found at zero.
+        """Identify the events at given function values; ``fired``: functions that were located at zero.
 
-        ``solve_ivp`` names one event: what happens together with it is told by the values.
+        ``solve_ivp`` names one event. Simultaneous events are found from the values.
         """
         edges, loads = len(self.near), len(self._pressed)
         happened: Any = np.zeros(len(values), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""What effects on loads and wheels hand to kernels, for solvers that know of them."""
+"""Kernel data of load and wheel effects, for solvers that support these effects."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def make_edges(scene: PlantSpec, capacity: int) -> AllEdges | None:
 
 
 def make_rollers(scene: PlantSpec, array: CellArray) -> AllRollers | None:
-    """Where each wheel's rollers stand for each parcel, None where wheels are smooth.
+    """Build the roller positions of each wheel for each parcel; None where wheels are smooth.
 
-    Kernels compiled from now on know of rollers, if the scene has them.
+    Kernels compiled after this call include rollers, if the scene has them.
 
     Args:
         scene: the scene's physics.

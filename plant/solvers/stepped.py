@@ -1,4 +1,4 @@
-"""What solvers have in common whose kernels take one step after another under any law."""
+"""Base class of solvers with step-by-step kernels for any traction law."""
 
 from __future__ import annotations
 

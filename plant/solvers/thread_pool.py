@@ -1,7 +1,7 @@
-"""Threads that share the parcels of one call between them.
+"""Thread pool that distributes a call's parcels.
 
-Kernels hold no lock of the interpreter while they run (``nogil``), so plain threads do; and unlike threads of numba's
-own they leave nothing behind that a process could not be forked with.
+Kernels release the interpreter lock while they run (``nogil``), so plain threads suffice. Unlike numba's own threads,
+plain threads leave no state behind that prevents a process from forking.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ TURNS = 4
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Return the number of processors available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @final
 class ThreadPool:
-    """This thread and its helpers, which start when they are first needed and end with the crew.
+    """Calling thread and helper threads, started on demand and stopped with the pool.
 
-    What is computed must not depend on who computes it: shares are taken by whoever is free.
+    Results must not depend on which thread computes a share: free threads take the next share.
 
     Args:
-        threads: how many at most, this one included; None: one for every processor.
+        threads: maximum number of threads including the calling one; None: one a processor.
     """
 
     def __init__(self, threads: int | None = None) -> None:

@@ -15,18 +15,18 @@ from plant.wheels import Floats
 
 
 class WheelLoadWorkspace(NamedTuple):
-    """How much slower than without load the wheels run that one parcel has pulled at; scratch of one thread.
+    """Speed loss of loaded wheels under one parcel; workspace of one thread.
 
     Attributes:
-        place: ``(n,)`` each cell's row in the next, -1 for none.
-        cell: ``(n,)`` of each row.
+        place: row of each cell in the arrays below, ``(n,)``, -1 for none.
+        cell: cell of each row, ``(n,)``.
         now: ``(n, SLOWED)``: see ``plant.kernels.common.implicit_layout``.
-        begin: likewise, where the step began.
+        begin: as ``now``, at the start of the step.
         table: ``(4, n, SLOWED)`` after the step in 1 to 4 parts.
-        row: ``(capacity,)`` which row each of those of ``Work.wheels`` belongs to.
-        ctl: ``(2,)`` how many rows are in use, and handed over.
-        which: ``(2 n,)`` cells handed over, one parcel's after the other's.
-        written: ``(2 n, SLOWED)`` what is handed over of each.
+        row: row of each of ``ImplicitWorkspace.wheels``, ``(capacity,)``.
+        ctl: number of rows in use, and of rows handed over, ``(2,)``.
+        which: cells handed over, parcel after parcel, ``(2 n,)``.
+        written: values handed over of each cell, ``(2 n, SLOWED)``.
     """
 
     place: NDArray[np.int64]
@@ -71,7 +71,7 @@ def load_wheels(scene: PlantSpec, law: Floats, mass_kg: float) -> None:
 
 
 class WheelLoadSum:
-    """What the parcels of one call have changed of the wheels, whichever thread moved them."""
+    """Changes of wheel speeds by the parcels of one call, summed independently of threads."""
 
     def __init__(self) -> None:
         self._blocks: dict[int, tuple[NDArray[np.int64], Floats]] = {}

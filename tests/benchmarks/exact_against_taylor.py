@@ -81,7 +81,7 @@ def kernel_costs(problem: Problem, turns: int) -> tuple[float, float, float, flo
     plant: Plant = problem.plant(TOLERANCE)
     plant.advance(problem.speeds, HALFWAY_NS)
     solver = plant._solver
-    parcel, work = solver.parcels[0], solver.desk(0).work
+    parcel, work = solver.parcels[0], solver.workspace(0).work
     still, grip = np.zeros_like(problem.speeds), np.ones(len(problem.speeds))
     surfaces = tuple(
         Surface(plant.array.positions_m, plant.array.grid, problem.speeds * factor, still, grip)

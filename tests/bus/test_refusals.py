@@ -11,8 +11,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 WATCH = """
 import json, os, sys
-from bus.transports.zenoh.access_log import Watch
-watch = Watch()
+from bus.transports.zenoh.access_log import AccessLogMonitor
+watch = AccessLogMonitor()
 watch.names = [{}.get, {"ab12": "cells-0"}.get]
 os.write(1, sys.stdin.buffer.read())
 print("between", flush=True)

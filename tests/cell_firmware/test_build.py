@@ -44,10 +44,10 @@ def test_the_arithmetic_is_the_one_asked_for() -> None:
 def test_what_a_scene_does_not_ask_for_is_not_imported() -> None:
     code = """
 import json, sys
-from cell_firmware.build import Motors, wheels_of
+from cell_firmware.build import MotorFacts, wheels_of
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.specs import CellsSpec
-wheels_of(CellsSpec(), CellEffects(), Motors(12.0, 1.2))
+wheels_of(CellsSpec(), CellEffects(), MotorFacts(12.0, 1.2))
 print(json.dumps([name for name in sys.modules if name.startswith("cell_firmware.speed_loop.")]))
 """
     done = subprocess.run(

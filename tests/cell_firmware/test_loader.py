@@ -136,7 +136,7 @@ def test_all_bad_parameters_are_told_at_once_with_their_paths():
         "held[0].cell[1]: must be greater than or equal to 0, not -1",
         "held[0].speed_m_s[1]: must be a valid number, unable to parse string as a number, not 'x'",
         "diffusion_number: must be greater than 0, not -0.3",
-        "hold: unknown key; did you mean held? Known: diffusion_number, held, initial, ttl_periods, speed_m_s",
+        "hold: unknown key; did you mean held? Known: diffusion_number, held, initial, speed_m_s, ttl_periods",
     ]
 
 

@@ -66,7 +66,7 @@ class Plant:
     def __init__(self, answer: bytes | Exception, monkeypatch: pytest.MonkeyPatch) -> None:
         self.answer, self.left, self.asked = answer, False, list[Any]()
         monkeypatch.setattr("deploy.control.client.operator_session", self._session)
-        monkeypatch.setattr("bus.transports.zenoh.requests.ask", self._ask)
+        monkeypatch.setattr("bus.transports.zenoh.requests.send_request", self._ask)
 
     def _session(self, *_: object) -> Any:
         return SimpleNamespace(close=lambda: setattr(self, "left", True))

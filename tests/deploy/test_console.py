@@ -57,7 +57,7 @@ class Live:
         """Of the ledger."""
         self.records.append(record)
 
-    def take(self) -> Any:
+    def drain(self) -> Any:
         """Of the questions."""
         if not self.asked:
             return None

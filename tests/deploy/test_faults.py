@@ -125,7 +125,7 @@ def test_a_reboot_lasts_as_its_decimals_say() -> None:
 ABSENT = [RemoveFault(kind="remove", cell=(0, 1)), AddFault(kind="add", at_s=1.0, cell=(0, 1))]
 
 
-@pytest.mark.parametrize("fault", [CrashFault(cell=(0, 1)), *ABSENT], ids=lambda fault: fault.called)
+@pytest.mark.parametrize("fault", [CrashFault(cell=(0, 1)), *ABSENT], ids=lambda fault: fault.kind_name)
 def test_programs_of_cells_that_are_away_stand_and_begin_anew_when_they_are_back(
     fault: CrashFault | AbsentModuleFault,
 ) -> None:
@@ -148,7 +148,7 @@ def test_programs_of_cells_that_are_away_stand_and_begin_anew_when_they_are_back
 def test_who_is_pulled_is_gone_and_who_crashed_is_dead() -> None:
     for fault in ABSENT:
         harm = WheelFaults.healthy(3)
-        fault.harm(np.array([1]), harm)
+        fault.apply(np.array([1]), harm)
         assert (harm.gone.tolist(), harm.dead.any()) == ([False, True, False], False)
     harm = WheelFaults.healthy(3)
     CrashFault(cell=(0, 1)).apply(np.array([1]), harm)

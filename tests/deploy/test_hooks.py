@@ -102,6 +102,6 @@ def test_the_cause_is_kept(tmp_path: Path) -> None:
     program = load(
         CellsSpec(firmware=str(written(tmp_path, "value_ranges", "raise ModuleNotFoundError('scipy')")))
     )
-    with pytest.raises(FirmwareError, match=r"plausible\(\) raised ModuleNotFoundError: scipy") as refused:
+    with pytest.raises(FirmwareError, match=r"value_ranges\(\) raised ModuleNotFoundError: scipy") as refused:
         program.value_ranges()
     assert isinstance(refused.value.__cause__, ModuleNotFoundError)

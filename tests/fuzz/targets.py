@@ -294,7 +294,7 @@ def _live_fault() -> Target:
             assert all(0 <= number < TICK_LIMIT for number in found)
         else:
             assert ((found.cells >= 0) & (found.cells < len(scene.lattice()))).all()
-            assert 0 <= found.first < TICK_LIMIT
-            assert 0 <= found.end <= NO_TICK_LIMIT
+            assert 0 <= found.start_tick < TICK_LIMIT
+            assert 0 <= found.end_tick <= NO_TICK_LIMIT
 
     return Target("live fault", tuple(map(JSON.pack, details)), decode, check, JSON)

@@ -92,7 +92,7 @@ def loads(plant: Plant) -> tuple[NDArray[np.int64], Floats]:
         assert supports is not None
         share = supports.plane @ np.array([1.0, *(place - supports.centroid_m)])
         return moving.under, np.where(supports.carrying, share, 0.0)
-    inner, work = solver.parcels[0], solver.desk(0).work
+    inner, work = solver.parcels[0], solver.workspace(0).work
     work = getattr(work, "pulls", work)
     seg = work.segs[0] if hasattr(work, "segs") else work.seg
     listed = inner.mem[: inner.ctl[layout.N_MEMBERS]]

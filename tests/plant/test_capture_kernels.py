@@ -51,7 +51,7 @@ def test_a_cell_joins_the_next_crossing_within_capture_m_of_its_edge_and_still_o
     past_m: float, speed: float, joins: bool
 ) -> None:
     plant, surface = _square(past_m)
-    body, work = plant._solver.parcels[0], plant._solver.desk(0).work
+    body, work = plant._solver.parcels[0], plant._solver.workspace(0).work
     body.y[layout.UX] = speed
     (cell,) = cells_of(plant, [(10, 12)])
     work.last[0] = cell, _edge(plant, 1.0), 1
@@ -65,7 +65,7 @@ def test_a_cell_joins_the_next_crossing_within_capture_m_of_its_edge_and_still_o
 def test_of_two_edges_of_one_group_a_cell_on_the_opposite_one_is_under_the_parcel_on_the_near_side() -> None:
     """What takes the parcel in over the one takes it off the other."""
     plant, surface = _square(0.0)
-    body, work = plant._solver.parcels[0], plant._solver.desk(0).work
+    body, work = plant._solver.parcels[0], plant._solver.workspace(0).work
     # the far side, a cell on the right edge being under the parcel, pulls the parcel back to the left
     work.reply[:3, 0], work.matrix[0, 0] = (-1.0, 0.0, 0.0), -1.0
     work.cells[:2] = cells_of(plant, [(8, 12), (8, 7)])

@@ -22,14 +22,14 @@ class BookPlant:
 
     log: list[Any] = field(default_factory=list)
 
-    def lose(self, cells: Sequence[int], policy: LossPolicy) -> None:
+    def release_wheels(self, cells: Sequence[int], policy: LossPolicy) -> None:
         self.log.append((policy, tuple(cells)))
 
-    def regain(self, cells: Sequence[int]) -> None:
-        self.log.append(("regain", tuple(cells)))
+    def engage_wheels(self, cells: Sequence[int]) -> None:
+        self.log.append(("engage_wheels", tuple(cells)))
 
-    def suffer(self, harm: WheelFaults, drives: Floats) -> None:
-        self.log.append(("suffer", drives[:, 0].tolist()))
+    def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
+        self.log.append(("apply_faults", drives[:, 0].tolist()))
 
 
 def harm(*dead: int, gone: Sequence[int] = (), **rests: LossPolicy) -> WheelFaults:
@@ -59,7 +59,7 @@ def test_a_fault_s_own_word_on_dead_wheels_goes_before_the_policy(plant: BookPla
     undriven = DeadCells(plant, 4, "coast", {2: "hold"})
     undriven.on_transition(harm(0, 1, c1="brake"), DRIVES)
     assert undriven.mark_dead([2, 3], DRIVES) == (2, 3)
-    assert [entry for entry in plant.log if entry[0] != "suffer"] == [
+    assert [entry for entry in plant.log if entry[0] != "apply_faults"] == [
         ("brake", (1,)), ("coast", (0,)), ("coast", (3,)), ("hold", (2,)),
     ]  # fmt: skip
     assert given(undriven) == [0.0, 0.0, 5.0, 0.0]
@@ -73,8 +73,8 @@ def test_a_cell_struck_twice_does_what_the_fault_that_is_left_says(plant: BookPl
     assert given(undriven) == [9.0, 0.0, 9.0, 9.0]
     undriven.on_transition(harm(), DRIVES)
     assert given(undriven) == [9.0] * 4
-    assert [entry for entry in plant.log if entry[0] != "suffer"] == [
-        ("hold", (1,)), ("regain", (1,)), ("brake", (1,)), ("regain", (1,)),
+    assert [entry for entry in plant.log if entry[0] != "apply_faults"] == [
+        ("hold", (1,)), ("engage_wheels", (1,)), ("brake", (1,)), ("engage_wheels", (1,)),
     ]  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def test_cells_that_are_gone_get_no_drive_and_are_not_dead(plant: BookPlant) -> 
     assert not undriven.lost.any()
     assert undriven.on_transition(harm(), DRIVES)
     assert given(undriven) == [9.0] * 4
-    assert {entry[0] for entry in plant.log} == {"suffer"}
+    assert {entry[0] for entry in plant.log} == {"apply_faults"}
 
 
 def test_a_held_wheel_forgets_its_drive_when_its_cell_is_pulled(plant: BookPlant) -> None:
@@ -95,7 +95,7 @@ def test_a_held_wheel_forgets_its_drive_when_its_cell_is_pulled(plant: BookPlant
     undriven.on_transition(harm(2, gone=[2]), DRIVES)
     undriven.on_transition(harm(2), DRIVES)
     assert given(undriven) == [9.0, 9.0, 0.0, 9.0]
-    assert [entry[1] for entry in plant.log if entry[0] == "suffer"] == [
+    assert [entry[1] for entry in plant.log if entry[0] == "apply_faults"] == [
         [1.0, 3.0, 5.0, 7.0], [1.0, 3.0, 0.0, 7.0], [1.0, 3.0, 0.0, 7.0],
     ]  # fmt: skip
 
@@ -107,7 +107,7 @@ def test_the_dead_for_good_stay_dead_whatever_faults_end(plant: BookPlant) -> No
     assert undriven.about_to_die(harm(0, 1)) == [1]
     undriven.on_transition(harm(), DRIVES)
     assert given(undriven)[0] == 0.0
-    assert ("regain", (0,)) not in plant.log
+    assert ("engage_wheels", (0,)) not in plant.log
 
 
 def test_a_cell_that_comes_back_is_driven_again_unless_a_fault_kills_it(plant: BookPlant) -> None:
@@ -117,7 +117,7 @@ def test_a_cell_that_comes_back_is_driven_again_unless_a_fault_kills_it(plant: B
     undriven.revive([0, 1])
     assert not undriven.lost.any()
     assert given(undriven) == [9.0, 3.0, 0.0, 9.0]
-    assert plant.log[-1] == ("regain", (0,))
+    assert plant.log[-1] == ("engage_wheels", (0,))
     undriven.on_transition(harm(), DRIVES)
     assert given(undriven) == [9.0] * 4
 
@@ -131,7 +131,7 @@ def test_who_is_dead_already_does_not_die_again(plant: BookPlant) -> None:
     assert undriven.about_to_die(harm(0, 2)) == [2]
     undriven.on_transition(harm(0, 1), DRIVES)
     assert undriven.about_to_die(harm(0, 1, 2)) == [2]
-    assert [entry for entry in plant.log if entry[0] != "suffer"] == [("hold", (0,)), ("coast", (1,))]
+    assert [entry for entry in plant.log if entry[0] != "apply_faults"] == [("hold", (0,)), ("coast", (1,))]
     assert given(undriven) == [1.0, 0.0, 9.0, 9.0]
 
 
@@ -148,4 +148,4 @@ def test_a_cell_whose_fault_goes_on_knows_nothing_of_those_that_turn(plant: Book
     undriven.on_transition(harm(0), DRIVES)
     undriven.on_transition(harm(0, 1), DRIVES * 2.0)
     assert given(undriven) == [1.0, 6.0, 9.0, 9.0]
-    assert [entry for entry in plant.log if entry[0] != "suffer"] == [("hold", (0,)), ("hold", (1,))]
+    assert [entry for entry in plant.log if entry[0] != "apply_faults"] == [("hold", (0,)), ("hold", (1,))]

@@ -48,7 +48,7 @@ class BookPlant:
         self.advances += 1
         return self.sense(), []
 
-    def lose(self, cells: Sequence[int], policy: str) -> None:
+    def release_wheels(self, cells: Sequence[int], policy: str) -> None:
         self.log.append(("lose", tuple(cells), policy))
 
 
@@ -65,7 +65,7 @@ class BookHost:
     def gather(self, tick: int) -> tuple[DriveFrame, Sequence[Loss]]:
         return DriveFrame(tick, np.full((CELLS, 2), tick + 1.0)), self.losses.get(tick, [])
 
-    def retire(self, cells: Sequence[int], tick: int) -> None:
+    def mark_dead(self, cells: Sequence[int], tick: int) -> None:
         self.log.append(("retire", tuple(cells), tick))
 
 

@@ -1,8 +1,9 @@
 """The transport between processes: Zenoh.
 
 The plant's session is a peer that listens on one endpoint (``open_hub``). Every cell process is a client of that
-session (``open_client``), and clients hear each other through it. Listeners and operators are clients of a second
-session (``open_outside``), to which a ``Mirror`` copies the run's messages. Nobody is found by multicast or gossip.
+session (``open_client``), and clients receive from each other through it. Listeners and operators are clients of a
+second session (``open_outside``), to which a ``Mirror`` copies the run's messages. Discovery by multicast and gossip is
+off.
 """
 
 from __future__ import annotations

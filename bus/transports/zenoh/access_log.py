@@ -1,8 +1,8 @@
-"""What Zenoh refuses on behalf of the plant's session, counted.
+"""Counters of denials: payloads and connections that Zenoh refuses in the plant's process.
 
-Zenoh drops what its access control denies without a word to anybody, and turns connections away with a word to its
-log alone. That log goes to the process's standard output and can be given no other way. While a ``Watch`` is kept, file
-descriptor 1 is therefore a pipe that a thread reads; what others write there goes on to where it went before.
+Zenoh reports neither payloads that its access control denies nor connections that it rejects, except in its log. The
+log goes to the process's standard output and can't be redirected. While an ``AccessLogMonitor`` is open, file
+descriptor 1 is therefore a pipe that a thread reads; other output is passed on to the original destination.
 
 Zenoh logs what it drops without the key. It does have a line with the key, but that one comes for every message
 that may pass, too: at 18 processes 100,000 lines a second.
@@ -21,14 +21,14 @@ from typing import Any, Final, cast, final
 import zenoh
 
 Denial = tuple[str, str]
-"""Whose it was, and what was refused."""
+"""Role or session, and what was refused."""
 
 STRANGER: Final = "a stranger"
-"""Who was not let in."""
+"""Stands for connections that were not admitted."""
 DROPPED: Final = "message"
 """Anything that access control denies: a payload, a subscription, a token, a query."""
 NO_ROLE: Final = "no role"
-"""Who was let in and may do nothing: the access control does not know that name."""
+"""Stands for admitted sessions without permissions: the access control does not know their name."""
 
 _FILTER: Final = ",".join(
     (
@@ -54,7 +54,7 @@ _REASONS: Final = {
     "Invalid password": "a wrong password",
 }
 _MOST: Final = 1_000
-"""Different refusals that are told apart; a stranger can't make this list grow without end."""
+"""Most denials counted separately, which bounds the memory that a stranger can fill."""
 
 _PATIENCE_S: Final = 2.0
 
@@ -63,11 +63,11 @@ _logging = False
 
 @final
 class AccessLogMonitor:
-    """Counts what Zenoh refuses in this process, whichever session does, from now until ``close``; one at a time.
+    """Counter of denials by Zenoh in this process, over all sessions, until ``close``; one monitor at a time.
 
     Attributes:
         names: Lookups of a session's role by the beginning of its identifier, one for each session that listens.
-        fresh: Whether something came that is none of what was counted before, since ``counted`` was called last.
+        fresh: Whether a new kind of denial occurred since the last call of ``counted``.
     """
 
     def __init__(self) -> None:
@@ -87,13 +87,13 @@ class AccessLogMonitor:
         _log()
 
     def counted(self) -> dict[Denial, int]:
-        """How often each was refused so far."""
+        """Return the number of each denial so far."""
         self.fresh = False
         with self._lock:
             return dict(self._counts)
 
     def close(self) -> None:
-        """Takes in what is left, and puts standard output back."""
+        """Read the rest of the log, and restore standard output."""
         if self._before < 0:
             return
         before, self._before = self._before, -1
@@ -128,7 +128,7 @@ class AccessLogMonitor:
                     self.fresh = self.fresh or not known
 
     def _pass_on(self, line: bytes, before: int, *, of_zenoh: bool) -> None:
-        """A line that is none of ours; what else Zenoh says is for who asked for it, on standard error."""
+        """Pass on a line that is no denial; other Zenoh log lines go to standard error if ``RUST_LOG`` is set."""
         if of_zenoh and not self._asked:
             return
         with contextlib.suppress(OSError):  # whoever listened there has gone
@@ -142,7 +142,7 @@ class AccessLogMonitor:
         return STRANGER, f"connection: {reason}"
 
     def _named(self, session: str) -> str:
-        """The role of a session; it is asked for once, as the first refusal comes, while the session is there."""
+        """Return the role of a session; looked up once, at the first denial, while the session is connected."""
         found = self._names.get(session)
         if found is None:
             known = (name for look_up in list(self.names) if (name := look_up(session)))
@@ -153,7 +153,7 @@ class AccessLogMonitor:
 
 
 def _log() -> None:
-    """Has Zenoh log what we count; once a process, and nothing can take it back."""
+    """Enable the log lines to count; once a process, and irrevocable."""
     global _logging  # noqa: PLW0603 - one process, one log
     if _logging:
         return

@@ -78,7 +78,7 @@ class ZenohPublisher(Publisher):
         self._endpoint.put_all(((self, payload),))
 
     def matched(self) -> bool:
-        """Whether somebody subscribed to the key."""
+        """Whether the key has a subscriber."""
         self._endpoint.check_usable()
         # matching_status is an object that is always true.
         status = cast("zenoh.MatchingStatus", self._publisher.matching_status)
@@ -90,11 +90,11 @@ class ZenohEndpoint(Endpoint):
     """A Zenoh session; made by ``open_hub`` and ``open_client``.
 
     Attributes:
-        locator: Where the plant listens.
+        locator: Address where the plant listens.
         listening: Addresses that this session listens on, as Zenoh has them; none at a client.
         closed: Whether ``close`` was called.
         session: The session, for what Zenoh has beyond an endpoint.
-        refusals: What Zenoh refuses, where it has been told whom to let in.
+        refusals: Counter of denials; None without an access policy.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class ZenohEndpoint(Endpoint):
             raise TransportError(f"put: {first_line(error)}") from None
 
     def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
-        """Lets everything put on matching keys into the inbox."""
+        """Subscribe to matching keys."""
         self.check_usable()
         if key_expr in self._subscribed:
             return
@@ -153,7 +153,7 @@ class ZenohEndpoint(Endpoint):
         self._subscribed.append(key_expr)
 
     def declare_alive(self, key: str) -> None:
-        """Shows a token."""
+        """Declare a token."""
         self.check_usable()
         if key in self._tokens:
             raise TransportError(f"token {key} is declared already")
@@ -161,14 +161,14 @@ class ZenohEndpoint(Endpoint):
         self._tokens[key] = self.session.liveliness().declare_token(key)
 
     def withdraw(self, key: str) -> None:
-        """Takes a token back."""
+        """Withdraw a token."""
         self.check_usable()
         token = self._tokens.pop(key, None)
         if token is not None:
             cast("Any", token).undeclare()
 
     def watch_alive(self, key_expr: str) -> None:
-        """Lets the coming and going of matching tokens into the inbox."""
+        """Watch matching tokens."""
         self.check_usable()
         watcher = self.session.liveliness().declare_subscriber(
             key_expr, self._mail.enqueuer(_token), history=True
@@ -186,7 +186,7 @@ class ZenohEndpoint(Endpoint):
         self._mail.enqueue(Wakeup())
 
     def role(self, session: str) -> str | None:
-        """What the certificate says of the session whose identifier begins like this, if it is connected."""
+        """Return the certificate's name of the session whose identifier begins with ``session``; None if unknown."""
         links = self.session.info.links()
         return next((link.auth_identifier for link in links if str(link.zid).startswith(session)), None)
 
@@ -244,7 +244,7 @@ def open_hub(
     Args:
         listen: Endpoint to listen on; None: a free loopback port.
         lease_s: See ``hub_config``.
-        gate: Whom to let in; None: anybody.
+        gate: Access policy; None: all sessions are admitted.
 
     Returns:
         The endpoint; its ``locator`` is what clients connect to.
@@ -272,7 +272,7 @@ def open_outside(listen: str | None, *, lease_s: float = LEASE_S, gate: AccessPo
     Args:
         listen: Endpoint to listen on; None: a free loopback port.
         lease_s: See ``hub_config``.
-        gate: Whom to let in, and what they may do there.
+        gate: Access policy.
 
     Raises:
         TransportError: As of ``open_hub``.
@@ -327,10 +327,10 @@ def _with_port(listen: str, addresses: tuple[str, ...]) -> str:
 def open_client(
     connect: str, *, lease_s: float = LEASE_S, timeout_s: float = 10.0, identity: Identity | None = None
 ) -> ZenohEndpoint:
-    """Opens a cell process's session, or an onlooker's; call it after a fork, never before.
+    """Open the session of a cell process or an observer; call it after a fork, never before.
 
     Raises:
-        TransportError: Nobody listens there within ``timeout_s``, or whoever does lets nobody in with this identity.
+        TransportError: No session listens there within ``timeout_s``, or it refuses this identity.
     """
     # A cell process has little to do: one thread a pool is faster than many. Read once, at the first session.
     os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)
@@ -355,7 +355,7 @@ def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
 
 
 def free_port() -> int:
-    """Find a loopback TCP port that nobody listens on."""
+    """Find a free loopback TCP port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return cast("int", probe.getsockname()[1])

@@ -1,4 +1,4 @@
-"""Mirror of a run's messages for subscribers outside the run, none of whom can hold the run up.
+"""Mirror of a run's messages for subscribers outside the run, which can't delay the run.
 
 Cells and plant exchange messages over sessions of their own, which block rather than drop. Listeners and operators
 connect to another session. A thread copies messages of a kind there while somebody subscribes to that kind: from
@@ -21,7 +21,7 @@ from bus.errors import TransportError
 from bus.transports.zenoh.endpoint import CLOSE_S, ZenohEndpoint
 
 _ROUND_S: Final = 0.002
-"""Wall time between two looks at the rings, while somebody listens."""
+"""Polling interval of the rings while there is a subscriber, wall seconds."""
 
 
 class _Token(NamedTuple):

@@ -1,8 +1,8 @@
-"""What a session's reader waits on.
+"""Receiving side of a Zenoh session: payload channels, events that end a wait, and a wakeup timer.
 
-A callback of ours makes Zenoh's receiving threads wait for the interpreter: measured, a tenth of the exchange where
+A Python callback makes Zenoh's receiving threads wait for the interpreter: measured, a tenth of the exchange where
 eighteen processes share two cores. Payloads therefore come through Zenoh's own channels, and the reader sleeps in
-one of them, outside Python. That wait knows no time and no other channel; a bell ends it for whatever else happens.
+one of them, outside Python. That wait has no timeout and covers no other channel; a bell ends it for other events.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ PRECISION_S: Final = 0.1
 
 @final
 class WakeupTimer:
-    """Rings when its time has come, at most ``PRECISION_S`` late, and again until it is put off.
+    """Timer that calls ``ring`` when its time has come, at most ``PRECISION_S`` late, and again until reset.
 
     Args:
-        ring: What it does.
+        ring: Called by the timer's thread.
     """
 
     def __init__(self, ring: Callable[[], None]) -> None:
@@ -69,14 +69,14 @@ received = cast(
 
 @final
 class Channel:
-    """What comes on one subscription. Its reader waits outside Python, and needs no callback of ours.
+    """Payload channel of one subscription. The reader waits outside Python, without a Python callback.
 
     Args:
         session: The session.
         key_expr: What to subscribe to.
 
     Attributes:
-        key: The key, where only one can match: nobody need ask the sample for it.
+        key: The key, where only one can match, so that samples need not be asked.
         try_recv: Zenoh's own: a sample, or None where there is none.
     """
 
@@ -100,7 +100,7 @@ class Channel:
             events.append(received((self.key or str(sample.key_expr), payload)))
 
     def ring(self) -> None:
-        """Ends a wait, or the next: a deletion, which nobody puts on these keys, and that stays in this session."""
+        """End the current wait, or the next, by a deletion, which is not used otherwise and stays in this session."""
         with contextlib.suppress(zenoh.ZError):  # The session may be closed already.
             cast("Any", self._session).delete(self._bell, allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
@@ -128,7 +128,7 @@ os.register_at_fork(after_in_child=_held.clear)  # those threads are not in the 
 
 @final
 class ReceiveQueue:
-    """The payloads of one session, and its *news*: whatever ends a wait at once.
+    """Receive queue of one session: payloads, and *news*, which are events that end a wait at once.
 
     Args:
         session: The session.

@@ -1,4 +1,4 @@
-"""Questions to the plant and its answers, over Zenoh's queries: how somebody outside speaks to a run."""
+"""Requests to a running plant and its responses, over Zenoh's queries."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from bus.transports.zenoh.endpoint import ZenohEndpoint
 from bus.transports.zenoh.session import first_line
 
 REQUEST_LIMIT: Final = 65_536
-"""Longest question and answer, bytes."""
+"""Longest request and response, bytes."""
 _WAITING: Final = 64
-"""Questions that may wait for the next tick; of more the oldest get no answer."""
+"""Most requests that wait for the next tick; beyond, the oldest get no response."""
 
 
 @final
 class IncomingRequest:
-    """One question.
+    """One request.
 
     Attributes:
-        payload: What is asked, at most ``REQUEST_LIMIT`` bytes; None: it was longer.
+        payload: At most ``REQUEST_LIMIT`` bytes; None: it was longer.
     """
 
     def __init__(self, query: zenoh.Query) -> None:
@@ -33,7 +33,7 @@ class IncomingRequest:
             self.payload = payload.to_bytes()
 
     def answer(self, payload: bytes) -> None:
-        """Answer it, once; whoever asked may have gone."""
+        """Send the response, once; the client may have disconnected."""
         try:
             cast("Any", self._query).reply(self._query.key_expr, payload)
             cast("Any", self._query).drop()
@@ -43,13 +43,13 @@ class IncomingRequest:
 
 @final
 class RequestQueue:
-    """The questions that come in on a key.
+    """Queue of requests on a key.
 
-    They wait in a ring, so that nobody who asks too much makes the run's own messages wait.
+    Requests wait in a ring, so that a client with too many requests does not delay the run's own messages.
 
     Args:
-        endpoint: Of the plant.
-        key: Where they are asked.
+        endpoint: Endpoint of the plant.
+        key: Key of the requests.
     """
 
     def __init__(self, endpoint: ZenohEndpoint, key: str) -> None:
@@ -58,20 +58,20 @@ class RequestQueue:
         self._queryable = cast("Any", endpoint.session).declare_queryable(key, ring)
 
     def drain(self) -> IncomingRequest | None:
-        """The oldest that waits; None where none does."""
+        """Return the oldest waiting request; None if there is none."""
         query = self._queryable.try_recv()
         return None if query is None else IncomingRequest(query)
 
     def close(self) -> None:
-        """Take no more; those that wait get no answer."""
+        """Stop accepting requests; waiting ones get no answer."""
         self._queryable.undeclare()
 
 
 def send_request(endpoint: ZenohEndpoint, key: str, payload: bytes, timeout_s: float) -> bytes:
-    """Ask, and wait for the answer.
+    """Send a request and wait for the response.
 
     Raises:
-        TransportError: Nobody answers on that key, or not in time.
+        TransportError: No response on that key in time.
     """
     endpoint.check_usable()
     try:

@@ -12,7 +12,7 @@ import zenoh
 from bus.errors import TransportError
 
 PROTOCOL: Final = {"certificate": "tls", "password": "tcp"}
-"""Over what sessions talk that prove who they are in this way."""
+"""Transport protocol of sessions, by kind of identity."""
 
 
 @final
@@ -21,9 +21,9 @@ class Certificate:
     """A certificate and its private key, for mutual TLS; its common name is the role.
 
     Attributes:
-        authority: File with the certificate of whoever signed those of both sides.
-        certificate: File with one's own.
-        key: File with its private key.
+        authority: File with the certificate of the authority that signed both sides' certificates.
+        certificate: File with the own certificate.
+        key: File with the private key of the certificate.
     """
 
     authority: str
@@ -46,7 +46,7 @@ class Certificate:
 @final
 @dataclass(frozen=True, slots=True)
 class Password:
-    """A user and a password; the user's name is the role. Nobody proves to be the plant, and all goes in the clear."""
+    """A user and a password; the user's name is the role. The plant is not authenticated, and nothing is encrypted."""
 
     user: str
     password: str = field(repr=False)
@@ -64,10 +64,10 @@ Identity = Certificate | Password
 @final
 @dataclass(frozen=True, slots=True)
 class AccessPolicy:
-    """Whom a session that listens lets in, and what each may do.
+    """Access policy of a listening session: admitted identities, and the permissions of each role.
 
     Attributes:
-        identity: The plant's own; None where nobody has to prove who they are.
+        identity: The plant's own identity; None without authentication.
         access: Zenoh's ``access_control``, JSON.
         limits: Zenoh's ``low_pass_filter``, JSON: how large what comes in may be.
         users: File with a ``user:password`` a line, where passwords are asked for.
@@ -91,13 +91,13 @@ class AccessPolicy:
 LARGEST: Final = 1 << 28
 """Bytes of the largest payload that comes in: several times the senses of a million cells."""
 _AT_PLANT: Final = 1 << 26
-"""Likewise at the plant: 64 MiB, the drives of four million cells in one shard."""
+"""Bytes of the largest payload received by the plant: 64 MiB, the drives of four million cells in one shard."""
 _INTO_MIRROR: Final = 1 << 20
 """Bytes of the largest message that the mirror's session takes."""
 _QUEUE: Final = 16
 """Batches of 64 kB that wait on each link of the mirror, the most that Zenoh has; 2 by default."""
 LEASE_S: Final = 2.0
-"""Silence after which the other side takes a process for gone; each session's own lease governs its token."""
+"""Silence after which the other side takes a process for dead, s; each session's own lease governs its token."""
 
 
 def hub_config(listen: str, lease_s: float = LEASE_S, gate: AccessPolicy | None = None) -> zenoh.Config:
@@ -105,8 +105,8 @@ def hub_config(listen: str, lease_s: float = LEASE_S, gate: AccessPolicy | None 
 
     Args:
         listen: Endpoint such as ``tcp/127.0.0.1:7447``.
-        lease_s: Seconds of silence after which the others take the plant for gone.
-        gate: Whom to let in; None: anybody.
+        lease_s: Silence after which the others take the plant for dead, s.
+        gate: Access policy; None: all sessions are admitted.
     """
     config = _config("peer", lease_s)
     _set(config, "listen/endpoints", json.dumps([listen]))
@@ -140,9 +140,9 @@ def client_config(
 
     Args:
         connect: The plant's endpoint.
-        lease_s: Seconds of silence after which the plant takes this process for gone.
-        timeout_s: Seconds to go on trying while nobody listens there.
-        identity: What to show the plant; None: nothing.
+        lease_s: Silence after which the plant takes this process for dead, s.
+        timeout_s: Time to retry while there is no listener, s.
+        identity: Identity to present to the plant; None: none.
     """
     config = _config("client", lease_s)
     _set(config, "connect/endpoints", json.dumps([connect]))
@@ -179,6 +179,6 @@ def _set(config: zenoh.Config, key: str, value: str) -> None:
 
 
 def first_line(error: BaseException) -> str:
-    """What went wrong, without Zenoh's trace."""
+    """Return the first line of an error, without Zenoh's source location."""
     lines = str(error).splitlines()
     return re.sub(r" at \S+\.rs:\d+\.?", "", lines[0]) if lines else type(error).__name__

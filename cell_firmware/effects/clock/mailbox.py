@@ -1,4 +1,4 @@
-"""Links of cells whose clocks differ: a message waits for its receiver, and a newer one takes its place."""
+"""Links between cells with different clocks: a mailbox holds the newest message until it is read."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Mailbox(LinkDriver):
         }
 
     def reset(self, cells: Cells, state: State) -> State:
-        """All is forgotten; what was counted is the observer's, not the cell's."""
+        """Empty the mailboxes; counters belong to the observer and are kept."""
         return {**self.init(cells), "overwritten": state["overwritten"]}
 
     def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
-        """What waited, or has come just in time, for the cells that are stepped."""
+        """Return waiting messages, and messages that arrive in time, for the cells that are stepped."""
         steps, into_ns = (now.at_ns >= 0)[:, None], (now.at_ns % self._window_ns)[:, None]
         came, waits = lines.received, state["waits"]
         message = np.zeros(came.shape, dtype=self._message)
@@ -86,12 +86,12 @@ class Mailbox(LinkDriver):
         return {"waits": state["waits"], "overwritten": state["overwritten"]}
 
     def counters(self, state: State) -> dict[str, int]:
-        """Messages that a newer one replaced before they were read."""
+        """Return the number of messages replaced before being read."""
         return {"overwritten": int(state["overwritten"].sum())}
 
 
 def _either(first: Bools, message: Messages, second: Bools, other: Messages) -> Messages:
-    """Where ``first`` is true a ``message``, else where ``second`` is the ``other``; zeros elsewhere."""
+    """Select ``message`` where ``first`` is true, else ``other`` where ``second`` is true; zeros elsewhere."""
     found = np.where(first, message, other)
     whole = opaque_view(found)
     whole[~(first | second)] = np.zeros((), dtype=whole.dtype)

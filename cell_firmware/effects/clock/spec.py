@@ -116,7 +116,7 @@ class ClockSpec(CellEffectSpec):
             yield ("exchanges_per_period",), self.exchanges_per_period, rule
 
     def window_ns(self, period_ns: int) -> int:
-        """What one exchange between plant and cells serves: no draw has a part in it."""
+        """Return the length of an exchange window, ns; it does not depend on random draws."""
         known = [parts_per_billion(-one.error_ppm) for one in self.cells if one.error_ppm is not None]
         fastest = max([parts_per_billion(self.error_ppm), *known])
         return period_ns * (BILLION - fastest) // BILLION // self.exchanges_per_period

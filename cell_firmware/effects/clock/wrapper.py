@@ -1,4 +1,4 @@
-"""Cells with clocks of their own: each is stepped at its own instants, and what it does holds in between."""
+"""Local clocks: each cell is stepped at its own instants, and holds its outputs in between."""
 
 from __future__ import annotations
 
@@ -76,5 +76,5 @@ class LocalClockWrapper(ControllerWrapper):
 
 
 def _in_tick(tick: int, failures: Mapping[int, FirmwareFailed]) -> dict[int, FirmwareFailed]:
-    """The same failures, told by the exchange in which they came out."""
+    """Return the failures, dated by the exchange ``tick`` in which they came out."""
     return {i: FirmwareFailed(one.cell, tick, one.problem, one.trace) for i, one in failures.items()}

@@ -32,8 +32,8 @@ class WatchdogWrapper(ControllerWrapper):
 
     A program that raises hangs: it no longer serves, the pins keep what they had, and nothing is sent. One that runs
     but doesn't serve (``Outputs.served``) goes on until it is reset. What a reset keeps is the crystal, the divider,
-    what parts of the board say of themselves (``Part.after_reset``, ``Part.idle``), and of the program's memory what
-    the program says (``warm_start``); all else is as after power-on. The wheels are at 0 until the program starts, at
+    the state that board components keep (``BoardComponent.reset``, ``BoardComponent.idle``), and the program's state
+    that ``warm_start`` keeps; all else is as after power-on. The wheels are at 0 until the program starts, at
     the first control instant after ``reboot_s``; till then its start-up code serves.
 
     Args:
@@ -68,7 +68,7 @@ class WatchdogWrapper(ControllerWrapper):
     def receive(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, Inputs]:
-        """What came over the lines, which listen whether a program hangs or not."""
+        """Receive from the lines, also for cells whose program hangs."""
         inner, inputs = self.controller.receive(now, self.unwrap_state(state), inputs)
         return self.wrap_state(inner, state.parts[self.part]), inputs
 
@@ -103,7 +103,7 @@ class WatchdogWrapper(ControllerWrapper):
     def _reset(
         self, at_ns: NDArray[np.int64], inner: ControllerState, watch: State
     ) -> tuple[ControllerState, State]:
-        """Resets those whose time is over."""
+        """Reset cells whose watchdog has timed out."""
         if (at_ns - watch["served_ns"]).max() < self._timeout_ns:
             return inner, watch  # none can be, and dividing takes its time
         bites_ns = -(-(watch["served_ns"] + self._timeout_ns) // DIVIDER_NS) * DIVIDER_NS
@@ -123,7 +123,7 @@ class WatchdogWrapper(ControllerWrapper):
         return inner.replace_rows(rows, self.controller.reset(inner.select(rows), warm=True)), after
 
     def counters(self, state: ControllerState) -> dict[str, int]:
-        """Programs that hung and cells that were reset; and what the cells' controller has counted."""
+        """Return the numbers of hangs and resets, and the counters of the wrapped controller."""
         watch = state.parts[self.part]
         own = {f"{self.part}.{name}": int(watch[name].sum()) for name in ("hangs", "resets")}
         return {**own, **super().counters(state)}

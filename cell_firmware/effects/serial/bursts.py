@@ -47,7 +47,7 @@ def copy_bytes(
 
 @lru_cache(maxsize=8)
 def _begins(rows: int, size: int) -> Ints:
-    """Where each row begins, of rows that lie one after another."""
+    """Return the start of each row in a flat array of consecutive rows."""
     begins = np.arange(rows, dtype=np.int64) * size
     begins.setflags(write=False)
     return begins
@@ -72,7 +72,7 @@ class BurstType:
     Attributes:
         width: Bytes in all words.
         wire: Flat: of each run the number of bytes, and its start in ns since the window's beginning; words.
-        parts: The same with ``byte``, an array of at least ``slots`` bytes, in place of the words.
+        parts: As ``wire``, with ``byte``, an array of at least ``slots`` bytes, in place of the words.
     """
 
     def __init__(self, slots: int) -> None:

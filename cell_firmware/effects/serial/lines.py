@@ -1,4 +1,4 @@
-"""The serial lines of cells: what stands between their programs' messages and their neighbours'."""
+"""Serial lines of cells: transfer of messages between neighbours' programs, byte by byte."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class SerialLines(LinkDriver):
         self._scan = None if settings.dwell_periods is None else LineMultiplexer(settings.dwell_periods)
 
     def init(self, cells: Cells) -> State:
-        """Nothing under way, nothing counted."""
+        """Return the state of empty lines, with zero counters."""
         state = {**self._sender.init(cells), **self._receiver.init(cells)}
         if self._scan is not None:
             state.update(self._scan.init(cells))
@@ -68,7 +68,7 @@ class SerialLines(LinkDriver):
         return state
 
     def reset(self, cells: Cells, state: State) -> State:
-        """All is forgotten; what was counted is the observer's, not the cell's, and the switch turns by itself."""
+        """Empty the lines; counters, which belong to the observer, and the position of the switch are kept."""
         kept = _COUNTERS if self._scan is None else (*_COUNTERS, *PLACE)
         return {**self.init(cells), **{name: state[name] for name in kept}}
 
@@ -98,7 +98,7 @@ class SerialLines(LinkDriver):
         return min(self.settings.period_ns // self.settings.byte_ns, self._slots)
 
     def raw(self, now: StepTime, data: Bytes) -> Messages:
-        """What lines carry on which nothing but bytes goes out, from the cells' step on, that no driver has framed.
+        """Return line data of unframed bytes, sent without a gap from the cells' step on.
 
         Args:
             now: When.
@@ -115,9 +115,9 @@ class SerialLines(LinkDriver):
         return now.tick if self._errors_of is None else now.tick - 1
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
-        """What was counted on each side: ``(n, 4)``."""
+        """Return the counters of each side, ``(n, 4)``."""
         return {name: state[name] for name in _COUNTERS}
 
     def counters(self, state: State) -> dict[str, int]:
-        """The same, of all sides of all cells."""
+        """Return the counters summed over all sides of all cells."""
         return {name: int(state[name].sum()) for name in _COUNTERS}

@@ -1,4 +1,4 @@
-"""Lines on which nothing can happen to a byte: messages go whole, and come when the last of their bytes would have."""
+"""Message-level serial lines: whole messages arrive when the last byte would, where bytes can't be disturbed."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _windows(settings: LineSettings, window_ns: int) -> int:
 
 @final
 class MessageLevelLines(LinkDriver):
-    """What ``SerialLines`` does where ``undisturbed`` holds, at the price of a message instead of that of its bytes.
+    """Message-level equivalent of ``SerialLines`` where ``is_exact_for`` holds; costs a step a message, not a byte.
 
     A sender keeps a message until the step from which its last byte goes, so that one that is cut short by its cell's
     end or reset is never heard of; a receiver holds it until the idle character behind it has passed. A receiver that
@@ -84,7 +84,7 @@ class MessageLevelLines(LinkDriver):
         self.line = np.dtype([(self._last, "<i4"), (self._began, "<u4"), *fields])
 
     def init(self, cells: Cells) -> State:
-        """Nothing under way, nothing counted."""
+        """Return the state of empty lines, with zero counters."""
         lines = (len(cells), 4)
         late_ns = 0 if self._errors_of is None else self._window_ns + self._settings.bit_ns
         own = sender = None
@@ -112,7 +112,7 @@ class MessageLevelLines(LinkDriver):
         return state
 
     def reset(self, cells: Cells, state: State) -> State:
-        """All is forgotten, and what has begun on the lines; what was counted is the observer's, not the cell's."""
+        """Empty the lines, including messages in transmission; counters belong to the observer and are kept."""
         since = np.full_like(state["since"], -1)  # until the next exchange tells when that is
         return {**self.init(cells), "since": since, **{name: state[name] for name in _COUNTED}}
 
@@ -140,7 +140,7 @@ class MessageLevelLines(LinkDriver):
     def _take(
         self, after: dict[str, NDArray[Any]], slot: int, at_ns: Ints, whole: Bools, message: Messages
     ) -> None:
-        """Those of one exchange that have come."""
+        """Deliver the arrived messages of a slot."""
         there_ns = after[f"there_{slot}_ns"]
         come = there_ns <= at_ns
         row = np.flatnonzero(come)
@@ -196,12 +196,12 @@ class MessageLevelLines(LinkDriver):
             line[name].reshape(-1)[row] = source[name].reshape(-1)[row]
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
-        """What was counted on each side, ``(n, 4)``; nothing ever is of what can't happen."""
+        """Return the counters of each side, ``(n, 4)``; zero for events that can't occur."""
         nothing = np.zeros_like(state["sent"])
         return {name: state.get(name, nothing) for name in ("sent", *COUNTERS, "replaced")}
 
     def counters(self, state: State) -> dict[str, int]:
-        """The same, of all sides of all cells."""
+        """Return the counters summed over all sides of all cells."""
         return {name: int(value.sum()) for name, value in self.registers(state).items()}
 
 
@@ -209,7 +209,7 @@ _COUNTED: Final = ("sent", "received", "replaced")
 
 
 def _put_aside(after: dict[str, NDArray[Any]], outbox: Outbox) -> None:
-    """What the program says waits, instead of what may still be waiting."""
+    """Queue the program's messages, which replace waiting ones."""
     sent = outbox.sent
     fresh = sent & after["reaches"]
     after["replaced"] = after["replaced"] + (fresh & after["waits"])
@@ -218,7 +218,7 @@ def _put_aside(after: dict[str, NDArray[Any]], outbox: Outbox) -> None:
 
 
 def _other_than(names: tuple[str, ...], name: str) -> str:
-    """The name, or one like it that none of the names is."""
+    """Return the name, with underscores appended until it differs from all ``names``."""
     while name in names:
         name += "_"
     return name

@@ -1,4 +1,4 @@
-"""One SCI for four lines: a switch that scans them."""
+"""Line multiplexer: a switch that connects one SCI to four lines in turn."""
 
 from __future__ import annotations
 

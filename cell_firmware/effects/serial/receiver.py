@@ -1,4 +1,4 @@
-"""What a cell's firmware finds when it looks at its lines: bytes in the order in which they came, and messages."""
+"""Receiving half of a cell's four lines: bytes in order of arrival, and messages assembled from bytes."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class UartReader:
         after["length"] = np.minimum(after["length"] + kept, self._frame.length + 1)
 
     def _take_one_by_one(self, run: int, line: Ints, came: Ints) -> None:
-        """Bytes on lines whose clocks are so far apart that samples miss their bits."""
+        """Read bytes on lines with clocks so far apart that samples miss bits."""
         after, count = self.after, came.reshape(-1)[line]
         place, start = after[f"place_{run}"].reshape(-1)[line], after[f"start_{run}_ns"].reshape(-1)[line]
         assert self._times.samples is not None, "this is a bug: no samples, but clocks that are off"
@@ -177,7 +177,7 @@ class UartReader:
         self._close(np.flatnonzero(over))
 
     def _close(self, line: Ints) -> None:
-        """What has come on these lines since the last end is a message, or damaged."""
+        """End the bytes received on these lines as a message, or count a damaged message."""
         if not len(line):
             return
         length = self.after["length"].reshape(-1)

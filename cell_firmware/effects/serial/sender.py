@@ -14,7 +14,7 @@ from cell_firmware.firmware import Bools, Cells, Outbox, State
 
 @final
 class Sender:
-    """Puts messages on lines, byte by byte: one goes out, one waits, a newer one takes the place of that which waits.
+    """Sender of messages, byte by byte: one is in transmission, one waits, and a newer one replaces the waiting one.
 
     With interrupts the bytes of a message follow each other without a gap, and an idle character, ten bits of one, ends
     it. A driver that polls hands over so many bytes a period, and a period without ends the message.
@@ -55,14 +55,14 @@ class Sender:
         outbox: Outbox | None,
         left: Ints | None,
     ) -> tuple[State, Outbox]:
-        """What goes out from this step of the cells' to their next.
+        """Send the bytes that start between this step of the cells and the next.
 
         Args:
             window: In which the cells' instants lie.
             at_ns: ``(n, 1)`` or ``(1,)``, when the cells step.
             ppb: ``(n, 1)``, their clocks' errors; None for none.
             state: Of n cells.
-            outbox: What the program says.
+            outbox: Messages of the program; None if there are none at all.
             left: ``(n, 4)``, periods in which a message that begins now must be out; None: there is time.
         """
         going = _Going(self._settings, self._frame, at_ns, ppb, dict(state))
@@ -86,7 +86,7 @@ class Sender:
 
 @final
 class _Going:
-    """What goes out of n cells in one of their periods.
+    """Transmission state of n cells during one period.
 
     Attributes:
         after: What becomes of their state.
@@ -104,7 +104,7 @@ class _Going:
         self.after = after
 
     def take(self, outbox: Outbox) -> None:
-        """What the program says waits, instead of what may still be waiting."""
+        """Queue the program's messages, which replace waiting ones."""
         after, sent = self.after, outbox.sent
         fresh = sent & after["reaches"]
         data = self._frame.pack(outbox.message)
@@ -115,7 +115,7 @@ class _Going:
         after["waits"] = after["waits"] | fresh
 
     def begin(self, left: Ints | None) -> bool:
-        """Messages that wait where nothing is under way begin; returns whether there are any."""
+        """Begin waiting messages on free lines; return whether there are any."""
         length, size, after = self._frame.length, self._frame.size, self.after
         begins = after["waits"] & (after["gone"] == length)
         begins &= after["free_ns"] < (self._at_ns + 1 if self._settings.polled else self._next_ns)
@@ -135,7 +135,7 @@ class _Going:
         return True
 
     def _fits(self, left: Ints) -> Bools:
-        """Where a message that begins now is out before the switch moves on."""
+        """Return where a message that begins now ends before the switch moves on."""
         settings, length = self._settings, self._frame.length
         if settings.polled:
             return settings.periods(length) <= left
@@ -143,7 +143,7 @@ class _Going:
         return end <= self._at_ns + by_clock(left * settings.period_ns, self._ppb)
 
     def run(self, data: Bytes, there: Ints) -> tuple[Ints, Ints]:
-        """What is under way goes on, until the cells step again.
+        """Continue the messages in transmission until the cells step again.
 
         Args:
             data: ``(4 n, slots)``, where its bytes go.
@@ -175,7 +175,7 @@ class _Going:
         return start, count
 
     def _quiet(self, free_ns: Ints) -> Ints:
-        """Until when a line says nothing whose message has ended."""
+        """Return the end of the silence after a message."""
         if self._settings.polled:
             # Half a period more than the silent one leaves no doubt which step may begin the next message.
             return self._at_ns + by_clock(3 * self._settings.period_ns // 2, self._ppb)

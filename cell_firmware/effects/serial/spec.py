@@ -58,7 +58,7 @@ class SerialSpec(CellEffectSpec):
         return self
 
     def settings(self, period_ns: int) -> LineSettings:
-        """What the lines of every cell are like, at this control period."""
+        """Return the line settings at this control period."""
         dwell = (self.dwell_periods or _DWELL_PERIODS) if self.sharing == "mux" else None
         return LineSettings(bit_ns(self.baud), period_ns, self.ring_bytes, self.bytes_per_period or 1, dwell)
 

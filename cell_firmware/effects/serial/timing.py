@@ -136,7 +136,7 @@ def sample_map(own_ppb: Ints, sender_ppb: Ints) -> Ints:
 
 
 def sampled(value: Bytes, samples: Ints, followed: Bools) -> tuple[Bytes, Bools]:
-    """What receivers make of bytes.
+    """Return the bytes that receivers sample.
 
     Args:
         value: ``(k,)``, as they were sent.
@@ -185,7 +185,7 @@ class LineTimes:
     def of(
         settings: LineSettings, late_ns: int, own: Ints | None = None, sender: Ints | None = None
     ) -> LineTimes:
-        """Those of lines whose receivers' clocks, ``(n, 1)``, and senders', ``(n, 4)``, are off by so many ppb."""
+        """Return the times of lines with clock errors of receivers, ``(n, 1)``, and of senders, ``(n, 4)``, ppb."""
         bit = settings.bit_ns
         byte_ns = by_clock(settings.byte_ns, sender)
         come_ns = by_clock(19 * bit // 2, sender) + late_ns
@@ -198,13 +198,13 @@ class LineTimes:
         return LineTimes(late_ns, byte_ns, come_ns, idle_ns, stop_ns, samples, skewed)
 
     def state(self) -> State:
-        """Those that differ from line to line, as a part's state carries them."""
+        """Return the times that vary by line, as state arrays."""
         lines = np.shape(self.byte_ns)
         return {name: np.broadcast_to(getattr(self, name), _shape(name, lines)).copy() for name in _VARYING}
 
     @staticmethod
     def from_state(late_ns: int, state: State) -> LineTimes:
-        """What ``state`` made of them."""
+        """Restore the times from the arrays of ``state``."""
         return LineTimes(late_ns, *(state[name] for name in _VARYING))
 
 

@@ -1,4 +1,4 @@
-"""Fault ``babble``: cells that flood their links with noise, whatever their program says."""
+"""Fault ``babble``: cells flood their links with noise."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class BabbleFault(CellTarget, CellFault):
     kind: Literal["babble"] = "babble"
 
     def message_faults(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> MessageFault:
-        """Noise instead of what programs say."""
+        """Return a source of noise that replaces the programs' messages."""
         return _Noise(talk, injected)
 
 
@@ -63,7 +63,7 @@ class _Noise(MessageFault):
     def on_send(
         self, now: StepTime, tick: int, place: Ints, outbox: Outbox | None
     ) -> tuple[Outbox | None, Ints]:
-        """Noise on all sides of those that babble."""
+        """Replace the messages of babbling cells by noise on all sides."""
         from cell_firmware.faults.payload_bytes import random_bytes
 
         rows = np.flatnonzero(self._number[place] >= 0)
@@ -82,7 +82,7 @@ class _Noise(MessageFault):
         return told, noise
 
     def _carried(self, now: StepTime, data: NDArray[np.uint8]) -> Messages:
-        """What links carry that bring these bytes; a stamp of 0: since the window began."""
+        """Return link payloads that contain these bytes; a time stamp of 0 is the start of the window."""
         if self._raw is not None:
             return self._raw.raw(now, data)
         blank = np.zeros(data.shape[0] * data.shape[1], dtype=self._line)

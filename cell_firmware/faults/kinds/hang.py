@@ -1,4 +1,4 @@
-"""Fault ``hang``: a cell's program stands still."""
+"""Fault ``hang``: a cell's program is halted."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from cell_firmware.faults.base import CellFault, ExecutionFaults
 
 @final
 class HangFault(CellTarget, CellFault):
-    """Programs that hang: pins keep what they had, nothing is sent, nobody serves the watchdog.
+    """Programs that hang: pins are held, nothing is sent, and the watchdog is not served.
 
-    Where the cell has one (effect ``cop``) it is reset, begins anew, and hangs again at once while the fault acts.
-    Repaired, it is reset too: a loop without an end does not end by itself.
+    A cell with a watchdog (effect ``cop``) is reset, restarts, and hangs again at once while the fault is active. A
+    repair resets the program too, since an endless loop does not end.
     """
 
     kind_name: ClassVar[str] = "hang"
@@ -21,7 +21,7 @@ class HangFault(CellTarget, CellFault):
     kind: Literal["hang"] = "hang"
 
     def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """No program runs; after the repair it begins anew."""
+        """Halt the affected programs; restart them at the repair."""
         if injected.active_at(tick):
             for flags in (pause.halted, pause.outputs_held, pause.watchdog_unserved):
                 flags[injected.cells] = True

@@ -1,4 +1,4 @@
-"""Fault ``lie``: cells that tell their neighbours what is not so, in words that look right."""
+"""Fault ``lie``: cells that send plausible but false values to their neighbours."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class LieFault(CellTarget, CellFault):
         return self
 
     def fit_problems(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:
-        """A field that is no number of what the firmware says."""
+        """Yield a field that is no number of the firmware's messages."""
         del sensors
         from cell_firmware.loader import load
 
@@ -64,7 +64,7 @@ class LieFault(CellTarget, CellFault):
             yield ("field",), self.field, f"must be a number that {cells.firmware} says: {told}"
 
     def message_faults(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> MessageFault:
-        """Lies, at whoever hears them."""
+        """Return the changes to messages, applied at their receivers."""
         return _Lies(self, talk, injected)
 
 
@@ -101,7 +101,7 @@ class _Lies(MessageFault):
         }
 
     def on_receive(self, tick: int, own: State, place: Ints, inbox: Inbox) -> tuple[State, Inbox, Ints]:
-        """Other numbers, on links from those that lie."""
+        """Replace numbers in messages from lying cells."""
         lies = self._struck[place] & inbox.received
         message = np.array(inbox.message)
         if own:
@@ -115,7 +115,7 @@ class _Lies(MessageFault):
     def _instead(
         self, name: str, own: State, told: Values, lies: Bools, chance: NDArray[np.float64]
     ) -> Values:
-        """What is heard of a field."""
+        """Return the false values of a field."""
         if self._mode == "offset":
             return _shifted(told, self._by)
         if self._mode == "factor":
@@ -132,7 +132,7 @@ class _Lies(MessageFault):
         return chance[place]
 
     def _learnt(self, own: State, lies: Bools, message: Values) -> State:
-        """What links have brought, with this."""
+        """Update the values that links have brought while the fault is active."""
         known, least, greatest = own["known"], np.array(own["least"]), np.array(own["greatest"])
         for name in self._fields:
             first = lies & ~known

@@ -1,4 +1,4 @@
-"""Fault ``link_corrupt``: links that change bits of what they carry."""
+"""Fault ``link_corrupt``: links that flip bits of messages."""
 
 from __future__ import annotations
 

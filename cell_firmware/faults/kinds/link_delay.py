@@ -21,9 +21,9 @@ from cell_firmware.firmware import Inbox, Inputs, opaque_view
 
 @final
 class LinkDelayFault(Delays, LinkTarget, LinkFault):
-    """Messages wait at their receiver, as with the effect of that name.
+    """Messages wait at their receiver, as with the effect of the same name.
 
-    What is under way when the fault ends still comes when it is due, unless a newer message comes in that tick.
+    Messages that wait when the fault ends are still delivered when due, unless a newer message arrives in that tick.
     """
 
     kind_name: ClassVar[str] = "link_delay"
@@ -64,7 +64,7 @@ class _Delayed(FaultFilter):
         self._struck[links.slot] = True
 
     def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells hear instead, while the fault acts or messages are under way."""
+        """Delay messages while the fault is active, and deliver due messages."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: no inbox, but messages to delay"
         delayed = inbox.received & self._struck.reshape(-1, 4) & self._injected.active_at(tick)

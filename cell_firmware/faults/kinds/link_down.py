@@ -1,4 +1,4 @@
-"""Fault ``link_down``: links that bring nothing."""
+"""Fault ``link_down``: links that deliver nothing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cell_firmware.firmware import Bools, Messages
 
 @final
 class LinkDownFault(LinkTarget, LinkFault):
-    """Links that are cut: what is said on them is lost."""
+    """Links that are cut: all messages are lost."""
 
     kind_name: ClassVar[str] = "link_down"
     kind: Literal["link_down"] = "link_down"

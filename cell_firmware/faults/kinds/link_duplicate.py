@@ -1,4 +1,4 @@
-"""Fault ``link_duplicate``: links on which messages come twice."""
+"""Fault ``link_duplicate``: links that deliver messages twice."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Duplicate(LinkFilter):
         self._words = self.blank()
 
     def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
-        """What comes, or came a tick ago and comes again."""
+        """Return new messages, and repeat messages of the tick before where no new one arrives."""
         again, overtaken = self._again & ~came, self._again & came
         heard = words.copy()
         heard[again] = self._words[again]

@@ -70,7 +70,7 @@ class _Independent(LinkFilter):
         self._draws = links.draws(injected)
 
     def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
-        """What chance leaves."""
+        """Drop messages at random."""
         lost = came & (self._draws.uniform(tick) < self._probability)
         return came & ~lost, words, {"lost": lost}
 
@@ -95,7 +95,7 @@ class _Bursts(LinkFilter):
         self._bad: Bools | None = None
 
     def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
-        """What good links bring."""
+        """Drop messages of bad links."""
         chance = self._draws.uniform(tick)
         if self._bad is None:
             self._bad = chance < self._share

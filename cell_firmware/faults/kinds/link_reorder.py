@@ -51,7 +51,7 @@ class _Reorder(LinkFilter):
         self._words = self.blank(fault.ticks)
 
     def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
-        """What is due of what was held back, and what comes and is not held back."""
+        """Return held messages that are due, and new messages that are not held."""
         slot = tick % self._ticks
         due, late = self._held[slot].copy(), self._words[slot].copy()
         held = np.zeros_like(came)

@@ -1,4 +1,4 @@
-"""Fault ``reboot``: a cell loses its power for a moment, and with it all that it knew."""
+"""Fault ``reboot``: a cell loses power for a moment, and its state with it."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from cell_firmware.firmware import Floats, Inputs
 
 @final
 class SensorDelayFault(SensorFault):
-    """Sensors that lag: they say in every tick what they said so many before, in a younger run what they said first."""
+    """Sensors that lag by ``ticks`` readings; until so many exist, the first reading is repeated."""
 
     kind_name: ClassVar[str] = "sensor_delay"
     kind: Literal["sensor_delay"] = "sensor_delay"
@@ -43,7 +43,7 @@ class _Delay(SensorFilter):
         self._levels = np.zeros((ticks, *struck.shape))
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
-        """What the cells see instead, while the fault acts."""
+        """Filter the inputs while the fault is active; record readings before its start."""
         if self._injected.start_tick - self._ticks <= tick < self._injected.start_tick:
             at = self._struck.at
             self.override(tick, inputs.presence[at], None if inputs.level is None else inputs.level[at])
@@ -52,7 +52,7 @@ class _Delay(SensorFilter):
     def override(
         self, tick: int, bit: NDArray[np.bool_], level: Floats | None
     ) -> tuple[NDArray[np.bool_], Floats | None]:
-        """What was said then; what is said now takes its place."""
+        """Return the readings of ``ticks`` ago, and record the current ones."""
         if not self._begun:
             self._begun = True
             self._bits[:] = bit

@@ -18,11 +18,11 @@ _PLACES: Final = 10**6
 
 @final
 class SlowClockFault(CellTarget, CellFault):
-    """Cells that are too slow: their programs run in ``factor`` of their control periods.
+    """Cells that are too slow: programs run in a share ``factor`` of the control periods.
 
-    Of the periods m = 0, 1, 2, ... since it began these are those in which ``floor((m + 1) factor) > floor(m factor)``:
-    of any stretch of them the share to within one. Integers say so, and nothing drifts. In the others pins keep what
-    they had, nothing is sent, and the watchdog does not count either: it is as slow.
+    Of the periods m = 0, 1, 2, ... since the fault's start, programs run in those with
+    ``floor((m + 1) factor) > floor(m factor)``: in any interval, the share holds to within one period. The computation
+    is exact in integers. In the other periods pins are held, nothing is sent, and the watchdog does not count either.
     """
 
     kind_name: ClassVar[str] = "slow_clock"
@@ -39,7 +39,7 @@ class SlowClockFault(CellTarget, CellFault):
         return value
 
     def running_periods(self, period: NDArray[np.int64]) -> Bools:
-        """Where the whole part of ``m factor`` goes on."""
+        """Return the periods m in which the whole part of ``m factor`` increases."""
         share = Fraction(repr(self.factor))
         over = period % share.denominator * share.numerator % share.denominator
         return over + share.numerator >= share.denominator

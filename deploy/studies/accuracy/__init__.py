@@ -1,1 +1,1 @@
-"""What accuracy costs: every solver on one scene, against a reference of another method."""
+"""Accuracy study: cost of accuracy for every solver on one scene, against an independent reference."""

@@ -1,4 +1,4 @@
-"""Where a parcel's centre of mass goes in a linear field under viscous friction: in closed form, through all supports.
+"""Closed-form motion of a parcel's centre of mass in a linear field under viscous friction, for all supports.
 
 In ``V = K p + v`` the loads' balances give ``sum N_i V_i = W (K X + v)`` whatever the supports, so ``X`` is a damped
 oscillator, ``X'' = mu g (K X + v - X')``, from the start to the end.

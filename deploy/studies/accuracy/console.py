@@ -1,4 +1,4 @@
-"""A study of accuracy in words for a terminal."""
+"""Terminal output of an accuracy study."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def print_report(report: AccuracyReport) -> None:
 
 
 def heading(report: AccuracyReport) -> list[str]:
-    """What was studied, and what by."""
+    """Format the study's heading: scene and reference."""
     reference = report.reference
     found = [
         (
@@ -119,7 +119,7 @@ def _table(report: AccuracyReport) -> Table:
 
 
 def remarks(report: AccuracyReport) -> list[str]:
-    """What the table can't show: omissions, failures, and where the order of events parts."""
+    """Format remarks below the table: omissions, failures, and divergent orders of events."""
     found = ["", _KEY]
     found += list(
         dict.fromkeys(f"{row.line} {row.note}." for row in report.rows if row.note and row.status == "ok")
@@ -145,7 +145,7 @@ def remarks(report: AccuracyReport) -> list[str]:
 
 
 def _left_out(report: AccuracyReport) -> list[str]:
-    """Rows without figures and why, those of a line that have one reason together."""
+    """List rows without figures and the reason, grouped by line and reason."""
     settings: dict[tuple[str, str], list[str]] = {}
     for row in report.rows:
         if row.status != "ok":

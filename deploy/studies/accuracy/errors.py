@@ -1,4 +1,4 @@
-"""How far one course of a scene is from another: displacement of corners, events, and distributions."""
+"""Errors of a trace against a reference: displacement of corners, events, and distributions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def displacement_m(states: Floats, others: Floats, footprints_m: Sequence[Floats
 @final
 @dataclass(frozen=True, slots=True)
 class EventErrors:
-    """How the events of a course agree with those of a reference.
+    """Agreement of a trace's events with a reference.
 
     Attributes:
         found: events of the reference that the course has.
@@ -139,7 +139,7 @@ def _lasting(invented: Mapping[Key, Sequence[float]]) -> list[float]:
 
 
 def _out_of_order(pairs: Sequence[tuple[float, float]]) -> list[float]:
-    """Own times of events that come before one that the reference has earlier."""
+    """Return the solver's times of events that precede an event which the reference has earlier."""
     latest, early = -np.inf, list[float]()
     rising = sorted(pairs)
     for number, (there, here) in enumerate(rising):

@@ -176,7 +176,7 @@ def _sampling(report: AccuracyReport) -> Figure:
 
 
 def _list(axes: Axes, left: Sequence[str]) -> None:
-    """What is not drawn, by name."""
+    """List the names of omitted curves beside the plot."""
     if left:
         text = "\n".join(["not drawn", *dict.fromkeys(left)])
         axes.text(1.03, 0.0, text, transform=axes.transAxes, fontsize=7.5, color="#6b7580", va="bottom")

@@ -1,7 +1,7 @@
-"""What solvers are judged by: a course of another method, checked by a third and by a closed form.
+"""Reference solutions of the accuracy study, checked against another method and a closed form.
 
-Methods are tried in an order, from the finest on. Where chatter is too dense for them, the reference is ``exact`` with
-every crossing located from its onset on, and that is said.
+Methods are tried in order, from the finest on. Where chatter is too dense for these methods, the reference is ``exact``
+with every crossing located from the onset of chatter on, and a note says so.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LOCATED_M = 1e-12
 @final
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How far a check is from the reference.
+    """Difference between a check and the reference.
 
     Attributes:
         method: of the check.
@@ -58,16 +58,16 @@ class Agreement:
 @final
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What solvers are judged by.
+    """Reference solution of a scene, which solvers' errors are measured from.
 
     Attributes:
         method: in words.
-        solver: the name of the solver that computed it.
+        solver: name of the solver that computed the reference.
         course: its states and events.
-        second: the course that judges rows of that same solver, and its name; None: there is no other.
-        agreement: with every check.
-        chatter_s: the instant before which no chatter is captured; None: there is none.
-        notes: what else is to be known, a sentence each.
+        second: name and trace of the reference for rows of ``solver`` itself; None: no second reference.
+        agreement: differences from every check.
+        chatter_s: time before which no chatter is captured, s; None without chatter.
+        notes: further remarks, a sentence each.
     """
 
     method: str
@@ -79,7 +79,7 @@ class Reference:
     notes: Sequence[str]
 
     def judge(self, solver: str) -> tuple[str, AccuracyTrace]:
-        """Whose course judges a solver, and it."""
+        """Return name and trace of the reference that a solver is compared with."""
         if solver == self.solver and self.second is not None:
             return self.second
         return self.solver, self.course
@@ -152,7 +152,7 @@ class ReferenceSolver:
     # --- courses --------------------------------------------------------------------------------------------------
 
     def _try(self, settings: Settings, until_s: float | None = None) -> AccuracyTrace | None:
-        """A course, or None and a note where it is not to be had."""
+        """Run a method and return its trace, or None and a note if that fails."""
         why = refusal(self._scene, settings)
         left_s = min(self._limit_s, self._over_s - time.process_time())
         if why is None and left_s <= 0.0:
@@ -268,7 +268,7 @@ def _apart(method: str, course: AccuracyTrace, other: AccuracyTrace, until_s: fl
 
 
 def as_json(reference: Reference) -> dict[str, Any]:
-    """What a report says of it, in JSON's types."""
+    """Convert a reference to JSON types for a report."""
     return {
         "method": reference.method,
         "agreement": [

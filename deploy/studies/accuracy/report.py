@@ -1,4 +1,4 @@
-"""What a study of accuracy found, as data: for tables, JSON, CSV and pictures."""
+"""Results of an accuracy study as data, for tables, JSON, CSV and plots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PACKAGES = ("mdms-emulator", "numpy", "numba", "scipy", "heyoka")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccuracyRow:
-    """A solver at one setting; what there is none of is None.
+    """Result of a solver at one setting; unavailable values are None.
 
     Attributes:
         solver: its name.
@@ -78,7 +78,7 @@ class AccuracyRow:
 @final
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """The whole system, cells and messages included, at one control period.
+    """Result of the whole system, including cells and messages, at one control period.
 
     Attributes:
         period_s: of control.
@@ -98,7 +98,7 @@ class Sampled:
 @final
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """The price of sampling, for one kind of wheels.
+    """Sampling cost for one kind of wheels.
 
     Attributes:
         wheels: what turns them, in words.
@@ -114,7 +114,7 @@ class Sampling:
 @final
 @dataclass(frozen=True, slots=True)
 class AccuracyReport:
-    """All of a study.
+    """Complete results of an accuracy study.
 
     Attributes:
         scene: its name.
@@ -185,7 +185,7 @@ class AccuracyReport:
 
 
 def versions() -> dict[str, str]:
-    """Of what computes, as far as it is installed."""
+    """Return the versions of Python and of the installed numerical packages."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:

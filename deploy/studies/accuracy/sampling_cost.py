@@ -1,4 +1,4 @@
-"""The price of sampling: the whole system, cells and messages included, as the control period shrinks."""
+"""Sampling cost: the whole system, including cells and messages, as the control period shrinks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A study of what accuracy costs: every solver that claims a scene, at every setting of its sweeps."""
+"""Accuracy study: every solver that supports a scene, at every setting of its sweeps."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ FEWEST = 5
 @final
 @dataclass(frozen=True, slots=True)
 class StudyPlan:
-    """How a study is made.
+    """Extent of a study: settings, repetitions and time limits.
 
     Attributes:
         quick: few settings, few runs, and no more than half a minute.
@@ -180,7 +180,7 @@ class _Study:
         return rows
 
     def _refusal(self, trial: Trial) -> str | None:
-        """Why a solver takes no part: it doesn't claim the scene, or its package is not installed."""
+        """Return why a solver is excluded: it doesn't support the scene, or its package is not installed."""
         why = refusal(self._scene, trial.settings)
         if why is not None:
             return why
@@ -194,7 +194,7 @@ class _Study:
         return None
 
     def _row(self, trial: Trial, reference: Reference) -> AccuracyRow:
-        """One solver at one setting, judged and timed."""
+        """Run, evaluate and time a solver at a single setting."""
         if time.process_time() > self._over_s:
             return _bare(trial, "omitted", "not begun, for lack of time: the study is quick")
         self._say(f"{trial.solver} {trial.setting}")

@@ -1,4 +1,4 @@
-"""Which solvers, at which settings, a study runs: what each solver's spec says of itself."""
+"""Solvers and settings of a study, from the sweeps in each solver's spec."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _trials(scene: Scene, name: str, sweep: Sweep) -> Iterator[Trial]:
 
 
 def _own(scene: Scene, name: str) -> dict[str, Any]:
-    """What the scene sets for a solver beside how accurate it is."""
+    """Return the scene's solver settings, except for accuracy; empty for another solver."""
     if scene.solver.name != name:
         return {}
     kept = scene.solver.model_dump(exclude_defaults=True, exclude_none=True)

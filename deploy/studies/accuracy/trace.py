@@ -1,4 +1,4 @@
-"""One run of a scene's field under one solver: states, events, time, effort, and how it ended."""
+"""Trace of one run under one solver: states, events, time, effort, and status."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class _OutOfTimeError(Exception):
 @final
 @dataclass(frozen=True, slots=True)
 class AccuracyTrace:
-    """How a scene went.
+    """Trace of one run of a scene.
 
     Attributes:
         time_s: ``(T,)`` instants, a control period apart, as far as it came.
@@ -112,7 +112,7 @@ def run_trace(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | 
 
 
 def time_run(scene: Scene, look: Callable[[], None] | None = None) -> float:
-    """Wall time of one more run, s: the same calls of the plant, and nothing kept."""
+    """Measure the wall time of another run, s: the same calls of the plant, without storing results."""
     from plant.plant import Plant
 
     plant = Plant(scene.plant_spec())

@@ -1,4 +1,4 @@
-"""The runs of a campaign: a scene for every combination of values, and the undisturbed one beside it."""
+"""Cases of a campaign: a scene for every combination of values, and its baseline."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _WHOLE = re.compile(r"[+-]?\d+")
 @final
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A key and the values that it takes in turn.
+    """Axis of the grid: a key and its values.
 
     Attributes:
         key: As it was given, with dots.
@@ -76,7 +76,7 @@ class Axis:
         return cls(key.strip(), path, values_of(values.strip(), option), option)
 
     def override(self, value: Any) -> Override:
-        """What puts a value where the key says."""
+        """Return the override that sets the axis' key to a value."""
         return Override(self.path, value, f"{self.option}, value {value}")
 
 
@@ -171,16 +171,16 @@ _MOST_RUNS = 1_000_000
 @final
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One combination of values, whatever the seed.
+    """One combination of values, for all seeds.
 
     Attributes:
-        number: Its place in the grid, the last key fastest.
-        values: What is varied, by key.
-        scene: What runs.
-        undisturbed: What that is compared with; None: with nothing.
-        criterion: What makes a run of it a success.
-        beside: Names the undisturbed scene, seed aside: cases that are compared with the same have the same; empty
-            where there is none.
+        number: Position in the grid, the last key fastest.
+        values: Varied values, by key.
+        scene: Scene of the runs.
+        baseline: Scene that the runs are compared with; None: no comparison.
+        criterion: Success criterion of the runs.
+        baseline_result: Identifier of the baseline scene without the seed, equal for cases with the same baseline;
+            empty without a baseline.
     """
 
     number: int
@@ -191,14 +191,14 @@ class Case:
     baseline_result: str = ""
 
     def baseline_id(self, seed: int) -> str:
-        """Names the run that the one with this seed is compared with; empty where there is none."""
+        """Return the identifier of the baseline run for a seed; empty without a baseline."""
         return f"{self.baseline_result}-{seed}" if self.baseline_result else ""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Cases:
-    """All that runs.
+    """All cases of a campaign.
 
     Attributes:
         scene: As it is where nothing is varied, without the campaign's fault.
@@ -214,17 +214,17 @@ class Cases:
 
     @property
     def runs(self) -> int:
-        """How many, undisturbed ones not counted."""
+        """Number of runs, without baselines."""
         return len(self.cases) * len(self.seeds)
 
     @property
     def baseline_runs(self) -> int:
-        """How many of those, each once for all cases that share it."""
+        """Number of baseline runs; a baseline that several cases share counts once."""
         return len({case.baseline_result for case in self.cases} - {""}) * len(self.seeds)
 
 
 def with_seed(scene: Scene, seed: int) -> Scene:
-    """The same scene, left to another chance; what is valid with one seed is with all."""
+    """Return a copy of the scene with another seed; validity doesn't depend on the seed."""
     return scene.model_copy(update={"seed": seed})
 
 
@@ -271,7 +271,7 @@ def cases_of(asked: CampaignSpec, text: str) -> Cases:
 
 
 def _sets(asked: CampaignSpec) -> tuple[list[Override], list[Override]]:
-    """What ``--set`` changes in the scene, and in the campaign's fault."""
+    """Split ``--set`` options into overrides of the scene and of the campaign's fault."""
     sets = [Override.parse(text) for text in asked.set]
     if asked.duration_s is not None:
         sets.append(Override(("duration_s",), asked.duration_s, f"--duration {asked.duration_s:g}"))

@@ -1,4 +1,4 @@
-"""A campaign in words for a terminal."""
+"""Terminal output of a campaign."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @final
 class CampaignProgress(Display):
-    """A bar with the runs that are over, those that failed, and the time left; lines now and then in a log.
+    """Progress bar with completed runs, failed runs and remaining time; occasional lines in a log.
 
     Args:
         total: Runs of the campaign, undisturbed ones included.
@@ -39,7 +39,7 @@ class CampaignProgress(Display):
             self._task = self._bar.add_task("", total=total, completed=done, failed=self._facts())
 
     def advance(self, *, failed: bool) -> None:
-        """One more run is over."""
+        """Count one more completed run."""
         self._done += 1
         self._failed += failed
         if self._bar is not None:
@@ -103,7 +103,7 @@ def print_report(report: CampaignReport) -> None:
 
 
 def heading(report: CampaignReport) -> str:
-    """What was run, in one line."""
+    """Format the campaign's heading: scene, fault and number of runs."""
     asked, cases = report.asked, report.cases
     facts = [f"scene {asked.scene}"]
     if asked.fault:

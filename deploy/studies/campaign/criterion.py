@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Criterion:
-    """Demands on a run that came to its end.
+    """Success criterion of a completed run.
 
     Attributes:
         within_m: Largest error of a success, m; None: any.

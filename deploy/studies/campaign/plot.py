@@ -1,4 +1,4 @@
-"""The picture of a campaign: success, error and time over one value that is varied, or maps over two."""
+"""Plot of a campaign: success, error and time over one varied value, or maps over two."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -62,7 +62,7 @@ class _Measure:
 
 
 def why_none(report: CampaignReport) -> str:
-    """Why there is no picture; empty where there is one."""
+    """Return why no plot is drawn; empty if a plot is drawn."""
     varied = len(_varied(report))
     if varied == 0:
         return "nothing is varied"

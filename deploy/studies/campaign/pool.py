@@ -48,10 +48,10 @@ _CELLS = "cells"
 @final
 @dataclass(frozen=True, slots=True)
 class WorkerLoop:
-    """What a worker does until nobody hands it anything more.
+    """Main loop of a worker: runs scenes until the connection closes.
 
     Args:
-        address: Path of the socket on which scenes are handed out.
+        address: Path of the socket from which scenes are received.
     """
 
     address: str
@@ -94,7 +94,7 @@ _REPORT_S = 2.0
 
 
 class Executor(Protocol):
-    """Runs scenes, wherever that is."""
+    """Executor of scenes, local or remote."""
 
     def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
         """Run scenes; how each ended comes with its place among them, in any order.
@@ -107,7 +107,7 @@ class Executor(Protocol):
 @final
 @dataclass(slots=True)
 class _Job:
-    """A run that is to be done or is being done.
+    """Run that is queued or in progress.
 
     Attributes:
         place: Among the scenes that were given.
@@ -125,12 +125,12 @@ class _Job:
 @final
 @dataclass(slots=True)
 class _WorkerSlot:
-    """A worker that has come, and what it is at.
+    """Connected worker and its current job.
 
     Attributes:
-        worker: Its number.
-        line: To it.
-        job: None: nothing.
+        worker: Number of the worker.
+        connection: Connection to the worker.
+        job: Job in progress; None: idle.
     """
 
     worker: int
@@ -140,7 +140,7 @@ class _WorkerSlot:
 
 @final
 class ExecutorPool:
-    """Worker processes, each with one run at a time; leaving the context ends them, whatever they are at.
+    """Pool of worker processes, each with one run at a time; leaving the context terminates all workers.
 
     They are forked by a nursery, which runs nothing itself, and end with this process however that ends.
 
@@ -203,7 +203,7 @@ class ExecutorPool:
             todo.extend(itertools.islice(more, max(0, self._jobs - len(todo))))
 
     def _scale_up(self, todo: int) -> None:
-        """Have as many workers as there is work for, and no more than were asked for."""
+        """Start workers up to the number of queued runs, at most the requested number."""
         while self._crew.poll():
             pass
         if self._crew.pipe_closed:
@@ -243,7 +243,7 @@ class ExecutorPool:
                     desk.connection.send(desk.job.scene)
 
     def _receive(self, desk: _WorkerSlot, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
-        """What a worker tells, or that it has gone."""
+        """Receive a worker's result, or handle the loss of the worker."""
         job, desk.job = desk.job, None
         try:
             told: tuple[CaseEnd, bool] = desk.connection.recv()
@@ -259,7 +259,7 @@ class ExecutorPool:
         yield job.place, ending
 
     def _lost(self, worker: int, job: _Job, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
-        """What becomes of a run whose worker has gone."""
+        """Requeue the job of a lost worker, or fail the job at the second loss."""
         if job.tried:
             reason = f"its process was lost twice: {self._how(worker)}"
             yield job.place, CaseEnd(status="failed", reason=reason)
@@ -273,7 +273,7 @@ class ExecutorPool:
         desk.connection.close()
 
     def _how(self, worker: int) -> str:
-        """How a worker ended."""
+        """Describe how a worker ended."""
         deadline = time.monotonic() + _REPORT_S
         while worker not in self._crew.ended and (left := deadline - time.monotonic()) > 0.0:
             self._crew.poll(left)

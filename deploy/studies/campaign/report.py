@@ -1,4 +1,4 @@
-"""What a campaign came to: for programs as JSON and CSV."""
+"""Results of a campaign: statistics, JSON and CSV."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LEAST = 2
 @final
 @dataclass(frozen=True, slots=True)
 class Share:
-    """A share of runs.
+    """Share of runs with its confidence interval.
 
     Attributes:
         share: In [0, 1]; None of no runs.
@@ -43,7 +43,7 @@ class Share:
 @final
 @dataclass(frozen=True, slots=True)
 class Mean:
-    """A mean over runs.
+    """Mean over runs with its confidence interval.
 
     Attributes:
         mean: None of no runs.
@@ -97,7 +97,7 @@ def mean_of(values: Sequence[float], confidence: float) -> Mean:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignRow:
-    """One case.
+    """Aggregated results of one case.
 
     Attributes:
         values: What is varied, by key.
@@ -160,7 +160,7 @@ CSV_NAME = "campaign.csv"
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignReport:
-    """A campaign that is over, or was interrupted.
+    """Report of a completed or interrupted campaign.
 
     Attributes:
         status: ``ok``, ``failed`` (no run came to its end) or ``interrupted``.
@@ -251,7 +251,7 @@ def criterion_words(cases: Cases) -> str:
 
 
 def _against(asked: CampaignSpec) -> str | None:
-    """What runs are compared with, in words; None: with nothing."""
+    """Describe the baseline that runs are compared with; None without a baseline."""
     parts = ["without the fault"] if asked.fault else []
     parts += [f"with {one}" for one in asked.against]
     return ", ".join(parts) or None

@@ -1,4 +1,4 @@
-"""What a run is judged by: whether it succeeded, how far its parcels are off, how long they took."""
+"""Evaluation of runs: success, parcels' errors, and completion times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Corners = tuple[tuple[float, float], ...]
 @final
 @dataclass(frozen=True, slots=True)
 class ParcelEnd:
-    """How one parcel ended.
+    """Final state of one parcel.
 
     Attributes:
         state: As ``plant.observations.ParcelStatus`` has it.
@@ -37,19 +37,19 @@ class ParcelEnd:
 
     @property
     def left(self) -> bool:
-        """Whether it left through an exit."""
+        """Whether the parcel left through an exit."""
         return self.state == "delivered"
 
     @property
     def there(self) -> bool:
-        """Whether it has come and has not left; one that tipped lies where it tipped."""
+        """Whether the parcel is on the array, tipped parcels included."""
         return self.state != "waiting" and not self.left
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseEnd:
-    """How one run ended.
+    """End of one run.
 
     Attributes:
         status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
@@ -72,7 +72,7 @@ class CaseEnd:
 
 
 def run_case(scene: Scene) -> CaseEnd:
-    """Run a scene, the whole system in this process; whatever goes wrong in it is how it ended."""
+    """Run a scene with the whole system in this process; errors are part of the result."""
     from cell_firmware.errors import FirmwareError
     from deploy.recordings.digest import Digest
     from deploy.runs.headless import run_headless
@@ -115,17 +115,17 @@ def _parcels(course: HeadlessResult) -> tuple[ParcelEnd, ...]:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseOutcome:
-    """What one run came to.
+    """Evaluated result of one run.
 
     Attributes:
         status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
-        reason: Why it isn't ``ok``, or why it did not succeed; empty where it did.
-        succeeded: See `judged`.
-        error_m: The same.
-        time_s: The same.
-        cells_lost: Cells that were lost though no fault struck them.
-        digest: Of all ticks, as ``mdms run`` has it; None where the run did not come to its end.
-        wall_s: Of the run itself, without start-up.
+        reason: Reason for another status than ``ok``, or for a failure of the criterion; empty after a success.
+        succeeded: See `evaluate`.
+        error_m: See `evaluate`.
+        time_s: See `evaluate`.
+        cells_lost: Number of cells that were lost without a fault.
+        digest: Digest of all ticks, as of ``mdms run``; None where the run did not come to its end.
+        wall_s: Wall time of the run itself, without start-up, s.
     """
 
     status: str
@@ -187,7 +187,7 @@ def evaluate(ending: CaseEnd, undisturbed: CaseEnd | None, criterion: Criterion)
 
 
 def _failure_reason(ending: CaseEnd, undisturbed: CaseEnd | None) -> str:
-    """Why a run that came to its end did not succeed, as far as its parcels' states tell; empty: it may have."""
+    """Return why a completed run failed, as far as parcels' states show; empty if no state does."""
     for number, parcel in enumerate(ending.parcels):
         if parcel.state == "tipped":
             return f"parcel {number} tipped"
@@ -220,7 +220,7 @@ def _of(ending: CaseEnd | None) -> tuple[ParcelEnd, ...]:
 
 
 def _done(parcel: ParcelEnd) -> bool:
-    """Whether it came to rest or left."""
+    """Whether the parcel came to rest or left."""
     return parcel.left or parcel.state == "at_rest"
 
 
@@ -242,7 +242,7 @@ def distance_of(ending: CaseEnd, place_m: tuple[float, float]) -> float | None:
 
 
 def time_of(ending: CaseEnd) -> float | None:
-    """When the last parcel came to rest or left, s; None unless every parcel did, and where there is none."""
+    """Return when the last parcel came to rest or left, s; None if some parcel didn't, or without parcels."""
     if not all(_done(parcel) for parcel in ending.parcels):
         return None
     return max((parcel.time_s for parcel in ending.parcels), default=None)

@@ -1,4 +1,4 @@
-"""A campaign from what was asked to its report."""
+"""Campaign runner: from a campaign's specification to its report."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ _OUTCOME = TypeAdapter(CaseOutcome)
 
 @final
 class Journal:
-    """The runs that are over, in the file and at hand.
+    """Journal of completed runs, in the file and in memory.
 
-    A line is written in one go and flushed: whatever ends the campaign, only the last can be torn, and that is dropped
-    when the file is opened again.
+    Each line is written in one call and flushed. However the campaign ends, at most the last line is incomplete; it is
+    dropped when the file is opened again.
 
     Args:
-        folder: The campaign's, locked by the caller (``deploy.util.output_lock``).
+        folder: Folder of the campaign, locked by the caller (``deploy.util.output_lock``).
 
     Raises:
         InputError: A line of the file makes no sense.
         DeployError: The file can't be opened.
 
     Attributes:
-        runs: What each run came to, by the case's number and the seed.
-        undisturbed: How each undisturbed run ended, by its key.
+        runs: Outcome of each run, by the case's number and the seed.
+        baselines: End of each baseline run, by its identifier.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -120,13 +120,12 @@ class Journal:
 @final
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """What is run, and where its results go.
+    """A campaign: its cases, and the folder of its results.
 
     Attributes:
-        asked: What was asked for.
-        cases: What that means.
-        folder: Where results go, those of runs done before included; locked by the caller
-            (``deploy.util.output_lock``).
+        asked: Specification of the campaign.
+        cases: Cases that the specification expands to.
+        folder: Folder of results, including those of earlier runs; locked by the caller (``deploy.util.output_lock``).
         quiet: Show no progress and no warnings on stderr.
     """
 
@@ -170,11 +169,11 @@ class Campaign:
             self.execute(pool, journal)
 
     def execute(self, executor: Executor, journal: Journal) -> None:
-        """Do all runs that are missing: first the undisturbed ones, each once, then those that are judged by them.
+        """Execute all missing runs: first each baseline once, then the runs compared with a baseline.
 
         Args:
-            executor: Who runs scenes.
-            journal: Of the runs that are over; continued.
+            executor: Executor of scenes.
+            journal: Journal of completed runs, which is extended.
         """
         runs = [
             (case, seed)

@@ -1,4 +1,4 @@
-"""What a campaign was asked for, as its folder keeps it: enough to go on with it."""
+"""Campaign specification, stored in the campaign's folder so that the campaign can be resumed."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ SCENE_NAME = "scene.toml"
 
 @final
 class CampaignSpec(Spec):
-    """The arguments of ``mdms campaign`` that decide what its runs are, and what is made of them.
+    """Arguments of ``mdms campaign`` that determine the campaign's runs and their evaluation.
 
-    Texts are kept as they were typed.
+    Strings are kept as they were typed.
     """
 
     scene: str
@@ -55,10 +55,10 @@ OPTIONS = {
 
 
 def read_options(given: dict[str, Any]) -> CampaignSpec:
-    """What the command line asks for.
+    """Validate the command line's options.
 
     Args:
-        given: By field; None where nothing was said.
+        given: Values by field; None for options that were not given.
 
     Raises:
         InputError: A value that is not allowed, one line each.
@@ -73,7 +73,7 @@ def read_options(given: dict[str, Any]) -> CampaignSpec:
 
 
 def write(asked: CampaignSpec, scene: str, versions: dict[str, str], folder: Path) -> None:
-    """Keep what was asked for, and the scene's text, in the campaign's folder.
+    """Write the specification and the scene's text to the campaign's folder.
 
     Raises:
         DeployError: It can't be written.
@@ -87,7 +87,7 @@ def write(asked: CampaignSpec, scene: str, versions: dict[str, str], folder: Pat
 
 
 def read(folder: Path) -> tuple[CampaignSpec, str, dict[str, str]]:
-    """What `write` kept: what was asked for, the scene's text, the versions.
+    """Read the files of `write`: the specification, the scene's text, the versions.
 
     Raises:
         InputError: There is no campaign in the folder, or it can't be read.

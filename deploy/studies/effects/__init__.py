@@ -1,1 +1,1 @@
-"""What effects of a scene do and cost: one at a time, and as a ladder of fidelity."""
+"""Effects study: influence and cost of a scene's effects, one at a time and as a ladder of fidelity."""

@@ -1,4 +1,4 @@
-"""A scene with some of its effects taken out or put in, its law or its solver changed; validated as its file is."""
+"""Variants of a scene: effects added or removed, law or solver changed, validated like a scene file."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Table = Mapping[str, Any]
 
 @final
 class VariantRejected(Exception):
-    """The scene refuses the change; says why."""
+    """The scene refuses the change; the message has the reason."""
 
 
 def effect_types() -> dict[str, type[EffectSpec]]:
-    """Every registered effect by name: those with a place in the ladder in its order, then the others."""
+    """Return every registered effect by name: effects with a rung in the order of the ladder, then all others."""
     found: dict[str, type[EffectSpec]] = {}
     for name, field in EffectsSpec.model_fields.items():
         (kind,) = (
@@ -42,7 +42,7 @@ def effect_types() -> dict[str, type[EffectSpec]]:
 
 
 def summary(name: str) -> str:
-    """What an effect is: the first line of its docstring."""
+    """Return an effect's summary: the first line of its docstring."""
     return (effect_types()[name].__doc__ or "").partition("\n")[0].rstrip(".").replace("`", "")
 
 
@@ -55,7 +55,7 @@ def typical(name: str, scene: Scene) -> Table:
     """Settings with which a scene that lacks an effect tries it.
 
     Raises:
-        NotPossible: Only a scene can say.
+        VariantRejected: Only a scene can say.
     """
     settings = effect_types()[name].default_settings(scene.array.pitch_m)
     if isinstance(settings, str):
@@ -78,7 +78,7 @@ def variant(
         solver: Its ``solver``.
 
     Raises:
-        NotPossible: The scene refuses it.
+        VariantRejected: The scene refuses it.
     """
     data = scene.model_dump(mode="json")
     data["effects"] = dict(effects)
@@ -119,7 +119,7 @@ def refined(scene: Scene, factor: float = 0.1) -> Scene | None:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AblationPair:
-    """An effect, on and off.
+    """Scenes with and without an effect.
 
     Attributes:
         on: The scene with it.
@@ -142,10 +142,10 @@ class AblationPair:
 
 
 def ablate(scene: Scene, name: str) -> AblationPair:
-    """A scene with and without one effect: its own settings, or where it lacks the effect typical ones.
+    """Return a scene with and without one effect, with the scene's settings, or typical settings if the scene has none.
 
     Raises:
-        NotPossible: Says why it can't be toggled in this scene.
+        VariantRejected: The effect can't be toggled in this scene; the message has the reason.
     """
     own = tables(scene)
     return _taken_out(scene, name, own) if name in own else _put_in(scene, name, own)
@@ -175,7 +175,7 @@ def _solver_table(scene: Scene) -> Table:
 
 
 def _needs(name: str, settings: Table, scene: Scene) -> set[str]:
-    """All effects that one with these settings builds on, these with typical settings."""
+    """Return all effects that an effect with these settings requires, directly or through typical settings."""
     found: set[str] = set()
     waiting = list(_needed(name, settings))
     while waiting:
@@ -191,7 +191,7 @@ def _needed(name: str, settings: Table) -> tuple[str, ...]:
 
 
 def dependents(name: str, own: Mapping[str, Table]) -> set[str]:
-    """The effect, and those of the scene's that build on it as they are set."""
+    """Return the effect and all effects of the scene that require it, directly or indirectly."""
     found, size = {name}, 0
     while len(found) > size:
         size = len(found)

@@ -1,4 +1,4 @@
-"""Which effects a scene could go without, and which it lacks though they would change its answer."""
+"""Advice on effects: removable effects of a scene, and missing effects that would change the result."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Advice:
-    """What to do about a scene's effects.
+    """Recommended changes of a scene's effects.
 
     Attributes:
-        tolerance_m: How far a corner may be off at the end for the answer to count as the same.
-        can_go: Effects that the scene has and whose influence is within that, each by itself.
-        together: The influence of leaving out all of these at once; None where there are none, or it couldn't be found.
-        missing: Effects that the scene lacks and whose influence, with typical settings, is beyond it.
-        unclear: Effects whose influence is known no better than that: the solver's own error is beyond the tolerance.
+        tolerance_m: Largest displacement of a corner at the end for two results to count as equal, m.
+        can_go: Effects of the scene whose individual influence is within the tolerance.
+        together: Influence of leaving out all of ``can_go`` at once; None if ``can_go`` is empty or no result was
+            found.
+        missing: Effects that the scene lacks and whose influence, with typical settings, is beyond the tolerance.
+        unclear: Effects whose influence is unknown because the solver's own error is beyond the tolerance.
     """
 
     tolerance_m: float
@@ -63,7 +64,7 @@ def _off(influence: Sensitivity | None) -> float:
 
 
 def _together(study: EffectStudy, names: Sequence[str]) -> Sensitivity | None:
-    """The influence of all of these at once, with those that build on them."""
+    """Compute the joint influence of several effects and their dependents."""
     scene, own = study.scene, tables(study.scene)
     gone = {other for name in names for other in dependents(name, own)}
     try:

@@ -1,4 +1,4 @@
-"""A ladder of fidelity: one scene from a quasi-static motion to all effects, cost against distance from the top."""
+"""Ladder of fidelity: one scene from quasi-static motion to all effects, cost against distance from the top rung."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ STICK_SLIP: Table = {
 @final
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """One rung: what is below, and one thing more.
+    """Rung of the ladder: the rungs below plus one effect or refinement.
 
     Attributes:
-        name: Of what it adds.
-        adds: That in words.
-        scene: What is run; None where it doesn't fit on what is below.
-        reason: Why not; empty where it does.
-        instead: Effects below that it leaves out because it doesn't go with them: it stands beside the ladder.
+        name: Name of the addition.
+        adds: Description of the addition.
+        scene: Scene that is run; None where the addition is incompatible with the rungs below.
+        reason: Reason for incompatibility; empty where the scene is run.
+        instead: Effects of lower rungs that this rung omits as incompatible. Such a rung stands beside the ladder.
     """
 
     name: str
@@ -57,14 +57,14 @@ class Rung:
 
     @property
     def words(self) -> str:
-        """What it adds, and in place of what."""
+        """Description of the addition, with the effects that it replaces."""
         return f"{self.adds}; in place of {', '.join(self.instead)}" if self.instead else self.adds
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class RungResult:
-    """A rung, run.
+    """Result of a rung.
 
     Attributes:
         rung: Which.
@@ -134,13 +134,13 @@ def _in_its_way(name: str, kept: Mapping[str, Table]) -> set[str]:
 
 
 def _law(scene: Scene, usual: Table) -> Table:
-    """The scene's law if it is of that kind, else the usual one of it."""
+    """Return the scene's friction law if its kind matches, else the usual settings of the kind."""
     own = scene.friction.model_dump(mode="json")
     return own if own["law"] == usual["law"] else usual
 
 
 def _solver(scene: Scene) -> Table:
-    """What the rungs with inertia run under: the scene's solver if it knows all effects, with its settings."""
+    """Return the solver of the rungs with inertia: the scene's own if ``implicit``, else a default ``implicit``."""
     return scene.solver.model_dump(mode="json") if scene.solver.name == "implicit" else {"name": "implicit"}
 
 
@@ -152,13 +152,14 @@ def _rung(name: str, adds: str, scene: Scene, effects: Mapping[str, Any], law: T
 
 
 def run_ladder(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> list[RungResult]:
-    """Run every rung, all in the same way: with their cells if one of them needs them.
+    """Run every rung in the same mode: with cells if any rung needs cells.
 
     Args:
-        ladder: From the bottom; the distance is from the last that comes to its end, and is not beside it.
-        repeats: Timed runs of each, at least 1, after one that is not timed; they take turns, so that a slower machine
-            is slower for all.
-        tell: Told what begins, one line.
+        ladder: Rungs from the bottom. The distance is measured from the last completed rung that is not beside the
+            ladder.
+        repeats: Timed runs of each rung, at least 1, after one untimed run. The rungs take turns, so that a slower
+            machine affects all rungs alike.
+        tell: Called with one line at the start of each run.
     """
     there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
     cells = any(needs_cells(scene) for scene in there.values())

@@ -1,4 +1,4 @@
-"""The picture of a ladder of fidelity: what each rung costs against how far its answer is from the top one's."""
+"""Plot of a ladder of fidelity: cost of each rung against its distance from the top rung."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -113,7 +113,7 @@ def _ticks(foot: float, far: Sequence[float]) -> tuple[list[float], list[str]]:
 
 
 def _draw_words(axes: Axes, climbed: Sequence[RungResult]) -> None:
-    """A line a rung: its number, name, and what it adds; in grey what was left out."""
+    """Draw one line a rung: number, name and addition; omitted rungs in grey."""
     axes.set_axis_off()
     axes.set_xlim(0.0, 1.0)
     lines = max(len(climbed), _LEAST_LINES)

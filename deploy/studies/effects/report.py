@@ -1,4 +1,4 @@
-"""Effects, their influence, advice and the ladder, in words for a terminal."""
+"""Terminal and JSON output of effects, their influence, advice and the ladder."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def declared() -> list[dict[str, Any]]:
-    """What every registered effect says of itself."""
+    """Return the declarations of all registered effects."""
     return [
         {
             "name": name,
@@ -39,7 +39,7 @@ def declared() -> list[dict[str, Any]]:
 
 
 def row_json(row: AblationRow) -> dict[str, Any]:
-    """One effect in a scene: what it declares, what it costs, and its influence."""
+    """Convert an ablation row to JSON types: declarations, cost and influence of an effect."""
     influence, error = row.influence, row.error
     kind = effect_types()[row.name]
     return {
@@ -113,7 +113,7 @@ _NONE = "–"
 
 
 def print_declared() -> None:
-    """Print every effect, and what it adds to a scene that asks for it."""
+    """Print every effect and its additions to a scene."""
     console = Console(highlight=False)
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(style="cyan", no_wrap=True)

@@ -1,4 +1,4 @@
-"""How far two runs of nearly the same scene end apart: poses, times to settle, events."""
+"""Sensitivity: difference between two runs of similar scenes in poses, settling times and events."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensitivity:
-    """How far one run is from another.
+    """Difference between two runs.
 
     Attributes:
         displacement_m: The farthest that a corner of a footprint is, at the end, from where it is in the other run;
@@ -44,7 +44,7 @@ class Sensitivity:
 
     @property
     def settling_s(self) -> float | None:
-        """How much later the one settles than the other; None unless both do."""
+        """Difference of settling times, s; None unless both runs settle."""
         one, other = self.settled_s
         return None if one is None or other is None else one - other
 
@@ -55,7 +55,7 @@ class Sensitivity:
 
 
 def compare(one: HeadlessResult, other: HeadlessResult) -> Sensitivity:
-    """How far ``one`` is from ``other``; parcels are the same where their numbers are."""
+    """Compute the difference between two runs; parcels are matched by number."""
     there, there_too = _there(one), _there(other)
     both = sorted(there & there_too)
     shifts = [_displacement(one, other, number) for number in both]
@@ -73,7 +73,7 @@ def compare(one: HeadlessResult, other: HeadlessResult) -> Sensitivity:
 
 
 def _there(course: HeadlessResult) -> set[int]:
-    """Parcels that have come and have not left by an exit; one that tipped lies where it tipped."""
+    """Return the indices of parcels on the array, tipped parcels included."""
     return {n for n, fate in enumerate(course.parcel_status) if fate.state not in ("waiting", "delivered")}
 
 
@@ -108,7 +108,7 @@ def _shifts(events: Sequence[Event], others: Sequence[Event]) -> tuple[list[floa
 
 
 def _times_s(events: Sequence[Event]) -> dict[tuple[object, ...], list[float]]:
-    """When what happened, in order."""
+    """Group event times by kind, parcel and cells, s, in order."""
     found: dict[tuple[object, ...], list[float]] = defaultdict(list)
     for event in events:
         found[event.kind, event.parcel, event.cells].append(event.time_s)

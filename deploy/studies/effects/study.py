@@ -1,4 +1,4 @@
-"""Every effect, one at a time: what it adds to a scene, what it costs, and how much it changes the answer."""
+"""Ablation study of effects, one at a time: additions to a scene, cost, and influence on the result."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ Tell = Callable[[str], None]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AblationRow:
-    """What one effect does in a scene.
+    """Ablation result of one effect in a scene.
 
     Attributes:
-        name: Of the effect.
-        on: Whether the scene asks for it.
-        settings: With which it was on; None where it could not be toggled.
-        beside: Effects that both runs have though the scene lacks them, because it needs them.
-        along: Effects that were toggled with it because they need it.
-        solver: Of both runs; None where there were none.
-        cells: Whether both ran with their cells, and not the plant alone.
-        wall_s: Median of the runs with it, and of those without.
-        influence: How far the run with it is from the one without; None where one of them did not come to its end.
-        error: How far a run is from the same under a finer solver: the solver's own error, the larger of both; None
-            where the solver can't be finer.
-        reason: Why there is no influence; empty where there is.
+        name: Name of the effect.
+        on: Whether the scene has the effect.
+        settings: Settings of the effect where it was on; None where it could not be toggled.
+        beside: Effects required by ``name`` and missing in the scene, switched on in both runs.
+        along: Effects that require ``name`` and were toggled with it.
+        solver: Solver of both runs; None without runs.
+        cells: Whether both runs included the cells, not the plant alone.
+        wall_s: Median wall times with and without the effect, s.
+        influence: Distance between the runs with and without the effect; None where a run did not come to its end.
+        error: Distance of a run from the same run under a finer solver: the solver's own error, the larger of both
+            runs. None where the solver can't be finer.
+        reason: Reason for a missing influence; empty otherwise.
     """
 
     name: str
@@ -67,7 +67,7 @@ class AblationRow:
 @final
 @dataclass(frozen=True, slots=True)
 class EffectStudy:
-    """Runs a scene with and without each effect; runs that several comparisons need are run once.
+    """Ablation study of a scene; runs needed by several comparisons are executed once.
 
     Args:
         scene: What is studied.

@@ -1,1 +1,1 @@
-"""How parcels come to lie: at one place, for many sizes; in words and pictures."""
+"""Orientations study: rest orientations of parcels at one place, for many sizes; text and plots."""

@@ -1,4 +1,4 @@
-"""The orientations of a parcel, or of many sizes, in words for a terminal."""
+"""Terminal output of rest orientations, of one parcel or of many sizes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def angles(one: Orientation) -> str:
 
 
 def print_orientations(study: OrientationStudy, profile: TorqueProfile) -> None:
-    """Print where a parcel comes to rest, and what turns it beside that."""
+    """Print a parcel's rest orientations and the net force at the worst angle."""
     console = Console(highlight=False)
     changes = plural(len(profile.angles_rad), "angle")
     console.print(

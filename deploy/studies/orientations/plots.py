@@ -1,4 +1,4 @@
-"""The picture of a parcel's orientations: torque against angle, and beside it the parcel at every stable one."""
+"""Plot of a parcel's rest orientations: torque against angle, and the parcel at every stable angle."""
 
 # pyright: reportUnknownMemberType=false
 

@@ -1,4 +1,4 @@
-"""The orientations of rectangles of many sizes in one field: how size decides how a parcel comes to lie."""
+"""Rest orientations of rectangles of many sizes in one field."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True)
 class OrientationStudy:
-    """A parcel of a scene, and the point its centre of mass stays at.
+    """Parcel of a scene with the fixed point of its centre of mass.
 
     Attributes:
         scene: The scene.

@@ -1,4 +1,4 @@
-"""How much of its spot every analogue sensor has covered (effect ``analogue_sensors``)."""
+"""Coverage of analogue sensors' round spots (effect ``analogue_sensors``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of where parcels are (effect ``camera``): taken at ticks, handed over later."""
+"""Camera frames of parcels' poses (effect ``camera``): taken at ticks, delivered after a latency."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from plant.wheels import Floats
 
 @final
 class Camera:
-    """Takes pictures of the parcels' poses and says which one the cells are shown in a tick.
+    """Camera that takes frames of the parcels' poses and selects the frame that cells receive in a tick.
 
-    Picture j is taken at the first tick that does not begin before ``j period_s``, one a tick at most, and shown in the
-    first that does not begin before ``latency_s`` after that. Angles are in [-pi, pi): nobody sees how often a
-    parcel has turned. Noise is Gaussian, each parcel's and each picture's its own.
+    Frame j is taken at the first tick that does not begin before ``j period_s``, at most one a tick, and delivered in
+    the first tick that does not begin before ``latency_s`` after that. Angles are in [-pi, pi): frames don't show a
+    parcel's number of turns. Noise is Gaussian and independent for each parcel and frame.
 
     Args:
-        spec: how often, how late, how well.
-        tick_ns: of a tick.
-        seed: of the scene.
-        later: ticks by which all pictures are shown later still: 1 where cells are told in a tick what they read in the
-            one before, so that none sees what had not come yet.
+        spec: frame rate, latency and noise.
+        tick_ns: duration of a tick, ns.
+        seed: seed of the scene.
+        later: additional delay of all frames in ticks: 1 where cells receive in a tick the readings of the previous
+            tick, so that no frame arrives before it exists.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_draw", "_next_ns", "_under_way", records=(CameraFrame,))
@@ -44,12 +44,12 @@ class Camera:
         self._under_way: deque[tuple[int, CameraFrame]] = deque()
 
     def look(self, tick: int, state: Floats, there: NDArray[np.int64]) -> CameraFrame | None:
-        """What cells are shown in a tick; to be called in every one, in order.
+        """Take a frame if due and return the frame that cells receive in this tick; call in every tick, in order.
 
         Args:
-            tick: which.
-            state: ``(m, 6)`` of all parcels, at its start.
-            there: numbers of those that can be seen, ascending.
+            tick: current tick.
+            state: states of all parcels at the start of the tick, ``(m, 6)``.
+            there: indices of visible parcels, ascending.
         """
         now_ns = tick * self._tick_ns
         if now_ns >= self._next_ns:

@@ -76,7 +76,7 @@ class FeedSpec(ParcelSpec):
         return len(self.times_s) if self.times_s is not None else self.count or 0
 
     def due_ns(self, seed: int) -> list[int]:
-        """When each parcel is due, ascending; whole nanoseconds, never a sum of rounded times."""
+        """Return the feed times of all parcels, ns, ascending; times at a fixed interval are rounded once each."""
         if self.times_s is not None:
             return [_rounded_up(_decimal(time_s)) for time_s in self.times_s]
         first = _decimal(self.first_s)
@@ -157,7 +157,7 @@ class FeedersSpec(EffectSpec):
         return sum(feed.total for feed in self.feed)
 
     def number(self, exit_name: str | None) -> int:
-        """What a label says for an exit: its number in the scene's order, from 1; 0 for none."""
+        """Return the exit's number on labels: its position in the scene, from 1; 0 for None."""
         return 0 if exit_name is None else 1 + [one.name for one in self.exits].index(exit_name)
 
     def parcels(self, seed: int) -> tuple[ParcelSpec, ...]:

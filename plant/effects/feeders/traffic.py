@@ -1,4 +1,4 @@
-"""Parcels that come and go: who is there, who is due, who finds no room, who has left and how long that took."""
+"""Parcel traffic: feeding, queues at feeders, exits, and transit times."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class _Queue:
 @final
 @dataclass(slots=True)
 class _Gate:
-    """An exit: its edges, how long those who left by it had been there, and how many were meant for another."""
+    """Exit with its edges, the transit times of parcels that left, and the number of misrouted parcels."""
 
     remembers: ClassVar[StateFields] = StateFields("transit_ns", "misrouted")
 
@@ -76,23 +76,23 @@ class _Gate:
 
 @final
 class Traffic:
-    """Feeds parcels and lets them leave, at the instants at which it is asked to look.
+    """Feeds parcels and removes parcels in exits, at the instants of its updates.
 
-    A parcel is fed at the first look that is not before its time and at which it would overlap nobody, each feeder's in
-    their order; it leaves at the first look that finds its centre of mass in an exit. At one look those who leave make
-    room for those who come; feeders take their turns, and exits are asked, in the order of the scene.
+    A parcel is fed at the first update at or after its feed time at which it overlaps no other parcel, in the order of
+    each feeder's queue. A parcel leaves at the first update at which its centre of mass lies in an exit. Within one
+    update, leaving parcels make room for fed parcels; feeders and exits are processed in the order of the scene.
 
     Args:
         spec: feeders and exits.
-        seed: of the scene.
-        state: ``(parcels, 6)`` of all parcels, the scene's own first and then the feeders'; the solver's own array:
-            those that wait lose their velocity here and get it back when they are fed.
-        status: how every parcel fares; kept up to date.
-        overlaps: knows the parcels' footprints.
-        destinations: of each parcel, the exit that it is meant for, if any.
+        seed: seed of the scene.
+        state: states of all parcels, ``(parcels, 6)``, the scene's own first and then the feeders'. The array is the
+            solver's: waiting parcels have velocity 0 and get their velocity when they are fed.
+        status: status of every parcel, kept up to date.
+        overlaps: overlap detector of the parcels' footprints.
+        destinations: exit that each parcel is meant for, if any.
 
     Attributes:
-        there: ascending indices of the parcels that neither wait nor have left.
+        on_surface: ascending indices of the parcels that neither wait nor have left.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_queues", "_gates", "_since_ns", "on_surface")
@@ -173,7 +173,7 @@ class Traffic:
         return self._event(time_ns, "fed", i, f"by feeder {queue.name}{held}")
 
     def _hold_back(self, queue: _Queue, called: int, other: int) -> Iterator[Event]:
-        """Those of a queue, but its first ``called``, that are due from now on and find parcel ``other`` in the way."""
+        """Count and report newly due parcels of a queue, after the first ``called``, that parcel ``other`` blocks."""
         for place in range(max(called, queue.fed), len(queue.called_ns)):
             queue.held_back += 1
             i = queue.first + place
@@ -185,7 +185,7 @@ class Traffic:
         return Event(time_ns * 1e-9, kind, i, (), (x, y), detail)
 
     def count(self, time_ns: int) -> TrafficCount:
-        """What has come and gone until now."""
+        """Return the traffic statistics up to ``time_ns``."""
         feeders = [_feed_count(queue, time_ns) for queue in self._queues]
         exits = [
             ExitCount(gate.name, len(gate.transit_ns), gate.misrouted, Transit.of(gate.transit_ns))

@@ -1,4 +1,4 @@
-"""What can touch: parcels and rails; and those of them that may do so within a span, by themselves."""
+"""Rigid bodies that can touch, parcels and rails, and their independent groups within a span."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def fastest(motion: WheelMotion) -> float:
 
 
 class Shapes(NamedTuple):
-    """Outlines one after another, each about a point of its own.
+    """Outlines of bodies in flat arrays, each about its own reference point.
 
     Attributes:
         corner: ``(b + 1,)`` where each one's corners begin, and where the last's end.
@@ -92,17 +92,17 @@ Integers = NDArray[np.int64]
 
 
 class Group(NamedTuple):
-    """Bodies that may touch, numbered from 0 among themselves.
+    """Group of bodies that may touch, numbered from 0 within the group.
 
     Attributes:
-        names: ``(b,)`` their numbers in the scene: parcels, then rails.
-        moving: ``(g,)`` those that move, ascending; the others stand.
-        pairs: ``(k, 2)`` those that may touch, the lesser first.
+        names: numbers of the bodies in the scene, parcels before rails, ``(b,)``.
+        moving: moving bodies, ascending, ``(g,)``; all other bodies stand.
+        pairs: pairs that may touch, the smaller number first, ``(k, 2)``.
         shapes: outlines.
-        inverse: ``(b, 2)`` one over mass, 1/kg, and over moment of inertia, 1/(kg m²); 0 for what stands.
+        inverse: inverse mass, 1/kg, and inverse moment of inertia, 1/(kg m²), ``(b, 2)``; 0 for standing bodies.
         pull: ``(b, PULL_SIZE)``: see ``plant.kernels.contact.ccd``.
-        still: ``(b, 6)`` states of those that stand.
-        slow: m/s: what closes no faster doesn't bounce.
+        still: states of standing bodies, ``(b, 6)``.
+        slow: closing speed up to which bodies don't bounce, m/s.
     """
 
     names: Integers
@@ -116,11 +116,11 @@ class Group(NamedTuple):
 
     @property
     def parcels(self) -> Integers:
-        """``(g,)`` numbers of those that move."""
+        """Scene numbers of the moving bodies, ``(g,)``."""
         return self.names[self.moving]
 
     def stopped(self, body: int, state: Floats) -> Group:
-        """The same with a body that stands from now on."""
+        """Return a copy of the group in which ``body`` stands still at ``state``."""
         inverse, still = self.inverse.copy(), self.still.copy()
         inverse[body] = 0.0
         still[body, :3] = state[:3]
@@ -128,17 +128,17 @@ class Group(NamedTuple):
 
 
 class ContactWorkspace(NamedTuple):
-    """Scratch of the kernels for one group; see ``plant.kernels.contact.layout``.
+    """Workspace of the kernels for one group; see ``plant.kernels.contact.layout``.
 
     Attributes:
-        rows: ``(2 k, ROW_SIZE)`` points at which pairs touch.
-        ends: ``(2 k, 3)`` whose they are.
-        marks: ``(k,)`` of the pairs: which stay together.
-        held: ``(k,)`` likewise: which friction holds.
-        opens: ``(k,)`` how fast they open.
+        rows: contact points of pairs, ``(2 k, ROW_SIZE)``.
+        ends: bodies and pair of each contact point, ``(2 k, 3)``.
+        marks: marks of pairs that stay together, ``(k,)``.
+        held: marks of pairs held by friction, ``(k,)``.
+        opens: opening speeds of pairs, ``(k,)``.
         first: ``(b, 3)``.
-        second: likewise.
-        third: likewise.
+        second: ``(b, 3)``.
+        third: ``(b, 3)``.
     """
 
     rows: Floats
@@ -152,7 +152,7 @@ class ContactWorkspace(NamedTuple):
 
 
 def make_workspace(group: Group) -> ContactWorkspace:
-    """Scratch for a group."""
+    """Allocate the workspace of a group."""
     pairs, bodies = len(group.pairs), len(group.names)
     return ContactWorkspace(
         np.zeros((2 * pairs, to.ROW_SIZE)),

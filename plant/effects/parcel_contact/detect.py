@@ -1,8 +1,7 @@
-"""When two bodies first touch: no contact is stepped over, however short.
+"""Continuous collision detection: no contact is stepped over, however short.
 
-Between two instants a pair is certain to stay apart where a line between them does
-(``plant.kernels.contact.polygons``); any
-other interval is divided, until it is certain or its end is a contact.
+An interval between two instants is free of contact for a pair if a line separates its bodies throughout
+(``plant.kernels.contact.polygons``). Any other interval is divided until it is free of contact or its end is a contact.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ PARTS: Final = 8
 
 
 class Turn(NamedTuple):
-    """A pair that comes to touch, or parts.
+    """Instant at which a pair begins to touch, or parts.
 
     Attributes:
-        known: which of the instants known.
-        pair: which of the group's.
+        known: index of the instant among the known instants.
+        pair: index of the pair in the group.
     """
 
     known: int
@@ -44,18 +43,18 @@ class Turn(NamedTuple):
 
 @final
 class ContactSearch:
-    """Contacts of a group along its course.
+    """Search for contacts of a group along its free motion.
 
     Args:
-        course: of the group.
-        group: its bodies.
-        wheels: m/s, the fastest wheel.
-        times: ``(T,)`` instants known, s, the first being 0.
-        states: ``(T, b, 6)``.
+        course: free motion of the group.
+        group: bodies of the group.
+        wheels: speed of the fastest wheel, m/s.
+        times: known instants, ``(T,)``, s, the first being 0.
+        states: states at the known instants, ``(T, b, 6)``.
 
     Attributes:
-        times: instants known by now.
-        states: at these.
+        times: instants known so far.
+        states: states at ``times``.
     """
 
     def __init__(
@@ -93,7 +92,7 @@ class ContactSearch:
         return None
 
     def parting(self, pair: int, start: int) -> Turn | None:
-        """When a pair that touches at the instant ``start`` no longer does; looked at the known instants only."""
+        """Find when a pair that touches at the instant ``start`` parts; only known instants are examined."""
         index = start + 1
         while index < len(self.times):
             if self.gap(index, pair) <= 2.0 * TOUCH_M:
@@ -117,17 +116,17 @@ class ContactSearch:
 def detect_contacts(
     course: FreeMotion, group: Group, wheels: float, known: tuple[Floats, Floats], met: bool
 ) -> tuple[Sequence[ContactEvent], bool]:
-    """Contacts of one pair along its free course.
+    """Detect the contacts of one pair in its free motion.
 
     Args:
-        course: of the group.
-        group: the pair, alone.
-        wheels: m/s, the fastest wheel.
+        course: free motion of the group.
+        group: group that holds the pair alone.
+        wheels: speed of the fastest wheel, m/s.
         known: instants ``(T,)`` and states ``(T, b, 6)``.
-        met: whether it touches at the start, as told before.
+        met: whether the pair touches at the start, as last reported.
 
     Returns:
-        What is told, in the order of time, and whether the pair touches at the end.
+        Contact events by ascending time, and whether the pair touches at the end.
     """
     from plant.kernels.contact import entry as contact_entry
 

@@ -1,4 +1,4 @@
-"""What is told of contacts."""
+"""Contact events of the plant's event log."""
 
 from __future__ import annotations
 

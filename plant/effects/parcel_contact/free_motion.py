@@ -1,4 +1,4 @@
-"""Where the parcels of a group go in a span when nothing touches them, at any instant asked for."""
+"""Free motion of a group's parcels within a span, without contact, at arbitrary instants."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ STILL_THERE = ("moving", "tipped")
 
 @final
 class FreeMotionEnded(Exception):
-    """A parcel's motion can't be followed, or was to end: there is no course to look at.
+    """The free motion of a parcel ended early, so that no states exist beyond the end.
 
     Attributes:
-        done: how far it came, times from the start of the course.
+        done: result up to the end, with times from the start of the motion.
     """
 
     def __init__(self, done: AdvanceResult) -> None:
@@ -41,12 +41,13 @@ class FreeMotionEnded(Exception):
 
 @final
 class FreeMotion:
-    """The free motion of a group's parcels from where they are now.
+    """Free motion of a group's parcels from their present states.
 
     Args:
-        solver: that moves them; left anywhere on the course by `at`, and where it ends by `go`.
-        group: which.
-        motion: of the wheels, from now on.
+        solver: solver that moves the parcels. `sample` leaves the solver's states anywhere on the motion, `advance` at
+            the end of the span.
+        group: bodies of the group.
+        motion: motion of the wheels, from now on.
         grip: as for ``Solver.advance``.
     """
 
@@ -61,7 +62,7 @@ class FreeMotion:
         """``(k, b, 6)`` states at ``times`` ``(k,)`` in seconds from the start, ascending and after it.
 
         Raises:
-            CourseEnded: a parcel did not come so far.
+            FreeMotionEnded: a parcel did not come so far.
         """
         group = self._group
         out = np.empty((len(times), len(self._solver.state), 6))

@@ -1,4 +1,4 @@
-"""Moves parcels as a solver does, and knows what touches: the effect ``parcel_contact``.
+"""Mover of touching parcels, on top of a solver: the effect ``parcel_contact``.
 
 Only parcels that may come near another, or a rail, within a call are looked at: their circles, widened by how far they
 can get, overlap. All others are the solver's alone.
@@ -37,15 +37,15 @@ MARGIN_M: Final = 1e-6
 
 @final
 class ContactMover:
-    """Parcels that touch.
+    """Advances parcels with contacts, on top of a solver for free motion.
 
     Args:
-        parcels: those fed included.
-        traction: the law of friction.
+        parcels: parcels of the scene, including fed parcels.
+        traction: the traction law.
         gravity: m/s².
-        pitch: of the array, m.
-        rules: of contact.
-        solver: that moves them.
+        pitch: pitch of the array, m.
+        rules: contact settings.
+        solver: solver that moves the parcels.
 
     Attributes:
         resolves: whether contacts change the motion.
@@ -135,7 +135,7 @@ class ContactMover:
         return span_s * np.minimum(speed + 0.5 * gained, 2.0 * (speed + wheels)) + MARGIN_M
 
     def _near(self, live: Integers, present: Integers, strides: Floats) -> Integers:
-        """``(k, 2)`` pairs of bodies, one of them live at least, that may touch when they come as far as that."""
+        """Find the pairs ``(k, 2)`` of bodies, including a moving body, whose strides can make contact."""
         names = np.concatenate([present, np.arange(self._bodies.parcels, len(strides))])
         mask, states = self._mask(live), self._states()
         reach = self._bodies.radius[names] + strides[names] * mask[names]
@@ -204,7 +204,7 @@ class ContactMover:
         states: Floats,
         mask: NDArray[np.bool_],
     ) -> Integers:
-        """Those of the pairs whose ways, known at some instants, come near each other."""
+        """Select the pairs whose bounding boxes along their sampled paths overlap."""
         low, high = states[:, :2].copy(), states[:, :2].copy()
         moving = np.flatnonzero(mask)
         low[moving] = np.minimum(low[moving], out[:, moving, :2].min(axis=0))
@@ -253,7 +253,7 @@ class ContactMover:
         return news, told
 
     def _groups(self, pairs: Integers, mask: NDArray[np.bool_], states: Floats) -> Iterator[Group]:
-        """The pairs, together with those that share a parcel that moves."""
+        """Group pairs that are connected through moving parcels."""
         leader = np.arange(len(mask))
         both = pairs[mask[pairs].all(axis=1)]
         before = np.zeros(0)

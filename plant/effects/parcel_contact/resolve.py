@@ -1,4 +1,4 @@
-"""A group of bodies through a span, contacts resolved.
+"""Contact resolution of one group of bodies over a span.
 
 Parcels that are apart move freely up to the instant at which a pair touches. There all points that touch are struck at
 once (``plant.kernels.contact.impact``). Pairs that stay together go on in steps of at most ``step_s``: all move
@@ -41,13 +41,13 @@ MANY: Final = 10_000
 
 
 class ContactDrive(NamedTuple):
-    """What acts on the parcels of a call.
+    """Wheel motion and traction that act on the parcels of a call.
 
     Attributes:
-        motion: of the wheels, from the start of the call.
+        motion: motion of the wheels, from the start of the call.
         grip: as for ``Solver.advance``.
-        wheels: m/s, the fastest wheel.
-        start_s: when the call begins.
+        wheels: speed of the fastest wheel, m/s.
+        start_s: start of the call, s.
     """
 
     motion: WheelMotion
@@ -58,21 +58,21 @@ class ContactDrive(NamedTuple):
 
 @final
 class Resolution:
-    """One group in one call.
+    """Contact resolution of a group in a single call.
 
     Args:
-        solver: that moves parcels.
-        group: which bodies.
-        drive: what acts on them.
-        rules: of the scene.
-        met: pairs of the group that touch, by their numbers in the group.
+        solver: solver that moves parcels.
+        group: bodies of the group.
+        drive: wheel motion and traction.
+        rules: contact settings of the scene.
+        met: touching pairs at the start, by their numbers in the group.
 
     Attributes:
-        group: the bodies, with those stopped that tipped.
-        met: those that touch by now.
-        news: what happened to parcels, times from the start of the call.
+        group: bodies of the group; tipped bodies are stopped.
+        met: touching pairs now.
+        news: results of parcels with events, times from the start of the call.
         told: contacts that began or ended.
-        strayed: ``(b,)`` m, how far each body has come.
+        displacement_m: length of each body's path, ``(b,)``, m.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Resolution:
         return states
 
     def _put(self, states: Floats) -> None:
-        """Give those parcels their states that have others now."""
+        """Write changed states of the group's moving parcels to the solver."""
         for body, parcel in zip(self.group.moving.tolist(), self.group.parcels.tolist(), strict=True):
             if not np.array_equal(states[body], self._solver.state[parcel]):
                 self._solver.set_state(parcel, states[body])

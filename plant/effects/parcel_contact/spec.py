@@ -43,7 +43,7 @@ class ParcelContactSpec(EffectSpec):
         return cls()
 
     def slow_m_s(self, pitch_m: float) -> float:
-        """What meets no faster doesn't bounce, m/s."""
+        """Return the approach speed up to which impacts don't bounce, m/s."""
         given = self.bounce_speed_m_s
         return SLOW_PITCHES_S * pitch_m if given is None else given
 

@@ -1,4 +1,4 @@
-"""What scanners read of the parcels over them (effect ``scanners``)."""
+"""Readings of label scanners (effect ``scanners``)."""
 
 from __future__ import annotations
 

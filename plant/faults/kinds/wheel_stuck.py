@@ -1,4 +1,4 @@
-"""A wheel jams: its surface stands, however it is driven, and rubs what lies on it."""
+"""Jammed wheel: the surface stands whatever the drive, and brakes parcels on it."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ def advance(surface, parcel, work, stop, span, budget, steps, times, out, events
     Args:
         surface: ``plant.kernels.common.surface.Surface``: the cells and their wheels.
         parcel: ``plant.kernels.common.parcels.Parcel``: footprint, constants and state; changed in place.
-        work: ``plant.solvers.exact.Work``: scratch.
+        work: ``plant.solvers.exact.ExactWorkspace``: scratch.
         stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         span: s; 0 only finds the loads and whether the parcel stands.
         budget: events allowed in this call before the motion is called unstable.

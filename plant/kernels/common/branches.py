@@ -107,7 +107,7 @@ def settle_branches(surface, parcel, seg, m, e):
 
 @kernel
 def change(surface, parcel, seg, work, order, o, i, axis, branch, zero, end):
-    """When a member's wheel comes to another branch, past its end by ``2 zero``, or ``NONE``; o: rows of its mode."""
+    """Find when a member's wheel changes branch, ``2 zero`` past the branch's end, or ``NONE``; o: rows of its mode."""
     par, y, ser, g, slip, cell = parcel.par, parcel.y, work.ser, work.g, work.q, parcel.mem[i, at.CELL]
     rx, ry = surface.pos[cell, 0] - y[0] - seg[at.CX], surface.pos[cell, 1] - y[1] - seg[at.CY]
     slip_polynomial(surface, y, par[at.FREE_SPEED], ser, order, cell, axis, slip)

@@ -1,4 +1,8 @@
-"""Where compiled kernels are kept on disk, so that they load in milliseconds and are never stale.
+"""Disk cache of compiled kernels: loads in milliseconds, never stale.
+
+numba's own cache notices a change of the file that holds a cached function, but not of the files of its callees.
+Here the cache folder is therefore named after all inputs: the text of every kernel file, the versions of Python and
+numba, and the processor. Any change of an input selects a new folder.
 
 numba's own cache notices a change of the file that holds a cached function, but not of the files its callees live
 in. So the folder is named after everything that goes in: the text of every kernel file, the versions of Python and

@@ -94,7 +94,7 @@ def evaluate(surface, parcel, work, e, c, s):
 
 @kernel
 def slot_of(mem, ctl, cell):
-    """Where a cell stands among the members, or -1."""
+    """Return the slot of a cell among the members, or -1."""
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.CELL] == cell:
             return i
@@ -115,7 +115,7 @@ def side_in(surface, parcel, work, group, i, c, s):
 
 @kernel
 def capture(surface, parcel, work, group, c, s):
-    """Put the cells that crossed into ``group``; a new group's far side is the one that they crossed to."""
+    """Add the cells that crossed to ``group``. The far side of a new group is the side to which its cells crossed."""
     mem, ctl = parcel.mem, parcel.ctl
     fresh = group == ctl[at.N_GROUPS]
     if fresh:
@@ -186,11 +186,11 @@ def try_capture(surface, parcel, work, e, c, s):
 
 @kernel
 def join_last(surface, parcel, work, c, s):
-    """Let cells that crossed just before cross now, where their surface is this one but for ``capture_m``.
+    """Join cells of the previous crossing to this crossing if they are within ``capture_m`` of their edges.
 
-    The cells of a pair that merges reach their edges one shortly after the other: with one of them over and the other
-    not, neither side of the chatter is to be seen. ``work.before`` turns into the accelerations before the first of
-    them. Remembers this crossing for the next one. Returns whether any cell joined.
+    The cells of a pair that merges reach their edges shortly after one another. With only one of the two across,
+    neither side of the chatter is visible. ``work.before`` becomes the accelerations before the first crossing. This
+    crossing is stored for the next call. Returns whether any cell joined.
     """
     mem, ctl, last = parcel.mem, parcel.ctl, work.last
     own = ctl[at.N_CROSSED]

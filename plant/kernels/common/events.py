@@ -140,7 +140,7 @@ def bend(ser, order):
 
 @kernel
 def place(ser, px, py):
-    """Where the cell at (px, py) from ``X0`` lies in the parcel's axes at the start of the step, and its rate there."""
+    """Compute place and velocity of the cell at (px, py) from ``X0`` in the parcel's axes at the start of the step."""
     c, s, dc, ds = ser[at.S_C, 0], ser[at.S_S, 0], ser[at.S_C, 1], ser[at.S_S, 1]
     qx, qy = c * px + s * py, c * py - s * px
     return qx, qy, dc * px + ds * py - ser[at.S_E1, 1], dc * py - ds * px - ser[at.S_E2, 1]

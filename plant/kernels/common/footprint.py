@@ -1,4 +1,4 @@
-"""What the footprint covers at one instant: cells under a parcel, presence bits."""
+"""Footprint coverage at one instant: cells under a parcel, presence bits."""
 
 from __future__ import annotations
 

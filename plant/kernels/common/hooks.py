@@ -1,9 +1,9 @@
-"""Where effects come into kernels: questions that are settled when a kernel is compiled.
+"""Hooks of effects in kernels, resolved when a kernel is compiled.
 
-A kernel that an effect may change calls a question: a function without a body. Who answers follows from the type of
-the question's first argument, a named tuple one of whose fields is None where the effect is absent: for None one
-function, for everything else another, in a module that only a solver whose scene asks for the effect imports. So no
-kernel asks while it runs, and one without an effect contains nothing of it.
+A kernel that an effect may change calls a hook: a function without a body. The implementation follows from the type of
+the hook's first argument, a named tuple one of whose fields is None where the effect is absent. One function implements
+the hook for None, another for everything else, in a module that only a solver whose scene has the effect imports. So
+no kernel tests for effects while it runs, and a kernel without an effect contains none of the effect's code.
 """
 
 from __future__ import annotations

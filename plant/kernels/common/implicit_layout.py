@@ -1,4 +1,4 @@
-"""Where each quantity of the implicit solver lives, beside what ``layout`` says of parcels and supports.
+"""Array layout of the implicit solver, in addition to ``layout`` for parcels and supports.
 
 Velocities are ``w = (Ux, Uy, l omega)`` with the parcel's radius of gyration l, and everything else is per kilogram, so
 that the mass matrix is 1.

@@ -1,4 +1,4 @@
-"""How kernels that only other kernels call are compiled: to LLVM's intermediate code, and no further.
+"""Compilation of internal kernels to LLVM's intermediate code only, for kernels that other kernels call.
 
 numba optimises each function together with all that it calls, and makes machine code of it, so that a callee's code is
 gone through once for every function above it. Only the entry points are called from Python. Left to them, optimising

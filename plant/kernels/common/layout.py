@@ -1,4 +1,4 @@
-"""Where each quantity lives in the arrays that the kernels share.
+"""Array layout shared by the kernels.
 
 Compiled code reads these names as constants. Lengths are measured from the parcel's centre of mass at the start
 of a step (``X0``) or from the centroid of the supports (``c``), never from the origin: digits survive far away.

@@ -1,4 +1,4 @@
-"""Which cells carry load: the exact unilateral solution, and whether the parcel still stands.
+"""Load-carrying cells of a parcel: the exact unilateral solution, and whether the parcel still stands.
 
 Springs push, never pull: the loads are the least-norm ones that are not negative, which is a strictly convex
 problem in the three unknowns of the springs' plane. All supports being in contact is tried first; only when some
@@ -203,7 +203,7 @@ def violated(surface, parcel, seg, mark):
 
 @kernel
 def exchange(surface, parcel, seg, mark):
-    """Turn round the mark that is farthest from what its load says.
+    """Toggle the support mark that contradicts its computed load most.
 
     ``contact`` finds the supports to the rounding of its potential, half the digits of a load; loads nearer to zero
     than that are sorted out here, one by one.

@@ -84,7 +84,7 @@ def resistance(branch, constant, share):
 
 @kernel
 def slopes(par, seg):
-    """What ``resistance`` is of any wheel within its limit: (the coefficient of a, the part per share alone)."""
+    """Compute coefficients of ``resistance`` for a wheel within its limit: (of a, of the part per share alone)."""
     return par[at.PER_SHARE] + seg[at.N_ACTIVE] * par[at.CONSTANT], par[at.PER_SHARE]
 
 
@@ -191,9 +191,9 @@ def drives(pos, velocity, grip, mem, ctl, y, par, seg, m, base):
 
 @kernel
 def push(par, branch, count, steady, decay, e):
-    """What a driven wheel pulls with whatever the slip, over ``KAPPA``: (the coefficient of a, the part per share).
+    """Compute the slip-independent pull of a driven wheel over ``KAPPA``: (the coefficient of a, the part per share).
 
-    At its limit, and along the way it runs (eq. 24) with the speed ``steady + e decay``.
+    The pull applies at the wheel's limit, and along its running direction (eq. 24) at the speed ``steady + e decay``.
     """
     share = branch * par[at.LIMIT_PER_SHARE]
     if par[at.PUSH_PER_SHARE] != 0.0:

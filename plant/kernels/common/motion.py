@@ -26,7 +26,7 @@ def linear(seg, first, a0, bx, by):
 
 @kernel
 def drive(seg, row, e, a0, bx, by):
-    """What drives now, along ``row`` of ``seg``, the part that decays with the motors included."""
+    """Compute the present drive along ``row`` of ``seg``, including the decaying part of the motors."""
     s, d = at.STEADY + row, at.DECAY + row
     total = a0 * (seg[s] + e * seg[d]) + bx * (seg[s + 1] + e * seg[d + 1])
     return total + by * (seg[s + 2] + e * seg[d + 2])

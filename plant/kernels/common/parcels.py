@@ -1,4 +1,4 @@
-"""Parcels as kernels read them: one by itself, and all of a scene side by side in the same arrays."""
+"""Parcels as kernel data: a single parcel, and all parcels of a scene in common arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One parcel out of all, and what happened to it."""
+"""Selection of one parcel from the arrays of all, and reports of its changes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def note_news(ctl, i, moved, changes, report, noted):
 
 @kernel
 def load_state(work, laws, paces, i):
-    """Copy law and pace of parcel ``i`` into a ``plant.solvers.implicit.Work``."""
+    """Copy law and pace of parcel ``i`` into a ``plant.solvers.implicit.ImplicitWorkspace``."""
     for k in range(im.LAW_SIZE):
         work.law[k] = laws[i, k]
     for k in range(im.PACE_SIZE):

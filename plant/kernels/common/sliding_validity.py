@@ -1,7 +1,7 @@
-"""Where a law that takes every wheel to outrun the parcel (eq. 24) begins not to hold: located, and reported once.
+"""Validity limit of the sliding law, in which every wheel outruns the parcel (eq. 24): located, and reported once.
 
-The first wheel that is outrun is watched from then on; when the parcel has fallen behind it again, and outruns no
-other, the next one is a new report.
+The first outrun wheel is watched from then on. When the parcel has fallen behind this wheel again and outruns no other,
+the next outrun wheel is a new report.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def watch(surface, parcel, now, e, events):
 
 @kernel
 def overtaking(surface, parcel, work, order, cell, axis, end):
-    """When the parcel comes to outrun a wheel by more than rounding or, where it does, falls behind it; or ``NONE``."""
+    """Find when the parcel outruns a wheel by more than rounding, or falls behind an outrun wheel; or ``NONE``."""
     g, e, watched, first = work.g, work.ser[at.S_EXP, 0], parcel.ctl[at.OUTRUN] != 0, NONE
     way = direction(surface.steady[cell, axis], surface.decay[cell, axis], e)
     if watched and way == 0.0:

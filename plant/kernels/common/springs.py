@@ -1,8 +1,8 @@
-"""What the springs under a parcel are like: where effects on the loads come in.
+"""Hooks for spring and edge effects: stiffness, height and partial coverage of the cells under a parcel.
 
-All that a kernel contains that is compiled for equal springs at one height, under wheels without width, is what is
-answered here: constants, which the compiler folds away. ``uneven_springs`` answers for surfaces with ``springs`` of
-their own, ``wheel_edges`` for those with ``edges``.
+The default implementations here hold for equal springs at one height under wheels without width. They return constants,
+which the compiler folds away. ``uneven_springs`` implements the hooks for surfaces with ``springs``, ``wheel_edges``
+for surfaces with ``edges``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What becomes of a parcel where a step ends: where effects that push it at instants come in.
+"""Hooks at the end of a step, for effects that apply impulses to parcels.
 
-A kernel compiled without them contains nothing of this. ``roller_impacts`` answers for surfaces with ``rollers``.
+The defaults compile to nothing. ``roller_impacts`` implements the hooks for surfaces with ``rollers``.
 """
 
 from __future__ import annotations

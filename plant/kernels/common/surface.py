@@ -1,4 +1,4 @@
-"""The cells as kernels read them."""
+"""Cells and wheels as kernel data."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Edges(NamedTuple):
 
 
 class AllEdges(NamedTuple):
-    """The same for each of m parcels.
+    """Wheel edges of all m parcels.
 
     Attributes:
         width_m: as ``Edges.width_m``.
@@ -87,12 +87,12 @@ class Rollers(NamedTuple):
 
 
 class AllRollers(NamedTuple):
-    """The same for each of m parcels.
+    """Wheel rollers of all m parcels.
 
     Attributes:
         spacing_m: as ``Rollers.spacing_m``.
-        impulse_m_s: likewise.
-        start: likewise.
+        impulse_m_s: as ``Rollers.impulse_m_s``.
+        start: as ``Rollers.start``.
         passed: ``(m, n, 2)``.
     """
 

@@ -1,4 +1,4 @@
-"""Which way wheels run, for traction along their own motion (eq. 24), and when motors turn them round."""
+"""Directions of wheels for traction along the wheels' own motion (eq. 24), and reversals by motors."""
 
 from __future__ import annotations
 

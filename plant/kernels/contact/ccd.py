@@ -1,4 +1,4 @@
-"""Where two bodies can have met, among states known at some instants only."""
+"""Continuous collision detection between sampled states of two bodies."""
 
 from __future__ import annotations
 

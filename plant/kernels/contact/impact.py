@@ -46,7 +46,7 @@ def struck(group, rows, ends, count, before, restitution, friction, after):
 
 @kernel
 def meet(group, states, work):
-    """What touches now: rows in ``work``, overlap taken out of ``states`` before. Returns (how many; outcome)."""
+    """Resolve overlap in ``states``, then write touching points to ``work`` as rows. Returns (row count; outcome)."""
     rows, ends = work.rows, work.ends
     count, least = build_rows(group, work.marks, to.EVERY, states, to.TOUCH_M, rows, ends), at.NOTHING
     for n in range(count):
@@ -67,22 +67,23 @@ def meet(group, states, work):
 
 @kernel
 def collide(group, count, states, restitution, friction, work):
-    """Give bodies that touch their velocities after an impact.
+    """Apply an impact to the velocities of touching bodies.
 
-    Every point that closed faster than ``group.slow`` opens at ``restitution`` times that speed at least, every other
-    doesn't close. With friction, or with several points, that rule can add energy; then the impact is the mixture of it
-    and of one without restitution that adds none. Both keep to the rules of contact and friction, so the mixture does.
+    Every point that closed faster than ``group.slow`` opens at ``restitution`` times its closing speed at least. Every
+    other point doesn't close. With friction, or with several points, this rule can add energy. The impact is then a
+    mixture with the impact without restitution, such that no energy is added. Both impacts satisfy the contact and
+    friction rules, so the mixture does.
 
     Args:
         group: ``plant.effects.parcel_contact.bodies.Group``.
-        count: rows in ``work``, as ``meet`` leaves them.
+        count: number of rows in ``work``, as ``meet`` leaves them.
         states: ``(b, 6)``; velocities are changed.
         restitution: in [0, 1].
         friction: Coulomb's coefficient.
-        work: ``plant.effects.parcel_contact.bodies.Work``.
+        work: ``plant.effects.parcel_contact.bodies.ContactWorkspace``.
 
     Returns:
-        (outcome; how fast the fastest point closed, m/s).
+        (outcome; closing speed of the fastest point, m/s).
     """
     rows, ends, before, after, dead = work.rows, work.ends, work.first, work.second, work.third
     for i in range(states.shape[0]):

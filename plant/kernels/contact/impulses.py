@@ -1,4 +1,4 @@
-"""Impulses at touching points: what keeps bodies from going on into each other, and friction with them.
+"""Contact impulses at touching points: non-penetration and friction.
 
 One problem serves velocities (impulses in N s) and places (shifts times mass): bodies have a motion ``u`` of three
 entries each, every point asks that the second body leaves the first along the normal by at least ``WANTED``, and may
@@ -25,20 +25,20 @@ ACCEPTED: Final = 1e-9
 
 @kernel
 def along(row, x, y, u, v):
-    """How fast the second body leaves the first at the point, along ``(x, y)``."""
+    """Compute the separation velocity of two bodies at a contact point along ``(x, y)``, m/s."""
     first = x * (u[0] - u[2] * row[to.AY]) + y * (u[1] + u[2] * row[to.AX])
     return x * (v[0] - v[2] * row[to.BY]) + y * (v[1] + v[2] * row[to.BX]) - first
 
 
 @kernel
 def leaving(row, u, v):
-    """The same along the normal."""
+    """Compute the separation speed at a contact point along its normal, m/s."""
     return along(row, row[to.NORMAL_X], row[to.NORMAL_Y], u, v)
 
 
 @kernel
 def sliding(row, u, v):
-    """The same along the normal turned by 90 degrees."""
+    """Compute the relative speed at a contact point along its tangent, the normal turned by 90 degrees, m/s."""
     return along(row, -row[to.NORMAL_Y], row[to.NORMAL_X], u, v)
 
 

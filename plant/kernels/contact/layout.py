@@ -1,4 +1,4 @@
-"""Where each quantity lives in the arrays that the kernels for touching bodies share."""
+"""Array layout shared by the contact kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The points at which two bodies touch, or nearly do: one, or two where edges lie along each other."""
+"""Contact manifold of two bodies: one point, or two points where edges lie along each other."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def build_rows(group, marks, mark, states, reach, rows, ends):
 
 @kernel
 def move_row(rows, ends, source, target):
-    """Move a row forward, over one that isn't wanted."""
+    """Move a contact row from index ``source`` to ``target``, overwriting the row there."""
     if source != target:
         for k in range(to.ROW_SIZE):
             rows[target, k] = rows[source, k]

@@ -1,4 +1,4 @@
-"""How far two convex polygons are apart, and whether they stay apart.
+"""Distance and separation of two convex polygons.
 
 Shapes are listed one after another in ``shapes.vertices``, about a point of their own; ``pose`` is that point and the
 angle. Distances are measured from one shape's point to the other's, so that digits survive far from the origin. A

@@ -1,4 +1,4 @@
-"""Pairs that stay together through a step: what they press on each other, and what that does to their places."""
+"""Resting contact: pairs that stay in contact through a step, and the corrections of velocities and places."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def hold(group, before, states, step, friction, work):
         states: at its end, moved freely; changed in place.
         step: s.
         friction: Coulomb's coefficient.
-        work: ``plant.effects.parcel_contact.bodies.Work``, with the marks of ``together``.
+        work: ``plant.effects.parcel_contact.bodies.ContactWorkspace``, with the marks of ``together``.
 
     Returns:
         Outcome.

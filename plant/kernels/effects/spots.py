@@ -1,4 +1,4 @@
-"""How much of the round spots that analogue sensors see lies under parcels."""
+"""Coverage of analogue sensors' round spots by parcels."""
 
 from __future__ import annotations
 

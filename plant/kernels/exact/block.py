@@ -52,7 +52,7 @@ def advance_block(surface, parcels, work, stop, allowance, block, span, times, o
     Args:
         surface: ``plant.kernels.common.surface.Surface``: the cells and their wheels.
         parcels: ``plant.kernels.common.parcels.Parcels``: all there are; those of the block are changed in place.
-        work: ``plant.solvers.exact.Work``: scratch.
+        work: ``plant.solvers.exact.ExactWorkspace``: scratch.
         stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         allowance: ``(m, ALLOWANCE_SIZE)``; changed in place.
         block: ``(b,)`` which parcels.

@@ -1,7 +1,7 @@
-"""One parcel's way through a call on which wheels change and cells read: its own legs, from each change to the next.
+"""Segmented advance of one parcel through a call: one segment between successive wheel changes or sensor readings.
 
-Only what is within its reach matters to it. The wheels as it finds them are kept in scratch: others, in other threads,
-find them at other instants.
+Only changes and readings within the parcel's reach end a segment. The present state of the wheels is kept in the
+thread's workspace, because parcels in other threads reach the same change at other times.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ Floats = NDArray[np.float64]
 
 
 class CallSchedule(NamedTuple):
-    """What happens on the way of a call.
+    """Wheel changes and sensor readings scheduled within one call.
 
     Attributes:
-        after: ``(c, n, 2)`` when wheels change; see ``plant.wheels.Changes``.
+        after: times of wheel changes, ``(c, n, 2)``, s; see ``plant.wheels.WheelChanges``.
         steady: ``(c, n, 2)``.
         decay: ``(c, n, 2)``.
-        reads: ``(n,)`` s after the start when cells read; infinite: not on the way.
-        margin: ``(m,)`` m, how far from its footprint at the start each parcel can matter to a cell.
-        sensors: ``(s, 2)`` m, from a cell's centre.
-        bits: ``(n, s)``: set where a sensor is under a parcel when its cell reads.
+        reads: times after the start at which cells read sensors, ``(n,)``, s; infinite: not within the call.
+        margin: distance from each parcel's initial footprint within which a cell can be affected, ``(m,)``, m.
+        sensors: sensor positions from a cell's centre, ``(s, 2)``, m.
+        bits: set where a sensor is under a parcel when its cell reads, ``(n, s)``.
     """
 
     after: Floats
@@ -43,16 +43,17 @@ class CallSchedule(NamedTuple):
 
 
 class SegmentWorkspace(NamedTuple):
-    """Scratch of one thread.
+    """Workspace of one thread.
 
     Attributes:
-        steady: ``(n, 2)`` of the wheels as the parcel whose turn it is finds them; between turns as at the start.
-        decay: likewise.
-        when: ``(2 c n,)`` s, changes that can matter to it, in order.
-        which: which: their index into ``CallSchedule.after``, flat.
-        times: ``(n,)`` s, when cells read that it can matter to, in order.
-        cells: ``(n,)`` which.
-        poses: ``(n, 1, 6)`` where it is then.
+        steady: ``(n, 2)``, of the wheels at the time of the current parcel; between parcels as at the start of the
+            call.
+        decay: ``(n, 2)``, as ``steady``.
+        when: times of wheel changes within the parcel's reach, ascending, ``(2 c n,)``, s.
+        which: flat indices of these changes in ``CallSchedule.after``.
+        times: reading times of cells within the parcel's reach, ascending, ``(n,)``, s.
+        cells: cells that read at ``times``, ``(n,)``.
+        poses: states of the parcel at ``times``, ``(n, 1, 6)``.
     """
 
     steady: Floats
@@ -105,7 +106,7 @@ def collect_changes(surface, way, hand, near):
 
 @kernel
 def change(way, hand, now, done, changes):
-    """Have those wheels change whose instant it is. Returns how many have by now."""
+    """Apply the wheel changes due up to ``now``. Returns the number of changes applied so far."""
     cells = hand.steady.shape[0]
     while done < changes and hand.when[done] <= now:
         wheel = hand.which[done]
@@ -155,7 +156,7 @@ def restore_wheels(surface, hand, near):
 
 @kernel
 def local_surface(surface, hand):
-    """The surface with the wheels as the parcel whose turn it is finds them."""
+    """Build the surface with the wheels' state for the parcel being moved."""
     return Surface(
         surface.pos,
         surface.grid,

@@ -101,7 +101,7 @@ def advance(surface, parcel, work, scheme, stop, span, times, out, events):
     Args:
         surface: ``plant.kernels.common.surface.Surface``: the cells and their wheels.
         parcel: ``plant.kernels.common.parcels.Parcel``: footprint, constants and state; changed in place.
-        work: ``plant.solvers.implicit.Work``: law of the parcel, and scratch.
+        work: ``plant.solvers.implicit.ImplicitWorkspace``: law of the parcel, and scratch.
         scheme: ``plant.solvers.fixed_step.Scheme``: the method's coefficients.
         stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         span: s; 0 only finds the loads and whether the parcel stands.

@@ -15,7 +15,7 @@ def advance_block(surface, parcels, work, stop, laws, paces, block, span, times,
     """Move the parcels of ``block`` by ``span`` seconds, as many as the log is sure to have room for.
 
     All as for ``plant.kernels.implicit.block.advance_block``, but that ``work`` is a
-    ``plant.solvers.fixed_step.FixedWork``.
+    ``plant.solvers.fixed_step.FixedStepWorkspace``.
     """
     used, noted = at.ZERO, at.ZERO
     for n in range(block.shape[0]):

@@ -67,7 +67,7 @@ def find_loads(surface, parcel, work):
 
 @kernel
 def decay(par, time):
-    """What is left after ``time`` of the motors' transient."""
+    """Compute the decay factor of the motors' transient after ``time``; 0 without motors."""
     return exp(-par[at.RATE] * time) if par[at.RATE] > 0.0 else 0.0
 
 
@@ -220,7 +220,7 @@ def controlled(surface, parcel, work, now, h, before):
 
 @kernel
 def rounding(y):
-    """What extrapolation leaves of a place by rounding alone, m: its weights add up to some 20."""
+    """Bound the rounding error of an extrapolated position, m. The weights of the extrapolation add up to about 20."""
     return 20.0 * EPSILON * (abs(y[0]) + abs(y[1]))
 
 
@@ -271,7 +271,7 @@ def advance(surface, parcel, work, stop, span, times, out, events):
     Args:
         surface: ``plant.kernels.common.surface.Surface``: the cells and their wheels.
         parcel: ``plant.kernels.common.parcels.Parcel``: footprint, constants and state; changed in place.
-        work: ``plant.solvers.implicit.Work``: law and pace of the parcel, and scratch.
+        work: ``plant.solvers.implicit.ImplicitWorkspace``: law and pace of the parcel, and scratch.
         stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         span: s; 0 only finds the loads and whether the parcel stands.
         times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way; steps end there.

@@ -18,7 +18,7 @@ def advance_block(surface, parcels, work, stop, laws, paces, block, span, times,
     Args:
         surface: ``plant.kernels.common.surface.Surface``: the cells and their wheels.
         parcels: ``plant.kernels.common.parcels.Parcels``: all there are; those of the block are changed in place.
-        work: ``plant.solvers.implicit.Work``: scratch, into which a parcel's law and pace are copied for its turn.
+        work: ``plant.solvers.implicit.ImplicitWorkspace``: scratch, into which each parcel's law and pace are copied.
         stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         laws: ``(m, LAW_SIZE)``: each parcel's law; see ``plant.kernels.common.implicit_layout``.
         paces: ``(m, PACE_SIZE)``: settings and memory of each parcel's steps; changed in place.

@@ -1,7 +1,7 @@
-"""Whether wheels feel what they pull: where the effect ``wheel_load`` comes into the implicit solver's kernels.
+"""Hooks of the effect ``wheel_load`` in the implicit solver's kernels.
 
-What is answered here is for wheels that run as their motors have it, whatever is on them: nothing is done.
-``loaded_wheels`` answers for a ``work`` with ``slowing``, which keeps how much slower than that each wheel runs.
+The defaults do nothing: wheels run as their motors drive them, whatever the load. ``loaded_wheels`` implements the
+hooks for a ``work`` with ``slowing``, which holds the speed loss of each wheel.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ def speed(work, surface, cell, e):
 
 
 def begun(work, surface, cell, e):
-    """The same where the step began that was ``keep``'s, ``e`` being the factor then."""
+    """Return the wheels' surface speed (vx, vy) at the stored start of the step; ``e`` is the decay factor then."""
 
 
 def lightness(work):

@@ -1,4 +1,4 @@
-"""What a step changed of supports and wheels, for solvers that look at them at the ends of steps."""
+"""Events at the end of a step: changed supports and wheel states, for solvers that check at step ends only."""
 
 from __future__ import annotations
 

@@ -201,7 +201,7 @@ def controlled(surface, parcel, work, now, left):
 
 @kernel
 def step(surface, parcel, work, now, left, events):
-    """One step of at most ``left`` seconds and what it changed. Returns (status, seconds)."""
+    """Advance by at most ``left`` seconds and log changes of supports. Returns (status, seconds)."""
     y, pace, ctl = parcel.y, work.pace, parcel.ctl
     for k in range(6):
         work.begin[k] = y[k]
@@ -231,7 +231,7 @@ def advance(surface, parcel, work, stop, span, times, out, events):
     Args:
         surface: ``plant.kernels.common.surface.Surface``: the cells and their wheels.
         parcel: ``plant.kernels.common.parcels.Parcel``: footprint, constants and state; changed in place.
-        work: ``plant.solvers.implicit.Work``: law and pace of the parcel, and scratch.
+        work: ``plant.solvers.implicit.ImplicitWorkspace``: law and pace of the parcel, and scratch.
         stop: ``(1,)``: the call ends early once it is not 0; see ``plant.stop``.
         span: s; 0 only finds the loads and whether the parcel stands.
         times: ``(k,)`` s in ``(0, span]``, ascending: when states are asked for on the way; steps end there.

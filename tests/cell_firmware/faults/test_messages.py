@@ -86,7 +86,7 @@ def told(
     for _ in range(ticks):
         steps.step()
     assert not steps.failures
-    return firmware.heard, sum((shard.counted() for shard in steps.shards), Counter[str]())
+    return firmware.heard, sum((shard.counters() for shard in steps.shards), Counter[str]())
 
 
 def field(heard: dict[tuple[int, int, int], list[Any]], name: str, ticks: range) -> list[Any]:

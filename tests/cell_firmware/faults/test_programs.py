@@ -62,7 +62,7 @@ def driven(
     steps = lockstep(Counting(), Partition.even(lattice, shards), None, effects, 0, clocks, here)
     found = np.array([steps.step() for _ in range(ticks)])
     assert not steps.failures
-    return found, dict(sum((shard.counted() for shard in steps.shards[1:]), steps.shards[0].counted()))
+    return found, dict(sum((shard.counters() for shard in steps.shards[1:]), steps.shards[0].counters()))
 
 
 @pytest.mark.parametrize("shards", [1, 2])
@@ -201,7 +201,7 @@ def test_faults_joined_one_by_one_act_and_count_as_if_they_had_been_there_from_t
             if fault.start_tick == tick:
                 live.shards[0].inject(fault, live.sites[0], lattice)
         assert (scheduled.step() == live.step()).all(), tick
-    assert scheduled.shards[0].counted() == live.shards[0].counted()
+    assert scheduled.shards[0].counters() == live.shards[0].counters()
 
 
 def test_a_cell_that_is_away_drives_nothing_and_one_that_is_reset_while_it_hangs_keeps_low_pins(

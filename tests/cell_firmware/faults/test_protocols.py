@@ -70,6 +70,6 @@ def test_a_bundled_protocol_survives_links_that_do_all_that_links_can_do(
         assert np.isfinite(drive).all()
         # what a plant can still integrate: nonsense it may be, but no number near the largest there is
         assert abs(drive).max() < FASTEST, tick
-    counted = steps.shards[0].counted()
+    counted = steps.shards[0].counters()
     if firmware.message is not None:
         assert counted["faults.link_corrupt.corrupted"] > 0

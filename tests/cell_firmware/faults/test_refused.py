@@ -30,9 +30,9 @@ def test_a_partition_has_one_line(line: dict[str, Any]) -> None:
 def test_a_partition_is_north_of_its_row_or_east_of_its_column(grid: Grid) -> None:
     lattice = grid(2, 3)
     row, column = PartitionFault(row=0), PartitionFault(column=1)
-    assert row.heard(lattice, 0, 0).tolist() == [[0, 0], [1, 0], [2, 0], [3, 2], [4, 2], [5, 2]]
+    assert row.affected_links(lattice, 0, 0).tolist() == [[0, 0], [1, 0], [2, 0], [3, 2], [4, 2], [5, 2]]
     assert row.affected_cells(lattice, 0, 0).tolist() == list(range(6))
-    assert column.heard(lattice, 0, 0).tolist() == [[1, 1], [2, 3], [4, 1], [5, 3]]
+    assert column.affected_links(lattice, 0, 0).tolist() == [[1, 1], [2, 3], [4, 1], [5, 3]]
     assert [*row.problems(lattice), *column.problems(lattice)] == []
 
 

@@ -37,7 +37,7 @@ def test_every_tick_is_the_sum_of_modes_that_swing_at_their_own_frequencies(
     lattice, firmware = grid(5, 6, missing=[(1, 1), (3, 4)]), wave()
     seen = watch(firmware, lattice, 400)
     start, held = firmware.parameters.start(lattice.rows, lattice.columns)
-    rest = firmware.parameters.links(lattice).at_rest(start)
+    rest = firmware.parameters.laplacian(lattice).steady_state(start)
     values, modes = np.linalg.eigh(laplacian(lattice)[~held][:, ~held])
     angle = 2.0 * np.arcsin(np.sqrt(0.4 * values / 4.0))
     amount = modes.T @ (start - rest)[~held]

@@ -10,8 +10,8 @@ import numpy as np
 OURS = ("bus.", "cell_firmware.", "deploy.", "plant.", "tests.")
 SCRATCH = {
     ("ThreadedSolver", "_desks"): "what threads work with: written before it is read",
-    ("Draws", "_counter"): "set before every draw",
-    ("Draws", "_state"): "likewise",
+    ("CounterStream", "_counter"): "set before every draw",
+    ("CounterStream", "_state"): "likewise",
     ("PlantProcess", "_host"): "the bus is looked at by itself",
     ("Spots", "_parcels"): "states are put in before they are looked at",
 }

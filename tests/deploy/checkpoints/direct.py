@@ -46,7 +46,7 @@ class DirectHost:
         assert not done.failures
         return DriveFrame(tick, done.drive), []
 
-    def retire(self, cells: Sequence[int], tick: int) -> None:
+    def mark_dead(self, cells: Sequence[int], tick: int) -> None:
         del tick
         self.shard.retire(self.shard.cells[cell] for cell in cells)
 

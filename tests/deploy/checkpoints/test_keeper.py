@@ -31,25 +31,25 @@ class Books:
     remembers = Digest.remembers
     value = bytes(32)
 
-    def ask(self, tick: int) -> None:
+    def request_snapshot(self, tick: int) -> None:
         self.asked.append(tick)
         self.keeping = SnapshotCollector(tick, [0])
 
-    def note(self) -> None:
+    def record_counters(self) -> None:
         assert self.keeping is not None
         self.keeping.record_counters(MessageCounters())
 
-    def take_kept(self) -> Any:
+    def poll_snapshot(self) -> Any:
         return None if self.keeping is None else self.keeping.combined({})
 
-    def give_up(self) -> list[int]:
+    def cancel_snapshot(self) -> list[int]:
         self.given_up += 1
         return [] if self.keeping is None else self.keeping.missing
 
-    def mark(self) -> tuple[dict[str, int], int]:
+    def position(self) -> tuple[dict[str, int], int]:
         return {"/tick": 1}, 77
 
-    def secure(self, mark: int) -> None:
+    def sync_to(self, mark: int) -> None:
         self.disk.wait(10.0)
         self.secured.append(mark)
 

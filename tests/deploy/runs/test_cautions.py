@@ -77,7 +77,7 @@ def test_a_firmware_that_can_not_say_is_bad_input_with_its_traceback(worried: st
     scene = load_scene("heat")
     cells = scene.cells.model_copy(update={"firmware": f"{worried}:Confused", "parameters": {}})
     with pytest.raises(
-        FirmwareError, match=r"(?s): cautions\(\) raised ZeroDivisionError: pitch\n.*worried.py.*pitch$"
+        FirmwareError, match=r"(?s): warnings\(\) raised ZeroDivisionError: pitch\n.*worried.py.*pitch$"
     ):
         warnings_of(Scene.model_validate({**dict(scene), "cells": cells}))
 

@@ -59,7 +59,7 @@ def drawn(plant: Plant, seed: int, **effect: object) -> tuple[Floats, Floats]:
 
 def carried(plant: Plant) -> tuple[np.ndarray, Floats]:
     """Cells under the parcel, ascending, and their loads in N as the solver has them."""
-    inner, work = plant._solver.parcels[0], plant._solver.desk(0).work
+    inner, work = plant._solver.parcels[0], plant._solver.workspace(0).work
     seg = getattr(work, "pulls", work).seg
     springs = plant._solver._springs
     listed = inner.mem[: inner.ctl[layout.N_MEMBERS]]

@@ -94,11 +94,11 @@ def test_an_interrupted_caller_leaves_nobody_at_work_and_nothing_begun_behind() 
 
 FORKED = """
 import os, sys
-from plant.solvers.thread_pool import Crew
-crew = Crew(2)
-assert crew.share(4, lambda _, share: share.start, 1) == [0, 1, 2, 3]
+from plant.solvers.thread_pool import ThreadPool
+crew = ThreadPool(2)
+assert crew.map_ranges(4, lambda _, share: share.start, 1) == [0, 1, 2, 3]
 child = os.fork()
-done = crew.share(4, lambda _, share: share.start, 1)
+done = crew.map_ranges(4, lambda _, share: share.start, 1)
 if child == 0:
     os._exit(0 if done == [0, 1, 2, 3] else 3)
 _, status = os.waitpid(child, 0)

@@ -94,7 +94,7 @@ def test_a_parcel_beside_others_moves_as_it_does_alone(solver: str) -> None:
 
 def test_ticks_of_many_parcels_go_as_those_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
     """Through ticks, with motors, every thread awake: what a call leaves for the next is each parcel's own as well."""
-    monkeypatch.setattr(threaded, "WORTH_WAKING", 1)
+    monkeypatch.setattr(threaded, "MIN_WORK_PER_THREAD", 1)
     monkeypatch.setattr(threaded, "SENSED_WORTH_WAKING", 1)
     motors = MotorsSpec(time_constant_s=0.05)
     bodies = _crowd()

@@ -1,4 +1,4 @@
-"""Chatter about an angle of rest: what capturing it saves, and what it costs in accuracy."""
+"""Chatter about an angle of rest: savings from capture, and its cost in accuracy."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -70,7 +70,7 @@ _LEAST_M = 1e-15
 @final
 @dataclass(frozen=True, slots=True)
 class ChatterRow:
-    """A size of parcel at one ``capture_m``.
+    """Result for a parcel size and a ``capture_m``.
 
     Attributes:
         size_m: length and width.
@@ -177,7 +177,7 @@ def section(repeats: int) -> Section:
 
 
 def describe(rows: Sequence[ChatterRow], repeats: int) -> Section:
-    """What was measured, in words."""
+    """Describe the measurements in Markdown."""
     first = [row for row in rows if row.size_m == SIZES_M[0]]
     located, captured = first[-1], next(row for row in first if row.capture_m == 1e-6)
     text = prose(

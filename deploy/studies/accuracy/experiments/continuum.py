@@ -1,4 +1,4 @@
-"""How the torque of an array tends to that of a continuous surface as its pitch shrinks."""
+"""Convergence of an array's torque to a continuous surface's as the pitch shrinks."""
 
 # pyright: reportUnknownMemberType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -45,7 +45,7 @@ _NAMES = {1.0: "1", 0.5: "½", 0.25: "¼", 0.125: "⅛"}
 @final
 @dataclass(frozen=True, slots=True)
 class ContinuumRow:
-    """The array at one pitch.
+    """Result for the array at one pitch.
 
     Attributes:
         pitch_m: between cells.
@@ -69,7 +69,7 @@ class ContinuumRow:
 
 
 def sets(pitch_m: float) -> tuple[str, ...]:
-    """What ``--set`` makes of ``elliptic``: the parcel on a cell in the middle, and no more cells than it can reach."""
+    """Return the ``--set`` values for ``elliptic``: the parcel on a central cell, and the cells within reach."""
     cells = 2 * math.ceil(5.8 / pitch_m) + 1
     return (
         f"array.rows={cells}",
@@ -123,7 +123,7 @@ def section(repeats: int) -> Section:
 
 
 def describe(rows: Sequence[ContinuumRow]) -> Section:
-    """What was measured, in words."""
+    """Describe the measurements in Markdown."""
     orders = [f"{math.log2(one.rms / two.rms):.2f}" for one, two in pairwise(rows)]
     settings = " ".join(f"--set '{one}'" for one in sets(PITCHES_M[0]))
     text = prose(

@@ -1,4 +1,4 @@
-"""A corner that clips a cell for milliseconds, and what an integrator loses that looks at the ends of its steps."""
+"""Corner that grazes a cell for milliseconds, and the errors of integrators that check at step ends only."""
 
 # pyright: reportUnknownMemberType=false
 
@@ -61,12 +61,12 @@ class Steps:
 
 
 def steps_through(cell: tuple[int, int], since_s: float, until_s: float) -> Steps:
-    """Integrate the scene ``elliptic`` on the supports that it has at one time.
+    """Integrate the scene ``elliptic`` with the supports of a given time held fixed.
 
     Args:
-        cell: row and column of the one that is looked at.
-        since_s: when supports have just changed.
-        until_s: where the course is to end; steps go on as long as they like.
+        cell: row and column of the observed cell.
+        since_s: time just after a change of supports, s.
+        until_s: end of the trajectory, s; step sizes are not limited.
     """
     begun = scene_with("elliptic", f"duration_s={np.ceil(since_s * 1e9) * 1e-9:.9f}")
     last = run(begun, {"name": "exact", "tolerance": 1e-14})
@@ -140,12 +140,12 @@ class Point(Protocol):
 
     @property
     def solver(self) -> str:
-        """Its name."""
+        """Name of the solver."""
         ...
 
     @property
     def tolerance(self) -> float:
-        """Asked for."""
+        """Requested tolerance."""
         ...
 
     @property
@@ -285,15 +285,15 @@ class GrazeRow:
 @final
 @dataclass(frozen=True, slots=True)
 class Graze:
-    """What was measured.
+    """Measurements of a grazing cell.
 
     Attributes:
-        reference: which run errors are told against.
-        agreement_m: how far the exact solver at 1e-14 is from it.
-        enters_s: when the corner reaches the cell.
-        leaves_s: when it is past.
+        reference: reference run of the errors.
+        agreement_m: difference of the exact solver at 1e-14 from the reference, m.
+        enters_s: time at which the corner reaches the cell, s.
+        leaves_s: time at which the corner is past the cell, s.
         rows: all solvers and tolerances.
-        steps: of DOP853, from the last change of supports before, past the cell.
+        steps: steps of DOP853 from the last preceding change of supports, past the cell.
     """
 
     reference: str
@@ -330,7 +330,7 @@ def settings(solver: str, tolerance: float) -> dict[str, Any]:
 
 
 def dwell_interval(one: ExperimentTrace) -> tuple[float, float]:
-    """When the cell is found to come under the parcel and when to leave; NaN where it isn't."""
+    """Return the times at which the cell is gained and lost as a support; NaN without such an event."""
     found = [event for event in one.events if CELL in event.cells and _AFTER_S < event.time_s < 1.0]
     times = {event.kind: event.time_s for event in reversed(found)}
     return times.get("support_gained", np.nan), times.get("support_lost", np.nan)
@@ -350,7 +350,7 @@ def section(repeats: int) -> Section:
 
 
 def describe(found: Graze, repeats: int) -> Section:
-    """What was measured, in words."""
+    """Describe the measurements in Markdown."""
     ends = {tolerance: f"{steps[0, 1]:.4f}" for tolerance, steps in found.steps.ends.items()}
     late = max(row.late_s or 0.0 for row in found.rows if row.solver == "DOP853")
     text = prose(

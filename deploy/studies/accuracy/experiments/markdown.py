@@ -1,4 +1,4 @@
-"""What a section of the page is, and the small Markdown that all of them are written with."""
+"""Sections of the accuracy page and helpers that write Markdown."""
 
 # pyright: reportUnknownMemberType=false
 
@@ -49,7 +49,7 @@ PICTURES = "images/accuracy"
 @final
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of the page: what was measured, already put into words.
+    """Section of the page, with its text.
 
     Attributes:
         title: its heading.

@@ -1,4 +1,4 @@
-"""The paper's three simulations, and what the bundled scenes after them do."""
+"""The paper's three simulations, compared with the bundled scenes modelled on them."""
 
 # pyright: reportUnknownMemberType=false
 
@@ -63,12 +63,12 @@ class Oscillator:
 
     @property
     def overshoot(self) -> float:
-        """How far it first swings to the other side, over where it began."""
+        """Overshoot: first swing to the other side, over the initial displacement."""
         return float(np.exp(-np.pi * self.damping / np.sqrt(1.0 - self.damping**2)))
 
     @property
     def overshoot_s(self) -> float:
-        """When it is there: half a period."""
+        """Time of the overshoot: half a period, s."""
         return float(np.pi / self.swing_rad_s)
 
 
@@ -195,7 +195,7 @@ class Swing:
 @final
 @dataclass(frozen=True, slots=True)
 class PaperRun:
-    """One scene, run.
+    """Run of one scene.
 
     Attributes:
         scene: bundled.
@@ -217,7 +217,7 @@ class PaperRun:
 
     @property
     def askew_rad(self) -> float:
-        """How far the angle of rest is from the nearest axis of the field."""
+        """Distance of the rest angle from the nearest axis of the field, rad."""
         angle = self.settled[2]
         return angle - _QUARTER * round(angle / _QUARTER)
 
@@ -283,7 +283,7 @@ def section(repeats: int) -> Section:
 
 
 def describe(simulations: Sequence[PaperRun]) -> Section:
-    """What was measured, in words."""
+    """Describe the measurements in Markdown."""
     by_name = {one.scene.name: one for one in simulations}
     x, y = by_name["elliptic"].swings
     assert x.oscillator is not None

@@ -1,4 +1,4 @@
-"""A bundled scene's first parcel under some solver, timed, and how far two such runs are apart."""
+"""Timed runs of a bundled scene's first parcel, and differences between two runs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SECOND = 1_000_000_000
 @final
 @dataclass(frozen=True, slots=True)
 class ExperimentTrace:
-    """The course of a scene's first parcel.
+    """Trace of a scene's first parcel.
 
     Attributes:
         time_s: ``(T,)``.
@@ -58,13 +58,13 @@ def scene_with(name: str, *sets: str) -> Scene:
 def run(
     scene: Scene, solver: Mapping[str, Any], *, sample_s: float | None = None, repeats: int = 1
 ) -> ExperimentTrace:
-    """Simulate a scene from its start to its end.
+    """Simulate a scene from start to end.
 
     Args:
-        scene: firmware ``velocity_field``; its first parcel is looked at.
-        solver: settings, in place of the scene's.
-        sample_s: between two looks; default: a control period.
-        repeats: how often, for the time; the first that compiles is another.
+        scene: scene with firmware ``velocity_field``; the first parcel is observed.
+        solver: settings that replace the scene's.
+        sample_s: interval between samples, s; default: a control period.
+        repeats: number of timed runs; the run that compiles kernels is additional.
     """
     spec = PlantSpec.model_validate(dict(scene.plant_spec()) | {"solver": dict(solver)})
     sample_ns = scene.cells.period_ns if sample_s is None else round(sample_s * SECOND)

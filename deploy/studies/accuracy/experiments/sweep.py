@@ -1,4 +1,4 @@
-"""What accuracy costs on a scene: the study of ``mdms accuracy``, cut down to what a page holds."""
+"""Cost of accuracy on a scene: the study of ``mdms accuracy``, reduced to a section of the page."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def section(scene: str, repeats: int, *, sampling: bool) -> Section:
 
 
 def describe(report: AccuracyReport, repeats: int) -> Section:
-    """What the study found, in words."""
+    """Describe the study's results in Markdown."""
     drawn: dict[str, tuple[Callable[[AccuracyReport, Path], None], str]] = {
         f"{report.scene}_cost.png": (
             draw_work_precision,
@@ -100,7 +100,7 @@ def _worst(report: AccuracyReport) -> str:
 
 
 def _remarks(report: AccuracyReport) -> list[str]:
-    """What the table can't show, each once: what solvers leave out, who is left out, whose events come otherwise."""
+    """List remarks on the table, without repetition: omitted physics, failed rows, and divergent orders of events."""
     rows = report.rows
     found = [f"{row.line} {row.note}." for row in rows if row.note and row.status == "ok"]
     found += [

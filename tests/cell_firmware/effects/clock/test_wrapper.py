@@ -33,6 +33,8 @@ Heard = dict[tuple[int, int, int], list[int]]
 class Counting(Firmware):
     """Drives and sends the number of its step, counted from 1; notes what it hears."""
 
+    speculative = False  # it notes every step, and those that are rolled back are none
+
     message = np.dtype([("after_ns", "<i4")])  # the name that a stamp would like to have
 
     def __init__(self) -> None:

@@ -177,7 +177,7 @@ def test_a_cell_alone_gets_the_same_bytes_as_among_many(
     together = watchdog(firmware(), TIMEOUTS_S[0], 0.02)
     state = together.init(cells)
     alone = [watchdog(firmware(), TIMEOUTS_S[0], 0.02) for _ in range(4)]
-    states = [one.init(cells.take(np.array([i]))) for i, one in enumerate(alone)]
+    states = [one.init(cells.select(np.array([i]))) for i, one in enumerate(alone)]
     draw = np.random.default_rng(1)
     for tick in range(90):
         inbox = Inbox(draw.random((4, 4)) < 0.5, np.zeros((4, 4), dtype=Counting.message))

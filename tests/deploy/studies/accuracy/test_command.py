@@ -118,7 +118,7 @@ def test_a_signal_in_the_middle_leaves_nothing(
         os.kill(os.getpid(), number)
         return inner(*arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(course, "in_parts", interrupted)
+    monkeypatch.setattr(course, "iterate_field_motion", interrupted)
     assert main([*ALONE, "--output", str(tmp_path / "new")]) == 130
     shown = capsys.readouterr()
     assert (shown.out, shown.err) == ("", "mdms: interrupted\n")

@@ -28,7 +28,7 @@ class Executor:
     interrupted_after: int = 10**9
     ran: list[Scene] = field(default_factory=list)
 
-    def carry_out(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
+    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
         for place, scene in reversed(list(enumerate(scenes))):
             if len(self.ran) == self.interrupted_after:
                 raise Interrupted

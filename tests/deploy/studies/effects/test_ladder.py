@@ -117,7 +117,7 @@ def test_a_rung_that_blows_up_is_left_out_with_the_reason(monkeypatch: pytest.Mo
         quasi = scene.solver.name == "quasi_static"
         return replace(course, status="unstable", reason="it blew up") if quasi else course
 
-    monkeypatch.setattr(ladder_module, "follow", followed)
+    monkeypatch.setattr(ladder_module, "run_headless", followed)
     climbed = run_ladder(rungs(load_scene("ladder", duration=0.05))[:3], 1, lambda line: None)
     assert [one.reason for one in climbed] == ["it blew up", "", "it doesn't stand"]
     assert [one.distance is None for one in climbed] == [True, False, True]

@@ -241,7 +241,7 @@ def test_the_cost_is_the_median_with_over_the_median_without(monkeypatch: pytest
     def timed(scene: Scene, *, cells: bool) -> Any:
         return replace(course, wall_s=next(spans[scene.effects.parcel_contact is not None]))
 
-    monkeypatch.setattr(study_module, "follow", timed)
+    monkeypatch.setattr(study_module, "run_headless", timed)
     row = EffectStudy(loaded("elliptic", duration=0.05), 3, lambda line: None).row("parcel_contact")
     # the first of either side, which may compile, and the last, under a finer solver, don't count
     assert row.wall_s == (9.0, 1.5)
@@ -252,7 +252,7 @@ def test_a_plant_that_refuses_one_side_is_a_reason(monkeypatch: pytest.MonkeyPat
     def refused(scene: Scene, *, cells: bool) -> Any:
         raise InputError("parcels[0] doesn't stand")
 
-    monkeypatch.setattr(study_module, "follow", refused)
+    monkeypatch.setattr(study_module, "run_headless", refused)
     row = study(loaded("elliptic")).row("motors")
     assert (row.influence, row.cost_ratio, row.reason) == (None, None, "parcels[0] doesn't stand")
 
@@ -266,7 +266,7 @@ def test_a_run_that_ends_early_is_a_reason_and_no_figure(monkeypatch: pytest.Mon
             else course
         )
 
-    monkeypatch.setattr(study_module, "follow", stopped)
+    monkeypatch.setattr(study_module, "run_headless", stopped)
     row = study(loaded("elliptic", duration=0.05)).row("parcel_contact")
     assert (row.influence, row.error, row.cost_ratio) == (None, None, None)
     assert row.reason == "with it: it blew up"
