@@ -18,7 +18,7 @@ from pydantic import BaseModel, ValidationError
 from bus.errors import WireError
 from bus.wire.frames import check_message
 from cell_firmware import firmware_files, protocols
-from cell_firmware.cell import CellFirmware, PerCellAdapter
+from cell_firmware.cell import Cell, CellFirmware, CellInputs, PerCellAdapter
 from cell_firmware.errors import FirmwareError, ParametersError, Problem
 from cell_firmware.firmware import Firmware
 from cell_firmware.firmware_files import import_file
@@ -101,6 +101,47 @@ BUNDLED = {
 
 FirmwareClass = type[Firmware] | type[CellFirmware]
 
+_GIVEN: dict[str, FirmwareClass] = {}
+"""Classes that were given as objects, by the name that scenes have for them."""
+
+
+def name_of(firmware: object) -> str:
+    """Name by which a scene can have a firmware class, or a function in the place of one.
+
+    Worker processes import the module of that name. A class of the main program or of a notebook runs in this process
+    alone.
+
+    Args:
+        firmware: A class; or a function of a cell's state and its inputs that returns the next state and the outputs,
+            whose first state is None.
+
+    Raises:
+        FirmwareError: It is neither.
+    """
+    found = firmware if isinstance(firmware, type) else _class_of(firmware)
+    if not issubclass(found, Firmware | CellFirmware):
+        raise FirmwareError(f"firmware {found.__qualname__}: must derive from Firmware or CellFirmware")
+    name = f"{found.__module__}:{found.__qualname__}"
+    _GIVEN[name] = found
+    return name
+
+
+def _class_of(step: Any) -> type:
+    """Class of cells whose program is one function."""
+    if not callable(step):
+        raise FirmwareError(f"firmware {step!r}: must be a name, a class or a function")
+
+    def init(self: CellFirmware, cell: Cell) -> None:
+        del self, cell
+
+    def run(self: CellFirmware, state: Any, inputs: CellInputs) -> Any:
+        del self
+        return step(state, inputs)
+
+    name = getattr(step, "__name__", "firmware")
+    module = getattr(step, "__module__", "__main__")
+    return type(name, (CellFirmware,), {"__module__": module, "init": init, "step": run})
+
 
 def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
     """Load the firmware of a scene, with its parameters and guarded hooks; see `cell_firmware.hooks`.
@@ -136,6 +177,8 @@ def find(name: str, folder: Path | None = None) -> FirmwareClass:
     Raises:
         FirmwareError: There is none.
     """
+    if name in _GIVEN:
+        return _GIVEN[name]
     place, _, class_name = BUNDLED.get(name, name).partition(":")
     if place.endswith(".py"):
         module = _from_file(name, (folder or Path.cwd()) / place)

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("bus", "cell_firmware", "deploy", "plant")
+PACKAGES = ("bus", "cell_firmware", "deploy", "mdms", "plant")
 
-LAYERS = "deploy > plant | cell_firmware > bus"
+LAYERS = "mdms > deploy > plant | cell_firmware > bus"
 ZENOH = "Only the zenoh transport and deploy know zenoh"
 PHYSICS = "Physics has no clock, no chance, no threads but those that parcels share"
 FIRMWARE = "Firmware has no clock, no chance, no threads"

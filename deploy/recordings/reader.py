@@ -52,6 +52,48 @@ class ChangeEncoded:
 
 
 @final
+@dataclass(frozen=True, eq=False)
+class CellTrace:
+    """Time series of a cell.
+
+    Attributes:
+        time_s: ``(T,)`` simulated time, s.
+        presence: ``(T, sensors)`` bits of its presence sensors.
+        drives: ``(T, 2)`` drives acting from each instant on.
+        wheel_speeds: ``(T, 2)`` surface speeds of its wheels, m/s.
+        register_tick: ``(R,)`` ticks of the registers.
+        registers: ``(R, ...)`` each, by name.
+    """
+
+    time_s: NDArray[np.float64]
+    presence: NDArray[np.bool_]
+    drives: NDArray[np.float64]
+    wheel_speeds: NDArray[np.float64]
+    register_tick: NDArray[np.int64]
+    registers: dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class ParcelTrace:
+    """Time series of a parcel.
+
+    Attributes:
+        time_s: ``(T,)`` simulated time, s.
+        position_m: ``(T, 2)`` centre of mass, m.
+        angle_rad: ``(T,)`` orientation, rad.
+        velocity_m_s: ``(T, 2)`` velocity, m/s.
+        angular_velocity_rad_s: ``(T,)`` angular velocity, rad/s.
+        events: Its events, in order.
+    """
+
+    time_s: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+    angle_rad: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64]
+    angular_velocity_rad_s: NDArray[np.float64]
+    events: Sequence[dict[str, Any]]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
     """A recording in memory. Rows are instants: the start of each tick and, of a complete run, the end.
@@ -114,6 +156,44 @@ class Recording:
     def wheel_speeds(self) -> NDArray[np.float64]:
         """``(T, n, 2)`` the wheels' surface speeds at every instant, m/s."""
         return self.held_wheel_speeds.all()
+
+    def cell(self, row: int, column: int) -> CellTrace:
+        """Return the time series of one cell.
+
+        Raises:
+            InputError: The array has no such cell.
+        """
+        cells = [(int(r), int(c)) for r, c in self.header["cells"]]
+        if (row, column) not in cells:
+            raise InputError(f"{self.path}: there is no cell {row},{column}")
+        index = cells.index((row, column))
+        registers = {name: array[:, index] for name, array in self.registers.items()}
+        return CellTrace(
+            self.time_s,
+            self.presence[:, index],
+            self.drives[:, index],
+            self.wheel_speeds[:, index],
+            self.register_tick,
+            registers,
+        )
+
+    def parcel(self, number: int) -> ParcelTrace:
+        """Return the time series of one parcel, counted from 0 in the order of the scene.
+
+        Raises:
+            InputError: There is no such parcel.
+        """
+        count = self.parcels.shape[1]
+        if not 0 <= number < count:
+            raise InputError(f"{self.path}: there is no parcel {number}; it has {count}")
+        state = self.parcels[:, number]
+        events = [event for event in self.events if event.get("parcel") == number]
+        return ParcelTrace(self.time_s, state[:, :2], state[:, 2], state[:, 3:5], state[:, 5], events)
+
+    def __repr__(self) -> str:
+        seconds = float(self.time_s[-1]) if len(self.tick) else 0.0
+        size = f"{len(self.header['cells'])} cells, {self.parcels.shape[1]} parcels"
+        return f"<Recording of {self.header['scene_name']}: {seconds:g} s, {size}, {self.status}>"
 
     def run_trace(self) -> RunTrace:
         """What a picture needs; the wheel speeds are those at the end."""

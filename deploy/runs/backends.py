@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, Literal, Protocol, final
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from bus.wire.frames import DriveFrame, SenseFrame
 from cell_firmware.agent import failures_of, report_text
 from cell_firmware.cell import records_of
 from cell_firmware.loader import load
+from deploy.runs.output import run_name
+from deploy.workers.plan import RunOptions, plan
 from deploy.workers.worker import WorkerConfig, build_shard
 
 if TYPE_CHECKING:
@@ -175,9 +178,48 @@ class _DirectPort:
 
 
 @final
-@dataclass(slots=True, eq=False)
 class Workers:
-    """Cells on the bus: in worker processes, or in a thread of this process where the plan has no workers.
+    """Cells in worker processes, over Zenoh on this machine.
+
+    Args:
+        processes: Number of worker processes; ``each``: one a cell.
+    """
+
+    def __init__(self, processes: int | Literal["each"] = 1) -> None:
+        self._options = RunOptions(processes=processes)
+        self._system: System | None = None
+
+    def start(self, scene: Scene, array: CellArray, sensors: SensorSchema) -> LockstepPort:
+        """Start the processes and wait until all cells are ready; see ``CellsBackend``."""
+        from deploy.workers.system import System
+
+        run = run_name(scene, secrets.token_hex(4))
+        system = self._system = System(plan(scene, self._options, run), scene, self._options)
+        try:
+            system.open()
+            return BusCells(system).start(scene, array, sensors)
+        except BaseException:
+            system.stop()
+            raise
+
+    def stop(self, reason: str) -> MessageCounters | None:
+        """Stop the processes and collect the counters of all shards; see ``CellsBackend``."""
+        return None if self._system is None else self._system.stop(reason)
+
+    def save_state(self) -> bytes:
+        """Refuse: the state of cells on the bus is a snapshot, which takes a tick."""
+        raise StateError("cells in worker processes are saved by checkpoints: RunOptions(checkpoint_s=...)")
+
+    def load_state(self, state: bytes) -> None:
+        """Refuse; see ``save_state``."""
+        del state
+        raise StateError("cells in worker processes resume from checkpoints: mdms run --resume DIR")
+
+
+@final
+@dataclass(slots=True, eq=False)
+class BusCells:
+    """Cells of an opened system: in worker processes, or in a thread of this process where its plan has no workers.
 
     Attributes:
         system: Opened endpoints and the processes to start; closed by whoever opened them.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from bus.errors import BusError
 from cell_firmware.effects.registry import CellEffects
 from deploy.errors import DeployError
-from deploy.runs.backends import Workers
+from deploy.runs.backends import BusCells
 from deploy.runs.field_simulation import field_speeds
 from deploy.runs.output import run_name
 from deploy.runs.result import RunResult, status_of
@@ -98,7 +98,7 @@ def _with_cells(scene: Scene, digest: Digest | None) -> RunResult:
         try:
             system.open()
             simulation = Simulation.open(
-                scene, Workers(system), hooks=TickHooks(after_tick=(after_tick,)), plant=plant
+                scene, BusCells(system), hooks=TickHooks(after_tick=(after_tick,)), plant=plant
             )
         except (BusError, DeployError) as error:
             result = RunResult.of(plant)

@@ -12,7 +12,7 @@ from bus.wire.keys import plant_key
 from deploy.checkpoints.checkpointer import make_checkpointer, restore_run
 from deploy.errors import DeployError
 from deploy.recordings.losses import unreported
-from deploy.runs.backends import Workers
+from deploy.runs.backends import BusCells
 from deploy.runs.pace import Pace
 from deploy.runs.result import RunResult
 from deploy.runs.simulation import Simulation
@@ -129,7 +129,7 @@ class RecordedRun:
         setup, resumed = self.setup, self.setup.resumed
         simulation = Simulation.open(
             setup.scene,
-            Workers(
+            BusCells(
                 self.system,
                 self._register_requests(),
                 metered=True,

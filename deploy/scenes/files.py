@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -55,17 +56,21 @@ def scene_text(scene: str) -> str:
         raise InputError(f"scene {scene}: must be UTF-8 text; byte {error.start} is not") from None
 
 
-def load_scene(scene: str, overrides: Sequence[Override] = ()) -> Scene:
+def load_scene(scene: str | Path | Mapping[str, Any], overrides: Sequence[Override] = ()) -> Scene:
     """Read, override and validate a scene.
 
     Args:
-        scene: A bundled name, or a file.
+        scene: A bundled name, a file, or the tables of a scene file as a dict, in which ``cells.firmware`` may be a
+            class or a function too: see `cell_firmware.loader.name_of`.
         overrides: Applied in order, before anything is validated.
 
     Raises:
         InputError: There is no such scene, or it is no TOML.
         SceneError: It is refused; all that is wrong with it, one line each.
     """
+    if isinstance(scene, Mapping):
+        return _validated(_with_names(scene), "<dict>", overrides)
+    scene = str(scene)
     text = scene_text(scene)
     folder = None if scene in bundled_names() else Path(scene).parent
     return parse_scene(text, scene, overrides, folder)
@@ -92,6 +97,21 @@ def parse_scene(
         raise InputError(f"scene {name}: not TOML: {error}") from None
     if folder is not None:
         _resolve_firmware(data, folder)
+    return _validated(data, name, overrides)
+
+
+def _with_names(scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Copy the tables of a scene, a firmware that is given as an object replaced by its name."""
+    data = dict(scene)
+    if isinstance(data.get("cells"), dict) and not isinstance(data["cells"].get("firmware", ""), str):
+        from cell_firmware.loader import name_of
+
+        data["cells"] = {**data["cells"], "firmware": name_of(data["cells"]["firmware"])}
+    return copy.deepcopy(data)
+
+
+def _validated(data: dict[str, Any], name: str, overrides: Sequence[Override]) -> Scene:
+    """Override and validate the tables of a scene; see `parse_scene`."""
     _change_solver(data, overrides)
     apply(data, overrides)
     data = expand_preset(data)

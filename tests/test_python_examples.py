@@ -1,0 +1,131 @@
+"""Every example of ``docs/python.md`` runs as it stands, and the public package has what it says."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mdms
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```python\n(.*?)^```", PAGE, re.S | re.M))
+
+
+def _python(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    scripts = str(Path(sys.executable).parent)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": f"{scripts}:{os.environ['PATH']}"}
+    (folder / "example.py").write_text(code)
+    return subprocess.run(
+        [sys.executable, "example.py"],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=110,
+    )
+
+
+def test_there_are_ten_examples() -> None:
+    assert len(EXAMPLES) == 10
+    assert PAGE.count("```python") == 10
+
+
+@pytest.mark.parametrize("title", EXAMPLES)
+def test_an_example_runs_as_it_stands(title: str, tmp_path: Path) -> None:
+    done = _python(EXAMPLES[title], tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_every_public_name_is_there_and_nothing_else() -> None:
+    assert dir(mdms) == sorted(mdms.__all__)
+    assert all(getattr(mdms, name) is not None for name in mdms.__all__)
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = mdms.nothing  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_importing_the_package_imports_nothing_heavy(tmp_path: Path) -> None:
+    done = _python(
+        "import mdms, sys; print(sorted({'numba', 'zenoh', 'scipy', 'pydantic'} & set(sys.modules)))",
+        tmp_path,
+    )
+    assert done.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("name", ["deploy", "plant"])
+def test_a_folder_of_the_same_name_is_refused_in_a_line(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").write_text("")
+    done = _python(f"import mdms; mdms.load_scene if {name == 'deploy'} else mdms.Plant", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith(f"ImportError: mdms needs its own package '{name}', but ")
+
+
+def test_the_command_works_beside_folders_of_the_same_names(tmp_path: Path) -> None:
+    for name in ("deploy", "plant"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise ImportError('not this one')\n")
+    done = subprocess.run(
+        [str(Path(sys.executable).parent / "mdms"), "run", "motors", "--duration", "0.1", "--processes", "1",
+         "--output", "out", "--no-picture"],
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=110,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def test_objects_say_what_they_are_and_travel() -> None:
+    scene = mdms.load_scene("motors")
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    with mdms.Simulation.open(scene) as simulation:
+        simulation.step()
+        assert repr(simulation) == "<Simulation of motors, 18 cells, at 0.004096 of 10 s>"
+    assert repr(simulation).endswith("closed>")
+
+
+def test_programs_that_are_no_programs_are_refused() -> None:
+    for firmware, rule in ((dict, "must derive from"), (7, "must be a name, a class or a function")):
+        with pytest.raises(mdms.FirmwareError, match=rule):
+            mdms.load_scene({"cells": {"firmware": firmware}})
+
+
+def test_a_program_that_fails_in_this_process_ends_the_run_with_its_cell() -> None:
+    class Fails(mdms.CellFirmware):
+        def init(self, cell: mdms.Cell) -> tuple[int, int]:
+            return cell.row, cell.column
+
+        def step(self, state: tuple[int, int], inputs: mdms.CellInputs) -> tuple[object, mdms.CellOutputs]:
+            return state, mdms.CellOutputs((1.0 / (state != (0, 1)), 0.0))
+
+    scene = mdms.load_scene(
+        {
+            "duration_s": 0.1,
+            "array": {"rows": 2, "columns": 2},
+            "cells": {"firmware": Fails},
+            "parcels": [{"size_m": [0.15, 0.15], "mass_kg": 1.0, "position_m": [0.0, 0.0]}],
+            "friction": {"law": "viscous", "coefficient_s_per_m": 5.0},
+        }
+    )
+    with mdms.Simulation.open(scene) as simulation:
+        result = simulation.run()
+    assert result.status == "failed"
+    assert result.reason.startswith("the program of cell 0,1 failed in tick 0 (0 s): ")
+    assert "ZeroDivisionError" in result.detail
+
+
+@pytest.mark.system
+def test_backends_have_the_same_bits() -> None:
+    states: list[bytes] = []
+    for cells in (mdms.InProcess(), mdms.Workers(2)):
+        with mdms.Simulation.open(mdms.load_scene("motors"), cells) as simulation:
+            for _ in range(20):
+                simulation.step()
+            states.append(simulation.plant.state.tobytes())
+    assert states[0] == states[1]
