@@ -1,4 +1,4 @@
-"""Where ``mdms`` begins: signals are answered before anything slow is imported; every error ends in words."""
+"""Entry point of ``mdms``: installs signal handlers before slow imports, and turns errors into messages."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _leave_on_signals() -> dict[int, Any]:
-    """Ctrl-C and SIGTERM end the process from now on, until they are watched for; returns what they did."""
+    """Let Ctrl-C and SIGTERM end the process at once until `Interruption` handles them; return the old handlers."""
     try:
         return {number: signal.signal(number, _leave) for number in (signal.SIGINT, signal.SIGTERM)}
     except ValueError:  # signals are for the main thread
@@ -59,14 +59,14 @@ def _leave_on_signals() -> dict[int, Any]:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    """End at once: nothing has begun, and an exception in the middle of an import may be swallowed there."""
+    """End the process at once: nothing has started, and an import could swallow an exception."""
     del number, frame
     os.write(2, b"mdms: interrupted\n")
     os._exit(130)
 
 
 def _report(error: Exception) -> int:
-    """Say what went wrong on stderr; the exit status."""
+    """Print an error on stderr, and return the exit status."""
     status = _status(error)
     if status is not None:
         sys.stderr.write(f"{error}\n")
@@ -79,7 +79,7 @@ def _report(error: Exception) -> int:
 
 
 def _status(error: Exception) -> int | None:
-    """The exit status of an error that a user can act on; None for all others, which are bugs."""
+    """Return the exit status of an error that a user can act on; None for all others, which are bugs."""
     from bus.errors import BusError
     from cell_firmware.errors import FirmwareError, FirmwareFailed
     from deploy.errors import DeployError

@@ -1,15 +1,15 @@
-"""The errors of a run that a person can act on; one root, with the exit status each leads to."""
+"""Errors that a user can act on, with a common base class and an exit status each."""
 
 from __future__ import annotations
 
 
 class DeployError(Exception):
-    """The run failed: one clear line that says what was attempted and why it could not be done."""
+    """Failure of a run; the message names the attempt and the cause in one line."""
 
     exit_code: int = 1
 
 
 class InputError(DeployError):
-    """Bad input: nothing was started."""
+    """Bad input; nothing was started."""
 
     exit_code: int = 2

@@ -1,4 +1,4 @@
-"""Whose wheels no program drives: cells that are dead, or not there; and what they are given instead."""
+"""Cells without a driving program (dead or removed), and the drives of their wheels."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ if TYPE_CHECKING:
 
 
 class WheelControl(Protocol):
-    """What is needed of ``plant.plant.Plant``."""
+    """Operations of ``plant.plant.Plant`` on the wheels of dead cells."""
 
     def release_wheels(self, cells: Sequence[int], policy: LossPolicy) -> None:
-        """Note that cells are dead from now on."""
+        """Let the wheels of newly dead cells follow ``policy``."""
         ...
 
     def engage_wheels(self, cells: Sequence[int]) -> None:
-        """Note that cells that were dead are so no longer."""
+        """Let the wheels of revived cells follow drives again."""
         ...
 
     def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
-        """Let faults do to wheels and cells what they say."""
+        """Apply a fault state to wheels and cells; ``drives`` act from then on."""
         ...
 
 
 @final
 class DeadCells:
-    """The cells that go, and come back.
+    """Dead and removed cells of a run, and the drives of their wheels.
 
     Args:
-        plant: Told of them.
-        cells: Of the array.
-        policy: What the wheels of dead cells do.
-        rests: What those of cells do that die for good, by cell, where it is something else.
+        plant: Plant whose wheels are released and engaged.
+        cells: Number of cells in the array.
+        policy: Policy for the wheels of dead cells.
+        rests: Policy of a cell that dies for good, by cell, where it differs from ``policy``.
 
     Attributes:
-        mask: ``(n,)``: those that no program drives; None: nobody ever was.
-        lost: ``(n,)``: those dead for good.
+        mask: Whether no program drives the cell, ``(n,)``; None before the first death or fault transition.
+        lost: Whether the cell is dead for good, ``(n,)``; only ``revive`` clears it.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_down", "_gone", "_given", "mask", "lost")
@@ -59,18 +59,23 @@ class DeadCells:
         self._policy: LossPolicy = policy
         self._rests = rests or {}
         self._down: dict[int, LossPolicy] = {}
-        """Those that may be repaired, and what their wheels do."""
+        """Cells that are dead until a fault is repaired, with the policy of their wheels."""
         self._gone: NDArray[np.bool_] = np.zeros(cells, dtype=np.bool_)
         self._given: Floats = np.zeros((cells, 2))
         self.mask: NDArray[np.bool_] | None = None
         self.lost: NDArray[np.bool_] = np.zeros(cells, dtype=np.bool_)
 
     def override_drives(self, drives: Floats) -> Floats:
-        """The drives ``(n, 2)``, but what wheels are given that no program drives."""
+        """Return the drives, ``(n, 2)``, with those of dead and removed cells replaced."""
         return drives if self.mask is None else np.where(self.mask[:, None], self._given, drives)
 
     def mark_dead(self, cells: Sequence[int], drives: Floats) -> tuple[int, ...]:
-        """Note that these are dead for good, ``drives`` being the last; returns those that were not before."""
+        """Mark cells as dead for good, and return the newly dead ones.
+
+        Args:
+            cells: Indices of the cells.
+            drives: Last drives, ``(n, 2)``; policy ``hold`` keeps them.
+        """
         fresh = tuple(cell for cell in cells if not self.lost[cell])
         if fresh:
             self.lost[list(fresh)] = True
@@ -79,7 +84,7 @@ class DeadCells:
         return fresh
 
     def revive(self, cells: Sequence[int]) -> None:
-        """These are dead no longer; what faults say of them still holds."""
+        """Clear the death of rejoining cells; a cell that an active fault kills stays dead."""
         self.lost[list(cells)] = False
         back = [cell for cell in cells if cell not in self._down]
         self._plant.engage_wheels(back)
@@ -87,11 +92,16 @@ class DeadCells:
         self._mark()
 
     def about_to_die(self, harm: WheelFaults) -> list[int]:
-        """Those that ``harm`` kills, ascending, which live now."""
+        """Return the live cells that the fault state ``harm`` kills, ascending."""
         return [cell for cell in np.flatnonzero(harm.dead & ~self.lost).tolist() if cell not in self._down]
 
     def on_transition(self, harm: WheelFaults, drives: Floats) -> bool:
-        """Something else is the matter from now on, ``drives`` being the last; returns whether cells came or went."""
+        """Apply a new fault state, and return whether modules were removed or plugged in.
+
+        Args:
+            harm: Combined effect of the active faults.
+            drives: Last drives, ``(n, 2)``.
+        """
         dead: list[int] = np.flatnonzero(harm.dead).tolist()
         before = self._down
         self._down = {cell: harm.wheel_policies.get(cell, self._policy) for cell in dead}
@@ -109,7 +119,7 @@ class DeadCells:
         return moved
 
     def _leave(self, leaving: Mapping[int, LossPolicy], drives: Floats) -> None:
-        """From now on the wheels of these cells do what dead ones do, each what is said of it."""
+        """Release the wheels of dying cells, each with its policy; ``hold`` keeps the last drives."""
         for policy in sorted(set(leaving.values())):
             cells = tuple(cell for cell, does in leaving.items() if does == policy)
             if policy == "hold":

@@ -27,13 +27,12 @@ if TYPE_CHECKING:
 
 @final
 class PlantProcess:
-    """Runs the plant and the bus in lockstep, in one blocking thread.
+    """Tick loop of a run: plant and bus in lockstep, in one blocking thread.
 
     In tick k the cells are told what they sense at ``t_k = k tick_ns`` and answer with the drives that act on
-    the whole of ``[t_k, t_(k+1))``; the last interval ends with the run and may be shorter. A cell that dies,
-    scheduled or not, is not waited for again; its wheels do what the stall policy says, from that tick on. With
-    clocks of their own, cells are told at t_k what each last read, and each drive acts from an instant within
-    ``[t_k, t_(k+1))`` on.
+    the whole of ``[t_k, t_(k+1))``; the last interval ends with the run and may be shorter. No drive is expected of
+    a cell after its death, scheduled or not; its wheels follow the stall policy from that tick on. With local
+    clocks, a cell is told at t_k its last reading, and its drive acts from an instant within ``[t_k, t_(k+1))`` on.
 
     Args:
         plant: At time 0.
@@ -139,7 +138,7 @@ class PlantProcess:
         return None
 
     def _nobody(self) -> bool:
-        """Whether no program drives any wheel any more, and for one cell at least not because the scene says so."""
+        """Whether all cells are dead or removed, at least one of them against the scene's schedule."""
         gone = self._dead.mask
         if gone is None or not gone.all():
             return False
@@ -153,11 +152,11 @@ class PlantProcess:
         return not ordered.all()
 
     def revive(self, cells: Sequence[int]) -> None:
-        """Cells that were lost take part again from the next tick on."""
+        """Readmit lost cells from the next tick on."""
         self._dead.revive(cells)
 
     def inject(self, fault: FaultInstance[PlantFault]) -> None:
-        """One more fault, from the next tick on at the earliest."""
+        """Add a fault, which acts from the next tick on at the earliest."""
         if self._faults is None:
             from plant.faults.schedule import FaultSchedule
 
@@ -166,12 +165,15 @@ class PlantProcess:
         self.replan()
 
     def replan(self) -> None:
-        """Heed that the end of a fault has changed."""
+        """Update the fault schedule after a fault's end tick has changed."""
         if self._faults is not None:
             self._faults.plan(self.tick)
 
     def _step(self) -> Sequence[Loss]:
-        """Run one tick. Return the cells that were found lost in it; where that ends the run the plant then stays."""
+        """Run one tick, and return the cells that were found lost.
+
+        Losses that end the run leave the plant at the start of the tick.
+        """
         tick, start_ns, sense, plant = self.tick, self.time_ns, self._sense, self._plant
         if self._faults is not None and tick >= self._faults.next_transition:
             self._turn(self._faults, tick)
@@ -205,7 +207,7 @@ class PlantProcess:
         return losses
 
     def _advance(self, tick: int, drives: Floats, until_ns: int) -> tuple[Sense, list[Event]]:
-        """Let the plant move on through a tick."""
+        """Advance the plant through a tick."""
         if self._timing is None:
             self._drives = drives
             return self._plant.advance(drives, until_ns)
@@ -221,10 +223,10 @@ class PlantProcess:
     def _exchange(
         self, tick: int, start_ns: int, sense: Sense, died: tuple[int, ...]
     ) -> tuple[Floats, Sequence[Loss]]:
-        """Tell the cells what they sense, and hear what they do.
+        """Publish the sensor readings, and gather the drives and the losses of a tick.
 
-        Those who die in this tick still sense: that a tick begins tells them that all they sent has arrived.
-        The tick before is reported while the cells compute.
+        Cells that die in this tick still receive readings: the start of a tick confirms to a cell that its earlier
+        messages have arrived. The previous tick is reported while the cells compute.
         """
         if self._clock.pace is not None:
             self.report()
@@ -257,14 +259,14 @@ class PlantProcess:
                 after_tick(record)
 
     def _dying(self) -> tuple[int, ...]:
-        """Cells that die as the next tick begins."""
+        """Return the cells that die as the next tick begins."""
         dying = set(self._deaths.schedule.get(self.tick, ()))
         if self._faults is not None and self.tick >= self._faults.next_transition:
             dying.update(self._dead.about_to_die(self._faults.state_at(self.tick)))
         return tuple(sorted(dying))
 
     def _turn(self, faults: FaultSchedule, tick: int) -> None:
-        """Faults begin or end: put the plant in the state that they leave it in."""
+        """Apply the fault state after the transitions at ``tick``."""
         if self._dead.on_transition(faults.at_transition(tick), self._drives):
             self._sense = self._plant.last_readings
 
@@ -275,5 +277,5 @@ class PlantProcess:
 
     @property
     def sense(self) -> Sense:
-        """What the cells would sense now."""
+        """Sensor readings for the next tick."""
         return self._sense

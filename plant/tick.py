@@ -25,12 +25,12 @@ Status = Literal["ok", "failed", "stalled"]
 
 
 class TickRecord(NamedTuple):
-    """All that happened in one tick.
+    """Record of one complete tick.
 
     Attributes:
-        tick: Which, from 0.
-        start_ns: When it began.
-        until_ns: When it ended.
+        tick: Number of the tick, from 0.
+        start_ns: Simulated time of its start, ns.
+        until_ns: Simulated time of its end, ns.
         sense: What the cells sensed at its start.
         wheel_speed: ``(n, 2)`` m/s at its start.
         before: ``(m, 6)`` parcel states at its start.
@@ -57,7 +57,7 @@ class TickRecord(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True)
 class LoopResult:
-    """How the loop ended.
+    """Result of the tick loop.
 
     Attributes:
         status: ``ok`` at the end of the duration; ``failed`` or ``stalled`` where the policy is ``abort``; ``failed``
@@ -96,7 +96,7 @@ class LockstepPort(Protocol):
 class TickHooks:
     """Callables around every tick of a run, in the order in which they are called.
 
-    What a hook raises ends the run between two ticks.
+    An exception in a hook ends the run between two ticks.
 
     Attributes:
         before_tick: Called with the next tick, before anything of it happens. The time to inject faults.

@@ -1,1 +1,1 @@
-"""Checkpoints of a run, and going on from them."""
+"""Checkpoints of a run, and resuming from a checkpoint."""

@@ -1,4 +1,4 @@
-"""What a run is at a boundary of ticks: all that it takes to go on from there, as bytes that say if they are whole."""
+"""Checkpoint of a run at a tick boundary: everything needed to resume, as bytes with a checksum."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ _HEAD: Final = len(MAGIC) + 2 + sha256().digest_size
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checkpoint:
-    """A run before ``tick``, all ticks before that being over.
+    """State of a run before ``tick``, after all earlier ticks are complete.
 
     Attributes:
-        scene_name: The bundled name or the file as given.
+        scene_name: Bundled name of the scene, or the file as given.
         scene: The whole scene, in JSON's types.
-        bound: What the bits hang on: the scene's digest, versions, machine, the firmware's file.
-        options: How it was run, as far as a resumed run has to be run alike.
-        tick: The first that is not over.
-        time_ns: Simulated time reached.
-        process: What the plant's process remembers.
-        states: What the cells remember, by shard; of those that had cells left.
-        ledger: What was counted, and the digest.
-        reporter: What the protocol's report has gathered; None where there is to be none.
+        bound: Fingerprint of the run, by name: the scene's digest, versions, machine, the firmware's file.
+        options: Options that a resumed run must share.
+        tick: First tick that is not complete.
+        time_ns: Simulated time reached, ns.
+        process: State of the plant's process.
+        states: State of the cells, by shard; only shards with a live cell.
+        ledger: State of the run log, the digest included.
+        reporter: State of the protocol's reporter; None without a protocol report.
         counts: Payloads of all sides: sent, delivered, lost, late.
-        refused: Payloads that were, by whose key they were put on and name of the error.
-        tally: What cells counted whose processes have left.
-        recorded: Messages of the recording by topic: those that are of ticks that are over.
-        dead: Indices of the cells that had gone.
-        wall_s: Of the ticks that are over.
+        refused: Number of malformed payloads, by owner of the key and name of the error.
+        tally: Counters of cells whose processes have left.
+        recorded: Number of messages in the recording, by topic, of complete ticks.
+        dead: Indices of dead cells.
+        wall_s: Wall time of the complete ticks, s.
         resumed: Ticks before which the run had been resumed, in order.
     """
 
@@ -63,24 +63,24 @@ class Checkpoint:
     resumed: tuple[int, ...]
 
     def all_counts(self) -> MessageCounters:
-        """The counts as the bus has them."""
+        """Return the message counters as the bus keeps them."""
         counts = MessageCounters(*self.counts)
         counts.refused.update(self.refused)
         counts.cell_counters.update(self.tally)
         return counts
 
     def to_bytes(self) -> bytes:
-        """The file's content."""
+        """Encode the checkpoint as the content of a file."""
         body = encode({name: getattr(self, name) for name in _TYPES}, {})
         head = MAGIC + FORMAT.to_bytes(2, "little")
         return head + sha256(head + body).digest() + body
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Checkpoint:
-        """What ``to_bytes`` was called on.
+        """Decode a checkpoint from the content of a file.
 
         Raises:
-            InputError: The content is not whole, was changed, or is of another format: says which.
+            InputError: The content is cut, changed or of another format; the message says which.
         """
         if not content.startswith(MAGIC) or len(content) < _HEAD:
             raise InputError("not a checkpoint, or cut at its beginning")
@@ -124,11 +124,11 @@ _ITEMS: Final[Mapping[str, tuple[type, type]]] = {
     "tally": (str, int),
     "recorded": (str, int),
 }
-"""Of maps whose keys and values are all of one type."""
+"""Types of keys and values, of maps with one type each."""
 
 
 def _check(values: Any) -> None:
-    """Refuse what is not a checkpoint's fields.
+    """Check the decoded fields of a checkpoint.
 
     Raises:
         InputError: Names the field.

@@ -1,4 +1,4 @@
-"""Takes checkpoints of a run while it goes on."""
+"""Periodic checkpoints of a run in progress."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 
 
 PATIENCE_S: Final = 5.0
-"""The least wall time that cells get to tell what they remember."""
+"""Least wall time that cells get to send their snapshots."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckpointMetadata:
-    """What all checkpoints of a run have in common: see ``Checkpoint``.
+    """Fields that all checkpoints of a run share; see ``Checkpoint``.
 
     Attributes:
-        wall_s: Of the ticks that were over when this process took the run up.
+        wall_s: Wall time of the ticks that were complete when this process resumed the run, s.
     """
 
     scene_name: str
@@ -53,13 +53,13 @@ class CheckpointMetadata:
 @final
 @dataclass(slots=True)
 class _Pending:
-    """A checkpoint under way.
+    """A checkpoint in progress.
 
     Attributes:
-        tick: Before which it is.
-        asked: When the cells were asked, monotonic wall seconds.
-        plant: What the plant's side is then, by ``Checkpoint``'s names; None until it has come so far.
-        mark: What of the recording has to be safe first.
+        tick: Tick before which the state is saved.
+        asked: Time at which snapshots were requested, monotonic wall seconds.
+        plant: State of the plant's side, by field of ``Checkpoint``; None until ``tick`` is next.
+        mark: Position in the recording that must be on disk before the checkpoint.
     """
 
     tick: int
@@ -70,29 +70,29 @@ class _Pending:
 
 @final
 class Checkpointer:
-    """Takes a checkpoint every so many seconds of wall time.
+    """Checkpoints of a run, one every ``every_s`` of wall time.
 
-    It begins with each so much earlier as the last took to be on the disk: then what has to be done again after a kill
-    is no more than that time, whenever the kill comes.
+    Each checkpoint starts early by the time that the previous one took to write. At most ``every_s`` of work is then
+    lost when the process is killed.
 
-    The cells are asked a tick ahead and answer when they have driven that tick; meanwhile the plant goes on. It stands
-    still only for its own part to be copied. A thread writes the file. One checkpoint is under way at a time, and one
-    that can't be finished is given up: the run goes on.
+    Snapshots of the shards are requested one tick ahead, and sent once that tick is computed. The plant goes on
+    meanwhile, except while its own state is copied. A thread writes the file. One checkpoint is in progress at a time;
+    a checkpoint that can't be finished is abandoned, and the run goes on.
 
     Args:
-        every_s: Wall time from one to the next.
-        host: Of the lockstep; its shards may be asked.
-        ledger: Of the run.
-        recorder: Of the run.
-        reporter: Of the protocol; None: nobody watches it.
-        store: Where checkpoints are written.
-        about: What they have in common.
-        patience_s: Wall time that cells get to answer.
-        warn: Told of what was given up, one line.
-        clock: Monotonic wall seconds.
+        every_s: Wall time between two checkpoints, s.
+        host: Coordinator of the lockstep, which requests snapshots.
+        ledger: Log of the run.
+        recorder: Recorder of the run.
+        reporter: Reporter of the protocol; None without a protocol report.
+        store: Checkpoint files.
+        about: Fields that all checkpoints share.
+        patience_s: Wall time that shards get to send their snapshots, s; at least ``PATIENCE_S``.
+        warn: Called with one line for every abandoned checkpoint.
+        clock: Returns monotonic wall seconds.
 
     Attributes:
-        written: Ticks before which there are checkpoints now, or were.
+        written: Ticks before which a checkpoint was written.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class Checkpointer:
         self.written: list[int] = []
 
     def before_tick(self, process: PlantProcess) -> None:
-        """A tick is about to begin, and nothing of it has happened; all before it are over."""
+        """Request snapshots when a checkpoint is due, and save the plant's side one tick later."""
         draft = self._draft
         if draft is None:
             due = self._last + self._every_s - self._took_s
@@ -138,7 +138,7 @@ class Checkpointer:
             draft.plant, draft.mark = self._plant(process)
 
     def _plant(self, process: PlantProcess) -> tuple[dict[str, Any], int]:
-        """The plant's side as it is now, and what of the recording belongs to it."""
+        """Save the plant's side; return its fields and the position in the recording."""
         recorded, mark = self._recorder.position()
         return {
             "tick": process.tick,
@@ -152,7 +152,7 @@ class Checkpointer:
         }, mark
 
     def poll(self) -> None:
-        """Look whether everybody has answered; once a tick."""
+        """Write the checkpoint once all shards have answered; call once a tick."""
         if self._writer is not None and not self._writer.is_alive():
             self._finish()
         draft = self._draft
@@ -177,7 +177,7 @@ class Checkpointer:
         self._warn(f"no more checkpoints: {why}")
 
     def close(self) -> None:
-        """Wait until what is being written is."""
+        """Wait for the checkpoint that is being written."""
         if self._writer is not None:
             self._writer.join()
             self._finish()
@@ -208,7 +208,7 @@ class Checkpointer:
         self._writer.start()
 
     def _put(self, checkpoint: Checkpoint, draft: _Pending) -> None:
-        """In a thread: first the recording, up to there, and then the checkpoint that counts on it."""
+        """Sync the recording up to the mark, then write the checkpoint; runs in a thread."""
         try:
             self._recorder.sync_to(draft.mark)
             self._store.write(checkpoint.to_bytes())
@@ -221,18 +221,18 @@ class Checkpointer:
 def checkpoint_metadata(
     scene: Scene, plan: Plan, options: RunOptions, plant: Plant, resumed: Checkpoint | None, *, live: bool
 ) -> CheckpointMetadata | None:
-    """What all checkpoints of a run have in common; None where there are to be none.
+    """Return the fields that all checkpoints of a run share; None without checkpoints.
 
     Args:
-        scene: What runs.
-        plan: What is started.
-        options: How it runs.
-        plant: Of the scene, at its start.
-        resumed: From which it goes on; None: it begins.
-        live: Whether faults may come while it runs.
+        scene: Scene of the run.
+        plan: Plan of the run.
+        options: Options of the run.
+        plant: Plant of the scene, at its start.
+        resumed: Checkpoint to resume from; None: the run starts at tick 0.
+        live: Whether serial lines are byte-accurate, so that faults can be injected at run time.
 
     Raises:
-        InputError: The run can't be kept, or can't go on from the one that it is to go on from.
+        InputError: The plant's state can't be saved, or the run can't resume from ``resumed``.
     """
     if options.checkpoint_s is None:
         return None
@@ -265,17 +265,17 @@ def make_checkpointer(
     resumed: Checkpoint | None,
     patience_s: float,
 ) -> Checkpointer | None:
-    """What takes a run's checkpoints; None where there are to be none.
+    """Create the checkpointer of a run; None without checkpoints.
 
     Args:
-        about: Of the run.
-        options: How it runs.
-        host: The plant's side of the lockstep.
-        ledger: Of the run.
-        recorder: In whose folder they are left.
-        reporter: What watches the protocol, where that is asked for.
-        resumed: From which it goes on; it stays until there is a newer one.
-        patience_s: Wall seconds that the cells have to tell what they remember.
+        about: Fields that all checkpoints share; None without checkpoints.
+        options: Options of the run.
+        host: Coordinator of the lockstep.
+        ledger: Log of the run.
+        recorder: Recorder of the run, into whose folder checkpoints are written.
+        reporter: Reporter of the protocol; None without a protocol report.
+        resumed: Checkpoint to resume from, kept until a newer one is written.
+        patience_s: Wall time that shards get to send their snapshots, s.
     """
     if about is None or options.checkpoint_s is None:
         return None
@@ -299,7 +299,7 @@ def make_checkpointer(
 def restore_run(
     resumed: Checkpoint, process: PlantProcess, ledger: RunLog, reporter: Reporter | None
 ) -> None:
-    """Let all of the plant's process be as it was."""
+    """Restore the plant's process, the log and the reporter from a checkpoint."""
     from bus.state import load_state
 
     load_state(process, resumed.process)

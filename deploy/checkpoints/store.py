@@ -1,4 +1,4 @@
-"""Where a run's checkpoints lie: the last two, so that there is always a whole one."""
+"""Checkpoint files of a run: the last two are kept, so that one is always whole."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
 FILE_NAME: Final = "checkpoint.msgpack"
 PREVIOUS: Final = "checkpoint-before.msgpack"
-"""The one before the last."""
+"""The previous checkpoint."""
 DRAFT: Final = ".checkpoint.msgpack.draft"
 NAMES: Final = (FILE_NAME, PREVIOUS, DRAFT)
 
 
 @final
 class CheckpointStore:
-    """The checkpoints in a run's output folder.
+    """Checkpoint files in a run's output folder.
 
     Args:
-        folder: That folder.
+        folder: Output folder of the run.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -43,7 +43,9 @@ class CheckpointStore:
         self._last, self._before, self._draft = (folder / name for name in NAMES)
 
     def write(self, content: bytes) -> None:
-        """Make this the last checkpoint. Whenever this is cut short, a whole one is there, if there was one.
+        """Write the newest checkpoint, and keep the one before as the previous checkpoint.
+
+        An interruption at any time leaves a whole checkpoint if there was one before.
 
         Raises:
             DeployError: It can't be written.
@@ -51,10 +53,10 @@ class CheckpointStore:
         self._put(content, aside=True)
 
     def read(self) -> Checkpoint:
-        """The last checkpoint that is whole.
+        """Return the newest checkpoint that is whole.
 
         Raises:
-            InputError: There is none; says what is the matter with those that are there.
+            InputError: There is none; the message says what is wrong with each file.
         """
         wrong: list[str] = []
         for path in (self._last, self._before):
@@ -71,7 +73,9 @@ class CheckpointStore:
         raise InputError("\n".join(wrong) or f"there is no checkpoint in {self._folder}")
 
     def keep(self, checkpoint: Checkpoint) -> None:
-        """Have this one be the last, which `read` gave: one that is not whole must not take its place.
+        """Write a checkpoint that ``read`` returned as the newest, and remove the previous one.
+
+        A damaged newest file is overwritten, and does not become the previous checkpoint.
 
         Raises:
             DeployError: It can't be written.
@@ -81,7 +85,12 @@ class CheckpointStore:
             self._before.unlink()
 
     def _put(self, content: bytes, *, aside: bool) -> None:
-        """Make this the last; ``aside``: what was the last, and is whole, is the one before it then."""
+        """Write the newest checkpoint.
+
+        Args:
+            content: Content of the file.
+            aside: Keep the newest checkpoint so far, which must be whole, as the previous one.
+        """
         try:
             with self._draft.open("wb") as stream:
                 stream.write(content)
@@ -95,23 +104,23 @@ class CheckpointStore:
             raise DeployError(f"can't write {self._last}: {error.strerror or error}") from error
 
     def clear(self) -> None:
-        """Remove them all."""
+        """Remove all checkpoint files."""
         for path in (self._draft, self._before, self._last):
             with suppress(FileNotFoundError):
                 path.unlink()
 
 
 _ALIKE: Final = ("transport", "wire", "registers", "protocol_report", "respawn", "checkpoint_s")
-"""Options that a resumed run has from the run it goes on with; the number of processes as the plan has it."""
+"""Options that a resumed run takes from its checkpoint, besides the number of processes."""
 _OVER: Final = ("ok", "unstable")
-"""Ends that going on from a checkpoint could only come to again."""
+"""Final statuses that a resumed run would only reach again."""
 
 
 def find_checkpoint(folder: Path) -> Checkpoint:
-    """The checkpoint that a run in a folder can go on from.
+    """Return the checkpoint from which the run in a folder can resume.
 
     Raises:
-        InputError: There is none, or the run is over.
+        InputError: There is no checkpoint, or the run is over.
     """
     if not folder.is_dir():
         raise InputError(f"--resume {folder}: there is no such folder")
@@ -131,7 +140,7 @@ def find_checkpoint(folder: Path) -> Checkpoint:
 
 
 def _status(folder: Path) -> str | None:
-    """How the run in a folder ended; None where it could not say."""
+    """Return the final status of the run in a folder; None without a readable summary."""
     try:
         summary: Any = json.loads((folder / SUMMARY).read_bytes())
         return str(summary["status"])
@@ -140,7 +149,7 @@ def _status(folder: Path) -> str | None:
 
 
 def scene_of(checkpoint: Checkpoint) -> Scene:
-    """The scene that was run.
+    """Return the scene of a checkpoint.
 
     Raises:
         InputError: This version refuses it.
@@ -152,14 +161,14 @@ def scene_of(checkpoint: Checkpoint) -> Scene:
 
 
 def options_of(checkpoint: Checkpoint, asked: RunOptions) -> RunOptions:
-    """How a run goes on: as it was run, but for what does not matter to that.
+    """Return the options of a resumed run: the checkpoint's where the result depends on an option, else ``asked``.
 
     Args:
-        checkpoint: Of the run.
-        asked: What is asked for now; what is None there is as it was.
+        checkpoint: Checkpoint to resume from.
+        asked: Options given now; a default stands for the checkpoint's value.
 
     Raises:
-        InputError: The checkpoint's make no sense.
+        InputError: The checkpoint's options are unknown, or ``asked`` contradicts them.
     """
     then = checkpoint.options
     if set(then) != {"processes", "live", *_ALIKE}:
@@ -177,7 +186,7 @@ def options_of(checkpoint: Checkpoint, asked: RunOptions) -> RunOptions:
 
 
 def options_record(plan: Plan, options: RunOptions, *, live: bool) -> dict[str, Any]:
-    """A run's options as checkpoints have them; ``live``: whether faults may come over serial lines too."""
+    """Return a run's options for its checkpoints; ``live``: whether serial lines are byte-accurate."""
     return {
         "live": live,
         **{name: value for name, value in asdict(options).items() if name in _ALIKE},
@@ -187,7 +196,7 @@ def options_record(plan: Plan, options: RunOptions, *, live: bool) -> dict[str, 
 
 
 def fingerprint(scene: Scene) -> dict[str, str]:
-    """What the bits of a run hang on, by name."""
+    """Return everything that determines the bits of a run, by name."""
     from cell_firmware.cell import PerCellAdapter
     from cell_firmware.loader import load
     from plant.kernels.common.cache import key
@@ -204,10 +213,10 @@ def fingerprint(scene: Scene) -> dict[str, str]:
 
 
 def check(checkpoint: Checkpoint, now: dict[str, str]) -> None:
-    """Refuse to go on where the same bits can't be promised.
+    """Refuse to resume where the same bits can't be guaranteed.
 
     Raises:
-        InputError: Names what is not as it was.
+        InputError: The fingerprint has changed; the message names the entries.
     """
     then = checkpoint.bound
     other = [

@@ -1,1 +1,1 @@
-"""A run that is spoken to while it goes on: what can be asked, who asks, who answers."""
+"""Control plane of a running simulation: requests, server, client and discovery."""

@@ -1,4 +1,4 @@
-"""Where runs of this machine that go on can be spoken to: each leaves a note in its folder while it does."""
+"""Client of running simulations; each run on this machine advertises an address file in its folder."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ FILE_NAME: Final = "live.json"
 @final
 @dataclass(frozen=True, slots=True)
 class Address:
-    """How to reach a run.
+    """Address of a run.
 
     Attributes:
-        run: Its name.
-        connect: Where its plant listens.
-        pid: Of the plant's process.
+        run: Name of the run.
+        connect: Endpoint on which the plant listens.
+        pid: Process id of the plant's process.
     """
 
     run: str
@@ -36,24 +36,24 @@ class Address:
     pid: int
 
     def write(self, folder: Path) -> None:
-        """Leave the note."""
+        """Write the address file."""
         write_text(folder / FILE_NAME, json.dumps(asdict(self)))
 
     @staticmethod
     def remove(folder: Path) -> None:
-        """Take the note away, where there is one."""
+        """Remove the address file if it exists."""
         with suppress(OSError):
             (folder / FILE_NAME).unlink()
 
 
 @contextmanager
 def advertise(run: str, locator: str, folder: Path) -> Generator[None]:
-    """Leave a note in a run's folder, while it goes on, of where it can be spoken to.
+    """Keep an address file in a run's folder inside the context.
 
     Args:
-        run: Its name.
-        locator: Where its plant listens; empty: nowhere, and there is no note.
-        folder: The run's.
+        run: Name of the run.
+        locator: Endpoint on which the plant listens; empty: none, and no file is written.
+        folder: Folder of the run.
     """
     if not locator:
         yield
@@ -67,10 +67,13 @@ def advertise(run: str, locator: str, folder: Path) -> Generator[None]:
 
 
 def discover(folder: Path | None) -> Address:
-    """The run of a folder; None: the one below ``runs/`` that began last and still goes on.
+    """Return the address of a run in progress.
+
+    Args:
+        folder: Folder of the run; None: the newest run in progress below ``runs/``.
 
     Raises:
-        InputError: There is none.
+        InputError: No run is in progress there.
     """
     if folder is not None:
         address = _read(folder / FILE_NAME)
@@ -95,7 +98,7 @@ def _age(note: Path) -> float:
 
 
 def _read(note: Path) -> Address | None:
-    """What a note says; None where its run is over, however it ended."""
+    """Read an address file; None if the file is unusable or its process has ended."""
     try:
         data: dict[str, Any] = json.loads(note.read_bytes())
         address = Address(str(data["run"]), str(data["connect"]), int(data["pid"]))
@@ -108,21 +111,21 @@ def _read(note: Path) -> Address | None:
 def ask_run(
     connect: str, request: dict[str, Any], timeout_s: float, keys: Path | None = None
 ) -> dict[str, Any]:
-    """Ask the run whose plant listens there.
+    """Send a request to a run, and return the answer.
 
     Args:
-        connect: Where, such as ``tcp/127.0.0.1:7447``.
+        connect: Endpoint on which the plant listens, such as ``tcp/127.0.0.1:7447``.
         request: See ``deploy.control.requests``.
-        timeout_s: Wall seconds to wait for its answer.
-        keys: The run's, or the operator's folder of them; None where the run has none.
+        timeout_s: Wall time to wait for the answer, s.
+        keys: Folder of the run's or the operator's keys; None if the run has none.
 
     Returns:
-        The answer: ``run``, ``tick``, ``time_s``, and what belongs to the request.
+        The answer: ``run``, ``tick``, ``time_s``, and the fields of this kind of request.
 
     Raises:
-        InputError: Nobody listens there, or they let nobody in with these keys.
-        RequestError: The run refuses; says why.
-        DeployError: It doesn't answer in time.
+        InputError: No plant listens there, or the plant doesn't accept the keys.
+        RequestError: The run refuses the request; the message says why.
+        DeployError: The run doesn't answer in time.
     """
     from bus.transports.zenoh.requests import send_request
 
@@ -142,7 +145,7 @@ def ask_run(
 
 
 def _answer(found: object) -> dict[str, Any]:
-    """What is a run's answer, as far as every answer is alike."""
+    """Return a decoded answer after a check of its common fields."""
     if isinstance(found, dict):
         answer = cast("dict[str, Any]", found)
         if answer.get("ok") is True or (

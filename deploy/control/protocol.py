@@ -1,4 +1,4 @@
-"""Live faults as cells are told of them: the text of a control record, written by the plant, read by every worker."""
+"""Encoding of live faults in control records, which the plant writes and every worker reads."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _Whole = Annotated[int, Field(ge=0, lt=TICK_LIMIT)]
 
 
 class _FaultRecord(Spec):
-    """A fault that begins."""
+    """Content of a control record that begins a fault."""
 
     number: _Whole
     fault: Fault
@@ -36,7 +36,7 @@ class _FaultRecord(Spec):
 
 
 class _RepairRecord(Spec):
-    """A fault that is over."""
+    """Content of a control record that ends a fault."""
 
     number: _Whole
     end: _Whole
@@ -46,17 +46,17 @@ _SPOILT: Final = (ValueError, TypeError, RecursionError)
 
 
 def encode_fault(one: FaultInstance[FaultSpec]) -> dict[str, Any]:
-    """A live fault in JSON's types."""
+    """Encode a live fault in JSON's types."""
     fault = one.fault.model_dump(mode="json", exclude_none=True, exclude={"at_s", "until_s"})
     end = None if one.end_tick == NO_TICK_LIMIT else one.end_tick
     return {"number": one.number, "fault": fault, "first": one.start_tick, "end": end}
 
 
 def decode_fault(data: Mapping[str, Any], scene: Scene) -> FaultInstance[FaultSpec]:
-    """The same fault from that; of the same scene it strikes the same cells.
+    """Decode a live fault; with the same scene, the fault affects the same cells.
 
     Raises:
-        ValueError: It is no fault, or none of this scene's array.
+        ValueError: The data are no fault, or name cells outside this scene's array.
     """
     one = strictly(_FaultRecord, data)
     fault, lattice = cast("FaultSpec", one.fault), scene.lattice()
@@ -74,10 +74,13 @@ def decode_fault(data: Mapping[str, Any], scene: Scene) -> FaultInstance[FaultSp
 
 
 def decode_fault_control(control: Control, scene: Scene) -> FaultInstance[FaultSpec] | tuple[int, int]:
-    """What a control record of kind ``fault`` says: a fault, or the number of one and the tick from which it is over.
+    """Decode a control record of kind ``fault``.
+
+    Returns:
+        The fault that begins; of a repair, the fault's number and the tick from which it is over.
 
     Raises:
-        WireError: Neither.
+        WireError: The record is neither a fault nor a repair.
     """
     try:
         data: object = json.loads(control.detail)
@@ -91,10 +94,10 @@ def decode_fault_control(control: Control, scene: Scene) -> FaultInstance[FaultS
 
 
 def apply_to_shard(control: Control, scene: Scene, shard: Shard, site: ShardContext) -> None:
-    """Let a shard's cells suffer what a control record says, or be repaired.
+    """Begin or repair a fault on a shard's cells, as a control record says.
 
     Raises:
-        WireError: See ``read``.
+        WireError: See ``decode_fault_control``.
     """
     one = decode_fault_control(control, scene)
     if isinstance(one, tuple):

@@ -1,4 +1,4 @@
-"""Looks at the cells of a system that runs elsewhere: their registers, as they are now."""
+"""Reading of the current registers of a running system's cells, from outside."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ if TYPE_CHECKING:
 Cell = tuple[int, int]
 
 KEYS: Final = shard_key("*", None, "registers")
-"""On which cells show themselves."""
+"""Keys on which cells publish registers."""
 
 _MOST_CELLS: Final = 1_000_000
-"""Of a shard: what its frames are bounded by."""
+"""Most cells of a shard, which bounds the size of a frame."""
 _TOGETHER_S: Final = 1.0
-"""Wall time after the first frame within which those of the other shards come: they look five times a second."""
+"""Wall time after the first frame in which the other shards' frames arrive; shards publish five times a second."""
 
 
 @final
 @dataclass(slots=True)
 class RegisterReadings:
-    """What cells showed of themselves.
+    """Registers read from the cells of a run.
 
     Attributes:
         run: Name of the run.
         tick: The last tick that a cell had computed.
-        cells: Of each cell its registers by name, one number or several.
+        cells: Registers of each cell by name, one number or several.
     """
 
     run: str = ""
@@ -50,18 +50,17 @@ class RegisterReadings:
 def read_registers(
     connect: str, wanted: Iterable[Cell], timeout_s: float, keys: Path | None = None
 ) -> RegisterReadings:
-    """What cells show of themselves now.
+    """Read the current registers of cells.
 
     Args:
-        connect: Where the plant of the run listens, such as ``tcp/127.0.0.1:7447``.
-        wanted: Which cells; none: all that answer.
-        timeout_s: Wall seconds to wait for them.
-        keys: A run's, or an operator's, where the run lets in only who has some.
+        connect: Endpoint on which the run's plant listens, such as ``tcp/127.0.0.1:7447``.
+        wanted: Cells to read; empty: all cells that answer.
+        timeout_s: Wall time to wait for the cells, s.
+        keys: Folder of the run's or the operator's keys; None if the run has none.
 
     Raises:
-        InputError: Nobody listens there, or they let nobody in with these keys, or the cells wanted are not those of
-            that run.
-        DeployError: Nobody showed anything in time.
+        InputError: No plant listens there, the plant doesn't accept the keys, or wanted cells are missing or dead.
+        DeployError: No registers arrived in time.
     """
     begun = time.monotonic()
     endpoint = operator_session(connect, timeout_s, keys)
@@ -73,7 +72,7 @@ def read_registers(
 
 
 def collect(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> RegisterReadings:
-    """The same, of an endpoint that has subscribed to ``KEYS``, until a time of ``time.monotonic``."""
+    """Collect registers from an endpoint subscribed to ``KEYS``; ``deadline`` is a time of ``time.monotonic``, s."""
     seen = RegisterReadings()
     while (left := deadline - time.monotonic()) > 0 and not (wanted and wanted <= seen.cells.keys()):
         event = endpoint.receive(left)
@@ -92,7 +91,7 @@ def collect(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> RegisterR
 
 
 def _take(seen: RegisterReadings, event: Received) -> None:
-    """Note what a frame says; a frame that is none is somebody else's."""
+    """Add the registers of a frame; ignore a payload that is no frame."""
     try:
         frame = decode_registers(event.payload, _MOST_CELLS)
     except WireError:
@@ -105,13 +104,13 @@ def _take(seen: RegisterReadings, event: Received) -> None:
 
 
 def ranges(cells: Mapping[Cell, Mapping[str, Any]]) -> dict[str, tuple[float, float, float]]:
-    """Of every register that all cells have the least, the mean and the greatest, over them and the numbers in it."""
+    """Return minimum, mean and maximum of every register that all cells have, over cells and numbers."""
     import numpy as np
 
     found: dict[str, tuple[float, float, float]] = {}
     for name, first in next(iter(cells.values())).items():
         if any(name not in own or np.shape(own[name]) != np.shape(first) for own in cells.values()):
-            continue  # of another run, or nobody's
+            continue  # of another run
         values: NDArray[Any] = np.array([registers[name] for registers in cells.values()], dtype=np.float64)
         if values.size:
             found[name] = (float(values.min()), float(values.mean()), float(values.max()))

@@ -1,4 +1,4 @@
-"""What was done to a run while it went on, and whom it lost, from its recording: so that it can be repeated."""
+"""Replay of a recorded run: its live commands, and the cells that it lost."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
 
 FOUND: Final = ("token_lost", "stalled")
-"""Losses that the run can't come to by itself when it is repeated."""
+"""Losses that don't recur independently when the run is repeated."""
 _FIRST_NUMBER: Final = 1_000_000
-"""Of faults that stand for losses: beyond those of scenes and operators."""
+"""Number of the first fault that stands for losses, above the numbers of scheduled and live faults."""
 
 
 def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ...]:
-    """The live commands of a recorded run, and a crash for every cell that it lost, by tick.
+    """Return the live commands of a recorded run, and a crash for every lost cell.
 
     Raises:
-        InputError: The recording is of another scene, or has commands that no run carries out.
+        InputError: The recording is of another scene, or has commands that can't be decoded.
     """
     theirs, ours = dict(recording.header["scene"]), scene.model_dump(mode="json")
     # words, and limits on the wall clock, may differ
@@ -45,7 +45,7 @@ def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], 
 
 
 def _check(record: Mapping[str, Any], scene: Scene) -> None:
-    """Looks whether a command can be read; raises whatever error says that it can't."""
+    """Check that a command can be decoded; errors of any type mean that decoding failed."""
     from deploy.control.protocol import decode_fault
 
     int(record["tick"])
@@ -56,7 +56,7 @@ def _check(record: Mapping[str, Any], scene: Scene) -> None:
 
 
 def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Cells that were lost in the same tick die of one fault."""
+    """Turn losses into crash faults, one for all cells that were lost, and rejoined, in the same ticks."""
     lost: dict[tuple[int, int | None], list[list[int]]] = {}
     for i, fault in enumerate(faults):
         if fault["kind"] in FOUND:
@@ -78,5 +78,5 @@ def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _back(cell: list[int], faults: Sequence[Mapping[str, Any]]) -> int | None:
-    """The tick from which a cell took part again; None: it never did."""
+    """Return the tick in which a cell rejoined; None if the cell never did."""
     return next((int(f["tick"]) for f in faults if f["kind"] == "respawn" and cell in f["cells"]), None)

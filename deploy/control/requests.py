@@ -1,4 +1,4 @@
-"""What can be asked of a running system, as JSON."""
+"""Requests to a running simulation, as JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deploy.scenes.errors import problems_of, strictly
 
 _LONGEST: Final = 65_536
 _TOLD: Final = 20
-"""Problems of a request that are told: the answer is no longer than a question may be."""
+"""Most problems that an answer lists, which bounds the length of the answer."""
 
 
 def _kind_of(fault: object) -> object:
@@ -22,12 +22,12 @@ def _kind_of(fault: object) -> object:
 
 
 class InjectRequest(Spec):
-    """A fault from the next tick on."""
+    """Request for a fault from the next tick on."""
 
     do: Literal["inject"]
     fault: Fault
     for_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)] | None = None
-    """Simulated time until it is repaired; None: as ``fault.until_s`` says, or never."""
+    """Simulated time until the repair, s; None: as ``fault.until_s`` says, or no repair."""
 
     @field_validator("fault", mode="before")
     @classmethod
@@ -38,14 +38,14 @@ class InjectRequest(Spec):
 
 
 class RepairRequest(Spec):
-    """A fault that acts is repaired at the next tick."""
+    """Request to repair an active fault at the next tick."""
 
     do: Literal["repair"]
     number: Annotated[int, Field(ge=0)]
 
 
 class ListRequest(Spec):
-    """Which faults there are."""
+    """Request for the list of faults."""
 
     do: Literal["list"]
 
@@ -58,10 +58,10 @@ class _Asked(Spec):
 
 
 class RequestError(DeployError):
-    """A request that can't be carried out.
+    """A request that the run refuses.
 
     Attributes:
-        problems: Why, a line each.
+        problems: Reasons, one line each.
     """
 
     def __init__(self, *problems: str) -> None:
@@ -70,13 +70,13 @@ class RequestError(DeployError):
 
 
 def read_request(payload: bytes | None) -> Request:
-    """What somebody asks.
+    """Decode and check a request.
 
     Args:
-        payload: JSON; None: it was too long to be looked at.
+        payload: JSON; None for a payload that was too long to be received.
 
     Raises:
-        RequestError: It is nothing that can be asked.
+        RequestError: The payload is no valid request.
     """
     if payload is None or len(payload) > _LONGEST:
         raise RequestError(f"a request: must be at most {_LONGEST} bytes")

@@ -1,4 +1,4 @@
-"""What is asked of a run while it goes on, and what was asked of it when it was recorded: carried out tick by tick."""
+"""Control server of a running simulation: handles requests and replayed commands between ticks."""
 
 from __future__ import annotations
 
@@ -28,36 +28,39 @@ if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
 
 _A_TICK: Final = 8
-"""Questions that are answered before a tick; the others wait for the next."""
+"""Most requests handled before a tick; the others wait for the next tick."""
 
 Record = Mapping[str, Any]
 
 
 class Process(Protocol):
-    """What the console needs of ``plant.process.PlantProcess``."""
+    """Operations of ``plant.process.PlantProcess`` that the control server uses."""
 
     def inject(self, fault: FaultInstance[PlantFault]) -> None:
-        """One more fault of the plant's parts."""
+        """Add a fault in the plant."""
         ...
 
     def replan(self) -> None:
-        """The end of a fault has changed."""
+        """Update the fault schedule after a fault's end tick has changed."""
         ...
 
 
 @final
 class ControlServer:
-    """Takes requests between two ticks; each acts from the next tick on, is answered and recorded.
+    """Server of control requests, which are handled between two ticks.
+
+    Each request acts from the next tick on, is answered and recorded.
 
     Args:
-        scene: What runs.
-        run: Its name.
-        faults: Those that the scene schedules.
-        tell: Tells all cells.
-        ledger: Where faults and requests are noted.
-        questions: Where requests come in; None: nowhere.
-        script: Records of requests to be repeated, by their ticks.
-        lines: Whether serial lines can be disturbed: they carry bytes, and not whole messages.
+        scene: Scene of the run.
+        run: Name of the run.
+        faults: Faults that the scene schedules.
+        tell: Sends a control record to cells.
+        ledger: Log of the run, which records faults and commands.
+        process: Plant's process, which applies faults in the plant.
+        questions: Queue of incoming requests; None: no requests can be sent.
+        script: Recorded commands to repeat, each with its tick.
+        lines: Whether serial lines are byte-accurate, so that faults can be injected into cells.
     """
 
     def __init__(
@@ -86,7 +89,7 @@ class ControlServer:
         self._process = process
 
     def before_tick(self, tick: int) -> None:
-        """Carry out what is to act from ``tick`` on, which is the next."""
+        """Handle the replayed commands and the requests that act from ``tick`` on, which is the next tick."""
         while self._script and self._script[0]["tick"] <= tick:
             self._repeat(self._script.pop(0), tick)
         if self._questions is None:
@@ -102,7 +105,7 @@ class ControlServer:
             question.answer(json.dumps({"run": self._run, **answer}).encode())
 
     def resend_faults(self, cells: Sequence[int], tick: int) -> None:
-        """Tell cells that come anew, from ``tick`` on, what has been done to the run so far."""
+        """Send all live faults and repairs so far to cells that rejoin at ``tick``."""
         names = tuple(self._lattice.cells[cell] for cell in cells)
         for one in self._faults.values():
             if one.injected_at_runtime and isinstance(one.fault, CellFault):
@@ -111,7 +114,7 @@ class ControlServer:
             end = self._faults[number].end_tick
             self._tell(Control("fault", tick, names, json.dumps({"number": number, "end": end})))
 
-    # --- what is asked ----------------------------------------------------------------------------
+    # --- requests ----------------------------------------------------------------------------------
 
     def _handle(self, request: Request, tick: int) -> dict[str, Any]:
         time = {"tick": tick, "time_s": tick * self._scene.tick_ns * 1e-9}
@@ -166,7 +169,7 @@ class ControlServer:
         return one
 
     def _end(self, fault: FaultSpec, for_s: float | None, tick: int) -> int:
-        """The tick from which a fault that begins at ``tick`` doesn't act any more."""
+        """Return the tick from which a fault that begins at ``tick`` is over."""
 
         def from_now(span_s: float) -> int:
             return tick + self._scene.tick_at(span_s)
@@ -186,7 +189,7 @@ class ControlServer:
             "state": state,
         }
 
-    # --- what is done -----------------------------------------------------------------------------
+    # --- faults and repairs ------------------------------------------------------------------------
 
     def _inject(self, one: FaultInstance[FaultSpec]) -> None:
         self._faults[one.number] = one
@@ -222,10 +225,10 @@ class ControlServer:
         time_s = tick * self._scene.tick_ns * 1e-9
         self._ledger.control({"time_s": time_s, "kind": "repair", "tick": tick, "detail": detail})
 
-    # --- what is repeated -------------------------------------------------------------------------
+    # --- replay ------------------------------------------------------------------------------------
 
     def _repeat(self, record: Record, tick: int) -> None:
-        """Do what a recording says was done."""
+        """Repeat a recorded command."""
         detail: dict[str, Any] = record["detail"]
         if record["kind"] == "repair":
             self._repair(int(detail["number"]), tick)

@@ -1,4 +1,4 @@
-"""What must hold of a recording's parts before the rest of the program uses them, whoever wrote the file."""
+"""Validation of a recording's content, which may come from any program."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class _Scene(BaseModel):
 
 
 class _Header(BaseModel):
-    """Of the header, what this program uses."""
+    """Fields of the header that this program uses."""
 
     run: str
     title: str
@@ -51,7 +51,7 @@ class _Header(BaseModel):
 
 
 class _Record(BaseModel):
-    """Of an event, a fault or a command, what this program uses."""
+    """Fields of an event, a fault or a command that this program uses."""
 
     time_s: float
     kind: str
@@ -76,7 +76,7 @@ class _End(BaseModel):
 
 
 def check_header(header: object) -> Header:
-    """A header whose every field is of its type, as far as it is used.
+    """Check the type of every header field that this program uses.
 
     Raises:
         ValueError: Names the field and the rule.
@@ -89,7 +89,7 @@ def check_header(header: object) -> Header:
 
 
 def check_records(records: Sequence[object]) -> list[dict[str, Any]]:
-    """Events, faults or commands, each with its time and kind.
+    """Check the time and kind of events, faults or commands.
 
     Raises:
         ValueError: Names the field and the rule.
@@ -100,7 +100,7 @@ def check_records(records: Sequence[object]) -> list[dict[str, Any]]:
 
 
 def check_faults(records: Sequence[object]) -> list[dict[str, Any]]:
-    """Faults, each with its time, its kind, and whom it strikes.
+    """Check the time, kind and affected cells of faults.
 
     Raises:
         ValueError: Names the field and the rule.
@@ -115,10 +115,10 @@ def _has_phase(record: object) -> bool:
 
 
 def check_traffic(events: Sequence[Mapping[str, Any]], parcels: int) -> None:
-    """Checks that whatever came or left is one of so many parcels.
+    """Check that events ``fed`` and ``left`` name one of ``parcels`` parcels.
 
     Raises:
-        ValueError: It is not.
+        ValueError: An event names no such parcel.
     """
     for event in events:
         if event["kind"] in ("fed", "left"):
@@ -128,7 +128,7 @@ def check_traffic(events: Sequence[Mapping[str, Any]], parcels: int) -> None:
 
 
 def check_end(record: object) -> tuple[str, str | None]:
-    """How a run ended: its status and digest.
+    """Check the end record of a run, and return its status and digest.
 
     Raises:
         ValueError: Names the field and the rule.

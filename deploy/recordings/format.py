@@ -1,6 +1,6 @@
-"""What is in a recording: its topics, its header and the form of its messages.
+"""Format of a recording: topics, header and messages.
 
-In words: ``docs/recording.md``. The writer is ``recorder.py``, the loader ``replay.py``.
+Described in ``docs/recording.md``. The writer is ``writer.py``, the loader ``reader.py``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any, TypedDict
 FILE_NAME = "recording.mcap"
 PROFILE = "mdms"
 FORMAT = 1
-"""Raised when a reader of the older form could no longer read the newer."""
+"""Increased when a reader of the older format could no longer read the newer."""
 
 TICK = "/tick"
 PARCELS = "/parcels"
@@ -25,17 +25,17 @@ HEADER_RECORD = "mdms.header"
 
 
 class RequiredHeader(TypedDict):
-    """What every recording says of its run."""
+    """Header fields of every recording."""
 
     run: str
-    """Identifies the run; the RUN of its keys on the bus."""
+    """Name of the run; the RUN of its keys on the bus."""
     title: str
     scene_name: str
     """The bundled name or the file as given."""
     scene: dict[str, Any]
     """The whole scene in canonical form, defaults and overrides included."""
     versions: dict[str, str]
-    """Of this package, Python and the libraries that decide the bits."""
+    """Versions of this package, Python and the libraries that decide the bits."""
     period_ns: int
     pitch_m: float
     cells: list[list[int]]
@@ -49,10 +49,10 @@ class RequiredHeader(TypedDict):
 
 
 class Header(RequiredHeader, total=False):
-    """What a recording says of its run, once, at the start. Plain JSON throughout."""
+    """Header of a recording, written once at the start, in JSON's types."""
 
     own_parcels: int
-    """How many parcels are there from the start; those after them only from their event ``fed`` on. Absent: all are."""
+    """Number of parcels present from the start; later parcels appear with their event ``fed``. Absent: all parcels."""
     exits: list[dict[str, Any]]
     """``name`` and ``corners_m``, in world coordinates, of each exit. Absent: there are none."""
 

@@ -1,4 +1,4 @@
-"""Cells that were lost, in words."""
+"""Messages about lost cells."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Places = Sequence[tuple[int, int]]
 
 _WORDS: Final = {"token lost": "its process went away", "stalled": "it did not answer in time"}
 _KINDS: Final[Mapping[str, Reason]] = {"token_lost": "token lost", "stalled": "stalled", "failed": "failed"}
-"""Reason of a loss by the kind of fault that is recorded for it."""
+"""Reason of a loss, by kind of the recorded fault."""
 _NAMED: Final = 6
-"""Cells that a line names before it only counts them."""
+"""Most cells that a line names; further cells are counted."""
 
 
 def kind_of(loss: Loss) -> str:
-    """The kind of fault that is recorded for a loss."""
+    """Return the kind of fault that is recorded for a loss."""
     return loss.reason.replace(" ", "_")
 
 
 def found(faults: Sequence[Mapping[str, Any]], places: Places) -> list[Loss]:
-    """The losses among recorded faults: those that nobody asked for."""
+    """Return the losses among recorded faults, which are neither scheduled nor injected."""
     index = {place: cell for cell, place in enumerate(places)}
     return [
         Loss(index[row, column], fault["tick"], _KINDS[fault["kind"]], fault["detail"])
@@ -37,7 +37,7 @@ def found(faults: Sequence[Mapping[str, Any]], places: Places) -> list[Loss]:
 
 
 def lines(losses: Sequence[Loss], places: Places, period_ns: int) -> list[str]:
-    """A line for all that were lost alike: which cells, when and why."""
+    """Describe losses, one line for all cells lost in the same tick for the same reason."""
     alike: dict[tuple[int, str], list[str]] = {}
     for loss in losses:
         row, column = places[loss.cell]
@@ -49,13 +49,13 @@ def lines(losses: Sequence[Loss], places: Places, period_ns: int) -> list[str]:
 
 
 def unreported(cells: Sequence[int], places: Places) -> str:
-    """That messages of cells (indices) are not among those counted."""
+    """Describe cells (indices) whose messages are missing from the counters."""
     names = [f"{row},{column}" for row, column in map(places.__getitem__, cells)]
     return f"messages of {_cells(names)} were not counted: no report of them came in time"
 
 
 def failure(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
-    """The first of the programs that failed in a tick, and how many more there were; cells ascending."""
+    """Describe the first of the programs that failed in a tick, and count the others; cells ascend."""
     first, more = losses[0], len(losses) - 1
     row, column = places[first.cell]
     others = f"; {more} cell{'s' if more > 1 else ''} more failed in that tick" if more else ""
@@ -65,7 +65,7 @@ def failure(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
 
 
 def nobody(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
-    """Why no cell is left at the end of a run, as far as losses tell."""
+    """Explain from the losses why no cell is left at the end of a run."""
     told = lines(losses, places, period_ns)
     more = f"; and {len(told) - 3} times more" if len(told) > 3 else ""
     return f"no cell was alive at the end: {'; '.join(told[:3]) or 'live faults struck them'}{more}"
@@ -81,6 +81,6 @@ def _when(tick: int, period_ns: int) -> str:
 
 
 def _why(loss: Loss) -> str:
-    """The cause in a line: of a traceback its last one."""
+    """Return the cause in one line; of a traceback, its last line."""
     written = [line for line in loss.detail.splitlines() if line.strip()]
     return _WORDS.get(loss.reason) or (written[-1].strip() if written else loss.reason)

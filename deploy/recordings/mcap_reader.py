@@ -1,4 +1,4 @@
-"""Reads an MCAP file from front to back, as far as it is whole.
+"""Sequential reader of MCAP files, which may have been cut.
 
 The library's readers look for the index at the end and give nothing of a file that was cut. This one goes
 through the complete records only. It follows the format's specification, https://mcap.dev/spec.
@@ -29,7 +29,7 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
 class Message(NamedTuple):
-    """One message: its topic, log time and bytes."""
+    """A message of the file."""
 
     topic: str
     time_ns: int
@@ -37,22 +37,22 @@ class Message(NamedTuple):
 
 
 class Note(NamedTuple):
-    """One metadata record."""
+    """A metadata record of the file."""
 
     name: str
     values: dict[str, str]
 
 
 def scan(path: Path, profile: str) -> Iterator[Message | Note]:
-    """Messages and metadata in the order of the file, up to its end or to where it was cut.
+    """Yield messages and metadata in the order of the file, up to its end or its cut.
 
     Args:
         path: The file.
         profile: The profile its header must name.
 
     Raises:
-        InputError: Not an MCAP file of this profile, or corrupt before its end.
-        OSError: As the operating system has it.
+        InputError: The file is no MCAP file of this profile, or corrupt before its end.
+        OSError: The file can't be read.
     """
     topics: dict[int, str] = {}
     with path.open("rb") as stream:
@@ -76,7 +76,7 @@ def scan(path: Path, profile: str) -> Iterator[Message | Note]:
 
 
 def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
-    """Offset, opcode and content of each complete record of the file."""
+    """Yield offset, opcode and content of each complete record of the file."""
     size = stream.seek(0, 2)
     offset = stream.seek(len(MAGIC))
     while offset + _RECORD.size <= size:
@@ -88,7 +88,7 @@ def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _unpack(content: bytes) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of each record in a chunk."""
+    """Yield opcode and content of each record in a chunk."""
     data = _decompress(Chunk.read(ReadDataStream(BytesIO(content))))
     offset = 0
     while offset < len(data):
@@ -98,7 +98,7 @@ def _unpack(content: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _decompress(chunk: Chunk) -> bytes:
-    """What is in a chunk: never more than it says, nor more memory than its bytes can stand for."""
+    """Decompress a chunk, never beyond its declared size, and check size and checksum."""
     size, packed = chunk.uncompressed_size, chunk.data
     if chunk.compression == "lz4":
         data = _lz4(packed, size)
@@ -136,7 +136,7 @@ def _zstd(packed: bytes, size: int) -> bytes:
 
 
 def _messages(records: Iterable[tuple[int, bytes]], topics: dict[int, str]) -> Iterator[Message]:
-    """The messages among records; channels on the way are noted in ``topics``."""
+    """Yield the messages among records, and add declared channels to ``topics``."""
     for opcode, content in records:
         if opcode == Opcode.MESSAGE:
             channel, _, time_ns, _ = _MESSAGE.unpack_from(content)

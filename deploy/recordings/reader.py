@@ -1,4 +1,4 @@
-"""Loads a recording, whole or cut."""
+"""Reader of recordings, whole or cut."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from deploy.recordings.trace import RunTrace, mask_absent
 @final
 @dataclass(frozen=True, eq=False)
 class ChangeEncoded:
-    """A field that is written when it changes: its values and which of them each instant has.
+    """A field that is written only when it changes: the written values, and an index by instant.
 
     Attributes:
-        values: ``(changes, ...)``, what was written.
-        index: ``(T,)`` int64 into ``values``.
+        values: Written values, ``(changes, ...)``.
+        index: Row of ``values`` at each instant, ``(T,)`` int64.
     """
 
     values: NDArray[Any]
     index: NDArray[np.int64]
 
     def at(self, instant: int) -> NDArray[Any]:
-        """The value at one instant."""
+        """Return the value at one instant."""
         return self.values[self.index[instant]]
 
     def all(self) -> NDArray[Any]:
-        """``(T, ...)``, the value at every instant: as large as that says."""
+        """Return the values at every instant, ``(T, ...)``."""
         return self.values[self.index]
 
 
@@ -100,7 +100,7 @@ class Recording:
 
     Attributes:
         path: The file.
-        header: What it says of its run.
+        header: Header of the recording.
         tick: ``(T,)`` int64.
         time_ns: ``(T,)`` int64, simulated.
         parcels: ``(T, m, 6)`` states: x, y, angle, and their rates.
@@ -108,12 +108,12 @@ class Recording:
         held_drives: ``(n, 2)`` per change: the drives acting from the instant on; the end repeats the last.
         held_wheel_speeds: ``(n, 2)`` per change: the wheels' surface speeds at the instant, m/s.
         register_tick: ``(R,)`` int64, ticks after which the cells' registers were recorded; none unless asked for.
-        registers: By name, ``(R, n, ...)``: what the cells showed of themselves then; zero of those that were gone.
+        registers: Registers of all cells at these ticks, by name, ``(R, n, ...)``; zero for dead cells.
         events: Events of the plant.
         faults: Faults.
         control: Live commands.
-        status: How the run ended; None where the recording was cut before it could say.
-        digest: Of the run, in hexadecimal; None where the recording does not say.
+        status: Final status of the run; None where the recording was cut before its end record.
+        digest: Digest of the run, in hexadecimal; None where the recording has none.
     """
 
     path: Path
@@ -196,7 +196,7 @@ class Recording:
         return f"<Recording of {self.header['scene_name']}: {seconds:g} s, {size}, {self.status}>"
 
     def run_trace(self) -> RunTrace:
-        """What a picture needs; the wheel speeds are those at the end."""
+        """Return the trace of the run for plots, with the final wheel speeds."""
         header = self.header
         footprints = [np.array(corners, dtype=np.float64) for corners in header["footprints_m"]]
         return RunTrace(
@@ -292,7 +292,7 @@ def _map(value: object) -> dict[str, Any]:
 
 
 def _registers(shown: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
-    """What was recorded of registers, by name; zero where a register was not there, or had another shape."""
+    """Stack the recorded registers by name; zero where a register is missing or has another shape."""
     found: dict[str, NDArray[Any]] = {}
     for row, message in enumerate(shown):
         for name, (code, shape, data) in _map(message["registers"]).items():
@@ -305,14 +305,14 @@ def _registers(shown: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
 
 
 def _rails(scene: dict[str, Any]) -> Sequence[Sequence[tuple[float, float]]]:
-    """Corners of a scene's guide rails."""
+    """Return the corners of a scene's guide rails."""
     effects: dict[str, Any] = scene.get("effects") or {}
     contact: dict[str, Any] = effects.get("parcel_contact") or {}
     return contact.get("rails", ())
 
 
 def _header(path: Path, values: dict[str, str]) -> Header:
-    """The header, if this program can read it."""
+    """Decode and check the header."""
     if values.get("format") != str(FORMAT):
         raise InputError(
             f"{path} is a recording of format {values.get('format')}: this version reads format {FORMAT}"
@@ -331,7 +331,7 @@ _FIELDS = ("presence", "drives", "wheel_speeds", "parcels")
 
 @final
 class _Rows:
-    """Gathers the messages of ``/tick``; a field that is absent is as it was."""
+    """Messages of ``/tick``; an absent field keeps its previous value."""
 
     def __init__(self) -> None:
         self._ticks: list[int] = []
@@ -351,7 +351,7 @@ class _Rows:
             self._index[name].append(max(len(written) - 1, 0))
 
     def arrays(self, header: Header) -> dict[str, Any]:
-        """The arguments of ``Recording`` that come from the ticks."""
+        """Return the arguments of ``Recording`` that come from the ticks."""
         cells, sensors = len(header["cells"]), len(header["sensors_m"])
         return {
             "tick": np.array(self._ticks, dtype=np.int64),
@@ -375,7 +375,7 @@ class _Rows:
         return self._held(name, bits.astype(np.bool_).reshape(-1, *shape))
 
     def _joined(self, name: str, size: int) -> list[bytes]:
-        """What was written; one zero value where a run of no ticks never wrote its drives."""
+        """Return the written values of a field; one zero value for drives in a run of no ticks."""
         written = self._written[name]
         if any(len(values) != size for values in written):
             raise ValueError(f"{name} must be {size} bytes")

@@ -1,4 +1,4 @@
-"""What happened in a run, tick by tick: digested, recorded, shown, and counted for the summary."""
+"""Log of a run: passes ticks, events and faults to digest, recording, progress display and summary."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
 
 @final
 class RunLog:
-    """Takes in every tick of a run.
+    """Log of a run's ticks, events, faults, losses and live commands.
 
     Args:
         cells: ``(row, column)`` of every cell, in the lattice's order.
-        period_ns: Of a tick.
-        digest: Continued tick by tick.
-        recorder: Where ticks, events and faults are written.
-        progress: What shows how far the run has come.
-        policy: What the wheels of a cell do that goes away.
-        warn: Told of every loss, and of parcels that tip or fall, one line.
-        injected: Faults that begin and end on the way.
+        period_ns: Length of a tick, ns.
+        digest: Digest of the run, continued tick by tick.
+        recorder: Recorder of ticks, events and faults.
+        progress: Progress display.
+        policy: Stall policy for the wheels of dead cells.
+        warn: Called with one line for every loss, and for parcels that tip or fall.
+        injected: Faults that begin and end during the run.
 
     Attributes:
         cells: As given.
         period_ns: As given.
-        ticks: Ticks that are over.
-        time_ns: Simulated time reached.
-        faults: Injected and found, in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``; of those that begin
-            and end, ``phase``, ``number`` and all their ``cells``.
-        cells_lost: ``(row, column)`` of each, in order.
+        ticks: Number of complete ticks.
+        time_ns: Simulated time reached, ns.
+        faults: Faults and losses in order: ``time_s``, ``kind``, ``cell``, ``tick``, ``detail``; faults that begin and
+            end have ``phase``, ``number`` and all their ``cells``.
+        cells_lost: ``(row, column)`` of each dead or lost cell, in order.
         warn: As given.
         controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
     """
@@ -83,11 +83,11 @@ class RunLog:
         self._turns = transition_ticks(self._injected)
 
     def show(self, events: int) -> None:
-        """Have the progress show what was before this process took the run up; ``events`` of the plant."""
+        """Restore the progress display after a resume; ``events``: number of plant events before the checkpoint."""
         self._progress.events, self._progress.lost = events, len(self.cells_lost)
 
     def tick(self, record: TickRecord) -> None:
-        """Take in one tick, once it is over."""
+        """Log a complete tick."""
         if self._turns and record.tick >= self._turns[0]:
             self._on_transition(record.tick)
         if record.died:
@@ -111,25 +111,25 @@ class RunLog:
 
     @property
     def digest(self) -> str:
-        """Of the run so far, in hexadecimal."""
+        """Digest of the run so far, in hexadecimal."""
         return self._digest.hexdigest
 
     def inject(self, fault: FaultInstance[FaultSpec]) -> None:
-        """One more fault, from a tick on that has not been taken in yet."""
+        """Add a fault that begins in a tick not yet logged."""
         self._injected.append(fault)
         self.replan()
 
     def replan(self) -> None:
-        """The end of a fault has changed."""
+        """Update the transitions after a fault's end tick has changed."""
         self._turns = [turn for turn in transition_ticks(self._injected) if turn >= self.ticks]
 
     def control(self, record: Mapping[str, Any]) -> None:
-        """Note a live command."""
+        """Log a live command."""
         self.controls.append(record)
         self._recorder.control(record)
 
     def _on_transition(self, tick: int) -> None:
-        """Note the faults that begin or end."""
+        """Log the faults that begin or end."""
         self._turns.pop(0)
         for one in self._injected:
             if tick in (one.start_tick, one.end_tick):
@@ -138,7 +138,7 @@ class RunLog:
                 self._recorder.fault(fault)
 
     def registers(self, shown: RegisterSnapshot) -> None:
-        """Record what the cells showed of themselves."""
+        """Record the cells' registers."""
         self._recorder.registers(shown.tick, shown.tick * self.period_ns, shown.registers)
 
     def _take_events(self, events: Sequence[Event]) -> None:
@@ -148,24 +148,24 @@ class RunLog:
         self._progress.events += len(events)
 
     def on_died(self, tick: int, cells: Sequence[int]) -> None:
-        """Note cells that died at the start of a tick because the scene said so."""
+        """Log cells that died by schedule at the start of a tick."""
         for cell in cells:
             self._fault(tick, "crash", cell, "scheduled")
 
     def on_lost(self, losses: Sequence[Loss]) -> None:
-        """Note cells that were found lost, and say so: once for those that were lost alike."""
+        """Log lost cells, with one warning for all cells lost alike."""
         self.note(losses)
         then = "the run ends" if self._policy == "abort" else f"wheels {self._policy}"
         for line in lines(losses, self.cells, self.period_ns):
             self.warn(f"{line}; {then}")
 
     def note(self, losses: Sequence[Loss]) -> None:
-        """Note cells that were found lost."""
+        """Log lost cells."""
         for loss in losses:
             self._fault(loss.tick, kind_of(loss), loss.cell, loss.detail)
 
     def on_rejoin(self, tick: int, cells: Sequence[int]) -> None:
-        """Note that cells take part again from ``tick`` on."""
+        """Log cells that rejoin at ``tick``."""
         places = [self.cells[cell] for cell in cells]
         fault = {
             "time_s": tick * self.period_ns * 1e-9,
@@ -182,7 +182,7 @@ class RunLog:
         self._progress.lost -= len(places)
 
     def on_hung(self, reports: Sequence[Report]) -> None:
-        """Say which programs hang, once for those that do for the same reason."""
+        """Warn of programs that hang, once for each reason."""
         for report in reports:
             problem = report.detail.partition("\n")[0]
             if problem in self._hung:
@@ -197,7 +197,7 @@ class RunLog:
 
     @property
     def found(self) -> list[Loss]:
-        """Losses of cells so far that nobody asked for, those of cells that came back included."""
+        """Losses of cells so far, neither scheduled nor injected, rejoined cells included."""
         return found(self.faults, self.cells)
 
     def _fault(self, tick: int, kind: str, cell: int, detail: str) -> None:
@@ -216,7 +216,7 @@ class RunLog:
 
 
 def event_record(event: Event) -> dict[str, Any]:
-    """An event of the plant as the recording has it."""
+    """Return an event of the plant as a record for the recording."""
     return {
         "time_s": event.time_s,
         "kind": event.kind,

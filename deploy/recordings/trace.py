@@ -1,4 +1,4 @@
-"""What a picture of a run needs, wherever the run came from."""
+"""Trace of a run for plots, from a recording or straight from the plant."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Exit = tuple[str, NDArray[np.float64]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunTrace:
-    """The course of a run, from a recording or straight from the plant.
+    """Trace of a run: scene, parcel states over time, events and faults.
 
     Attributes:
         title: Of the scene.
@@ -31,7 +31,7 @@ class RunTrace:
         events: Events of the plant, each at least ``time_s`` and ``kind``; ``parcel`` where it has one.
         faults: Faults, each at least ``time_s`` and ``kind``; ``cell`` where it has one.
         rails_m: Corners of each fixed guide rail.
-        status: How the run ended; None where that is not known.
+        status: Final status of the run; None where unknown.
     """
 
     title: str
@@ -53,7 +53,7 @@ class RunTrace:
 def mask_absent(
     states: NDArray[np.float64], time_s: NDArray[np.float64], own: int, events: Sequence[Mapping[str, Any]]
 ) -> NDArray[np.float64]:
-    """The states with NaN where a parcel has not been fed yet or has left.
+    """Return the states with NaN where a parcel has not been fed yet or has left.
 
     Args:
         states: ``(T, m, 6)``.

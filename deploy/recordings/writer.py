@@ -1,4 +1,4 @@
-"""Writes what happens in a run to ``recording.mcap`` while it happens, so that a crash loses little."""
+"""Writer of ``recording.mcap`` during a run, with regular flushes so that a crash loses little."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BACKLOG_BYTES = 64 * 1024 * 1024
 
 @final
 class Recorder:
-    """Records one run into a folder.
+    """Recorder of one run.
 
     The caller's methods only serialise and queue. A thread of the recorder does all that touches the file:
     it writes and flushes every ``flush_s`` of wall time, also while the run stands still, and never sees a
@@ -42,9 +42,9 @@ class Recorder:
 
     Args:
         folder: Output folder, made with its parents where absent; a recording in it is replaced.
-        header: What the recording says of its run.
+        header: Header of the recording.
         flush_s: Wall time between two flushes.
-        kept: By topic, how many messages of the recording that is there this one begins with; None: it begins anew.
+        kept: Number of messages to keep of the existing recording, by topic; None: a new recording.
 
     Attributes:
         path: The file.
@@ -91,11 +91,11 @@ class Recorder:
 
     @property
     def broken(self) -> bool:
-        """Whether the file can no longer be written: every method raises then."""
+        """Whether the file can no longer be written; every method raises then."""
         return self._error is not None
 
     def _continued(self, header: Header, kept: Mapping[str, int]) -> McapFile:
-        """A file that begins as the recording does, in its place; until it is whole the other stays."""
+        """Replace the recording by a copy of its beginning; the old file stays until the copy is whole."""
         from deploy.recordings.truncate import copy_prefix
 
         draft = self.path.with_name(f".{self.path.name}.draft")
@@ -121,13 +121,13 @@ class Recorder:
         wheel_speeds: NDArray[np.float64],
         parcels: NDArray[np.float64],
     ) -> None:
-        """Record the state at one instant and the drives that act from it on.
+        """Record the state at an instant and the drives acting from then on.
 
         Call it once per tick, before the plant advances, and a last time with ``drives=None`` when the run is
         over, so that the recording holds the final state too.
 
         Args:
-            tick: Which, from 0; at the end the number of ticks.
+            tick: Number of the tick, from 0; at the end the number of ticks.
             time_ns: Simulated time of the instant.
             presence: ``(n, sensors)`` bits sensed at the instant.
             drives: ``(n, 2)`` that act from the instant on, or None at the end of the run.
@@ -148,12 +148,12 @@ class Recorder:
         self._put(PARCELS, time_ns, parcels_text(tick, time_ns, parcels))
 
     def registers(self, tick: int, time_ns: int, registers: Mapping[str, NDArray[Any]]) -> None:
-        """Record what the cells showed of themselves after they had computed a tick.
+        """Record the cells' registers after a tick.
 
         Args:
-            tick: Which.
-            time_ns: Simulated time at which it began.
-            registers: By name, ``(n, ...)`` arrays of all cells; of those that are gone, zeros.
+            tick: Number of the tick.
+            time_ns: Simulated time of its start, ns.
+            registers: Registers of all cells by name, ``(n, ...)``; zero for dead cells.
         """
         told = {
             name: [array.dtype.str, list(array.shape), array.tobytes()] for name, array in registers.items()
@@ -181,14 +181,14 @@ class Recorder:
         self._check()
 
     def position(self) -> tuple[dict[str, int], int]:
-        """How many messages of each topic there are by now, and what `secure` is to be told to have them safe."""
+        """Return the number of messages by topic so far, and the mark for `sync_to` that covers them."""
         return dict(self._counts), self._queued
 
     def sync_to(self, mark: int) -> None:
-        """Return when all up to a mark is on the disk, safe from a loss of power; from any thread.
+        """Wait until the recording up to ``mark`` is on disk, safe from a power loss; callable from any thread.
 
         Raises:
-            DeployError: It never will be.
+            DeployError: The recorder ended before the mark was written.
         """
         self._wake.set()
         with self._progress:
@@ -202,7 +202,7 @@ class Recorder:
 
         Args:
             status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
-            digest: Of the run, in hexadecimal, where there is one.
+            digest: Digest of the run, in hexadecimal; None without one.
         """
         if self._closing:
             return
@@ -227,7 +227,7 @@ class Recorder:
     # --- the caller's thread ---------------------------------------------------------------------
 
     def _add_changed(self, message: dict[str, Any], name: str, data: bytes) -> None:
-        """A field that is as it was costs nothing; the loader carries it on."""
+        """Add a field to a message unless its value is unchanged; the loader repeats the previous value."""
         if self._last.get(name) != data:
             self._last[name] = message[name] = data
 

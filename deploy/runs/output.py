@@ -1,4 +1,4 @@
-"""Name, header, versions and picture of a run or a simulation."""
+"""Outputs of a run or a simulation: name, recording header, outcomes and plots."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def run_name(scene: Scene, suffix: str) -> str:
-    """A name for the run that can stand in a key expression and a file name."""
+    """Return a name for the run, valid in a key expression and in a file name."""
     stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(scene.name).stem).strip("-_")
     return f"{stem[:40] or 'scene'}-{suffix}"
 
@@ -38,13 +38,13 @@ def run_name(scene: Scene, suffix: str) -> str:
 def recording_header(
     run: str, scene: Scene, array: CellArray, footprints_m: Sequence[NDArray[np.float64]]
 ) -> Header:
-    """What the recording says of its run.
+    """Build the header of a run's recording.
 
     Args:
-        run: Its name.
-        scene: What runs.
-        array: The scene's cells.
-        footprints_m: Of every parcel, those that are fed too; ``(v, 2)`` about its centre of mass, in its axes.
+        run: Name of the run.
+        scene: Scene of the run.
+        array: Cells of the scene.
+        footprints_m: Corners of every parcel, fed ones included, about its centre of mass, in its axes, ``(v, 2)``, m.
     """
     made = Header(
         run=run,
@@ -66,13 +66,13 @@ def recording_header(
 
 
 def exits(scene: Scene) -> list[Exit]:
-    """Name and corners of every exit, in world coordinates."""
+    """Return name and corners of every exit, in world coordinates."""
     feeders = scene.effects.feeders
     return [] if feeders is None else [(exit_.name, exit_.corners()) for exit_ in feeders.exits]
 
 
 def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
-    """Where every parcel is, and in which state."""
+    """Return position, velocity and state of every parcel."""
     return [
         ParcelOutcome.of(numbers, status.state, status.time_s, status.detail)
         for numbers, status in zip(plant.state, plant.status, strict=True)
@@ -80,7 +80,7 @@ def parcel_outcomes(plant: Plant) -> list[ParcelOutcome]:
 
 
 def validity(plant: Plant, scene: Scene) -> dict[str, Any]:
-    """What limits how far a run's course can be believed, as the fields of a summary."""
+    """Return the known limits of a result's accuracy, as fields of a summary."""
     outrun = [
         (float(since_s), i) for i, since_s in enumerate(plant.outrun_s) if since_s <= plant.time_ns * 1e-9
     ]
@@ -100,7 +100,7 @@ def write_or_fail(
     leave: Callable[[Summary, Path], Summary],
     warn: Callable[[str], None],
 ) -> Summary:
-    """Leave something in a run's folder. What can't be left there is said, and fails a run that was ok."""
+    """Write an output into a run's folder; a write error is reported, and fails a run that was ok."""
     try:
         return leave(summary, folder)
     except DeployError as error:
@@ -119,13 +119,13 @@ def draw_run_overview(
     """Draw the overview of a run into its folder.
 
     Args:
-        summary: Of the run.
-        run: Gets what is to be drawn.
-        folder: The run's.
-        interruption: Gives the picture up.
+        summary: Summary of the run.
+        run: Returns the run to draw.
+        folder: Folder of the run.
+        interruption: Cancels drawing.
 
     Returns:
-        The summary; where the picture was given up the run counts as interrupted, in its file too.
+        The summary; if drawing was cancelled, with status ``interrupted``, in its file too.
 
     Raises:
         DeployError: It can't be written.
@@ -136,7 +136,7 @@ def draw_run_overview(
 def draw_or_interrupt(
     summary: Summary, draw: Callable[[], None], folder: Path, interruption: Interruption
 ) -> Summary:
-    """Draw a picture of a run; see ``illustrate``, which has one of what to draw."""
+    """Draw a plot of a run; see ``draw_run_overview``."""
     try:
         with interruption.interruptible():
             draw()

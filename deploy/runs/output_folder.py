@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 def output_folder(
     scene: Scene, wanted: Path | None, warn: Callable[[str], None], *, recorded: bool = True
 ) -> Generator[Path]:
-    """Make the folder for everything a run leaves behind; it is locked inside the context.
+    """Make the output folder of a run, locked inside the context.
 
-    The results of a run before are removed: they would pass for this run's if it is cut short.
+    Results of an earlier run are removed: after an interruption they could be mistaken for this run's.
 
     Args:
         scene: Gives the default its name: ``runs/SCENE-YYYYmmdd-HHMMSS``, numbered where that exists.
@@ -50,7 +50,7 @@ def output_folder(
 
 
 def remove_results(folder: Path) -> None:
-    """Remove what a run before left beside its recording and its checkpoints.
+    """Remove the results of an earlier run, except its recording and checkpoints.
 
     Raises:
         InputError: A file can't be removed.

@@ -190,7 +190,7 @@ class RecordedRun:
         simulation.add_hooks(TickHooks(after_tick=(self._interrupt,)))
 
     def _watch(self, coordinator: Coordinator) -> Callable[[TickRecord], None]:
-        """Hook that takes in what the cells report besides their drives."""
+        """Return the hook that handles hang reports, registers and rejections after a tick."""
         hangs, every, reporter = (
             self.setup.scene.effects.cop is not None,
             self.setup.options.registers,
@@ -212,19 +212,19 @@ class RecordedRun:
         return watch
 
     def _interrupt(self, record: TickRecord) -> None:
-        """Hook that ends the run after a signal."""
+        """End the run after a signal; a hook."""
         del record
         if self.interruption.requested:
             raise Interrupted
 
     def _register_requests(self) -> tuple[RegisterRequest, ...]:
-        """Registers that the run records, and those that the protocol's reporter reads."""
+        """Return the registers that the recording and the protocol's reporter need."""
         registers, reporter = self.setup.options.registers, self.setup.reporter
         requests = () if registers is None else (RegisterRequest(registers),)
         return requests if reporter is None else (*requests, *reporter.wanted)
 
     def _respawner(self, coordinator: Coordinator) -> Respawner | None:
-        """Respawner of lost workers; None without ``--respawn``."""
+        """Return the respawner of lost workers; None without ``--respawn``."""
         times = self.setup.options.respawn
         if not times:
             return None
@@ -233,7 +233,7 @@ class RecordedRun:
         return Respawner(self.system, coordinator, self.setup.plan.partition, times, self.log.warn)
 
     def _control_server(self, simulation: Simulation, coordinator: Coordinator) -> ControlServer | None:
-        """Control server of the run; None where nobody can send requests."""
+        """Return the control server; None without incoming requests and without a replay."""
         setup = self.setup
         requests = self.system.questions(plant_key(setup.plan.run, "operator"))
         if requests is None and setup.replayed is None:

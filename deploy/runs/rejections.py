@@ -1,4 +1,4 @@
-"""What a run refused: told once for each peer and kind, counted for the summary."""
+"""Rejections of a run: malformed and denied messages, with one warning for each peer and kind."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ if TYPE_CHECKING:
 MALFORMED = "malformed"
 DENIED = "denied"
 MESSAGE = "message"
-"""What is refused of those who were let in; connections have names of their own."""
+"""Kind of a denied message from an accepted peer; denied connections have other kinds."""
 
 
 @final
 class RejectionMonitor:
-    """Watches what the plant refuses: payloads that it can't read, and what Zenoh turns away where there are keys.
+    """Monitor of malformed payloads, and of messages and connections that Zenoh denies.
 
     Args:
-        watch: What Zenoh refuses; None where it lets anybody in.
-        warn: Told of each new peer and kind, one line.
+        watch: Monitor of Zenoh's denials; None without access control.
+        warn: Called with one line for each new peer and kind.
     """
 
     def __init__(self, watch: AccessLogMonitor | None, warn: Callable[[str], None]) -> None:
@@ -31,10 +31,10 @@ class RejectionMonitor:
         self._read = 0
 
     def poll(self, counts: MessageCounters) -> None:
-        """Tells what is new; cheap, call it every tick.
+        """Warn of new peers and kinds; cheap enough to call in every tick.
 
         Args:
-            counts: The plant's own.
+            counts: Counters of the plant's side.
         """
         if len(counts.refused) != self._read:
             self._read = len(counts.refused)
@@ -45,10 +45,10 @@ class RejectionMonitor:
                 self._tell(whose, what, DENIED)
 
     def summary_rows(self, counts: MessageCounters) -> list[Mapping[str, Any]]:
-        """Everything that was refused: ``why``, ``whose``, ``what`` and ``number``.
+        """Return all rejections as rows of ``why``, ``whose``, ``what`` and ``number``.
 
         Args:
-            counts: Those of all sides.
+            counts: Counters of all sides.
         """
         found = [(MALFORMED, *key, number) for key, number in sorted(counts.refused.items())]
         if self._watch is not None:
@@ -62,5 +62,5 @@ class RejectionMonitor:
 
 
 def total(rows: Iterable[Mapping[str, Any]], why: str, what: str | None = None) -> int:
-    """How many were refused for this reason, of one kind or of all."""
+    """Return the number of rejections for a reason, of one kind or of all."""
     return sum(row["number"] for row in rows if row["why"] == why and what in (None, row["what"]))

@@ -1,4 +1,4 @@
-"""How a run ended, and its summary."""
+"""Result of a run, and its summary."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class RunResult:
-    """How a run ended, and the state that it ended in.
+    """Result of a run: status, losses and final state.
 
     Attributes:
         status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
@@ -67,7 +67,7 @@ class RunResult:
 
     @classmethod
     def of(cls, plant: Plant) -> Self:
-        """Result ``ok`` of a plant as it is now."""
+        """Return a result ``ok`` with the plant's current state."""
         traffic = plant.traffic()
         return cls(
             state=plant.state,
@@ -93,10 +93,10 @@ class RunResult:
     def from_loop(
         self, ended: LoopResult, cells: Places, tick: int, period_ns: int, found: Sequence[Loss] = ()
     ) -> None:
-        """Take over how the tick loop ended.
+        """Set the result from the end of the tick loop.
 
         Args:
-            ended: The end.
+            ended: Result of the tick loop.
             cells: ``(row, column)`` of every cell, in the lattice's order.
             tick: Ticks that are over.
             period_ns: Length of a tick, ns.
@@ -117,7 +117,7 @@ class RunResult:
             self.detail = next((loss.detail for loss in ended.losses if loss.detail), "")
 
     def from_error(self, error: BaseException, tick: int, time_ns: int) -> None:
-        """Take over the error that ended the tick loop.
+        """Set the result from the error that ended the tick loop.
 
         Args:
             error: Raised by the loop or one of its hooks.
@@ -145,19 +145,19 @@ def summary_of(
     protocol: ProtocolReport | None,
     resumed: tuple[int, ...],
 ) -> Summary:
-    """The summary of a run.
+    """Return the summary of a run.
 
     Args:
-        scene: What ran.
-        plan: What was started.
-        ending: How it ended.
-        plant: At the end.
-        ledger: Of the run.
-        refused: What it refused.
-        folder: What it left is there.
-        cautions: What was said before it began.
-        protocol: What the protocol did, where that was asked for.
-        resumed: Ticks before which it was taken up again.
+        scene: Scene of the run.
+        plan: Plan of the run.
+        ending: Result of the run.
+        plant: Plant at the end.
+        ledger: Log of the run.
+        refused: Monitor of rejections.
+        folder: Output folder.
+        cautions: Warnings given before the start.
+        protocol: Protocol report; None without one.
+        resumed: Ticks before which the run was resumed.
     """
     counts = ending.counters
     firmware = _firmware(scene)
@@ -204,7 +204,7 @@ def summary_of(
 
 
 def _firmware(scene: Scene) -> dict[str, str | int]:
-    """What the cells ran, for the summary."""
+    """Return name, form and message size of the cells' firmware."""
     from cell_firmware.loader import load
 
     firmware = load(scene.cells)
@@ -215,19 +215,19 @@ def _firmware(scene: Scene) -> dict[str, str | int]:
 def _protocol_messages(
     firmware: Mapping[str, str | int], tally: Mapping[str, int]
 ) -> ProtocolMessages | None:
-    """Messages between cells, as the cells counted them; None for firmware without messages."""
+    """Return the cells' counts of messages between cells; None for firmware without messages."""
     if not firmware["message_bytes"]:
         return None
     return ProtocolMessages(sent=tally.get("messages.sent", 0), heard=tally.get("messages.heard", 0))
 
 
 def _of_effects(tally: Mapping[str, int]) -> dict[str, int]:
-    """What effects counted; what cells count of their messages stands with the bus's."""
+    """Return the counters of effects; message counters are left out."""
     return {name: number for name, number in sorted(tally.items()) if not name.startswith("messages.")}
 
 
 def status_of(error: PlantError) -> str:
-    """``unstable`` where a motion can't be followed, ``interrupted`` where it was to end, else ``failed``."""
+    """Return ``unstable`` if a motion can't be followed, ``interrupted`` after a stop request, else ``failed``."""
     if isinstance(error, PlantStopped):
         return "interrupted"
     return "unstable" if isinstance(error, PlantUnstable) else "failed"

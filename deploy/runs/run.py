@@ -1,4 +1,4 @@
-"""The whole system: cells, bus and plant in lockstep; a recording, a summary and a picture at the end."""
+"""Run of the whole system: cells, bus and plant in lockstep, with recording, summary and plots."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ def run(
 ) -> Outcome:
     """Run the whole system once.
 
-    Once the cells are started, whatever ends the run is told by the outcome's status and reason. However this
-    ends, every process that was started has ended, and what was recorded is complete up to there.
+    Once the cells are started, the outcome's status and reason say how the run ended. On return, every started
+    process has ended, and the recording is complete up to the end of the run.
 
     Args:
         scene: What to run.
         options: How to run it.
         quiet: Show no progress and no warnings on stderr.
-        interruption: The caller's, where it watches for signals itself.
-        resumed: From which to go on, in ``options.output``: scene and options are its own.
-        lock: On ``options.output`` where the caller holds it, having looked for the checkpoint there.
+        interruption: Signal handling of the caller, if the caller handles signals.
+        resumed: Checkpoint to resume from, in ``options.output``; scene and options are the checkpoint's.
+        lock: Lock of ``options.output``, if the caller took it to read the checkpoint.
 
     Raises:
         InputError: Bad input, such as a scene that the plant refuses, or an output folder to which another process
@@ -75,7 +75,7 @@ def run(
 
 @final
 class _Run:
-    """One run, from its processes to the picture."""
+    """One run of the whole system, from start-up to the plots."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class _Run:
         self.result: RunResult
 
     def go(self) -> Outcome:
-        """Everything; see `run`."""
+        """Run, and write all outputs; see `run`."""
         asked = self.setup
         for line in asked.warnings:
             self._warn(f"caution: {line}")
@@ -136,7 +136,7 @@ class _Run:
         return Outcome(summary, self.result.detail)
 
     def _folder(self) -> Path:
-        """The output folder, locked until the run is over."""
+        """Return the output folder, locked until the run is over."""
         scene, wanted = self.setup.scene, self.setup.options.output
         if self.setup.resumed is None:
             return self.locked.enter_context(output_folder(scene, wanted, self._warn))
@@ -146,7 +146,7 @@ class _Run:
         return wanted
 
     def _record(self, system: System, plant: Plant, folder: Path) -> tuple[RunLog, RejectionMonitor]:
-        """The run itself, recorded."""
+        """Execute the run and record it."""
         scene, resumed = self.setup.scene, self.setup.resumed
         run = self.setup.plan.run
         with (
@@ -187,7 +187,7 @@ class _Run:
         return ledger, refused
 
     def _close(self, recorder: Recorder, digest: str) -> None:
-        """End the recording; what can't be written of it fails the run."""
+        """End the recording; a write error fails the run."""
         try:
             recorder.close(self.result.status, digest)
         except DeployError as error:
@@ -197,7 +197,7 @@ class _Run:
                 self._warn(str(error))
 
     def _compare(self, digest: str) -> None:
-        """Say whether a run that was to repeat another came to the same."""
+        """Compare the digest of a replay with the recording's; a difference fails the run."""
         replayed, path = self.setup.replayed, self.setup.options.replay
         if replayed is None or self.result.status != replayed.status:
             return
@@ -206,7 +206,7 @@ class _Run:
         else:
             self.result.end("failed", f"the digest differs from that of {path}, {replayed.digest}")
 
-    # --- what it leaves ---------------------------------------------------------------------------
+    # --- outputs -----------------------------------------------------------------------------------
 
     def _write(self, summary: Summary, folder: Path) -> Summary:
         summary.write(folder)
@@ -222,7 +222,7 @@ class _Run:
         return draw_run_overview(summary, lambda: load(folder), folder, self.interruption)
 
     def _report(self, ledger: RunLog) -> ProtocolReport | None:
-        """What the protocol did, where that is asked for."""
+        """Return the protocol report; None without a reporter."""
         if self.setup.reporter is None:
             return None
         from deploy.protocol_report.reporter import deaths_of
@@ -232,7 +232,7 @@ class _Run:
         )
 
     def _write_report(self, summary: Summary, folder: Path) -> Summary:
-        """The report's table, and its picture unless there are to be none; nothing where none was asked for."""
+        """Write the protocol report's table, and its plot unless plots are off; do nothing without a report."""
         reporter = self.setup.reporter
         if reporter is None or summary.protocol is None:
             return summary

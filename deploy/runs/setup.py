@@ -1,4 +1,4 @@
-"""A run before anything of it is started: what is asked of it, looked up and checked."""
+"""Setup of a run: inputs and options are loaded and checked before anything starts."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
 
 def warnings_of(scene: Scene) -> tuple[str, ...]:
-    """Return a line for each thing that looks mistaken, or will go wrong, though nothing forbids it.
+    """Return a warning line for each valid but questionable setting of a scene.
 
     Raises:
-        FirmwareError: The firmware raised when it was asked; with its traceback.
+        FirmwareError: The firmware's ``warnings`` raised; the message has its traceback.
     """
     from cell_firmware.loader import load
 
@@ -50,10 +50,10 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
 
 
 def tell_cautions(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
-    """Tell each caution of a scene in a line; returns them.
+    """Report each warning of a scene in a line, and return the warnings.
 
     Raises:
-        FirmwareError: The firmware raised when it was asked; with its traceback.
+        FirmwareError: The firmware's ``warnings`` raised; the message has its traceback.
     """
     cautions = warnings_of(scene)
     for line in cautions:
@@ -62,7 +62,7 @@ def tell_cautions(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
 
 
 def _processor(scene: Scene, *, talks: bool) -> tuple[str, ...]:
-    """A line where the scene's boards would need more time than their processor has."""
+    """Return a warning if the scene's boards would need more time than their processor has."""
     from cell_firmware.processor_time import period_e, shares
     from deploy.scenes.motor_facts import motor_facts
 
@@ -91,7 +91,7 @@ def _percent(least: float, most: float) -> str:
 
 
 def register_warnings(scene: Scene) -> tuple[str, ...]:
-    """A line where registers are to be recorded and the program's variables can't be, or not all of them."""
+    """Return a warning if not all of a program's variables can be recorded as registers."""
     from cell_firmware.cell import PerCellAdapter
     from cell_firmware.loader import load
 
@@ -122,13 +122,13 @@ def _first_cell(scene: Scene) -> Cells:
 
 @final
 class CellTimingSource:
-    """The plant's side of ``cell_firmware.effects.clock.wrapper``, by the same clocks.
+    """Timing of drives and readings for the plant, from the same clocks as ``cell_firmware.effects.clock.wrapper``.
 
-    In tick k cells read at their instants r in window k. They are told in tick k + 1, and what they answer acts
-    at r + W, in that tick.
+    In tick k each cell reads at its instant r in window k. The reading is sent in tick k + 1, and the drive computed
+    from it acts at r + W, in that tick.
 
     Args:
-        clocks: Of all cells.
+        clocks: Clocks of all cells.
     """
 
     remembers: ClassVar[StateFields] = StateFields("_tick", "_count", "_read_ns")
@@ -140,7 +140,7 @@ class CellTimingSource:
         self._read_ns: Ints = np.full(len(clocks), NOT_IN_WINDOW)
 
     def __call__(self, tick: int) -> Timing:
-        """When drives act and cells read in a tick, which is one more than the last that was asked for."""
+        """Return when drives act and cells read in a tick; call for every tick in order."""
         assert tick == self._tick, "this is a bug: clocks are followed tick by tick"
         read_ns, clocks = self._read_ns, self._clocks
         acts_ns = np.where(read_ns == NOT_IN_WINDOW, NOT_IN_WINDOW, read_ns + clocks.window_ns)
@@ -151,7 +151,7 @@ class CellTimingSource:
 
 
 def cell_times(scene: Scene) -> CellTimingSource | None:
-    """Those of a scene; None where its cells step at once."""
+    """Create the timing source of a scene; None for cells without local clocks."""
     clocks = scene.clocks()
     return None if clocks is None else CellTimingSource(clocks.clocks)
 
@@ -159,20 +159,21 @@ def cell_times(scene: Scene) -> CellTimingSource | None:
 @final
 @dataclass(frozen=True, slots=True)
 class RunSetup:
-    """What is to be run.
+    """Setup of a run: scene, options and everything prepared from them.
 
     Attributes:
-        scene: What runs.
-        options: How.
-        plan: What will be started.
-        resumed: From which it goes on; None: it begins.
-        lasting: The scene's faults that begin and end on the way.
-        live: Whether lines carry bytes: what keeps pace with a clock, or repeats what did, is what somebody watches,
-            and has time for them.
-        cautions: What is said before it begins.
-        reporter: Watches the protocol, where that is asked for.
-        replayed: The recording that it is to repeat, where there is one.
-        script: What was done to the run that it repeats.
+        scene: Scene of the run.
+        options: Options of the run.
+        plan: Processes and endpoints to start.
+        resumed: Checkpoint to resume from; None: the run starts at tick 0.
+        in_run_faults: Faults of the scene that begin and end during the run.
+        byte_accurate_links: Simulate serial lines byte by byte instead of message by message. Results are the same
+            while nothing disturbs the lines; only byte-accurate lines accept faults injected at run time. Set by
+            ``--realtime`` and ``--replay``; a resumed run takes the checkpoint's value.
+        warnings: Warnings to report before the start.
+        reporter: Reporter of the protocol; None without a protocol report.
+        replayed: Recording to repeat; None without one.
+        script: Recorded commands and losses to repeat, from ``replayed``.
     """
 
     scene: Scene
@@ -188,12 +189,12 @@ class RunSetup:
 
 
 def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -> RunSetup:
-    """Look up what a run needs besides its processes.
+    """Prepare a run: plan the processes, collect warnings and load the replayed recording.
 
     Args:
-        scene: What to run.
-        options: How to run it.
-        resumed: From which to go on.
+        scene: Scene to run.
+        options: Options of the run.
+        resumed: Checkpoint to resume from; None: the run starts at tick 0.
 
     Raises:
         InputError: Bad input.
@@ -238,9 +239,9 @@ def _reporter(scene: Scene, lattice: Lattice, every: int | None) -> Reporter | N
 
 
 def sensor_schema(scene: Scene, sense: Sense) -> SensorSchema:
-    """What there is to read, from the scene and from what its cells sense first.
+    """Return the schema of the cells' sensors, from the scene and the first readings.
 
-    A camera is there for programs that subscribe to it: nobody is shown its pictures otherwise.
+    Camera frames are included only if the program subscribes to the camera.
     """
     from cell_firmware.loader import load
 
@@ -257,18 +258,18 @@ def sensor_schema(scene: Scene, sense: Sense) -> SensorSchema:
 
 
 def camera_of(scene: Scene, readings: SensorSchema) -> Camera | None:
-    """What takes the pictures that these cells are shown; None where nothing does."""
+    """Create the camera whose frames the cells receive; None without camera frames."""
     if not readings.camera:
         return None
     from plant.factories import make_camera
 
-    # where cells have clocks of their own, what a tick brings them they read in the tick before
+    # cells with local clocks have read in the previous tick what a tick brings
     later = 0 if scene.effects.clock is None else 1
     return make_camera(scene.effects.of_plant(), scene.tick_ns, scene.seed, later)
 
 
 def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
-    """The plant of a scene, its kernels compiled or loaded; says so where that takes long.
+    """Load the plant of a scene with its kernels; ``warn`` is called before a long compilation.
 
     Raises:
         InputError: The plant refuses the scene.

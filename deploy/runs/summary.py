@@ -1,4 +1,4 @@
-"""The outcome of a run: for programs as JSON, for people as a table."""
+"""Summary of a run, also as JSON."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParcelOutcome:
-    """Where a parcel ended.
+    """Final position, velocity and state of a parcel.
 
     Attributes:
         state: ``waiting``, ``moving``, ``at_rest``, ``tipped``, ``off_array`` or ``delivered``.
-        time_s: Since when it is in that state.
-        detail: About which edge it tipped, or whatever else there is to say.
+        time_s: Simulated time at which the state began, s.
+        detail: More on the state, such as the edge about which the parcel tipped.
     """
 
     position_m: tuple[float, float]
@@ -40,7 +40,7 @@ class ParcelOutcome:
 
     @classmethod
     def of(cls, numbers: NDArray[np.float64], state: str, time_s: float, detail: str = "") -> ParcelOutcome:
-        """From the six numbers of a parcel's state: x, y, angle, and their rates."""
+        """Create the outcome from the six numbers of a parcel's state: x, y, angle, and their rates."""
         x, y, angle, vx, vy, omega = (float(number) for number in numbers)
         return cls(
             position_m=(x, y),
@@ -56,7 +56,7 @@ class ParcelOutcome:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProtocolMessages:
-    """Messages between the programs of neighbouring cells, whatever carried them.
+    """Messages between the programs of neighbouring cells, over any transport.
 
     Cells whose process was killed from outside are not in the counts.
 
@@ -179,14 +179,14 @@ class Summary:
         return self.simulated_s / self.wall_s if self.wall_s > 0 else None
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON object: numbers that are not finite (an unstable run's) as None."""
+        """Return the JSON object; numbers that are not finite (of an unstable run) are None."""
         numbers = asdict(self)
         numbers["ticks_per_s"] = self.ticks_per_s
         numbers["realtime_factor"] = self.realtime_factor
         return _finite(numbers)
 
     def to_json(self, indent: int | None = None) -> str:
-        """The JSON object as text."""
+        """Return the JSON object as text."""
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False, ensure_ascii=False)
 
     def write(self, folder: str | Path) -> Path:
@@ -201,7 +201,7 @@ class Summary:
 
 
 def _finite(value: Any) -> Any:
-    """The same in JSON's types, without NaN and infinity."""
+    """Convert a value to JSON's types, with None for NaN and infinity."""
     if isinstance(value, float):
         return value if isfinite(value) else None
     if isinstance(value, np.ndarray | np.generic):
@@ -216,11 +216,11 @@ def _finite(value: Any) -> Any:
 @final
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run came to.
+    """Outcome of a run: its summary, and details of a failure.
 
     Attributes:
-        summary: For programs and people.
-        detail: Several lines on what went wrong, such as a firmware's traceback; empty where all is well.
+        summary: Summary of the run.
+        detail: Several lines on a failure, such as a firmware's traceback; empty without a failure.
     """
 
     summary: Summary

@@ -1,4 +1,4 @@
-"""The outcome of a run as tables for people."""
+"""Summary of a run as tables for people."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _NOTHING = 1e-12
 
 
 def print_summary(summary: Summary, console: Console) -> None:
-    """Print what was run, how it went and where the parcels are."""
+    """Print the summary of a run and the states of its parcels."""
     from rich.text import Text
 
     heading = Text.assemble(
@@ -61,7 +61,7 @@ def _facts(lines: Iterable[tuple[str, str]]) -> Table:
 
 
 def _lines(summary: Summary) -> list[tuple[str, str]]:
-    """Name and text of each fact worth a line."""
+    """Return name and text of each line of the summary."""
     lines = [
         ("simulated", f"{summary.simulated_s:g} of {summary.duration_s:g} s in {summary.ticks:,} ticks"),
         ("wall time", _wall(summary)),
@@ -134,7 +134,7 @@ def _solver(summary: Summary) -> str:
 
 
 def _validity(summary: Summary) -> Iterator[tuple[str, str]]:
-    """What limits how far the course can be believed: a law out of its range, chatter that was captured."""
+    """Yield lines on known limits of the result: left-out events, invalid friction law, captured chatter."""
     if summary.events_left_out:
         why = "too many of one parcel in one solver call; since when a law is not valid may be among them"
         yield "events", f"{summary.events_left_out:,} left out: {why}"
@@ -156,7 +156,7 @@ def _validity(summary: Summary) -> Iterator[tuple[str, str]]:
 
 
 def _refused(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """A line for each who was refused something: what, and how often."""
+    """Yield a line for each rejected peer, with kinds and numbers of rejections."""
     for whose, own in groupby(sorted(rows, key=itemgetter("whose")), itemgetter("whose")):
         told = (f"{row['what']} {row['why']} {row['number']:,} ×" for row in own)
         yield "refused", f"{whose}: {'; '.join(told)}"
@@ -179,7 +179,7 @@ def _states(parcels: Sequence[ParcelOutcome]) -> str:
 
 
 def _effects(effects: Mapping[str, int]) -> Iterator[tuple[str, str]]:
-    """What each effect of the cells did, by its name."""
+    """Yield a line for each effect of the cells, with its counters."""
     for effect, counts in groupby(effects.items(), lambda item: item[0].partition(".")[0]):
         told = [(name.partition(".")[2].replace("_", " ").replace(".", " "), n) for name, n in counts]
         if effect == "faults":  # which there were is told below; each did something of its own
@@ -189,7 +189,7 @@ def _effects(effects: Mapping[str, int]) -> Iterator[tuple[str, str]]:
 
 
 def _traffic(count: TrafficCount) -> Iterator[tuple[str, str]]:
-    """Name and text of what came by each feeder, and of who left by each exit and how long that took."""
+    """Yield name and text of the parcels fed by each feeder and leaving by each exit, with transit times."""
     for feeder in count.feed:
         text = f"{feeder.fed:,} fed, {feeder.waiting:,} waiting"
         if feeder.held_back:

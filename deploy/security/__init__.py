@@ -1,1 +1,1 @@
-"""Who may take part in a run and do what in it: roles, their certificates or passwords, and the access control."""
+"""Security of a run's bus: roles, certificates or passwords, and access control."""

@@ -1,4 +1,4 @@
-"""Making certificates, with the library ``cryptography``."""
+"""Generation of certificates with the library ``cryptography``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 _EARLIER: Final = timedelta(minutes=5)
-"""Certificates hold from a little before they are made: clocks of hosts differ."""
+"""Certificates are valid from shortly before their creation, since clocks of hosts differ."""
 
 
 @final
@@ -29,14 +29,16 @@ class CertificatePair:
 
 @final
 class Authority:
-    """Signs certificates; its private key is never written, so that nobody signs any later.
+    """Certificate authority of a run.
+
+    The private key stays in memory and is never written, so that no certificate can be signed later.
 
     Args:
-        days: How long they hold.
+        days: Validity of the certificates, days.
 
     Attributes:
-        certificate: Its own certificate, PEM.
-        until: When they end.
+        certificate: Certificate of the authority, PEM.
+        until: End of the certificates' validity.
 
     Raises:
         InputError: The library is not installed.
@@ -75,7 +77,7 @@ class Authority:
         self.certificate = self._signed(made)
 
     def server(self, name: str, hosts: Iterable[str]) -> CertificatePair:
-        """Of whom others connect to, under these names and addresses; it proves nothing when it connects itself."""
+        """Create the certificate of a server with these names and addresses; valid for server authentication only."""
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -83,7 +85,7 @@ class Authority:
         return self._made(name, ExtendedKeyUsageOID.SERVER_AUTH, names)
 
     def client(self, name: str) -> CertificatePair:
-        """Of one who connects; nobody takes it for whom they connect to."""
+        """Create the certificate of a client; valid for client authentication only."""
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
         return self._made(name, ExtendedKeyUsageOID.CLIENT_AUTH)
@@ -135,10 +137,10 @@ def _name(common: str) -> x509.Name:
 
 
 def _host(text: str) -> x509.GeneralName:
-    """A host's address, or its name.
+    """Return a host's address or name as an X.509 name.
 
     Raises:
-        InputError: It is neither.
+        InputError: The text is neither an address nor a name in ASCII.
     """
     from cryptography import x509
 

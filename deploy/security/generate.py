@@ -1,4 +1,4 @@
-"""Making a run's keys."""
+"""Generation of a run's keys."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from deploy.util.formatting import say
 from deploy.util.output_lock import OutputLock
 
 LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
-"""Names of the plant's host that certificates hold for unasked."""
+"""Names of the plant's host that every server certificate includes."""
 
 _HEAD: Final = """\
 // What each role may do on the bus of a run: Zenoh's access_control, which the plant's session enforces.
 """
 _BYTES: Final = 32
-"""Of chance in a password."""
+"""Random bytes of a password."""
 
 
 def generate_keys(
@@ -50,19 +50,19 @@ def generate_keys(
     force: bool,
     warn: Callable[[str], None] = say,
 ) -> KeyManifest:
-    """Makes the keys of every process of a run, and of operators.
+    """Generate the keys of every process of a run, and of operators.
 
-    The folder appears whole or not at all. What is in it, only its owner can read.
+    The folder appears whole or not at all. Only its owner can read the files.
 
     Args:
-        folder: Where; made, mode 0700.
+        folder: Folder to make, mode 0700.
         scene: Name of the scene.
-        cut: How its cells are cut into processes.
-        kind: How roles are to prove who they are.
-        hosts: Names and addresses of the plant's host beside loopback's.
-        days: How long certificates hold.
-        force: Replace keys that are there.
-        warn: Told, in one line, that files can't be locked there.
+        cut: Layout of the scene's cells in processes.
+        kind: Kind of credentials of the roles.
+        hosts: Names and addresses of the plant's host besides loopback.
+        days: Validity of certificates, days.
+        force: Replace existing keys.
+        warn: Called with one line if files can't be locked there.
 
     Raises:
         InputError: The folder is there already or is the working one, another process makes it at this time, a host's
@@ -91,10 +91,10 @@ def generate_keys(
 
 @contextmanager
 def _draft(folder: Path, warn: Callable[[str], None]) -> Generator[Path]:
-    """Give a new folder beside the one to be made; no other process makes that one meanwhile.
+    """Make a draft folder beside ``folder``, locked against other processes that generate keys there.
 
     Raises:
-        InputError: Another process does already.
+        InputError: Another process holds the lock.
         OSError: It can't be made.
     """
     place = folder.with_name(f".{folder.name}.draft")
@@ -124,7 +124,7 @@ def _draft(folder: Path, warn: Callable[[str], None]) -> Generator[Path]:
 def _fill(
     draft: Path, scene: str, cut: ProcessLayout, kind: Kind, names: tuple[str, ...], days: int
 ) -> KeyManifest:
-    """Write the keys of every role, and what they are for."""
+    """Write the keys of every role, the access control and the manifest."""
     roles = roles_of(cut)
     for role in roles:
         (draft / role.name).mkdir(mode=0o700)
@@ -138,7 +138,7 @@ def _fill(
 
 
 def _may_go(folder: Path, *, force: bool) -> bool:
-    """Whether nothing is lost with a folder but keys that are to be replaced."""
+    """Whether a folder is empty, or has keys to be replaced."""
     if not folder.is_dir():
         return False
     return not any(folder.iterdir()) or (force and (folder / KEYS).is_file())
@@ -151,7 +151,7 @@ def _there(folder: Path, *, force: bool) -> str:
 
 
 def _certificates(draft: Path, roles: Iterable[Role], hosts: Iterable[str], days: int) -> datetime:
-    """Writes each role's; says until when they hold."""
+    """Write the certificates of every role; return the end of their validity."""
     from deploy.security.certificates import Authority
 
     authority = Authority(days)
@@ -164,7 +164,7 @@ def _certificates(draft: Path, roles: Iterable[Role], hosts: Iterable[str], days
 
 
 def _passwords(draft: Path, roles: Iterable[Role]) -> None:
-    """Writes each role's, and the plant's list of all: they hold until they are replaced."""
+    """Write the password of every role, and the plant's list of users; passwords don't expire."""
     passwords = {role.name: secrets.token_urlsafe(_BYTES) for role in roles}
     for name, password in passwords.items():
         _write(draft / name / PASSWORD, f"{password}\n".encode())
@@ -173,7 +173,7 @@ def _passwords(draft: Path, roles: Iterable[Role]) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """A new file that its owner alone can read."""
+    """Write a new file that only its owner can read."""
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "wb") as file:
         file.write(content)

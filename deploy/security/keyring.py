@@ -1,4 +1,4 @@
-"""The keys in a folder: whether they fit a run, and what a session needs of them."""
+"""Keys of a run, read from a folder: checks, identities and access policies."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 def identity_of(folder: Path, role: str) -> Identity:
-    """What a role shows the plant.
+    """Return the identity with which a role connects to the plant.
 
     Args:
-        folder: The role's own.
-        role: Its name.
+        folder: Folder of the role.
+        role: Name of the role.
 
     Raises:
         InputError: A file is missing, or others than its owner can read what is secret or change what is trusted.
@@ -37,10 +37,10 @@ def identity_of(folder: Path, role: str) -> Identity:
 
 
 def operator_of(folder: Path) -> Identity:
-    """What an operator shows the plant, from a run's keys or from the operator's own folder of them.
+    """Return an operator's identity, from a run's keys or from the operator's folder alone.
 
     Raises:
-        InputError: These are not an operator's; they have ended; see ``identity_of``.
+        InputError: The keys are not an operator's or have expired; see ``identity_of``.
     """
     own = folder / OPERATOR if (folder / KEYS).exists() else folder
     identity = identity_of(own, OPERATOR)
@@ -50,16 +50,16 @@ def operator_of(folder: Path) -> Identity:
 
 @final
 class Keyring:
-    """A run's keys.
+    """Keys of a run.
 
     Args:
-        folder: Where ``mdms keys`` has put them.
+        folder: Folder made by ``mdms keys``.
 
     Attributes:
-        about: What they are for.
+        about: Manifest of the folder.
 
     Raises:
-        InputError: There are none.
+        InputError: The folder has no readable manifest.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -78,14 +78,14 @@ class Keyring:
             raise InputError(f"{folder / KEYS}: can't be read: {error.strerror}") from None
 
     def check(self, cut: ProcessLayout, host: str | None) -> None:
-        """Whether every process has its keys, and they hold today.
+        """Check that every process has its keys, and that the keys are valid today.
 
         Args:
-            cut: How the cells are cut into processes.
-            host: Name or address under which the plant is to be reached; None: loopback's.
+            cut: Layout of the cells in processes.
+            host: Name or address of the plant's host; None: loopback.
 
         Raises:
-            InputError: What doesn't fit, in one line.
+            InputError: The keys don't fit; the message names the reason in one line.
         """
         about, roles = self.about, {role.name: role.cells for role in roles_of(cut)}
         if about.wire != cut.wire or about.roles != roles:
@@ -104,11 +104,11 @@ class Keyring:
                 _check(identity, role)
 
     def gate(self, cut: ProcessLayout) -> AccessPolicy:
-        """Gate of the session that cells join, for cells that are cut like this; operators may do nothing there."""
+        """Return the access policy of the session that cells join; operators have no rights there."""
         return self._gate(size_limits(cut), operators=False)
 
     def outer_gate(self) -> AccessPolicy:
-        """Gate of the session for listeners and operators; cells may do nothing there."""
+        """Return the access policy of the session for listeners and operators; cells have no rights there."""
         return self._gate(QUESTION_LIMITS, operators=True)
 
     def _gate(self, limits: list[dict[str, Any]], *, operators: bool) -> AccessPolicy:
@@ -120,11 +120,11 @@ class Keyring:
         return AccessPolicy(identity_of(own, PLANT), access, json.dumps(limits), users)
 
     def of_cells(self, cut: ProcessLayout) -> tuple[Path, ...]:
-        """The folder of each process of cells, by shard."""
+        """Return the folder of each process of cells, by shard."""
         return tuple(self._folder / cut.role(shard) for shard in range(cut.partition.count))
 
     def _access(self) -> dict[str, Any]:
-        """The access control without its comments, of which Python's JSON knows nothing."""
+        """Read the access control, without its comments, which Python's JSON can't parse."""
         path = _sound(self._folder / ACCESS)
         lines = path.read_text(encoding="utf-8").splitlines()
         try:
@@ -139,14 +139,14 @@ class Keyring:
 
 
 def _told(roles: dict[str, tuple[tuple[int, int], ...]], wire: str) -> str:
-    """How an array is cut, in a few words."""
+    """Describe the layout of cells in processes."""
     processes = [cells for role, cells in roles.items() if role not in (PLANT, OPERATOR)]
     cells = sum(map(len, processes))
     return f"{cells:,} cells in {plural(len(processes), 'process', 'processes')}, wire form {wire}"
 
 
 def _check(identity: Identity, role: str) -> None:
-    """Whether a certificate is the role's, and holds."""
+    """Check that a certificate belongs to the role and is valid."""
     if identity.kind == "certificate":
         from deploy.security.verify import check_certificate
 
@@ -160,7 +160,7 @@ def _there(path: Path) -> Path:
 
 
 def _sound(path: Path) -> Path:
-    """A file that says whom to trust: none but its owner may change or replace it."""
+    """Return the path of a trusted file, after a check that only its owner can change or replace the file."""
     for changed in (_there(path), path.parent):
         mode = changed.stat().st_mode
         if mode & 0o022:

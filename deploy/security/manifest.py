@@ -1,8 +1,8 @@
-"""A run's keys as files: what they are for, what each role may do, and a folder a role.
+"""Files of a run's keys: a manifest, the access control, and a folder for each role.
 
-    DIR/keys.json           how roles prove who they are, which cells each has, until when
+    DIR/keys.json           manifest: kind of credentials, cells of each role, end of validity
     DIR/access.json5        Zenoh's access_control
-    DIR/ROLE/               what this role has to have, and no other: copy it to its host
+    DIR/ROLE/               keys of this role alone: copy the folder to the role's host
 
 ``ROLE/`` holds ``authority.pem``, ``certificate.pem`` and ``key.pem``; or ``password``, and the plant's ``users``.
 """
@@ -27,16 +27,16 @@ Kind = Literal["certificate", "password"]
 
 @final
 class KeyManifest(Spec):
-    """What a folder of keys is for: ``keys.json``.
+    """Manifest of a folder of keys, ``keys.json``.
 
     Attributes:
-        version: Of this layout.
-        kind: How roles prove who they are.
+        version: Version of the manifest's format.
+        kind: Kind of the roles' credentials.
         scene: Name of the scene.
-        wire: The wire form whose keys they give leave for.
-        roles: The cells of each role.
-        hosts: Names and addresses under which the plant can be reached; empty with passwords.
-        until: When they end; None: never, as passwords.
+        wire: Wire format to whose keys the roles have access.
+        roles: Cells of each role.
+        hosts: Names and addresses in the plant's certificate; empty with passwords.
+        until: End of validity; None for passwords, which don't expire.
     """
 
     version: Literal[1] = 1

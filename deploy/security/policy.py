@@ -1,7 +1,7 @@
 """The access control of the plant's sessions, as Zenoh reads it.
 
-A folder of keys has one for all roles. The session that cells join takes the part of the cells' roles, the session for
-listeners and operators takes the operators' part.
+A folder of keys has one access control for all roles. The session that cells join uses the part of the cells' roles,
+the session for listeners and operators uses the operators' part.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _ENVELOPE: Final = 1 << 10
-"""Bytes for what every payload has: names, tick, version."""
+"""Bytes for the common part of every payload: names, tick, version."""
 _MESSAGE: Final = 1 << 13
 """Bytes for the message of one link: twice what a firmware may declare, with the names of its fields."""
 _REGISTERS: Final = 1 << 14
@@ -30,9 +30,9 @@ _QUESTION: Final = 1 << 17
 
 
 def size_limits(cut: ProcessLayout) -> list[dict[str, Any]]:
-    """Zenoh's ``low_pass_filter`` of the session that cells join.
+    """Return Zenoh's ``low_pass_filter`` of the session that cells join.
 
-    Messages that are longer are dropped as they come in, and counted as denied.
+    Longer messages are dropped on arrival, and counted as denied.
     """
     shards = range(cut.partition.count)
     cells = max(len(cut.partition.cells(shard)) for shard in shards)
@@ -59,7 +59,7 @@ QUESTION_LIMITS: Final = [_limit("question", [plant_key("*", "operator")], _QUES
 
 
 _SUBJECT: Final = {"certificate": "cert_common_names", "password": "usernames"}
-"""By what Zenoh knows a session."""
+"""Property by which Zenoh identifies a session, by kind of credentials."""
 _MESSAGES: Final = {
     "puts": ["put"],
     "hears": ["declare_subscriber"],
@@ -67,20 +67,20 @@ _MESSAGES: Final = {
     "watches": ["declare_liveliness_subscriber", "liveliness_query"],
     "asks": ["query"],
 }
-"""Messages that each of a role's rights takes."""
+"""Zenoh messages that each right of a role allows."""
 _OUT: Final = "what the plant lets out"
 
 
 def access_control(roles: Iterable[Role], kind: str | None) -> dict[str, Any]:
-    """Zenoh's ``access_control``: nobody may do anything but what their role says.
+    """Return Zenoh's ``access_control``, which denies everything that no role allows.
 
-    All traffic passes the plant's sessions, and is checked as it comes in. What goes out is not: it goes to whoever
-    subscribed, and subscribing is what is checked.
+    All traffic passes through the plant's sessions and is checked on arrival. Outgoing messages are not checked:
+    only subscribers receive them, and subscribing is checked.
 
     Args:
-        roles: Who there is.
-        kind: ``certificate`` or ``password``: how they prove who they are. None: not at all, everybody has the
-            only role.
+        roles: Roles of the run.
+        kind: Kind of credentials, ``certificate`` or ``password``. None: no credentials, every peer has the only
+            role.
     """
     others = [role for role in roles if role.name != PLANT]
     rules = [_rule(_OUT, ["egress"], ["put", "reply", *_DECLARED], ["**"])]
@@ -105,7 +105,7 @@ def access_control(roles: Iterable[Role], kind: str | None) -> dict[str, Any]:
 
 
 def part_of(access: dict[str, Any], *, operators: bool) -> dict[str, Any]:
-    """The part of an access control for the session of operators, or for the session that cells join."""
+    """Return the part of an access control for the session of operators, or for the session that cells join."""
     kept = {name for one in access["subjects"] if ((name := one["id"]) == OPERATOR) == operators}
     policies = [
         {**one, "subjects": own}
@@ -117,14 +117,14 @@ def part_of(access: dict[str, Any], *, operators: bool) -> dict[str, Any]:
 
 
 def open_gate() -> AccessPolicy:
-    """Let anybody listen to a run and ask for live commands, and do nothing else."""
+    """Return an access policy that lets any peer listen to a run and send requests, and denies everything else."""
     from bus.transports.zenoh.session import AccessPolicy
 
     return AccessPolicy(None, json.dumps(access_control([OPERATORS], None)), json.dumps(QUESTION_LIMITS))
 
 
 _DECLARED: Final = ["declare_subscriber", "declare_queryable", "liveliness_token"]
-"""What the plant's session tells of others: who subscribed, who is there."""
+"""Declarations that the plant's session forwards: subscribers, queryables and liveliness tokens."""
 
 
 def _rule(name: str, flows: list[str], messages: list[str], keys: list[str]) -> dict[str, Any]:

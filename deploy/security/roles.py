@@ -1,4 +1,4 @@
-"""The roles of a run, and what each of them may do on the bus."""
+"""Roles of a run, and the rights of each role on the bus."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ PLANT: Final = "plant"
 OPERATOR: Final = "operator"
 
 _ANY: Final = "*"
-"""Keys hold for any run: its name is drawn as it begins."""
+"""Run part of a key: rights apply to any run, since a run's name is drawn at its start."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What whoever has a certificate of this name may do; of anything else they may do nothing.
+    """Rights of a role on the bus; everything else is denied.
 
     Attributes:
-        name: Common name of the certificate, or user.
+        name: Common name of the certificate, or user name.
         cells: ``(row, column)`` of the cells whose process has the role.
         puts: Keys to put on.
         hears: Keys to subscribe to.
@@ -44,17 +44,17 @@ class Role:
 OPERATORS: Final = Role(
     OPERATOR, hears=("mdms/**",), watches=("mdms/**",), asks=(plant_key(_ANY, "operator"),)
 )
-"""Who listens to a run from outside and asks for live commands."""
+"""Role that listens to a run from outside and sends requests."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class ProcessLayout:
-    """How the cells of a run are cut into processes.
+    """Layout of a run's cells in processes.
 
     Attributes:
         partition: The cells of each process.
-        wire: The wire form.
+        wire: Wire format.
         names: Name of each process, ``cells 3`` or ``cell 3,4``.
     """
 
@@ -63,19 +63,19 @@ class ProcessLayout:
     names: tuple[str, ...]
 
     def role(self, shard: int) -> str:
-        """Name of a process's role: ``cells-3``, or ``cell-3-4`` where each cell has a process."""
+        """Return the name of a process's role: ``cells-3``, or ``cell-3-4`` where each cell has a process."""
         return self.names[shard].replace(" ", "-").replace(",", "-")
 
     def cells(self, shard: int) -> tuple[tuple[int, int], ...]:
-        """``(row, column)`` of a process's cells."""
+        """Return ``(row, column)`` of a process's cells."""
         cells = self.partition.lattice.cells
         return tuple(cells[int(i)] for i in self.partition.cells(shard))
 
 
 def roles_of(cut: ProcessLayout) -> tuple[Role, ...]:
-    """The plant first, then a role for each process of cells, by shard, and operators last.
+    """Return all roles: the plant, then one for each process of cells by shard, then operators.
 
-    The plant's own session is where access is controlled: it needs leave for nothing.
+    The plant's role has no rights, since the plant's own sessions control access and are not checked.
     """
     cells = (_cells(cut, shard) for shard in range(cut.partition.count))
     return Role(PLANT), *cells, OPERATORS
@@ -97,7 +97,7 @@ _Keys = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
 
 def _packed(cut: ProcessLayout, shard: int) -> _Keys:
-    """What a shard puts, hears and shows in the packed form."""
+    """Return the keys that a shard puts, hears and shows in wire format ``packed``."""
     puts = [shard_key(_ANY, shard, "drive")]
     puts += [shard_link_key(_ANY, shard, border.shard) for border in cut.partition.outgoing_borders(shard)]
     hears = [shard_key(_ANY, shard, "sense")]
@@ -106,7 +106,7 @@ def _packed(cut: ProcessLayout, shard: int) -> _Keys:
 
 
 def _by_cell(cut: ProcessLayout, shard: int) -> _Keys:
-    """The same in the form with a key a cell and link."""
+    """Return the keys that a shard puts, hears and shows in wire format ``cells``."""
     partition, own = cut.partition, cut.cells(shard)
     cells = partition.lattice.cells
     outgoing, incoming = partition.outgoing(shard), partition.incoming(shard)

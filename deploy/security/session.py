@@ -1,4 +1,4 @@
-"""An operator's session with a run that goes on elsewhere."""
+"""Operator's session with a run of another process."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 
 
 def operator_session(connect: str, timeout_s: float, keys: Path | None) -> ZenohEndpoint:
-    """Connects to a run's plant.
+    """Connect to a run's plant as an operator.
 
     Args:
-        connect: Where it listens, such as ``tcp/127.0.0.1:7447``.
-        timeout_s: Wall seconds to go on trying.
-        keys: The run's, or the operator's folder of them; None where the run has none.
+        connect: Endpoint on which the plant listens, such as ``tcp/127.0.0.1:7447``.
+        timeout_s: Wall time to keep trying, s.
+        keys: Folder of the run's or the operator's keys; None if the run has none.
 
     Raises:
-        InputError: Nobody listens there, they let nobody in with these keys, or these are none.
+        InputError: No plant listens there, the plant doesn't accept the keys, or the folder has no keys.
     """
     from bus.transports.zenoh import open_client
 

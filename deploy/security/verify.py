@@ -1,4 +1,4 @@
-"""Whether a certificate holds, before Zenoh is asked: it says no more than that nobody answers."""
+"""Check of certificates before Zenoh uses them, since Zenoh reports a bad certificate only as a missing answer."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def check_certificate(identity: Certificate, role: str) -> None:
-    """Has the certificate's owner shake hands with itself, in memory: as a server the plant, as clients all others.
+    """Check a certificate by a TLS handshake with itself in memory: the plant's as a server, others as clients.
 
     Raises:
-        InputError: It has ended, another authority signed it, the key is another's, it is another role's.
+        InputError: The certificate has expired, another authority signed it, the key doesn't match, or the role differs.
     """
     try:
         shown = _shaken(identity, as_server=role == PLANT)
@@ -33,7 +33,7 @@ def check_certificate(identity: Certificate, role: str) -> None:
 
 
 def _shaken(identity: Certificate, *, as_server: bool) -> str | None:
-    """The common name that one side has shown and the other has verified."""
+    """Return the common name that one side has shown and the other has verified."""
     server, client = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     client.check_hostname = False  # under which name the plant is reached, its clients look at
     client.verify_mode = ssl.CERT_REQUIRED if as_server else ssl.CERT_NONE
