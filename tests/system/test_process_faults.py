@@ -1,6 +1,6 @@
 """Whatever happens to the processes of a run, it ends as stated, leaves nothing, and can be repeated.
 
-``python tests/benchmarks/process_faults.py`` does the same with as many schedules as one likes.
+``python tests/benchmarks/deploy/process_faults.py`` does the same with as many schedules as one likes.
 """
 
 from __future__ import annotations

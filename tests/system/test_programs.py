@@ -9,7 +9,7 @@ import pytest
 from tests.system.planted import KINDS, Planted, carry_out
 
 SEEDS = [seed for seed in range(22) if KINDS[seed % len(KINDS)] != "long sleep"]
-"""Of programs that cost no time: ``tests/benchmarks/planted_faults.py`` has the others too."""
+"""Of programs that cost no time: ``tests/benchmarks/deploy/planted_faults.py`` has the others too."""
 
 
 @pytest.mark.parametrize("seed", SEEDS)

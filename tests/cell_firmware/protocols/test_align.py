@@ -20,7 +20,7 @@ from cell_firmware.shard import Shard
 from deploy.scenes.errors import SceneError
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
-from tests.benchmarks.align_case import Case, Start, off_deg, run
+from tests.benchmarks.protocols.align_case import Case, Start, off_deg, run
 
 SIZE_M = (0.42, 0.26)
 PITCH_M, PERIOD_S = 0.1, 0.004096

@@ -14,8 +14,8 @@ from cell_firmware.estimation.estimator import MESSAGE
 from cell_firmware.estimation.leader import UNKNOWN
 from cell_firmware.firmware import Cells, Inbox, Inputs
 from cell_firmware.protocols.parcel_estimate import ParcelEstimate, ParcelEstimateParameters
-from tests.benchmarks.parcel_estimate_case import Case
-from tests.benchmarks.parcel_estimate_case import run as run_case
+from tests.benchmarks.protocols.parcel_estimate_case import Case
+from tests.benchmarks.protocols.parcel_estimate_case import run as run_case
 
 SIZE_M = (0.42, 0.26)
 PITCH_M, PERIOD_S = 0.1, 0.004096
