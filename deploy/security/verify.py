@@ -18,7 +18,7 @@ def check_certificate(identity: Certificate, role: str) -> None:
     """Check a certificate by a TLS handshake with itself in memory: the plant's as a server, others as clients.
 
     Raises:
-        InputError: The certificate has expired, another authority signed it, the key doesn't match, or the role differs.
+        InputError: The certificate expired, another authority signed it, the key doesn't match, or the role differs.
     """
     try:
         shown = _shaken(identity, as_server=role == PLANT)
