@@ -138,8 +138,8 @@ class _Blame:
     """Programs found running in one call after the deadline.
 
     Attributes:
-        first: First program found. A program for several cells at once is replaced by the first single cell's program that
-            is found twice in a row.
+        first: First program found. A program for several cells at once is replaced by the first single cell's program
+            that is found twice in a row.
     """
 
     def __init__(self) -> None:
