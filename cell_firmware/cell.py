@@ -27,7 +27,7 @@ from cell_firmware.firmware import (
     State,
 )
 from cell_firmware.firmware_files import modules_beside
-from cell_firmware.message_values import Field, fields_of, misfit
+from cell_firmware.message_values import MessageField, fields_of, misfit
 from cell_firmware.plain_registers import registers_of, unrecorded
 from cell_firmware.program import Program, Theory
 
@@ -301,7 +301,7 @@ def _number(value: Any) -> float:
 
 
 def _send(
-    messages: Mapping[str, Message | None], outbox: Outbox | None, fields: Mapping[str, Field], i: int
+    messages: Mapping[str, Message | None], outbox: Outbox | None, fields: Mapping[str, MessageField], i: int
 ) -> None:
     """Put a cell's messages into the outbox.
 
@@ -326,7 +326,7 @@ def _send(
         outbox.sent[i, s] = True
 
 
-def _check_values(message: Message, side: str, fields: Mapping[str, Field]) -> None:
+def _check_values(message: Message, side: str, fields: Mapping[str, MessageField]) -> None:
     if message.keys() != fields.keys():
         raise ValueError(f"message to the {side} has fields {sorted(message)}; its type has {sorted(fields)}")
     for name, its in fields.items():

@@ -110,7 +110,7 @@ def settled(
     return fixed, {row: text for row, (_, text) in found.items()}
 
 
-class Field(NamedTuple):
+class MessageField(NamedTuple):
     """A field of a message type.
 
     Attributes:
@@ -122,9 +122,9 @@ class Field(NamedTuple):
     fits: Callable[[Any], bool]
 
 
-def fields_of(message: np.dtype[Any]) -> dict[str, Field]:
+def fields_of(message: np.dtype[Any]) -> dict[str, MessageField]:
     """The fields of a message type by name."""
-    return {name: Field(message[name], _fitting(message[name])) for name in message.names or ()}
+    return {name: MessageField(message[name], _fitting(message[name])) for name in message.names or ()}
 
 
 def _fitting(field: np.dtype[Any]) -> Callable[[Any], bool]:

@@ -23,7 +23,7 @@ BYTE_E: Final = 80
 """Interrupt of a byte sent or received, a ring of 16 at its end."""
 
 
-class Share(NamedTuple):
+class ProcessorShare(NamedTuple):
     """Processor time of one activity, E cycles a period.
 
     Attributes:
@@ -42,7 +42,9 @@ def period_e(period_ns: int) -> float:
     return period_ns / E_CLOCK_NS
 
 
-def shares(effects: CellEffects, motors: MotorFacts | None, period_ns: int, sides: int) -> tuple[Share, ...]:
+def shares(
+    effects: CellEffects, motors: MotorFacts | None, period_ns: int, sides: int
+) -> tuple[ProcessorShare, ...]:
     """Return the processor time of all activities on the board of the cell with the most neighbours.
 
     Args:
@@ -51,25 +53,27 @@ def shares(effects: CellEffects, motors: MotorFacts | None, period_ns: int, side
         period_ns: The control period.
         sides: Neighbours with which this cell exchanges messages; 0: none.
     """
-    found: list[Share] = []
+    found: list[ProcessorShare] = []
     if motors is not None and effects.fixed_point is not None:
-        found.append(Share("speed loops", *map(float, LOOP_E)))
+        found.append(ProcessorShare("speed loops", *map(float, LOOP_E)))
     if motors is not None and effects.encoder is not None and effects.encoder.decoder is None:
         a_count_m = effects.encoder.m_per_count(motors.wheel_radius_m)
         counts = motors.free_speed_m_s * period_ns * 1e-9 / a_count_m
         found.append(
-            Share(f"{counts:.0f} edges of the second wheel's encoder at top speed", *[EDGE_E * counts] * 2)
+            ProcessorShare(
+                f"{counts:.0f} edges of the second wheel's encoder at top speed", *[EDGE_E * counts] * 2
+            )
         )
     if motors is not None and effects.pwm is not None:
         pulses = period_e(period_ns) / effects.pwm.counts
-        found.append(Share("PWM", *[PULSE_E * pulses] * 2))
+        found.append(ProcessorShare("PWM", *[PULSE_E * pulses] * 2))
     serial = effects.serial
     if serial is not None and sides:
         lines = 2 * (1 if serial.sharing == "mux" else sides)
         settings = serial.settings(period_ns)
         each = settings.polled_bytes if settings.polled else period_ns / settings.byte_ns
         found.append(
-            Share(
+            ProcessorShare(
                 f"serial bytes at {serial.baud:,} baud with {lines} lines busy", *[BYTE_E * lines * each] * 2
             )
         )

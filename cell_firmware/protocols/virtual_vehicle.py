@@ -17,7 +17,7 @@ from cell_firmware.program import Theory
 from cell_firmware.specs import Finite, NotNegative, Positive, Spec, Vector
 from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 from cell_firmware.toolkit.portable_trig import direction
-from cell_firmware.toolkit.trajectory import ReferenceTrajectory, Segment, Setpoint, at_all
+from cell_firmware.toolkit.trajectory import ReferenceTrajectory, Setpoint, TrajectorySegment, at_all
 
 Integers = NDArray[np.int64]
 
@@ -40,7 +40,7 @@ class Vehicle(Spec):
     """Of the reference, where it moves."""
     turn_rate_rad_s: Positive = 0.5
     """Of the reference, where it turns."""
-    legs: Annotated[tuple[Segment, ...], Field(min_length=1, max_length=1_000)]
+    legs: Annotated[tuple[TrajectorySegment, ...], Field(min_length=1, max_length=1_000)]
     """Its journey."""
     laps: Annotated[int, Field(ge=1, le=1_000)] = 1
     """How often it goes through its legs."""

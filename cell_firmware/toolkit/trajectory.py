@@ -14,7 +14,7 @@ from cell_firmware.specs import Finite, NotNegative, Spec, Vector
 Floats = NDArray[np.float64]
 
 
-class Segment(Spec):
+class TrajectorySegment(Spec):
     """One leg: to a place, by an angle, both at once, or a pause."""
 
     to_m: Vector | None = None
@@ -25,7 +25,7 @@ class Segment(Spec):
     """Or how long it stands still."""
 
     @model_validator(mode="after")
-    def _moves_or_waits(self) -> Segment:
+    def _moves_or_waits(self) -> TrajectorySegment:
         moves = self.to_m is not None or self.turn_rad != 0.0
         if moves == (self.wait_s > 0.0):
             raise ValueError("give wait_s, or to_m or turn_rad or both of these")
@@ -73,7 +73,7 @@ class ReferenceTrajectory:
     def __init__(
         self,
         start: tuple[float, float, float],
-        legs: tuple[Segment, ...],
+        legs: tuple[TrajectorySegment, ...],
         speed_m_s: float,
         turn_rate_rad_s: float,
     ) -> None:

@@ -1,4 +1,4 @@
-"""Replay of a recorded run: its live commands, and the cells that it lost."""
+"""Replay of a recorded run, with the recorded live commands and losses."""
 
 from __future__ import annotations
 

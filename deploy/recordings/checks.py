@@ -34,7 +34,7 @@ class _Scene(BaseModel):
 
 
 class _Header(BaseModel):
-    """Fields of the header that this program uses."""
+    """Header fields in use by the reader."""
 
     run: str
     title: str
@@ -51,7 +51,7 @@ class _Header(BaseModel):
 
 
 class _Record(BaseModel):
-    """Fields of an event, a fault or a command that this program uses."""
+    """Fields of an event, a fault or a command in use by the reader."""
 
     time_s: float
     kind: str

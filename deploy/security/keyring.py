@@ -78,7 +78,7 @@ class Keyring:
             raise InputError(f"{folder / KEYS}: can't be read: {error.strerror}") from None
 
     def check(self, cut: ProcessLayout, host: str | None) -> None:
-        """Check that every process has its keys, and that the keys are valid today.
+        """Check that every process has valid keys for a run with this layout.
 
         Args:
             cut: Layout of the cells in processes.

@@ -1,4 +1,4 @@
-"""The two ways into a run: the endpoint that processes of cells join, and the one for listeners and operators."""
+"""Network access to a run: the endpoint that cells join, and the endpoint for listeners and operators."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ if TYPE_CHECKING:
     from deploy.workers.plan import Plan, RunOptions
 
 _TICKS: Final = 64
-"""Ticks whose messages may wait to be copied for listeners; of more the oldest are dropped."""
+"""Most ticks whose messages may wait to be copied for listeners; the oldest messages are dropped first."""
 
 
 @final
 class Access:
-    """Opens both endpoints of a run, and closes that for listeners and operators.
+    """Both endpoints of a run, for the processes of cells and for listeners and operators.
 
-    Nothing that comes in at the latter reaches the cells but operators' questions, which the plant answers.
+    The endpoint for listeners and operators accepts only operators' requests, which the plant answers. No message from
+    there reaches the cells.
 
     Args:
-        plan: The run.
+        plan: Plan of the run.
         stall: Deadlines.
-        options: Of these the endpoints, and whether strangers may come in.
-        keyring: The run's keys; None: anybody may listen and ask.
+        options: Options of the run, for the endpoints and ``insecure``.
+        keyring: Keys of the run; None: any peer may listen and send requests.
 
     Attributes:
-        join: What the processes of cells connect to.
-        locator: What listeners and operators connect to.
+        join: Endpoint to which the processes of cells connect.
+        locator: Endpoint to which listeners and operators connect.
     """
 
     def __init__(self, plan: Plan, stall: StallSpec, options: RunOptions, keyring: Keyring | None) -> None:
@@ -51,13 +52,13 @@ class Access:
         self.locator = ""
 
     def open(self) -> ZenohEndpoint:
-        """Open both.
+        """Open both endpoints.
 
         Returns:
-            The plant's endpoint of the run itself, for the caller to close after this.
+            The plant's endpoint for the cells; the caller closes it after closing this object.
 
         Raises:
-            InputError: A port is in use, or an endpoint makes no sense, or more can reach it than may.
+            InputError: A port is in use, or an endpoint is invalid or reachable from more than is allowed.
         """
         from bus.transports.zenoh import Mirror, open_hub, open_outside
 
@@ -87,7 +88,7 @@ class Access:
         return hub
 
     def questions(self, key: str) -> RequestQueue:
-        """Where operators ask while the run goes on."""
+        """Open the queue of operators' requests on ``key``."""
         from bus.transports.zenoh.requests import RequestQueue
 
         assert self._mirror is not None, "this is a bug: not open"
@@ -101,7 +102,7 @@ class Access:
             self._folder.close()
 
     def _opened(self, option: Option, opens: Callable[[], ZenohEndpoint]) -> ZenohEndpoint:
-        """What ``opens`` opens, unless more can reach it than may."""
+        """Open an endpoint, and refuse an endpoint that is reachable from more than is allowed."""
         try:
             endpoint = opens()
         except TransportError as error:

@@ -1,15 +1,15 @@
-"""The clean parent of worker processes.
+"""Fork server: the clean parent of worker processes.
 
 A process that has opened a Zenoh session or run a compiled kernel must not be forked. Workers are therefore
-forked from a small process of their own, that imports what they need and never does anything else. It is told
-what to do over a socket and tells what happened over a pipe, one line of JSON an event:
+forked from a small separate process that only imports modules. The fork server receives commands over a socket and
+reports events over a pipe, one line of JSON an event:
 
     {"worker": 3, "event": "started", "pid": 4711}
     {"worker": 3, "event": "failed", "error": "...", "detail": "the traceback"}
     {"worker": 3, "event": "ended", "status": -9}
 
-When the socket's other end closes, however that came about, it kills its workers and ends; the workers watch
-the same socket themselves, so that they outlive neither.
+When the socket's other end closes for any reason, the fork server kills its workers and ends. The workers watch
+the same socket, so that no worker outlives the main process or the fork server.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from types import FrameType
 from typing import Any, final
 
 Order = Callable[[int], None]
-"""What a worker does: called with the worker's number; raises when it fails."""
+"""Function of a worker, called with the worker's number; raises on failure."""
 
 _LINE_LIMIT = select.PIPE_BUF
-"""Writes to a pipe up to this length are never torn or mixed with another process's."""
+"""Longest line that is written to a pipe atomically."""
 
 
 def main(channel_fd: int, report_fd: int, preload: Iterable[str]) -> None:
-    """Tend workers until the socket ``channel_fd`` closes."""
+    """Serve commands until the socket ``channel_fd`` closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in preload:
         importlib.import_module(name)
@@ -55,7 +55,7 @@ class _ForkServer:
         self._report_fd = report_fd
         self._order: Order | None = None
         self._workers: dict[int, int] = {}
-        """Worker's number by process id."""
+        """Number of each worker, by process id."""
         self._wakeup = os.pipe()
         for fd in self._wakeup:
             os.set_blocking(fd, False)
@@ -76,7 +76,7 @@ class _ForkServer:
                         return
 
     def _handle(self) -> bool:
-        """Handle one message; False once there will be no more."""
+        """Handle one command; False once the socket is closed."""
         try:
             message: tuple[str, Any] = self._channel.recv()
         except (EOFError, ConnectionError):
@@ -106,7 +106,7 @@ class _ForkServer:
         self._report(worker, "started", pid=pid)
 
     def _work(self, worker: int, name: str, order: Order) -> None:
-        """The worker's whole life; never returns."""
+        """Run the worker and exit; never returns."""
         status = 1
         try:
             signal.set_wakeup_fd(-1)
@@ -124,7 +124,7 @@ class _ForkServer:
                 detail=_told(error),
             )
         finally:
-            # Nothing of the nursery's own stack may run in a worker.
+            # No code of the fork server's stack may run in a worker.
             try:
                 sys.stdout.flush()
                 sys.stderr.flush()
@@ -163,13 +163,13 @@ class _ForkServer:
 
 
 def _noticed(number: int, frame: FrameType | None) -> None:
-    """Nothing to do: what matters is that the signal wakes the selector."""
+    """Ignore SIGCHLD; a handler must be set for the wake-up descriptor to wake the selector."""
 
 
 def _die_with(fd: int) -> None:
-    """End this process as soon as the main process has gone, whatever else it is doing."""
+    """Kill this process as soon as the main process has ended."""
     watch = select.poll()
-    watch.register(fd, 0)  # hang-up alone is reported; what is said on the socket is for the nursery
+    watch.register(fd, 0)  # hang-up alone is reported; messages on the socket are for the fork server
     while not watch.poll():
         pass
     os.kill(os.getpid(), signal.SIGKILL)
@@ -183,14 +183,14 @@ def _rename(name: str) -> None:
 
 
 def _told(error: BaseException) -> str:
-    """The traceback; of a firmware's failure only the firmware's own, which it holds."""
+    """Return the traceback; of a firmware failure, only the firmware's own part."""
     from cell_firmware.errors import FirmwareFailed
 
     return str(error) if isinstance(error, FirmwareFailed) else traceback.format_exc()
 
 
 def one_line(error: BaseException) -> str:
-    """The first and the last line of an error's text: what failed and, of a traceback, why."""
+    """Return the first and the last line of an error's text: the failure and, of a traceback, the cause."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if lines and lines[0].endswith(lines[-1]):
         return lines[0]

@@ -1,4 +1,4 @@
-"""The cells' side of a run as the plant's process sees it: worker processes, or a thread of this one."""
+"""Groups of workers that run the cells: worker processes, or a thread of the plant's process."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ PRELOAD = (
     "deploy.workers.worker",
     "plant.array",
 )
-"""What a worker needs: imported once, before the workers are forked."""
+"""Modules that a worker needs, imported once before the workers are forked."""
 
 _FILES_A_WORKER = 4
-"""Open files that a worker's session costs the plant's process, generously."""
+"""Upper estimate of open files in the plant's process for a worker's session."""
 
 
 class WorkerGroup(Protocol):
-    """Starts the cells, says what went wrong with them, and ends them."""
+    """Group of workers that run the cells: start, failures and end."""
 
     def start(self, order: WorkerConfig) -> None:
-        """Start every agent; returns before they are ready."""
+        """Start every agent, without waiting until the agents are ready."""
         ...
 
     def restart(self, order: WorkerConfig, shard: int) -> None:
-        """Start the agents of one shard anew, those that were there being ended first."""
+        """Restart the agents of one shard; old agents are ended first."""
         ...
 
     def ended(self, shard: int) -> bool:
@@ -50,32 +50,34 @@ class WorkerGroup(Protocol):
         ...
 
     def trouble(self, timeout_s: float) -> bool:
-        """Whether anything has gone wrong, waiting up to ``timeout_s`` for it."""
+        """Whether a worker has failed or ended, after a wait of up to ``timeout_s`` for a failure."""
         ...
 
     def programs_failed(self) -> bool:
-        """Whether programs that failed are all that has gone wrong, and others may yet fail."""
+        """Whether all failures so far are failed programs, and further programs may fail."""
         ...
 
     def check(self) -> None:
-        """Raise WorkerError if anything has gone wrong."""
+        """Raise WorkerError if a worker has failed or ended."""
         ...
 
     def details(self) -> str:
-        """Tracebacks of what went wrong, or an empty string."""
+        """Return the tracebacks of failures, or an empty string."""
         ...
 
     def close(self, grace_s: float) -> None:
-        """End every agent; those that were told to stop get ``grace_s`` to do so."""
+        """End every agent; stopping agents get ``grace_s`` to leave."""
         ...
 
 
 @final
 class WorkerProcesses:
-    """One worker process a shard. Made before anything else, so that it gets ready meanwhile.
+    """Group of worker processes, one for each shard.
+
+    Create the group early: the fork server imports its modules meanwhile.
 
     Args:
-        plan: Which cells run where.
+        plan: Plan of the run.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -88,11 +90,11 @@ class WorkerProcesses:
         self._crew.start(order, self._names)
 
     def restart(self, order: WorkerConfig, shard: int) -> None:
-        """Fork one worker anew."""
+        """Kill one worker and fork its replacement."""
         self._crew.restart(order, shard)
 
     def ended(self, shard: int) -> bool:
-        """Whether it has ended."""
+        """Whether the process of a shard has ended."""
         while self._crew.poll():
             pass
         return shard in self._crew.ended
@@ -103,7 +105,7 @@ class WorkerProcesses:
         return bool(self._crew.failures or self._crew.ended or self._crew.pipe_closed)
 
     def programs_failed(self) -> bool:
-        """Whether programs that failed are all that has gone wrong."""
+        """Whether all failures so far are failed programs."""
         while self._crew.poll():
             pass
         return self._crew.programs_failed
@@ -113,21 +115,21 @@ class WorkerProcesses:
         self._crew.check()
 
     def details(self) -> str:
-        """Tracebacks of the workers that raised."""
+        """Return the tracebacks of the workers that raised."""
         crew = self._crew
         return "\n".join(f"{crew.name(failure.worker)}: {failure.detail}" for failure in crew.messages())
 
     def close(self, grace_s: float) -> None:
-        """End every worker and their parent."""
+        """End every worker and the fork server."""
         self._crew.close(grace_s)
 
 
 @final
 class WorkerThread:
-    """Every agent in the event loop of one thread of this process.
+    """Group of agents in the event loop of one thread of this process.
 
     Args:
-        endpoint: The cells' own; closed when they have ended.
+        endpoint: Endpoint of the cells, closed when the agents have ended.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -152,7 +154,7 @@ class WorkerThread:
         self._thread.start()
 
     def restart(self, order: WorkerConfig, shard: int) -> None:  # noqa: ARG002
-        """A thread can't be killed, and need not be started anew."""
+        """Raise AssertionError: a thread can't be killed, and is never restarted."""
         raise AssertionError("this is a bug: there is no process to start anew")
 
     def ended(self, shard: int) -> bool:  # noqa: ARG002
@@ -160,11 +162,11 @@ class WorkerThread:
         return self._over.is_set()
 
     def trouble(self, timeout_s: float) -> bool:
-        """Whether the agents have ended, as they don't before they are told to."""
+        """Whether the agents have ended, after a wait of up to ``timeout_s``; agents end early only on failure."""
         return self._over.wait(timeout_s)
 
     def programs_failed(self) -> bool:
-        """All programs begin in one call, which names the lowest cell: no other is still to fail."""
+        """Return False: all programs start in one call, so that no further program can fail."""
         return False
 
     def check(self) -> None:
@@ -175,13 +177,13 @@ class WorkerThread:
             raise WorkerError("cells: the agents ended before the run did")
 
     def details(self) -> str:
-        """The traceback, where an agent raised."""
+        """Return the traceback of an agent that raised, or an empty string."""
         import traceback
 
         return "" if self._error is None else "".join(traceback.format_exception(self._error))
 
     def close(self, grace_s: float) -> None:
-        """Wait for the agents to leave; wake them if they do not."""
+        """Wait ``grace_s`` for the agents to leave, then wake the agents' endpoint and wait again."""
         if self._thread is not None:
             self._thread.join(grace_s)
             if self._thread.is_alive():
@@ -191,7 +193,7 @@ class WorkerThread:
 
 
 def _allow_files(more: int) -> None:
-    """Raise this process's limit of open files where ``more`` of them would not fit."""
+    """Raise this process's limit of open files if ``more`` files would not fit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = 256 + more
     if soft != resource.RLIM_INFINITY and soft < wanted:

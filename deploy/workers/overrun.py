@@ -1,4 +1,4 @@
-"""Deadline of the cells' programs: a program that does not return is named, interrupted and, failing that, given up.
+"""Watchdog of the cells' programs: a program that does not return is interrupted or, failing that, abandoned.
 
 Python can interrupt a thread's Python code, not what that code waits for in C. A program that sleeps or waits for a
 lock is therefore reported from here, by the watching thread, while its own thread stays where it is.
@@ -18,20 +18,20 @@ from cell_firmware.call_stack import UnderWay, under_way
 from cell_firmware.errors import NeverReturned
 
 _LOOKS: Final = 20
-"""Looks within the deadline. Late ones count once: a process that was stopped for a while has not used up its time."""
+"""Looks within the deadline. A late look counts once, so that a suspended process has not used up its time."""
 _BUSY: Final = 5
-"""Looks after which others are told that the call goes on; told again at each. Early, as looks may be late."""
+"""Looks after which ``busy`` is called, then again at each look. Early, since looks may be late."""
 _NEXT: Final = 1
-"""Looks that a program gets once another one of the same call has been interrupted."""
+"""Looks that a program gets after an interruption of another program in the same call."""
 _STUCK: Final = 6
-"""Looks at the same program, begun with its interruption, after which nothing can interrupt it."""
+"""Looks at the same program after its interruption, after which the program counts as uninterruptible."""
 _LAST: Final = 60
-"""Looks after which the call is given up, whatever it does."""
+"""Looks after which the call is abandoned in any case."""
 
 
 @final
 class Watchdog:
-    """Watches one thread's calls of the cells' programs from a thread of its own.
+    """Watchdog of one thread's calls of the cells' programs, in a thread of its own.
 
     ``with overseer:`` around a call that steps programs. A call that is still running after ``limit_s`` gets
     ``NeverReturned`` raised in it, wherever it is: the board takes that for the failure of the program that was
@@ -61,7 +61,7 @@ class Watchdog:
         self._over = threading.Event()
         self._calls = 0
         self._running = 0
-        """Number of the call that is running; 0: none is."""
+        """Number of the running call; 0 if no call is running."""
         self._struck = False
         self._given_up = False
         self._target = 0
@@ -70,7 +70,7 @@ class Watchdog:
 
     @property
     def given_up(self) -> bool:
-        """Whether the last call was given up: nobody waits for what it came to."""
+        """Whether the last call was abandoned; its result is discarded."""
         return self._given_up
 
     def __enter__(self) -> Self:
@@ -135,10 +135,11 @@ class Watchdog:
 
 @final
 class _Blame:
-    """The programs that looks at one call found, once it had run for too long.
+    """Programs found running in one call after the deadline.
 
     Attributes:
-        first: The first cell's program that was found by itself, or else all cells' together.
+        first: First program found. A program for several cells at once is replaced by the first single cell's program
+            that is found twice in a row.
     """
 
     def __init__(self) -> None:
@@ -147,7 +148,7 @@ class _Blame:
         self._looks = 0
 
     def take(self, program: UnderWay) -> int:
-        """Note what a look found; returns how many looks before found the same."""
+        """Add the program that a look found; return the number of consecutive earlier looks with the same program."""
         self._looks = self._looks + 1 if program.same(self._last) else 0
         self._last = program
         if self.first is None or (self.first.cells > 1 and program.cells == 1 and self._looks):
@@ -156,7 +157,7 @@ class _Blame:
 
 
 def _raise_in(thread: int, error: type[BaseException] | None) -> None:
-    """Raise ``error`` in a thread as soon as it runs Python code; None: take back what it has not met yet."""
+    """Raise ``error`` in a thread as soon as Python code runs there; None: cancel a pending error."""
     ctypes.pythonapi.PyThreadState_SetAsyncExc(
         ctypes.c_ulong(thread), None if error is None else ctypes.py_object(error)
     )

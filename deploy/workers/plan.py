@@ -1,4 +1,4 @@
-"""What a run will start, as data that can be printed before anything is started."""
+"""Plan of a run's processes and endpoints, which can be printed before anything is started."""
 
 from __future__ import annotations
 
@@ -37,32 +37,32 @@ _LOCAL: Final = (_SOCKET, "unixpipe")
 
 
 def free_port(kind: Kind | None) -> str:
-    """The plan's words for an endpoint on loopback that is chosen as the run begins."""
+    """Describe an endpoint on loopback whose port is chosen at the start of the run."""
     return f"{'tls' if kind == 'certificate' else 'tcp'}/127.0.0.1 (a free port)"
 
 
 def joined_at(kind: Kind | None) -> str:
-    """The plan's words for the endpoint that cells join where none is named."""
+    """Describe the default endpoint that cells join."""
     return f"{_SOCKET} (a private folder)" if kind is None else free_port(kind)
 
 
 def socket_in(folder: str) -> str:
-    """Endpoint of a Unix socket in a folder."""
+    """Return the endpoint of a Unix socket in a folder."""
     return f"{_SOCKET}/{folder}/run"
 
 
 def check_listening(endpoint: str, kind: Kind | None, *, insecure: bool, option: Option = "--listen") -> None:
-    """Whether the plant may listen there.
+    """Check that the plant may listen on an endpoint.
 
     Args:
         endpoint: ``PROTOCOL/ADDRESS``.
-        kind: How processes prove who they are; None: not at all.
-        insecure: Whether anybody may come in who can reach it.
-        option: What it is for.
+        kind: Kind of credentials; None: no credentials.
+        insecure: Accept an endpoint that any peer can reach.
+        option: Option that names the endpoint.
 
     Raises:
-        InputError: It is not one endpoint, it is not TLS though certificates are to be shown, or strangers could come
-            in, or with passwords listen.
+        InputError: The endpoint is invalid, is not TLS although certificates are used, or lets strangers connect or,
+            with passwords, read the traffic.
     """
     match = _ENDPOINT.fullmatch(endpoint)
     if match is None:
@@ -88,17 +88,17 @@ def check_listening(endpoint: str, kind: Kind | None, *, insecure: bool, option:
 def check_opened(
     endpoint: str, addresses: Sequence[str], kind: Kind | None, *, insecure: bool, option: Option = "--listen"
 ) -> None:
-    """Whether the addresses that a session listens on are as private as the endpoint that was asked for.
+    """Check that the addresses on which a session listens are as private as the requested endpoint.
 
     Args:
-        endpoint: What was asked for.
-        addresses: Where the session listens.
-        kind: How processes prove who they are; None: not at all.
-        insecure: Whether anybody may come in who can reach it.
-        option: What it is for.
+        endpoint: Requested endpoint.
+        addresses: Addresses on which the session listens.
+        kind: Kind of credentials; None: no credentials.
+        insecure: Accept an endpoint that any peer can reach.
+        option: Option that names the endpoint.
 
     Raises:
-        InputError: One of them leaves this host, or Zenoh names none.
+        InputError: An address is reachable from more than is allowed, or Zenoh names no address.
     """
     if insecure or kind == "certificate":
         return
@@ -111,7 +111,7 @@ def check_opened(
 
 
 def _check_reach(endpoint: str, kind: Kind | None, option: Option) -> None:
-    """Raise InputError where more can reach an endpoint than may."""
+    """Raise InputError if an endpoint is reachable from more than is allowed."""
     if is_local(endpoint):
         if option == "--join" and kind is None and not endpoint.startswith(f"{_SOCKET}/"):
             raise InputError(
@@ -132,7 +132,7 @@ def _check_reach(endpoint: str, kind: Kind | None, option: Option) -> None:
 
 
 def is_local(endpoint: str) -> bool:
-    """Whether only this host reaches an endpoint: by its protocol, or by every address of its host's name."""
+    """Whether an endpoint is reachable from this host only, by its protocol or by all addresses of its host's name."""
     protocol, _, address = endpoint.partition("/")
     if protocol in _LOCAL:
         return True
@@ -141,13 +141,13 @@ def is_local(endpoint: str) -> bool:
 
 
 def host_of(endpoint: str) -> str:
-    """The host of ``PROTOCOL/HOST:PORT``, with whatever else Zenoh has there."""
+    """Return the host of ``PROTOCOL/HOST:PORT``, which may have Zenoh's metadata and configuration appended."""
     address = endpoint.partition("/")[2]
     return address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
 
 
 def loopback_address(endpoint: str) -> str:
-    """How processes of the same host reach who listens there: on every address is on loopback, too."""
+    """Return the endpoint with loopback in place of the wildcard address, for processes of the same host."""
     for everywhere, loopback in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
         endpoint = endpoint.replace(everywhere, loopback, 1)
     return endpoint
@@ -166,35 +166,35 @@ Transport = Literal["zenoh", "memory"]
 Wire = Literal["packed", "cells"]
 Processes = int | Literal["each"]
 _Endpoints = tuple[str | None, str | None]
-"""For listeners and operators, and for processes of cells."""
+"""Endpoint for listeners and operators, and endpoint for processes of cells."""
 
 ONE_WORKER_CELLS = 1_000
-"""Up to here a second worker costs more in messages than it saves in work."""
+"""Number of cells up to which a second worker costs more in messages than it saves in work."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How a scene is run; nothing here may change what happens in it.
+    """Options of a run, which must not change the simulated result of a scene.
 
     Attributes:
         processes: Worker processes for the cells; ``each``: one a cell; 0: everything in this process; None:
             by the number of cells and processor cores.
-        transport: What carries the messages; ``memory`` needs ``processes`` 0.
-        wire: The wire form; None: ``packed``, but ``cells`` where each cell has a process of its own.
+        transport: Transport of the messages; ``memory`` needs ``processes`` 0.
+        wire: Wire format; None: ``packed``, but ``cells`` where each cell has its own process.
         listen: Endpoint for listeners and operators; None: a free loopback port.
         join: Endpoint for processes of cells; None: a socket in a folder of this user's alone, or with keys a free
             loopback port.
-        realtime: Simulated seconds a wall second; None: as fast as it goes.
+        realtime: Simulated seconds per wall second; None: as fast as possible.
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
-        registers: Record the cells' registers every so many ticks; None: not.
-        respawn: How often in all a worker that went is started anew.
-        replay: Folder of a recorded run of the scene: what was done to that one is done again; None: nothing is.
-        protocol_report: Look at the protocol's field every so many ticks, and report; None: not.
-        keys: Folder that ``mdms keys`` has made: whom to let in, and what each may do; None: anybody, anything.
-        insecure: Listen where anybody could come in.
-        checkpoint_s: Leave a checkpoint every so many seconds of wall time; None: none.
+        registers: Period at which the cells' registers are recorded, ticks; None: never.
+        respawn: Most restarts of lost workers in all.
+        replay: Folder of a recorded run of the scene, whose live commands and losses are repeated; None: no replay.
+        protocol_report: Period at which the protocol's field is sampled for the report, ticks; None: no report.
+        keys: Folder made by ``mdms keys``, with credentials and rights of each role; None: no credentials.
+        insecure: Accept endpoints that any peer can reach.
+        checkpoint_s: Period of checkpoints, s of wall time; None: no checkpoints.
     """
 
     processes: Processes | None = None
@@ -217,17 +217,17 @@ class RunOptions:
 @final
 @dataclass(frozen=True, slots=True)
 class PlannedProcess:
-    """One process, or one part of this process.
+    """A process to start, or a part of this process.
 
     Attributes:
-        name: As shown in process lists and messages.
+        name: Name in process lists and messages.
         role: ``plant`` or ``cells``.
         where: ``this process``, ``a thread of this process`` or ``a process of its own``.
         cells: ``(row, column)`` of the cells that run in it.
         listen: Endpoint on which it listens for listeners and operators, or None.
         join: Endpoint on which it listens for processes of cells, or None.
         connect: Endpoint it connects to, or None.
-        ready: What has to happen before the first tick.
+        ready: Condition for the first tick, in words.
     """
 
     name: str
@@ -246,14 +246,14 @@ class Plan:
     """Everything that a run will start.
 
     Attributes:
-        run: Names the run on the bus.
+        run: Name of the run on the bus.
         scene: Name of the scene.
-        setting: ``--processes`` as it was understood.
+        setting: Value of ``--processes``, after defaults.
         workers: Number of worker processes.
-        transport: What carries the messages.
-        wire: The wire form.
-        partition: Which cells run where, a shard a worker (one shard if there are none).
-        processes: The plant first, then the cells'.
+        transport: Transport of the messages.
+        wire: Wire format.
+        partition: Cells of each shard, one shard a worker (one shard if there are no workers).
+        processes: Process of the plant, then the processes of cells.
     """
 
     run: str
@@ -267,11 +267,11 @@ class Plan:
 
     @property
     def cut(self) -> ProcessLayout:
-        """How the cells are cut into processes."""
+        """Layout of the cells in processes."""
         return ProcessLayout(self.partition, self.wire, tuple(process.name for process in self.processes[1:]))
 
     def as_json(self) -> dict[str, Any]:
-        """The plan in JSON's types; cells as ``row,column``."""
+        """Return the plan in JSON's types; cells are ``row,column``."""
         return {
             "run": self.run,
             "scene": self.scene,
@@ -295,7 +295,7 @@ class Plan:
 
 
 def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
-    """What running ``scene`` in this way will start.
+    """Plan the processes and endpoints of a run of ``scene``.
 
     Raises:
         InputError: The options do not go together, or not with the array.
@@ -333,7 +333,7 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
 
 
 def _check(options: RunOptions, scene: Scene, workers: int) -> None:
-    """Refuse options that are out of range, or that the scene or the workers don't go with."""
+    """Refuse options that are out of range, or incompatible with the scene or the workers."""
     for name, ticks in (("registers", options.registers), ("protocol-report", options.protocol_report)):
         if ticks is not None and ticks < 1:
             raise InputError(f"--{name} {ticks}: must be a number of ticks from 1")
@@ -356,7 +356,7 @@ def _check(options: RunOptions, scene: Scene, workers: int) -> None:
 
 
 def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | None:
-    """How processes prove who they are; None: not at all."""
+    """Return the kind of credentials in the keys; None without keys."""
     if options.transport == "memory":
         for name, value in (("listen", options.listen), ("join", options.join), ("keys", options.keys)):
             if value is not None:

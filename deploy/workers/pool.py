@@ -1,8 +1,8 @@
-"""Starting worker processes, hearing of their failures, and ending every one of them.
+"""Pool of worker processes: start, failure reports and end.
 
-The processes are forked by a nursery (`deploy.workers.forkserver`). Ending is by process, never by name: ask (over the
-bus, the caller's part), wait, SIGTERM, wait, SIGKILL. Should this process itself be killed, the nursery and
-every worker notice at once and end.
+The processes are forked by a fork server (`deploy.workers.forkserver`). A worker is ended by process id, never by name:
+a stop request (over the bus, sent by the caller), wait, SIGTERM, wait, SIGKILL. If this process is killed, the fork
+server and every worker notice at once and end.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ _NURSERY = (
 )
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""A worker's arrays are small: pools of threads would cost memory in each and gain nothing."""
+"""Thread pools of libraries, limited to one thread: a worker's arrays are small, and threads would only cost memory."""
 
 _PROGRAM = "FirmwareFailed"
-"""Kind of the failure of a cell's program."""
+"""Kind of failure of a cell's program."""
 
 _PATIENCE_S = 2.0
-"""How long each step of ending a worker by signals may take."""
+"""Longest wait after each signal that ends a worker."""
 
 
 class WorkerError(DeployError):
-    """A worker process could not do its work."""
+    """Failure of a worker process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ class Failure:
     """A worker that raised.
 
     Attributes:
-        worker: Its number.
-        error: What was wrong, one line.
+        worker: Number of the worker.
+        error: Error message, one line.
         kind: Name of the exception's class.
         detail: The traceback.
     """
@@ -63,17 +63,17 @@ class Failure:
 
 @final
 class WorkerPool:
-    """The worker processes of one run, started through a nursery and ended in `close`.
+    """Worker processes of one run, started through a fork server and ended in `close`.
 
     Args:
-        preload: Modules that every worker needs: imported once, before the first fork.
+        preload: Modules that every worker needs, imported once before the first fork.
         environment: Environment of the workers; default: this process's own.
 
     Attributes:
-        pids: Process id by worker, of those that have been started and have not ended.
-        ended: Exit status by worker, minus the signal's number where a signal ended it.
-        failures: What workers raised, in order of arrival.
-        gone: Whether every process has gone that could report anything, the nursery too.
+        pids: Process id of each running worker, by worker.
+        ended: Exit status of each ended worker, by worker; minus the signal's number if a signal ended the process.
+        failures: Failures of workers, in order of arrival.
+        pipe_closed: Whether the report pipe is closed: all workers and the fork server have ended.
     """
 
     def __init__(self, preload: Sequence[str] = (), environment: dict[str, str] | None = None) -> None:
@@ -82,7 +82,7 @@ class WorkerPool:
         self.failures: list[Failure] = []
         self._names: dict[int, str] = {}
         self._replaced: Counter[int] = Counter()
-        """Ends that are still to be told of workers that have been started anew."""
+        """Number of ends still to be reported, of workers that have been replaced."""
         self._unread = b""
         self.pipe_closed = False
         ours, theirs = socketpair()
@@ -129,7 +129,7 @@ class WorkerPool:
         self._send("start", list(enumerate(names)))
 
     def add(self, name: str) -> int:
-        """Fork one more worker, which does what all do; returns its number.
+        """Fork one more worker with the pool's order; return the worker's number.
 
         Raises:
             WorkerError: The process that starts workers has ended.
@@ -140,14 +140,14 @@ class WorkerPool:
         return worker
 
     def signal(self, number: int, workers: Sequence[int]) -> None:
-        """Send a signal to workers; those that have ended are left out."""
+        """Send a signal to workers; ended workers are skipped."""
         self._send("signal", (number, list(workers)))
 
     def restart(self, order: Callable[[int], None], worker: int) -> None:
-        """Fork a worker anew, that which has its number being ended first."""
+        """Replace a worker; a running process of the same number is killed first."""
         while self.poll():
             pass
-        with contextlib.suppress(WorkerError):  # nobody can be started any more: it stays away
+        with contextlib.suppress(WorkerError):  # no worker can be started any more
             if self.ended.pop(worker, None) is None:
                 self.signal(signal.SIGKILL, [worker])
                 self._replaced[worker] += 1
@@ -164,20 +164,20 @@ class WorkerPool:
             ) from error
 
     def name(self, worker: int) -> str:
-        """The worker's name, as given to `start`."""
+        """Return the worker's name, as given to `start`."""
         return self._names[worker]
 
     @property
     def running(self) -> list[int]:
-        """Workers that have not ended, those not yet known to be started included."""
+        """Workers that have not ended, workers without a start report included."""
         return [] if self.pipe_closed else [worker for worker in self._names if worker not in self.ended]
 
     def poll(self, timeout_s: float = 0.0) -> bool:
-        """Take in what has been reported, waiting for something up to ``timeout_s``; False if nothing was."""
+        """Handle pending reports, after a wait of up to ``timeout_s``; False if there was no report."""
         if self.pipe_closed or not _readable(self._reports, timeout_s):
             return False
         content = os.read(self._reports, 1 << 20)
-        if not content:  # every process that could report has gone
+        if not content:  # every process that could report has ended
             os.close(self._reports)
             self.pipe_closed = True
             self.pids.clear()
@@ -193,7 +193,7 @@ class WorkerPool:
             case "started":
                 self.pids[worker] = int(event["pid"])
             case "ended" if self._replaced[worker]:
-                self._replaced[worker] -= 1  # the one before
+                self._replaced[worker] -= 1  # end of the replaced process
             case "ended":
                 self.pids.pop(worker, None)
                 self.ended[worker] = int(event["status"])
@@ -205,7 +205,7 @@ class WorkerPool:
                 raise AssertionError(f"this is a bug: a worker reported {other!r}")
 
     def check(self) -> None:
-        """Raise WorkerError if a worker has failed or ended, or if the nursery has."""
+        """Raise WorkerError if a worker or the fork server has failed or ended."""
         while self.poll():
             pass
         if self.failures:
@@ -217,15 +217,15 @@ class WorkerPool:
             raise WorkerError("the process that starts workers ended before the run did")
 
     def messages(self) -> list[Failure]:
-        """The failures in the order to tell them: programs that failed first, then by worker.
+        """Return the failures in the order of messages: failed programs first, then by worker.
 
-        Workers are numbered as their cells, so the program that is named does not depend on which worker was faster.
+        Workers are numbered as their cells, so that the named program does not depend on the workers' speed.
         """
         return sorted(self.failures, key=lambda failure: (failure.kind != _PROGRAM, failure.worker))
 
     @property
     def programs_failed(self) -> bool:
-        """Whether programs that failed are all that has gone wrong, and some have."""
+        """Whether there are failures, and all of them are failed programs."""
         failed = {failure.worker for failure in self.failures if failure.kind == _PROGRAM}
         return (
             not self.pipe_closed and len(failed) == len(self.failures) > 0 and failed.issuperset(self.ended)
@@ -242,7 +242,7 @@ class WorkerPool:
         return True
 
     def close(self, grace_s: float = 0.0) -> None:
-        """End every worker and the nursery: wait ``grace_s``, then SIGTERM, then SIGKILL."""
+        """End every worker and the fork server: wait ``grace_s``, then SIGTERM, then SIGKILL."""
         if self._channel.closed:
             return
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
@@ -251,7 +251,7 @@ class WorkerPool:
                     self._channel.send(("signal", (number, self.running)))
                     grace_s = _PATIENCE_S
             self.wait(grace_s)
-        self._channel.close()  # the nursery, and whoever is left, end by themselves
+        self._channel.close()  # the fork server and remaining workers end when this closes
         try:
             self._nursery.wait(_PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -266,7 +266,7 @@ class WorkerPool:
 
 
 def describe_exit(status: int) -> str:
-    """Say how a process ended, from its exit status or minus the number of the signal."""
+    """Describe the end of a process, from its exit status or minus the number of the signal."""
     if status >= 0:
         return f"exit status {status}"
     try:

@@ -1,4 +1,4 @@
-"""Workers that went, started anew: how often, and when their cells take part again."""
+"""Respawning of lost workers, and the rejoin of their cells."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from bus.lockstep.counters import Loss
 
 _PROCESS = ("token lost", "stalled")
-"""Losses of a process; a firmware that fails fails again."""
+"""Reasons of losses that a new process can mend; a failed firmware would fail again."""
 
 
-class Workers(Protocol):
-    """What is needed of ``deploy.workers.system.System``."""
+class RestartableWorkers(Protocol):
+    """Operations of ``deploy.workers.system.System`` that the respawner uses."""
 
     def restart(self, shard: int) -> None:
-        """Start the process of a shard anew."""
+        """Restart the process of a shard."""
         ...
 
     def ended(self, shard: int) -> bool:
@@ -29,19 +29,19 @@ class Workers(Protocol):
 
 @final
 class Respawner:
-    """Starts workers anew that were lost.
+    """Respawner of lost workers, up to a total number of restarts.
 
     Args:
-        workers: The processes.
-        host: The plant's side of the lockstep.
-        partition: Which cells run where.
-        most: How often, in all.
-        warn: Told what is done, a line each.
+        workers: Processes of the cells.
+        host: Coordinator of the lockstep.
+        partition: Cells of each shard.
+        most: Most restarts in all.
+        warn: Called with one line for each restart, and for each restart refused.
     """
 
     def __init__(
         self,
-        workers: Workers,
+        workers: RestartableWorkers,
         host: Coordinator,
         partition: Partition,
         most: int,
@@ -54,10 +54,10 @@ class Respawner:
         self._warn = warn
         self._done = 0
         self._absent: dict[int, int] = {}
-        """Of shards that are waited for, a cell's index."""
+        """A cell's index, by shard that has not rejoined yet."""
 
     def on_lost(self, losses: Sequence[Loss]) -> None:
-        """Cells were lost: start their processes anew."""
+        """Restart the processes of lost cells."""
         for loss in losses:
             if loss.reason in _PROCESS:
                 shard = int(self._partition.shard_of[loss.cell])
@@ -65,7 +65,7 @@ class Respawner:
                     self._start(shard, loss.cell)
 
     def poll_rejoined(self, tick: int) -> list[int]:
-        """Cells that take part again from ``tick`` on, which is the next."""
+        """Return the cells that rejoin at ``tick``, which is the next; restart workers that have ended again."""
         if not self._absent:
             return []
         for shard, cell in list(self._absent.items()):

@@ -1,4 +1,4 @@
-"""The parts of a running system, put together: the plant's endpoints, the lockstep's host, and the cells."""
+"""Parts of a running system: endpoints of the plant, coordinator of the lockstep, and workers."""
 
 from __future__ import annotations
 
@@ -27,35 +27,35 @@ if TYPE_CHECKING:
     from plant.array import CellArray
 
 _STOP_S = 5.0
-"""Wall time that the cells get to leave when they are told to stop."""
+"""Wall time that the cells get to leave after the stop request."""
 
 _LEAVE_S = 0.5
-"""The least that they get from leaving the bus to their end."""
+"""Least wall time from leaving the bus to the end of a worker."""
 
 _LATE = 0.25
-"""Of the time until every cell must be ready, that workers which are not there get to say why."""
+"""Extra time for absent workers to report a failure, as a share of the time until every cell must be ready."""
 
 _WATCH_S = 0.05
-"""How often the barrier's watch looks whether it is still needed."""
+"""Period at which the barrier's watch checks for its end."""
 
 
 @final
 class System:
-    """One run's endpoints, host and cells; leaving the context ends whatever was started.
+    """Endpoints, coordinator and workers of one run; leaving the context ends everything that was started.
 
     Args:
-        plan: What to start.
-        scene: What runs.
-        options: How; of these the endpoints, the keys, and whether strangers may come in.
+        plan: Plan of the run.
+        scene: Scene of the run.
+        options: Options of the run, for the endpoints, the keys and ``insecure``.
 
     Attributes:
-        locator: Where listeners and operators connect; empty before ``open`` and where nobody can.
-        refusals: What the plant's sessions refuse, where they don't let anybody in.
-        coordinator: The plant's side of the lockstep; None before ``start``.
-        unreported: Cells (indices) that took part to the end and whose counts did not come in time.
+        locator: Endpoint for listeners and operators; empty before ``open`` and with the memory transport.
+        refusals: Monitor of denials by the plant's sessions; None before ``open`` and without access control.
+        coordinator: Coordinator of the lockstep; None before ``start``.
+        unreported: Indices of the cells that were alive at the end and whose counters did not arrive in time.
 
     Raises:
-        InputError: The keys don't fit, or don't hold.
+        InputError: The keys don't fit the run, or are not valid.
     """
 
     def __init__(self, plan: Plan, scene: Scene, options: RunOptions) -> None:
@@ -88,7 +88,7 @@ class System:
         """Open the plant's endpoints.
 
         Raises:
-            InputError: A port is in use, or an endpoint makes no sense, or more can reach it than may.
+            InputError: A port is in use, or an endpoint is invalid or reachable from more than is allowed.
         """
         if self._plan.transport == "memory":
             from bus.transports.memory import MemoryBus
@@ -124,18 +124,18 @@ class System:
         """Start the cells and wait until all of them are ready.
 
         Args:
-            array: The cells that exist.
-            readings: What they can read.
-            wanted: Registers that the cells are to show.
-            metered: Have the cells count their messages.
-            live: Let faults come while it runs, over serial lines too.
-            keeps: Have them told that they may be asked what they remember.
-            resumed: Where they go on; None: they begin.
-            counted: What all sides had counted by then.
+            array: Cells of the array.
+            readings: Schema of the cells' sensors.
+            wanted: Registers that the cells publish.
+            metered: Count the cells' messages.
+            live: Simulate serial lines byte by byte, so that faults can be injected at run time.
+            keeps: Let the coordinator request snapshots.
+            resumed: Resume point; None: the cells start at tick 0.
+            counted: Counters of all sides at the resume point.
 
         Raises:
-            DeployError: A worker failed on the way; says which and why.
-            BusError: Somebody was not ready in time; names who.
+            DeployError: A worker failed during the start; the message names the worker and the cause.
+            BusError: Cells were not ready in time; the message names the cells.
         """
         from bus.lockstep import Coordinator
 
@@ -179,7 +179,7 @@ class System:
         return host
 
     def restart(self, shard: int) -> None:
-        """Start the process of a shard anew, to take part in the run that goes on."""
+        """Restart the process of a shard, whose cells then rejoin the run."""
         assert self._cells is not None
         assert self._order is not None
         self._cells.restart(replace(self._order, joins_running=True), shard)
@@ -190,11 +190,11 @@ class System:
         return self._cells.ended(shard)
 
     def questions(self, key: str) -> RequestQueue | None:
-        """Where others may ask something while the run goes on; None where nobody can."""
+        """Return the queue of operators' requests; None with the memory transport."""
         return None if self._access is None else self._access.questions(key)
 
     def _barrier(self, host: Coordinator, endpoint: Endpoint, cells: WorkerGroup) -> None:
-        """The host's barrier, cut short by a worker that fails."""
+        """Wait at the coordinator's barrier, until all cells are ready or a worker fails."""
         over, trouble = threading.Event(), threading.Event()
 
         def watch() -> None:
@@ -231,17 +231,17 @@ class System:
             raise failed
 
     def explain(self) -> str:
-        """Tracebacks of the workers that raised, or an empty string."""
+        """Return the tracebacks of the workers that raised, or an empty string."""
         if self._cells is None:
             return ""
         self._cells.trouble(_WATCH_S)
         return self._cells.details()
 
     def stop(self, detail: str = "") -> MessageCounters | None:
-        """Tell the cells to stop, end those that do not, and close the endpoint; a second call does nothing.
+        """Send the stop request, end remaining workers, and close the endpoints; a second call does nothing.
 
         Returns:
-            The messages of all sides; None if the lockstep never was.
+            Counters of all sides; None if the lockstep was never started.
         """
         if self._stopped:
             return None

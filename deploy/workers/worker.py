@@ -1,4 +1,4 @@
-"""What a worker does: the agents of one shard, from loading their firmware to leaving the bus."""
+"""Worker of a run: the agents of one shard, from loading the firmware to leaving the bus."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
     from plant.array import CellArray
 
 _BEGIN: Final = 0.6
-"""Of the time until every cell must be ready, that the programs of a shard may take to begin."""
+"""Time for the ``init`` of a shard's programs, as a share of the time until every cell must be ready."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class ResumePoint:
-    """Where the cells' side of a run goes on.
+    """Resume point of the cells' side of a run.
 
     Attributes:
-        tick: The first tick to be stepped.
-        dead: Indices of the cells that had gone before it.
-        states: By shard, what its cells remember; of those that had cells left.
+        tick: First tick to run.
+        dead: Indices of the cells that were dead before this tick.
+        states: State of the cells, by shard; only shards with a live cell.
     """
 
     tick: int
@@ -55,24 +55,25 @@ class ResumePoint:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class WorkerConfig:
-    """What every worker of a run is told; calling it with a shard's number is that worker's whole life.
+    """Configuration of every worker of a run; a call with a shard's number runs the worker.
 
     Attributes:
-        scene: What runs.
-        array: The cells that exist.
-        partition: Which cells run where.
-        wire: The wire form.
-        run: Names the run on the bus.
-        connect: Where the plant listens.
-        readings: What the cells can read.
-        wanted: Registers of the cells that the plant wants to see.
-        metered: Whether cells count their messages.
-        live: Whether faults may come while it runs, over serial lines too.
-        joins: Whether it comes into a run that goes on already.
-        keys: Folder of each shard's role, whose name is the role's; none where anybody is let in.
-        alone: Whether a worker is a process of its own, which a scheduled crash of all its cells kills.
-        keeps: Whether the plant may ask the cells what they remember.
-        resumed: Where they go on; None: they begin.
+        scene: Scene of the run.
+        array: Cells of the array.
+        partition: Cells of each shard.
+        wire: Wire format.
+        run: Name of the run on the bus.
+        connect: Endpoint on which the plant listens.
+        sensors: Schema of the cells' sensors.
+        register_requests: Registers that the cells publish.
+        metered: Whether the cells' messages are counted.
+        byte_accurate_links: Whether serial lines are simulated byte by byte, so that faults can be injected at run
+            time.
+        joins_running: Whether the worker joins a run in progress.
+        keys: Folder of each shard's role, named after the role; empty without keys.
+        own_process: Whether a worker has its own process, which ends with a scheduled crash of all its cells.
+        snapshots: Whether the coordinator may request snapshots.
+        resumed: Resume point; None: the cells start at tick 0.
     """
 
     scene: Scene
@@ -92,7 +93,7 @@ class WorkerConfig:
     resumed: ResumePoint | None = None
 
     def __call__(self, shard: int) -> None:
-        """Open a session of one's own, serve, and close it."""
+        """Open a session, run the shard's agents, and close the session."""
         endpoint = open_session(self.connect, self.keys, shard, self.scene.stall)
         try:
             serve(self, shard, endpoint)
@@ -101,7 +102,7 @@ class WorkerConfig:
 
 
 def open_session(connect: str, keys: tuple[Path, ...], shard: int, stall: StallSpec) -> Endpoint:
-    """A session of a shard's own, which shows its role's keys if there are any."""
+    """Open a shard's session, with the keys of the shard's role if the run has keys."""
     from bus.transports.zenoh import open_client
 
     if not keys:
@@ -113,11 +114,11 @@ def open_session(connect: str, keys: tuple[Path, ...], shard: int, stall: StallS
 
 
 def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
-    """Run the agents of one shard until the plant says stop or all their cells are dead.
+    """Run the agents of one shard until the stop request or the death of all cells.
 
     Raises:
         FirmwareError: The firmware can't be loaded or initialised.
-        BusError: The plant is not there, or went away.
+        BusError: The plant can't be reached, or has left.
     """
     import asyncio
 
@@ -167,7 +168,7 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
 
 
 def _begun(order: WorkerConfig, shard: int) -> tuple[Shard, ShardContext]:
-    """Make a shard under the deadline of its programs' ``init``.
+    """Build a shard, with a deadline for the programs' ``init``.
 
     Raises:
         FirmwareError: The firmware can't be loaded or initialised, or an ``init`` does not return.
@@ -201,7 +202,7 @@ def _begun(order: WorkerConfig, shard: int) -> tuple[Shard, ShardContext]:
 def _recall(
     resumed: ResumePoint, shard: int, cells: Shard, records: tuple[type, ...], member: Participant
 ) -> None:
-    """Let the cells of a shard be what they were."""
+    """Restore the cells of a shard from the resume point."""
     from bus.state import load_state
 
     if shard in resumed.states:
@@ -210,7 +211,7 @@ def _recall(
 
 
 def _first(order: WorkerConfig, cells: Shard, member: Participant) -> int | None:
-    """The first tick of a shard that is ready; None where it is stopped before."""
+    """Return the first tick of a shard that is ready; None if the run stops before."""
     from bus.wire.frames import LinkFrame
 
     if order.resumed is None:
@@ -223,13 +224,13 @@ def _first(order: WorkerConfig, cells: Shard, member: Participant) -> int | None
 def make_controller(
     scene: Scene, faults: CellFaults | None = None, *, live: bool = False, metered: bool = False
 ) -> Controller:
-    """The controller that a scene gives every cell.
+    """Build the controller of a scene's cells.
 
     Args:
-        scene: What runs.
-        faults: ``faults_of(scene)``.
-        live: Whether more faults may come while it runs.
-        metered: Whether it counts the cell's messages.
+        scene: Scene of the run.
+        faults: Result of ``cell_faults(scene)``.
+        live: Whether serial lines are byte-accurate, so that faults can be injected at run time.
+        metered: Whether the cell's messages are counted.
     """
     from cell_firmware.build import build_controller
     from cell_firmware.loader import load
@@ -250,7 +251,7 @@ def make_controller(
 
 
 def cell_faults(scene: Scene) -> CellFaults | None:
-    """The faults that the cells of a scene carry out; None where there are none."""
+    """Return the faults of a scene that act in the cells; None without such faults."""
     injected = of_cells(in_run_faults(scene))
     if not injected:
         return None
@@ -260,7 +261,7 @@ def cell_faults(scene: Scene) -> CellFaults | None:
 
 
 def build_shard(order: WorkerConfig, index: int) -> tuple[Shard, ShardContext]:
-    """The cells of a shard before tick 0, and where they are."""
+    """Build a shard before tick 0, and the context of its cells."""
     from cell_firmware.effects.base import ShardContext
     from cell_firmware.firmware import Cells
     from cell_firmware.shard import FAULTS, Shard
@@ -300,7 +301,7 @@ def build_shard(order: WorkerConfig, index: int) -> tuple[Shard, ShardContext]:
 
 
 def _injector(order: WorkerConfig, shard: Shard, site: ShardContext) -> Callable[[Control], None]:
-    """What carries out live faults on a shard."""
+    """Return the callback that applies live faults to a shard."""
 
     def inject(control: Control) -> None:
         from deploy.control.protocol import apply_to_shard
@@ -319,8 +320,8 @@ def _all_dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, tic
 def _wait_for_next_tick(run: str, cells: int, endpoint: Endpoint) -> bool:
     """Wait until the plant begins the tick of the crash; False if the run ends instead.
 
-    Only then has everything that was sent before arrived: a process that killed itself earlier would take its
-    last messages with it, some of the time.
+    All messages sent before have arrived by then. A process that killed itself earlier would sometimes lose its last
+    messages.
     """
     control = plant_key(run, "control")
     while True:

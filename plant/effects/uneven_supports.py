@@ -71,7 +71,7 @@ class UnevenSupportsSpec(EffectSpec):
 
 @final
 @dataclass(frozen=True, slots=True)
-class Supports:
+class UnevenSupports:
     """Heights and stiffnesses of the cells' supports.
 
     Attributes:
@@ -85,7 +85,7 @@ class Supports:
     height_m: Floats
 
 
-def supports(spec: UnevenSupportsSpec, lattice: Lattice, seed: int) -> Supports:
+def supports(spec: UnevenSupportsSpec, lattice: Lattice, seed: int) -> UnevenSupports:
     """Draw every cell's support, and put in those that are known.
 
     Two numbers are drawn for every cell in row-major order, used or not: giving one cell its own changes no other.
@@ -106,4 +106,4 @@ def supports(spec: UnevenSupportsSpec, lattice: Lattice, seed: int) -> Supports:
             rate[cell] = one.stiffness_n_per_m / spec.stiffness_n_per_m
         if one.height_m is not None:
             height[cell] = one.height_m
-    return Supports(spec.stiffness_n_per_m, rate, height)
+    return UnevenSupports(spec.stiffness_n_per_m, rate, height)

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from cell_firmware.toolkit.trajectory import ReferenceTrajectory, Segment, at_all
+from cell_firmware.toolkit.trajectory import ReferenceTrajectory, TrajectorySegment, at_all
 
 LEGS = (
-    Segment(to_m=(0.3, 0.4)),
-    Segment(wait_s=2.0),
-    Segment(turn_rad=-1.0),
-    Segment(to_m=(0.3, -0.6), turn_rad=0.5),
+    TrajectorySegment(to_m=(0.3, 0.4)),
+    TrajectorySegment(wait_s=2.0),
+    TrajectorySegment(turn_rad=-1.0),
+    TrajectorySegment(to_m=(0.3, -0.6), turn_rad=0.5),
 )
 
 
@@ -53,4 +53,4 @@ def test_journeys_together_are_each_its_own():
 )
 def test_a_leg_moves_or_waits(leg: dict[str, object]):
     with pytest.raises(ValidationError, match="give wait_s, or to_m or turn_rad or both of these"):
-        Segment.model_validate(leg)
+        TrajectorySegment.model_validate(leg)

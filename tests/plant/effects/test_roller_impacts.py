@@ -198,7 +198,7 @@ def test_a_parcel_taken_back_to_where_it_was_meets_the_same_rollers_again() -> N
     solver, motion = plant._solver, WheelMotion(elliptic(plant), uniform(plant, (0.0, 0.0)), 0.0)
     assert isinstance(solver, Implicit)
     one = np.zeros(1, dtype=np.int64)
-    kept, ends = solver.keep(one), list[bytes]()
+    kept, ends = solver.snapshot(one), list[bytes]()
     for _ in range(2):
         solver.restore(kept)
         solver.advance(one, Segment.through(motion, np.ones(len(elliptic(plant))), 1.0, 1))
