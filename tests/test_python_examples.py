@@ -120,7 +120,7 @@ def test_a_program_that_fails_in_this_process_ends_the_run_with_its_cell() -> No
     assert "ZeroDivisionError" in result.detail
 
 
-@pytest.mark.system
+@pytest.mark.slow
 def test_backends_have_the_same_bits() -> None:
     states: list[bytes] = []
     for cells in (mdms.InProcess(), mdms.Workers(2)):

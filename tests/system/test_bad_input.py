@@ -63,6 +63,7 @@ def test_a_port_in_use_is_named(mdms: Start) -> None:
     assert not running.output.exists()
 
 
+@pytest.mark.slow
 def test_an_output_that_is_no_folder_is_named(mdms: Start, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     status, _, stderr = mdms("run", "motors", output=tmp_path / "file" / "out").end()

@@ -96,6 +96,7 @@ class Insider:
         assert heard == [None, None]
 
 
+@pytest.mark.slow
 def test_strangers_and_insiders_are_refused_counted_and_shown_and_the_digest_stays(
     mdms: Callable[..., Mdms], small: Callable[..., Path], tmp_path: Path
 ) -> None:

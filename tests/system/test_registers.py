@@ -36,6 +36,7 @@ def test_registers_are_recorded_after_the_ticks_asked_for_whoever_computes_them(
     assert digests == {json.loads(unseen)["digest"]}
 
 
+@pytest.mark.slow
 def test_the_recorded_integral_is_the_one_that_made_the_drives(mdms: Callable[..., Mdms]) -> None:
     running = mdms("run", "motors", "--duration", "0.1", "--no-picture", "--processes", "2", "--registers")
     assert running.end()[0] == 0

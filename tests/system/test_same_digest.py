@@ -86,7 +86,7 @@ def _shortened(name: str, duration_s: float) -> Scene:
     ("name", "duration_s", "ways"),
     [
         ("elliptic", 0.09, WAYS),
-        ("heat", 0.09, WAYS),
+        pytest.param("heat", 0.09, WAYS, marks=pytest.mark.slow),
         pytest.param("coulomb", 0.06, WAYS, marks=pytest.mark.slow),  # another solver
         pytest.param("motors", 0.15, WAYS + EACH, marks=pytest.mark.slow),
     ],

@@ -27,7 +27,9 @@ Values = NDArray[Any]
 
 @final
 class LieFault(CellTarget, CellFault):
-    """Numbers in messages of lying cells are replaced at their receivers: whole messages, beyond lines and framing.
+    """Neighbours of lying cells receive false numbers.
+
+    The numbers are replaced at the receivers: whole messages, beyond lines and framing.
 
     Modes: ``stuck``, the first value of the link while the fault is active; ``offset``, plus ``by``; ``factor``, times
     ``by``; ``random``, a value between the least and the greatest of the link while the fault is active, drawn for

@@ -158,6 +158,7 @@ def test_parcels_are_centred_for_as_long_as_asked_however_long_that_is() -> None
     assert len(world.left) == 1
 
 
+@pytest.mark.slow
 def test_cells_are_the_same_to_the_last_bit_however_the_array_is_cut(run: Callable[..., Any]) -> None:
     firmware = firmware_of(ReservePath, ["e ."], [(0, 1)], tile_cells=3)
     world = World(firmware, {(0, 0): [1, 1]})

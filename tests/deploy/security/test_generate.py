@@ -212,7 +212,7 @@ else:
 """
 
 
-@pytest.mark.parametrize("force", ["force", ""])
+@pytest.mark.parametrize("force", [pytest.param("force", marks=pytest.mark.slow), ""])
 def test_of_several_that_make_one_folder_at_once_each_makes_it_whole_or_is_refused(
     force: str, tmp_path: Path
 ) -> None:
