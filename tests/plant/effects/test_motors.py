@@ -300,6 +300,7 @@ def test_motors_that_contradict_themselves_are_refused(motors: dict[str, object]
         MotorsSpec.model_validate(motors)
 
 
+@pytest.mark.slow
 def test_a_load_needs_an_inertia_that_dc_gives_and_goes_with_no_dry_friction() -> None:
     base = dict(spec(parcel())) | {"solver": {"name": "implicit"}}
 

@@ -21,6 +21,8 @@ from tests.plant.laws import VISCOUS
 from tests.plant.reference import balances
 from tests.plant.scenes import SECOND, Floats, G, elliptic, lawful, parcel
 
+pytestmark = pytest.mark.slow  # kernels of this effect are compiled
+
 WEIGHT = 2.0 * G
 
 
