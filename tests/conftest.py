@@ -61,7 +61,7 @@ FOLDERS = {
         "deploy/studies/effects",
         "deploy/studies/orientations",
     ),
-    "kernels": ("plant",),
+    "kernels": ("plant", "deploy/checkpoints", "deploy/runs"),
 }
 """Folders of a mark."""
 

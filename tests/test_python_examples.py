@@ -13,6 +13,8 @@ import pytest
 
 import mdms
 
+pytestmark = pytest.mark.system  # each example is a process
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
 EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```python\n(.*?)^```", PAGE, re.S | re.M))
