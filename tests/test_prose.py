@@ -18,7 +18,7 @@ POINTING = re.compile(
 DENSE = 0.2
 """Greatest share of pointing words in a summary of eight words or more."""
 
-DENSE_LEFT = 30
+DENSE_LEFT = 1
 """Summaries that are denser all the same; may only shrink."""
 
 TWICE = {
