@@ -131,3 +131,35 @@ def test_backends_have_the_same_bits() -> None:
                 simulation.step()
             states.append(simulation.plant.state.tobytes())
     assert states[0] == states[1]
+
+
+SMALL = {
+    "duration_s": 0.1,
+    "array": {"rows": 3, "columns": 3},
+    "cells": {"parameters": {"field": {"kind": "uniform", "velocity_m_s": [0.1, 0.0]}}},
+    "parcels": [{"size_m": [0.2, 0.2], "mass_kg": 1.0, "position_m": [0.0, 0.0]}],
+    "friction": {"law": "viscous", "coefficient_s_per_m": 5.0},
+}
+
+
+def test_a_closed_simulation_is_not_stepped() -> None:
+    simulation = mdms.Simulation.open(mdms.load_scene(SMALL))
+    simulation.close()
+    for use in (simulation.step, simulation.run):
+        with pytest.raises(mdms.DeployError, match="is closed"):
+            use()
+
+
+def test_the_result_has_the_losses_of_all_ticks() -> None:
+    def fails_late(
+        state: tuple[int, bool] | None, inputs: mdms.CellInputs
+    ) -> tuple[object, mdms.CellOutputs]:
+        count = 0 if state is None else state[0]
+        return (count + 1, True), mdms.CellOutputs((1.0 / (3 - count) if inputs.presence[0] else 0.0, 0.0))
+
+    tables = {**SMALL, "cells": {"firmware": fails_late, "on_failure": "isolate"}}
+    with mdms.Simulation.open(mdms.load_scene(tables)) as simulation:
+        result = simulation.run()
+    assert result.cells_lost > 0
+    assert result.last_losses == ()
+    assert {loss.tick for loss in result.losses} == {3}

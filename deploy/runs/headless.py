@@ -24,7 +24,6 @@ from plant.errors import PlantError
 from plant.tick import TickHooks, TickRecord
 
 if TYPE_CHECKING:
-    from bus.lockstep.counters import Loss
     from deploy.recordings.digest import Digest
     from deploy.scenes.scene import Scene
     from plant.observations import Event
@@ -94,7 +93,6 @@ def _with_cells(scene: Scene, digest: Digest | None) -> RunResult:
     with System(plan(scene, options, run_name(scene, secrets.token_hex(4))), scene, options) as system:
         plant = load_plant(scene, say)
         started = time.perf_counter()
-        losses: list[Loss] = []
         try:
             system.open()
             simulation = Simulation.open(
@@ -105,6 +103,6 @@ def _with_cells(scene: Scene, digest: Digest | None) -> RunResult:
             result.end("failed", str(error))
             result.wall_s = time.perf_counter() - started
         else:
-            result, losses = simulation.run(), simulation.losses
-    result.events, result.losses = tuple(events), (*losses, *result.losses)
+            result = simulation.run()
+    result.events = tuple(events)
     return result

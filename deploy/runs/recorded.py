@@ -103,9 +103,9 @@ class RecordedRun:
         if result.died:
             self.log.on_died(self.log.ticks, result.died)
         elif result.failed:
-            self.log.note(result.losses)
-        elif result.losses:
-            self.log.on_lost(result.losses)
+            self.log.note(result.last_losses)
+        elif result.last_losses:
+            self.log.on_lost(result.last_losses)
 
     def _stop(self, result: RunResult, wall_s: float) -> None:
         """Stop the cells, ``wall_s`` after the first tick."""

@@ -37,8 +37,9 @@ class RunResult:
         status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
         reason: Why the status is not ``ok``, one line; empty where it is.
         detail: More lines on what went wrong, such as a program's traceback.
-        losses: Cells that were lost in the tick that ended the run, and by ``run_headless`` all before.
-        failed: Of these losses, the cells whose program failed, where that ended the run.
+        losses: All cells that were lost, in order of ticks.
+        last_losses: Those of the tick that ended the run, where losses ended it.
+        failed: Of the last losses, the cells whose program failed, where that ended the run.
         died: Cells whose scheduled death ended the run.
         events: Events of the plant, as far as somebody collected them: see ``run_headless``.
         state: ``(m, 6)``, x, y, angle and their rates of every parcel, m, rad and s.
@@ -54,6 +55,7 @@ class RunResult:
     reason: str = ""
     detail: str = ""
     losses: Sequence[Loss] = ()
+    last_losses: Sequence[Loss] = ()
     failed: Sequence[Loss] = ()
     died: tuple[int, ...] = ()
     events: Sequence[Event] = ()
@@ -102,7 +104,8 @@ class RunResult:
             period_ns: Length of a tick, ns.
             found: Losses before the last tick.
         """
-        self.losses, self.failed, self.died = ended.losses, ended.failed, ended.died
+        self.losses = (*found, *ended.losses)
+        self.last_losses, self.failed, self.died = ended.losses, ended.failed, ended.died
         if ended.failed:
             self.end("failed", failure(ended.failed, cells, period_ns))
             self.detail = ended.failed[0].detail

@@ -141,11 +141,13 @@ class Simulation:
             Its record; None where the run is over: see ``result``.
 
         Raises:
+            DeployError: The simulation is closed.
             PlantError: The plant could not advance.
             BusError: The bus broke.
         """
         if self._result is not None:
             return None
+        self._check_open()
         self._record = None
         ended = self.process.step()
         self.process.report()
@@ -157,9 +159,13 @@ class Simulation:
         """Run to the end of the scene, or to what ends it before.
 
         Errors of the plant, the bus and the workers are the result's status and reason. What hooks raise is passed on.
+
+        Raises:
+            DeployError: The simulation is closed, and had not ended.
         """
         if self._result is not None:
             return self._result
+        self._check_open()
         started = time.perf_counter()
         try:
             ended: LoopResult | Exception = self.process.run()
@@ -173,6 +179,7 @@ class Simulation:
         result, process = RunResult.of(self.plant), self.process
         if isinstance(ended, Exception):
             result.from_error(ended, process.tick, process.time_ns)
+            result.losses = tuple(self.losses)
         else:
             cells, tick_ns = self.plant.array.lattice.cells, self.scene.tick_ns
             result.from_loop(ended, cells, process.tick, tick_ns, self.losses)
@@ -203,6 +210,10 @@ class Simulation:
             counters = self._cells.stop("the run is over")
             if self._result is not None and counters is not None:
                 self._result.counters = counters
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise DeployError("the simulation is closed: its cells have ended")
 
     def _keep(self, record: TickRecord) -> None:
         self._record = record
