@@ -3,7 +3,7 @@
 A class whose objects change during a run names the attributes that change::
 
     class Motors:
-        remembers: ClassVar[StateFields] = StateFields("_volts", "_speed", "_travel")
+        state_fields: ClassVar[StateFields] = StateFields("_volts", "_speed", "_travel")
 
 ``save_state`` encodes these attributes, and the state of all objects reachable from them. ``load_state`` restores the
 state in an object built from the same scene, whose constant attributes are in place already. The fields of a class
@@ -21,7 +21,7 @@ import numpy as np
 from bus.errors import StateError
 from bus.state_codec import DECODE_ERRORS, ObjectState, Records, RngState, decode, encode
 
-DECLARED: Final = "remembers"
+DECLARED: Final = "state_fields"
 """Name of the class attribute that holds the ``StateFields``."""
 
 
@@ -96,8 +96,8 @@ def _part(owner: Any) -> ObjectState:
 
 def _values(owner: Any) -> Iterator[tuple[str, Any]]:
     """Yield the name and value of every state field of an object."""
-    for remembers in declared(type(owner)):
-        for name in (*remembers.names, *remembers.shared):
+    for state_fields in declared(type(owner)):
+        for name in (*state_fields.names, *state_fields.shared):
             yield name, _found(owner, name)
 
 
@@ -138,8 +138,8 @@ def _records(owner: Any, more: Sequence[type]) -> Records:
     """Return the record types, by name, declared by an object and all objects reachable from it."""
     found = {kind.__qualname__: kind for kind in more}
     for part in _objects(owner):
-        for remembers in declared(type(part)):
-            found |= {kind.__qualname__: kind for kind in remembers.records}
+        for state_fields in declared(type(part)):
+            found |= {kind.__qualname__: kind for kind in state_fields.records}
     return found
 
 
@@ -161,12 +161,12 @@ def _put_back(owner: Any, part: ObjectState, place: str) -> None:
     names = [name for name, _ in _values(owner)]
     if part.values.keys() != set(names):
         raise StateError(f"{place}: must be {', '.join(sorted(names))}, is {', '.join(sorted(part.values))}")
-    for remembers in declared(type(owner)):
-        for name in (*remembers.names, *remembers.shared):
+    for state_fields in declared(type(owner)):
+        for name in (*state_fields.names, *state_fields.shared):
             where, value = f"{place}.{name}", part.values[name]
             # Looked up only now: what a name means may hang on those before it.
             now = _found(owner, name)
-            if name in remembers.shared:
+            if name in state_fields.shared:
                 _fill(now, value, where)
                 continue
             merged = _merged(now, value, where)
@@ -186,7 +186,7 @@ def _merged(now: Any, value: Any, place: str) -> Any:
     """Merge a saved value into the value ``now`` of a freshly built object, and return the result."""
     if _is(value, ObjectState):
         if not declared(type(now)):
-            raise StateError(f"{place}: must be a {type(now).__name__}, which remembers nothing")
+            raise StateError(f"{place}: must be a {type(now).__name__}, which has no state_fields")
         _put_back(now, value, place)
         return now
     if _is(value, RngState):
@@ -214,7 +214,7 @@ def _each(now: Any, value: Any, place: str) -> Any:
         if _is(theirs, list, tuple) and not len(theirs) and not len(mine):
             continue
         if _merged(mine, theirs, f"{place}[{key}]") is not mine:
-            raise StateError(f"{place}[{key}]: must be an object that remembers")
+            raise StateError(f"{place}[{key}]: must be an object with state_fields")
     return now
 
 

@@ -95,7 +95,7 @@ class ControllerState:
 
     @staticmethod
     def concatenate(cells: Cells, states: Sequence[ControllerState]) -> ControllerState:
-        """Concatenate the states of single cells into the state of ``cells``."""
+        """Concatenate the states of single cells into the state of ``per_cell``."""
         first = states[0].parts
         return ControllerState(
             cells,

@@ -88,7 +88,7 @@ class Shard:
         FirmwareFailed: The firmware's ``init`` failed.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         "_tick", "_active", "_retired", "_drive", "_sent", "_outgoing", "_effects", "_memory"
     )
 

@@ -46,7 +46,7 @@ class DeadCells:
         lost: Whether the cell is dead for good, ``(n,)``; only ``revive`` clears it.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_down", "_gone", "_given", "mask", "lost")
+    state_fields: ClassVar[StateFields] = StateFields("_down", "_gone", "_given", "mask", "lost")
 
     def __init__(
         self,

@@ -41,7 +41,7 @@ class EventLog:
         halted: first error that ended a parcel's motion; None: no error.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("support_changes", "left_out", "outrun_s")
+    state_fields: ClassVar[StateFields] = StateFields("support_changes", "left_out", "outrun_s")
 
     def __init__(self, array: CellArray, solver: Solver, status: list[ParcelStatus], spec: PlantSpec) -> None:
         self._array, self._solver, self._status, self._spec = array, solver, status, spec
@@ -135,7 +135,7 @@ class RestDetector:
         slow_m_s: a parcel none of whose corners moves faster, or gains speed faster than this a second, is at rest.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_resting")
+    state_fields: ClassVar[StateFields] = StateFields("_resting")
 
     def __init__(self, radius: Floats, slow_m_s: float) -> None:
         from plant.kernels.exact import entry  # compiles or loads: only where a plant is really built

@@ -33,7 +33,7 @@ class OverlapDetector:
         radius: distance of each parcel's farthest corner, ``(m,)``, m.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_met")
+    state_fields: ClassVar[StateFields] = StateFields("_met")
 
     def __init__(self, footprints: Sequence[Floats], radius: Floats) -> None:
         self._footprints = footprints

@@ -48,7 +48,7 @@ class Plant:
         PlantError: a parcel doesn't stand on the array where it starts or is fed, or starts in an exit; or two overlap.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         "_fault_state",
         "_wheels",
         "_solver",

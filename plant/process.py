@@ -51,7 +51,7 @@ class PlantProcess:
             at such a time leaves the plant at ``time_ns``, with every tick before it reported.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         "_plant",
         "_sense",
         "_state",
@@ -133,7 +133,7 @@ class PlantProcess:
         if failed and self._deaths.stops_on_failure:
             return LoopResult("failed", tuple(losses), failed=failed)
         if self._abort:
-            stalled = all(loss.reason == "stalled" for loss in losses)
+            stalled = all(loss.reason == "timed_out" for loss in losses)
             return LoopResult("stalled" if stalled else "failed", tuple(losses))
         return None
 

@@ -88,7 +88,7 @@ class Propagator:
         contact: mover of touching parcels; None without parcel contact.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         "on_surface", "moving", "driven", "_freed", "_jammed", "contact"
     )
 

@@ -195,7 +195,7 @@ class Wheels(Protocol):
 class IdealWheels:
     """Wheels that run at the commanded surface speed at once; drives are m/s."""
 
-    remembers: ClassVar[StateFields] = StateFields("_speed")
+    state_fields: ClassVar[StateFields] = StateFields("_speed")
 
     def __init__(self, cells: int) -> None:
         self._still: Floats = np.zeros((cells, 2))

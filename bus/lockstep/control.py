@@ -67,7 +67,7 @@ class ControlState:
             raise WireError("control", "cells", "names a cell that is not in the array")
         cells = [self._lattice.index(cell) for cell in control.cells]
         match control.kind:
-            case "keep":
+            case "snapshot":
                 self.snapshot_tick = control.tick
                 return  # no part of the lockstep, and not counted
             case "start":
@@ -78,10 +78,10 @@ class ControlState:
             case "fault":
                 if not cells or self._company.owns(cells):
                     self._faults.append(control)
-            case "joining":
+            case "rejoin_prepare":
                 self.rejoins_offered.append(control)
                 self._company.allow_early(cells)
-            case "joined":
+            case "rejoin_commit":
                 if self._company.admit(cells, control.tick):
                     self.rejoin_tick = control.tick
             case "lost":

@@ -44,7 +44,7 @@ class Coordinator:
     Args:
         endpoint: The plant's endpoint.
         partition: Partition of the cells into shards; the same on all sides.
-        form: ``"packed"`` or ``"cells"``; the same on all sides.
+        form: ``"packed"`` or ``"per_cell"``; the same on all sides.
         run: Name of the run.
         readings: Contents of sense frames.
         message: The firmware's message type; None for firmware without messages.
@@ -110,7 +110,7 @@ class Coordinator:
             self._subscribe_shards("registers", self._seen.handle)
         self._keeping: SnapshotCollector | None = None
         if keeps:
-            self._subscribe_shards("memory", self._handle_snapshot)
+            self._subscribe_shards("snapshot", self._handle_snapshot)
         endpoint.watch_alive(self._form.alive_expr)
         endpoint.watch_alive(self._form.ready_expr)
         self._alive_key = plant_key(run, "alive")
@@ -118,7 +118,7 @@ class Coordinator:
 
     def _subscribe_shards(
         self,
-        leaf: Literal["report", "registers", "memory"],
+        leaf: Literal["report", "registers", "snapshot"],
         take: Callable[[int, bytes], None],
         haste: Urgency = "quiet",
     ) -> None:
@@ -261,7 +261,7 @@ class Coordinator:
 
     def request_snapshot(self, tick: int) -> None:
         """Request snapshots of all shards before ``tick``; call before ``publish`` of the previous tick."""
-        self._control.put(encode_control(Control("keep", tick)))
+        self._control.put(encode_control(Control("snapshot", tick)))
         self._keeping = SnapshotCollector(tick, self._muster.shards(tick - 1))
 
     def record_counters(self) -> None:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, final
 
 from bus.errors import WireError
-from bus.wire.frames import TALLY_LIMIT
+from bus.wire.frames import COUNTER_LIMIT
 
 _REFUSED: Final = "malformed "
-"""Begins the names of what was refused, in a report's tally."""
+"""Begins the names of what was refused, in a report's counters."""
 
-Reason = Literal["token lost", "stalled", "failed"]
+Reason = Literal["disconnected", "timed_out", "failed"]
 
 
 @final
@@ -49,19 +49,19 @@ class MessageCounters:
         """Count a refused payload."""
         self.refused[whose, error.name] += 1
 
-    def to_report(self, tally: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
-        """Return the tally of a report: the cells' counters, then refused payloads as far as there is room."""
+    def to_report(self, cell_counters: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
+        """Return the counters of a report: the cells' counters, then refused payloads as far as there is room."""
         refused = [(f"{_REFUSED}{whose}: {name}", number) for (whose, name), number in self.refused.items()]
-        fitting = [pair for pair in refused if len(pair[0]) <= TALLY_LIMIT]
-        return (*tally.items(), *fitting)[:TALLY_LIMIT]
+        fitting = [pair for pair in refused if len(pair[0]) <= COUNTER_LIMIT]
+        return (*cell_counters.items(), *fitting)[:COUNTER_LIMIT]
 
     @classmethod
     def from_report(
-        cls, counts: tuple[int, int, int, int], tally: Iterable[tuple[str, int]]
+        cls, counts: tuple[int, int, int, int], cell_counters: Iterable[tuple[str, int]]
     ) -> MessageCounters:
         """Return the counters that ``to_report`` encoded."""
         own, refused = Counter[str](), Counter[tuple[str, str]]()
-        for name, number in tally:
+        for name, number in cell_counters:
             whose, colon, error = name.removeprefix(_REFUSED).partition(": ")
             if name.startswith(_REFUSED) and colon:
                 refused[whose, error] += number

@@ -87,12 +87,12 @@ class CoordinatorMembership:
         # A unit whose drive came before its token went is lost at the next tick.
         gone = [unit for unit in self._roll.unhandled_departures if not have[unit]]
         self._roll.unhandled_departures.difference_update(gone)
-        self._drop_units([unit for unit in gone if self._drives.end_tick[unit] > tick], tick, "token lost")
+        self._drop_units([unit for unit in gone if self._drives.end_tick[unit] > tick], tick, "disconnected")
 
     def drop_timed_out(self, tick: int, busy: Collection[int] = ()) -> None:
         """Drop units whose drive for ``tick`` is missing, except units of ``busy`` shards."""
         missing = self._drives.missing(tick)
-        self._drop_units([u for u in missing if self._unit_shards[u] not in busy], tick, "stalled")
+        self._drop_units([u for u in missing if self._unit_shards[u] not in busy], tick, "timed_out")
 
     def drain_losses(self) -> list[Loss]:
         """Return the losses since the last call, ascending by cell, and clear them."""
@@ -130,7 +130,7 @@ class CoordinatorMembership:
             return []
         names = self._lattice.cells
         for absence in self.rejoins.to_prepare():
-            self._tell(Control("joining", tick, tuple(names[i] for i in absence.cells)))
+            self._tell(Control("rejoin_prepare", tick, tuple(names[i] for i in absence.cells)))
         cells = self.rejoins.ready_to_commit(self.shards(tick))
         if cells:
             self._lives.admit(cells, tick)
@@ -140,5 +140,5 @@ class CoordinatorMembership:
             # whoever is new knows nobody who went before
             gone = tuple(names[i] for i in np.flatnonzero(~self._lives.live(tick)).tolist())
             self._tell(Control("lost", 0, gone))
-            self._tell(Control("joined", tick, tuple(names[i] for i in cells)))
+            self._tell(Control("rejoin_commit", tick, tuple(names[i] for i in cells)))
         return cells

@@ -47,7 +47,7 @@ class Participant:
         endpoint: The endpoint of the shard's process.
         partition: Partition of the cells into shards; the same on all sides.
         shard: Number of the shard.
-        form: ``"packed"`` or ``"cells"``; the same on all sides.
+        form: ``"packed"`` or ``"per_cell"``; the same on all sides.
         run: Name of the run.
         readings: Contents of sense frames.
         message: The firmware's message type; None for firmware without messages.
@@ -55,7 +55,7 @@ class Participant:
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
             None: as long as the token stands. A paused or compiling plant is silent too.
         wanted: Registers that the plant requests.
-        tally: Returns the cells' counters by name, reported as the shard leaves.
+        cell_counters: Returns the cells' counters by name, reported as the shard leaves.
         keeps: Whether the plant may request snapshots.
         joins: Whether the shard joins a running simulation, at the tick that ``join`` returns.
         clock: Monotonic wall seconds.
@@ -77,7 +77,7 @@ class Participant:
         stall: StallSpec | None = None,
         silence_s: float | None = None,
         wanted: Sequence[RegisterRequest] = (),
-        tally: Callable[[], Mapping[str, int]] = dict[str, int],
+        cell_counters: Callable[[], Mapping[str, int]] = dict[str, int],
         keeps: bool = False,
         joins: bool = False,
         clock: Callable[[], float] = time.monotonic,
@@ -108,14 +108,14 @@ class Participant:
         self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._told.handle, 0)}
         endpoint.subscribe(control, "urgent")
         self._reports = ReportPublisher(
-            endpoint.publisher(shard_key(run, shard, "report")), self.counters, tally
+            endpoint.publisher(shard_key(run, shard, "report")), self.counters, cell_counters
         )
         registers = endpoint.publisher(shard_key(run, shard, "registers"))
         self._showing = RegisterPublisher(registers, wanted, self.counters, clock)
         self._remembering: SnapshotPublisher | None = None
         if keeps:
             self._remembering = SnapshotPublisher(
-                endpoint.publisher(shard_key(run, shard, "memory")), self.counters
+                endpoint.publisher(shard_key(run, shard, "snapshot")), self.counters
             )
         endpoint.watch_alive(token)
 
@@ -139,7 +139,7 @@ class Participant:
         if self._showing.requests:
             waiting["registers"] = self._showing.publisher
         if self._remembering is not None:
-            waiting["memory"] = self._remembering.publisher
+            waiting["snapshot"] = self._remembering.publisher
         while True:
             waiting = {key: publisher for key, publisher in waiting.items() if not publisher.matched()}
             if not waiting and self._told.plant_seen:

@@ -22,15 +22,15 @@ class ReportPublisher:
     Args:
         publisher: Publisher on the shard's report key.
         counts: Counters of the shard's side, to report and to update.
-        tally: Returns the cells' counters by name, reported as the shard leaves.
+        cell_counters: Returns the cells' counters by name, reported as the shard leaves.
     """
 
     def __init__(
-        self, publisher: Publisher, counts: MessageCounters, tally: Callable[[], Mapping[str, int]]
+        self, publisher: Publisher, counts: MessageCounters, cell_counters: Callable[[], Mapping[str, int]]
     ) -> None:
         self.publisher = publisher
         self._counts = counts
-        self._tally = tally
+        self._cell_counters = cell_counters
 
     def failed(self, cells: tuple[Cell, ...], tick: int, detail: str) -> None:
         """Report that ``cells`` failed in ``tick``."""
@@ -42,7 +42,7 @@ class ReportPublisher:
 
     def linked(self, cells: tuple[Cell, ...], tick: int) -> None:
         """Report that rejoining ``cells`` can be sent to."""
-        self._put(Report("linked", tick, cells))
+        self._put(Report("rejoin_ready", tick, cells))
 
     def busy(self, tick: int) -> None:
         """Report that the shard still computes ``tick``; not counted, as it depends on the wall clock."""
@@ -56,7 +56,7 @@ class ReportPublisher:
         """Report the shard's counters as the shard leaves; the report itself is not counted."""
         counts = self._counts
         numbers = (counts.sent, counts.delivered, counts.lost, counts.late)
-        report = Report("counts", tick, (), "", numbers, counts.to_report(self._tally()))
+        report = Report("counters", tick, (), "", numbers, counts.to_report(self._cell_counters()))
         self.publisher.put(encode_report(report))
 
 
@@ -97,11 +97,11 @@ class ReportReceiver:
             WireError: Not such a payload, of cells that are not its own, or too far ahead.
         """
         report = decode_report(payload, len(self._lattice))
-        if report.kind == "counts":
-            self.counters[shard] = MessageCounters.from_report(report.counts, report.tally)
+        if report.kind == "counters":
+            self.counters[shard] = MessageCounters.from_report(report.counts, report.counters)
         elif report.kind == "busy":
             self._busy[shard] = report.tick
-        elif report.kind == "linked":
+        elif report.kind == "rejoin_ready":
             cells = [self._lattice.index(cell) for cell in report.cells if cell in self._lattice]
             self._linked(shard, cells)
         else:

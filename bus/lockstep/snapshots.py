@@ -40,16 +40,16 @@ def decode_snapshot(payload: bytes, cells: int) -> ShardSnapshot:
     Raises:
         WireError: Anything else.
     """
-    tick, fields = reader("memory", (cells + 1) * CELL_LIMIT, _LAYOUT)(payload)
+    tick, fields = reader("snapshot", (cells + 1) * CELL_LIMIT, _LAYOUT)(payload)
     counts, state = fields["counts"], fields["state"]
     if (
         not isinstance(counts, list)
         or len(cast("Any", counts)) != 4
         or not all(map(_is_count, cast("Any", counts)))
     ):
-        raise WireError("memory", "type", "counts must be four integers")
+        raise WireError("snapshot", "type", "counts must be four integers")
     if type(state) is not bytes:
-        raise WireError("memory", "type", "state must be bytes")
+        raise WireError("snapshot", "type", "state must be bytes")
     a, b, c, d = cast("list[int]", counts)
     return ShardSnapshot(tick, (a, b, c, d), state)
 
@@ -128,7 +128,7 @@ class SnapshotCollector:
             WireError: The snapshot was not requested.
         """
         if kept.tick != self.tick or shard not in self._shards:
-            raise WireError("memory", "tick", "was not asked for")
+            raise WireError("snapshot", "tick", "was not asked for")
         self._kept[shard] = kept
 
     @property

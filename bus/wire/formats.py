@@ -9,7 +9,7 @@ from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema
 from bus.wire.packed import PackedCoordinator, PackedParticipant
 from bus.wire.per_cell import PerCellCoordinator, PerCellParticipant
 
-WireFormat = Literal["packed", "cells"]
+WireFormat = Literal["packed", "per_cell"]
 
 
 class FormatCodecs(NamedTuple):
@@ -21,5 +21,5 @@ class FormatCodecs(NamedTuple):
 
 FORMATS: Final[dict[WireFormat, FormatCodecs]] = {
     "packed": FormatCodecs(PackedCoordinator, PackedParticipant),
-    "cells": FormatCodecs(PerCellCoordinator, PerCellParticipant),
+    "per_cell": FormatCodecs(PerCellCoordinator, PerCellParticipant),
 }

@@ -14,8 +14,8 @@ from bus.wire.msgpack_codec import TICK_LIMIT, VERSION, Mask, Message, Values, l
 
 TEXT_LIMIT: Final = 4096
 """Longest text in a control record or report, characters."""
-TALLY_LIMIT: Final = 64
-"""Most numbers in a report's tally, and longest name of one, characters."""
+COUNTER_LIMIT: Final = 64
+"""Most numbers in a report's counters, and longest name of one, characters."""
 _MESSAGE_LIMIT: Final = 4096
 _MESSAGE_FIELDS: Final = 64
 
@@ -55,10 +55,10 @@ class LinkFrame(NamedTuple):
 class Control:
     """Control record of the plant to all shards; ``cells`` are ``(row, column)``.
 
-    ``keep`` requests a snapshot before ``tick``.
+    ``snapshot`` requests a snapshot before ``tick``.
     """
 
-    kind: Literal["start", "keep", "lost", "joining", "joined", "fault", "stop"]
+    kind: Literal["start", "snapshot", "lost", "rejoin_prepare", "rejoin_commit", "fault", "stop"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -69,17 +69,17 @@ class Control:
 class Report:
     """Report of a shard to the plant.
 
-    Kinds: cells ``failed``; a program is ``hung``; rejoining cells can be sent to (``linked``); the shard is still
-    ``busy`` with ``tick``; final ``counts``.
+    Kinds: cells ``failed``; a program is ``hung``; rejoining cells can be sent to (``rejoin_ready``); the shard
+    is still ``busy`` with ``tick``; final ``counters``.
     """
 
-    kind: Literal["failed", "hung", "linked", "busy", "counts"]
+    kind: Literal["failed", "hung", "rejoin_ready", "busy", "counters"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
     counts: tuple[int, int, int, int] = (0, 0, 0, 0)
     """Payloads sent, delivered, lost, late."""
-    tally: tuple[tuple[str, int], ...] = ()
+    counters: tuple[tuple[str, int], ...] = ()
     """Counters of the cells, by name."""
 
 
@@ -150,10 +150,10 @@ def encode_control(control: Control) -> bytes:
     )
 
 
-_CONTROLS: Final = ("start", "keep", "lost", "joining", "joined", "fault", "stop")
-_REPORTS: Final = ("failed", "hung", "linked", "busy", "counts")
+_CONTROLS: Final = ("start", "snapshot", "lost", "rejoin_prepare", "rejoin_commit", "fault", "stop")
+_REPORTS: Final = ("failed", "hung", "rejoin_ready", "busy", "counters")
 _CONTROL: Final = layout("kind", "cells", "detail")
-_REPORT: Final = layout("kind", "cells", "detail", "counts", "tally")
+_REPORT: Final = layout("kind", "cells", "detail", "counts", "counters")
 
 
 def decode_control(payload: bytes, cells: int) -> Control:
@@ -179,7 +179,7 @@ def encode_report(report: Report) -> bytes:
             "cells": report.cells,
             "detail": report.detail[:TEXT_LIMIT],
             "counts": report.counts,
-            "tally": report.tally,
+            "counters": report.counters,
         },
     )
 
@@ -190,7 +190,7 @@ def decode_report(payload: bytes, cells: int) -> Report:
     Raises:
         WireError: Anything else.
     """
-    limit = _text_limit(cells) + TALLY_LIMIT * (4 * TALLY_LIMIT + 16)
+    limit = _text_limit(cells) + COUNTER_LIMIT * (4 * COUNTER_LIMIT + 16)
     tick, fields = reader("report", limit, _REPORT)(payload)
     kind = fields["kind"]
     if kind not in _REPORTS:
@@ -204,22 +204,22 @@ def decode_report(payload: bytes, cells: int) -> Report:
         raise WireError("report", "type", "counts must be four integers")
     a, b, c, d = cast("list[int]", counts)
     places = _places("report", fields["cells"], cells)
-    text, tally = _text("report", fields["detail"]), _tally(fields["tally"])
-    return Report(kind, tick, places, text, (a, b, c, d), tally)
+    text, counters = _text("report", fields["detail"]), _counters(fields["counters"])
+    return Report(kind, tick, places, text, (a, b, c, d), counters)
 
 
 def _is_count(value: object) -> bool:
     return type(value) is int and 0 <= value < TICK_LIMIT
 
 
-def _tally(value: object) -> tuple[tuple[str, int], ...]:
-    if type(value) is list and len(cast("list[object]", value)) <= TALLY_LIMIT:
+def _counters(value: object) -> tuple[tuple[str, int], ...]:
+    if type(value) is list and len(cast("list[object]", value)) <= COUNTER_LIMIT:
         pairs = cast("list[list[Any]]", value)
         if all(type(pair) is list and len(pair) == 2 for pair in pairs) and all(
-            type(name) is str and len(name) <= TALLY_LIMIT and _is_count(number) for name, number in pairs
+            type(name) is str and len(name) <= COUNTER_LIMIT and _is_count(number) for name, number in pairs
         ):
             return tuple((name, number) for name, number in pairs)
-    raise WireError("report", "type", f"tally must be a list of at most {TALLY_LIMIT} names and numbers")
+    raise WireError("report", "type", f"counters must be a list of at most {COUNTER_LIMIT} names and numbers")
 
 
 def _text_limit(cells: int) -> int:

@@ -40,7 +40,7 @@ def cell_link_key(run: str, cell: tuple[int, int], side: int) -> str:
     return f"mdms/{run}/cell/{cell[0]}/{cell[1]}/to/{SIDES[side]}"
 
 
-def shard_key(run: str, shard: int | None, leaf: RunLeaf | Literal["report", "registers", "memory"]) -> str:
+def shard_key(run: str, shard: int | None, leaf: RunLeaf | Literal["report", "registers", "snapshot"]) -> str:
     """Key of one shard, or of every shard for None."""
     return f"mdms/{run}/shard/{'*' if shard is None else shard}/{leaf}"
 
@@ -55,7 +55,7 @@ def plant_key(run: str, leaf: Literal["state", "control", "alive", "operator"]) 
     return f"mdms/{run}/plant/{leaf}"
 
 
-def message_kinds(run: str, form: Literal["packed", "cells"], units: int) -> dict[str, int]:
+def message_kinds(run: str, form: Literal["packed", "per_cell"], units: int) -> dict[str, int]:
     """Key expression of each kind of message of a run, and how many of that kind a tick has at most.
 
     Args:
@@ -73,7 +73,7 @@ def message_kinds(run: str, form: Literal["packed", "cells"], units: int) -> dic
         f"{prefix}/plant/state": 1,
         f"{unit}/sense": units,
         f"{unit}/to/*": units * len(SIDES),
-        **{f"{prefix}/shard/*/{leaf}": units for leaf in ("memory", "registers", "report")},
+        **{f"{prefix}/shard/*/{leaf}": units for leaf in ("snapshot", "registers", "report")},
         f"{unit}/drive": units,
     }
 

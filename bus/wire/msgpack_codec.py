@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bus.errors import WireError
 from bus.sensors import CameraFrame, Labels
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Version of every payload; another is refused."""
 TICK_LIMIT: Final = 2**62
 NUMBERS: Final[frozenset[type]] = frozenset((int, float))

@@ -72,7 +72,7 @@ class InputFilter(ABC):
         counters: Events in live cells so far, by name.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("counters")
+    state_fields: ClassVar[StateFields] = StateFields("counters")
 
     def __init__(self) -> None:
         self.counters: Counter[str] = Counter()

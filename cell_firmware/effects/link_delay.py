@@ -89,7 +89,7 @@ class LinkDelaySpec(Delays, CellEffectSpec):
 class _AllAlike(InputFilter):
     """Filter with a constant delay: stores one inbox for each tick of the delay, so that no message overtakes."""
 
-    remembers: ClassVar[StateFields] = StateFields("_under_way", records=(Inbox,))
+    state_fields: ClassVar[StateFields] = StateFields("_under_way", records=(Inbox,))
 
     def __init__(self, ticks: int, site: ShardContext, message: np.dtype[np.void]) -> None:
         super().__init__()
@@ -111,7 +111,7 @@ class _AllAlike(InputFilter):
 class _EachItsOwn(InputFilter):
     """Filter with a delay for each message: stores one inbox for each tick of the greatest delay."""
 
-    remembers: ClassVar[StateFields] = StateFields("_last_due", "_received", "_message")
+    state_fields: ClassVar[StateFields] = StateFields("_last_due", "_received", "_message")
 
     def __init__(self, spec: Delays, site: ShardContext, message: np.dtype[np.void], purpose: str) -> None:
         super().__init__()

@@ -89,7 +89,7 @@ class SensorSpec(CellEffectSpec):
 class _Threshold(InputFilter):
     """A comparator with hysteresis."""
 
-    remembers: ClassVar[StateFields] = StateFields("_there")
+    state_fields: ClassVar[StateFields] = StateFields("_there")
 
     def __init__(self, spec: SensorSpec, site: ShardContext) -> None:
         super().__init__()
@@ -130,7 +130,7 @@ class _Debounce(InputFilter):
     A reading counts once: where cells have their own clocks, a cell may have no new reading in an exchange.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_believed", "_read")
+    state_fields: ClassVar[StateFields] = StateFields("_believed", "_read")
 
     def __init__(self, ticks: int, site: ShardContext) -> None:
         super().__init__()
@@ -159,7 +159,7 @@ class _Debounce(InputFilter):
 
 @final
 class _Latency(InputFilter):
-    remembers: ClassVar[StateFields] = StateFields("_under_way")
+    state_fields: ClassVar[StateFields] = StateFields("_under_way")
 
     def __init__(self, ticks: int, site: ShardContext) -> None:
         super().__init__()

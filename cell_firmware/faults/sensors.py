@@ -46,7 +46,7 @@ class SensorFault(CellTarget, CellFault):
             yield self.make_filter(AffectedSensors(site, rows, which), injected)
 
     @abstractmethod
-    def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> FaultFilter:
+    def make_filter(self, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> FaultFilter:
         """Return the filter of a shard's affected sensors."""
 
 
@@ -80,17 +80,17 @@ class SensorFilter(FaultFilter):
     """A filter that changes readings of the affected sensors, and counts wrong bits.
 
     Args:
-        struck: The sensors.
+        affected: The sensors.
         injected: The fault.
     """
 
-    def __init__(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
+    def __init__(self, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
         super().__init__(injected, "wrong")
-        self._struck = struck
+        self._affected = affected
 
     def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Replace the readings of the affected sensors."""
-        told, at = self._struck.copied(inputs), self._struck.at
+        told, at = self._affected.copied(inputs), self._affected.at
         level = None if told.level is None else told.level[at]
         bit, level = self.override(tick, told.presence[at], level)
         told.presence[at] = bit

@@ -37,7 +37,7 @@ class Checkpoint:
         reporter: State of the protocol's reporter; None without a protocol report.
         counts: Payloads of all sides: sent, delivered, lost, late.
         refused: Number of malformed payloads, by owner of the key and name of the error.
-        tally: Counters of cells whose processes have left.
+        counters: Counters of cells whose processes have left.
         recorded: Number of messages in the recording, by topic, of complete ticks.
         dead: Indices of dead cells.
         wall_s: Wall time of the complete ticks, s.
@@ -56,7 +56,7 @@ class Checkpoint:
     reporter: bytes | None
     counts: tuple[int, int, int, int]
     refused: dict[tuple[str, str], int]
-    tally: dict[str, int]
+    counters: dict[str, int]
     recorded: dict[str, int]
     dead: tuple[int, ...]
     wall_s: float
@@ -66,7 +66,7 @@ class Checkpoint:
         """Return the message counters as the bus keeps them."""
         counts = MessageCounters(*self.counts)
         counts.refused.update(self.refused)
-        counts.cell_counters.update(self.tally)
+        counts.cell_counters.update(self.counters)
         return counts
 
     def to_bytes(self) -> bytes:
@@ -111,7 +111,7 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
     "reporter": (bytes, type(None)),
     "counts": (tuple,),
     "refused": (dict,),
-    "tally": (dict,),
+    "counters": (dict,),
     "recorded": (dict,),
     "dead": (tuple,),
     "wall_s": (float,),
@@ -121,7 +121,7 @@ _ITEMS: Final[Mapping[str, tuple[type, type]]] = {
     "bound": (str, str),
     "states": (int, bytes),
     "refused": (tuple, int),
-    "tally": (str, int),
+    "counters": (str, int),
     "recorded": (str, int),
 }
 """Types of keys and values, of maps with one type each."""

@@ -199,7 +199,7 @@ class Checkpointer:
             states=together.states,
             counts=(counts.sent, counts.delivered, counts.lost, counts.late),
             refused=dict(counts.refused),
-            tally=dict(counts.cell_counters),
+            counters=dict(counts.cell_counters),
             **plant,
         )
         self._writer = threading.Thread(

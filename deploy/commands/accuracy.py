@@ -98,7 +98,7 @@ def accuracy(
     """
     from dataclasses import replace
 
-    from deploy.runs.setup import tell_cautions
+    from deploy.runs.setup import report_warnings
     from deploy.studies.accuracy.study import StudyPlan, study
     from deploy.util.signals import Interruption
 
@@ -114,7 +114,7 @@ def accuracy(
     with interruption.handling(last=True), interruption.interruptible():
         plan = replace(StudyPlan.of(quick=quick, repeats=repeats), sampling=sampling and target is None)
         tell = silent if quiet else say
-        tell_cautions(found, tell)
+        report_warnings(found, tell)
         with locked_folder(output, tell) as folder:  # before the work: it would be for nothing
             report = study(found, plan, say=tell, look=interruption.raise_if_requested)
             if folder is not None:

@@ -295,7 +295,7 @@ def _run(
         with interruption.interruptible():
             cases = cases_of(asked, text)
             for line in dict.fromkeys(line for case in cases.cases for line in warnings_of(case.scene)):
-                tell(f"caution: {line}")
+                tell(f"warning: {line}")
         if folder is None:
             folder = new_folder(run_name(cases.scene, f"campaign-{time.strftime('%Y%m%d-%H%M%S')}"))
         if resumed:

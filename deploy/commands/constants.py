@@ -53,11 +53,11 @@ def constants(
       [cyan]mdms constants elliptic[/cyan]
       [cyan]mdms constants elliptic --at 0.1,0,30[/cyan]
     """
-    from deploy.runs.setup import tell_cautions
+    from deploy.runs.setup import report_warnings
 
     found = load_scene(scene, sets)
     check_parcel(found, parcel)
-    tell_cautions(found, say)
+    report_warnings(found, say)
     if at is not None:
         found = _posed(found, parcel, at)
     motion = _constants(found, parcel)

@@ -89,9 +89,9 @@ def effects(
     tell = silent if quiet else say
     interruption = Interruption()
     with interruption.handling(last=True), interruption.interruptible():
-        from deploy.runs.setup import load_plant, tell_cautions
+        from deploy.runs.setup import load_plant, report_warnings
 
-        tell_cautions(found, tell)
+        report_warnings(found, tell)
         load_plant(found, tell)  # whatever the plant refuses in the scene itself is bad input
         if ladder or output is not None:
             with locked_folder(output, tell) as folder:

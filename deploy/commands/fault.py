@@ -120,15 +120,15 @@ def _requests(
         if kind == "list" and target:
             raise InputError("fault list: takes no target")
         if kind == "list":
-            return [{"do": "list"}]
+            return [{"op": "list"}]
         if not target or not all(text.isascii() and text.isdigit() for text in target):
             raise InputError("fault repair: must be followed by numbers of faults; see mdms fault list")
-        return [{"do": "repair", "number": int(text)} for text in target]
+        return [{"op": "repair", "number": int(text)} for text in target]
     fault: dict[str, Any] = {"kind": kind, **_target(target)}
     if side is not None:
         fault["side"] = side
     apply(fault, [Override.parse(text) for text in sets])
-    return [{"do": "inject", "fault": fault, "for_s": for_s}]
+    return [{"op": "inject", "fault": fault, "for_s": for_s}]
 
 
 def _target(texts: list[str]) -> dict[str, Any]:
@@ -150,18 +150,18 @@ def _target(texts: list[str]) -> dict[str, Any]:
 
 def _print(request: dict[str, Any], answer: dict[str, Any]) -> None:
     when = f"from tick {answer['tick']:,} ({answer['time_s']:g} s)"
-    if request["do"] == "inject":
+    if request["op"] == "inject":
         named = ", ".join(f"{row},{column}" for row, column in answer["cells"][:6])
-        more = ", ..." if answer["struck"] > 6 else ""
-        what = f"{request['fault']['kind']} of {plural(answer['struck'], 'cell')} ({named}{more})"
+        more = ", ..." if answer["affected"] > 6 else ""
+        what = f"{request['fault']['kind']} of {plural(answer['affected'], 'cell')} ({named}{more})"
         print(f"{answer['run']}: fault {answer['number']}, {what}, {when}")
-    elif request["do"] == "repair":
+    elif request["op"] == "repair":
         print(f"{answer['run']}: fault {answer['number']} repaired, {when}")
     elif not answer["faults"]:
         print(f"{answer['run']}: no faults")
     for one in answer.get("faults", ()):
         end = "for good" if one["until_tick"] is None else f"until tick {one['until_tick']:,}"
         print(
-            f"{one['number']:>4}  {one['kind']} of {plural(one['struck'], 'cell')}  "
+            f"{one['number']:>4}  {one['kind']} of {plural(one['affected'], 'cell')}  "
             f"from tick {one['from_tick']:,} {end}  {one['state']}"
         )

@@ -22,7 +22,7 @@ _ROLES = 8
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make, for the keys.")]
 WireOption = Annotated[
-    Literal["packed", "cells"] | None,
+    Literal["packed", "per_cell"] | None,
     typer.Option("--wire", help="As the run is to have it. Default: as mdms run does."),
 ]
 HostOption = Annotated[

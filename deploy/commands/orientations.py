@@ -76,7 +76,7 @@ def orientations(
       [cyan]mdms orientations elliptic --output study[/cyan]
       [cyan]mdms orientations elliptic --sizes 0.3:0.8:60,0.2:0.5:60 --output study[/cyan]
     """
-    from deploy.runs.setup import tell_cautions
+    from deploy.runs.setup import report_warnings
     from deploy.studies.orientations.study import study
     from deploy.util.signals import Interruption
 
@@ -86,7 +86,7 @@ def orientations(
     ranges = None if sizes is None else _ranges(sizes)
     interruption = Interruption()
     with interruption.handling(last=True), interruption.interruptible():
-        tell_cautions(found, say)
+        report_warnings(found, say)
         asked = study(found, parcel, place)
         with locked_folder(output, say) as folder:
             if ranges is None:

@@ -41,7 +41,7 @@ TransportOption = Annotated[
     ),
 ]
 WireOption = Annotated[
-    Literal["packed", "cells"] | None,
+    Literal["packed", "per_cell"] | None,
     typer.Option(
         "--wire",
         rich_help_panel=EXECUTION_PANEL,

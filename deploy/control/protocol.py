@@ -62,11 +62,11 @@ def decode_fault(data: Mapping[str, Any], scene: Scene) -> FaultInstance[FaultSp
     fault, lattice = cast("FaultSpec", one.fault), scene.lattice()
     if any(True for _ in fault.problems(lattice)):
         raise ValueError("it names cells that are not in the array")
-    struck = fault.affected_cells(lattice, scene.seed, one.number)
+    affected = fault.affected_cells(lattice, scene.seed, one.number)
     return FaultInstance(
         one.number,
         fault,
-        struck,
+        affected,
         one.first,
         NO_TICK_LIMIT if one.end is None else one.end,
         injected_at_runtime=True,

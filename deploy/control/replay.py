@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from deploy.recordings.reader import Recording
     from deploy.scenes.scene import Scene
 
-FOUND: Final = ("token_lost", "stalled")
+FOUND: Final = ("disconnected", "timed_out")
 """Losses that don't recur independently when the run is repeated."""
 _FIRST_NUMBER: Final = 1_000_000
 """Number of the first fault that stands for losses, above the numbers of scheduled and live faults."""

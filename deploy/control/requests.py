@@ -24,7 +24,7 @@ def _kind_of(fault: object) -> object:
 class InjectRequest(Spec):
     """Request for a fault from the next tick on."""
 
-    do: Literal["inject"]
+    op: Literal["inject"]
     fault: Fault
     for_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)] | None = None
     """Simulated time until the repair, s; None: as ``fault.until_s`` says, or no repair."""
@@ -40,21 +40,21 @@ class InjectRequest(Spec):
 class RepairRequest(Spec):
     """Request to repair an active fault at the next tick."""
 
-    do: Literal["repair"]
+    op: Literal["repair"]
     number: Annotated[int, Field(ge=0)]
 
 
 class ListRequest(Spec):
     """Request for the list of faults."""
 
-    do: Literal["list"]
+    op: Literal["list"]
 
 
 Request = InjectRequest | RepairRequest | ListRequest
 
 
 class _Asked(Spec):
-    request: Annotated[Request, Field(discriminator="do")]
+    request: Annotated[Request, Field(discriminator="op")]
 
 
 class RequestError(DeployError):

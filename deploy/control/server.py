@@ -123,7 +123,7 @@ class ControlServer:
                 one = self._new(request, tick)
                 self._inject(one)
                 cells = [list(self._lattice.cells[int(i)]) for i in one.cells[:64]]
-                return {"ok": True, **time, "number": one.number, "cells": cells, "struck": len(one.cells)}
+                return {"ok": True, **time, "number": one.number, "cells": cells, "affected": len(one.cells)}
             case RepairRequest():
                 self._repair(request.number, tick)
                 return {"ok": True, **time, "number": request.number}
@@ -162,8 +162,8 @@ class ControlServer:
         if problems:
             raise RequestError(*problems)
         number = max(self._faults, default=-1) + 1
-        struck = fault.affected_cells(self._lattice, self._scene.seed, number)
-        one = FaultInstance(number, fault, struck, tick, end, injected_at_runtime=True)
+        affected = fault.affected_cells(self._lattice, self._scene.seed, number)
+        one = FaultInstance(number, fault, affected, tick, end, injected_at_runtime=True)
         if len(_text(one)) > TEXT_LIMIT:
             raise RequestError("fault.cells: are too many to be told at once: use rectangle or share")
         return one
@@ -183,7 +183,7 @@ class ControlServer:
         return {
             "number": one.number,
             "kind": one.fault.kind_name,
-            "struck": len(one.cells),
+            "affected": len(one.cells),
             "from_tick": one.start_tick,
             "until_tick": None if one.end_tick == NO_TICK_LIMIT else one.end_tick,
             "state": state,

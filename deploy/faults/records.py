@@ -10,7 +10,7 @@ from deploy.util.formatting import plural
 if TYPE_CHECKING:
     from bus.fault import FaultInstance, FaultSpec
 
-_DID = {"crash": "crashed", "token_lost": "went away"}
+_DID = {"crash": "crashed", "disconnected": "went away", "timed_out": "timed out"}
 """What a cell did that is lost, by the fault's kind, where that is not the word for it."""
 _BACK = "respawn"
 """The kind of those that tell of cells that were lost and take part again."""
@@ -137,13 +137,13 @@ def _kind(fault: Mapping[str, Any]) -> str:
 
 def _lasting(fault: Mapping[str, Any], end_s: float | None) -> str:
     """One that begins, and may end."""
-    struck = _cells(fault)
+    affected = _cells(fault)
     if fault["kind"] == _BACK:
-        return f"{struck} came back at {fault['time_s']:g} s"
+        return f"{affected} came back at {fault['time_s']:g} s"
     if fault["kind"] == "add":
-        return f"{struck} not there yet" if end_s is None else f"{struck} plugged in at {end_s:g} s"
+        return f"{affected} not there yet" if end_s is None else f"{affected} plugged in at {end_s:g} s"
     if fault["kind"] == "remove":
         again = "" if end_s is None else f", plugged in again at {end_s:g} s"
-        return f"{struck} pulled at {fault['time_s']:g} s{again}"
+        return f"{affected} pulled at {fault['time_s']:g} s{again}"
     repaired = "" if end_s is None else f", repaired at {end_s:g} s"
-    return f"{_kind(fault)} of {struck} at {fault['time_s']:g} s{repaired}"
+    return f"{_kind(fault)} of {affected} at {fault['time_s']:g} s{repaired}"

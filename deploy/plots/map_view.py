@@ -147,7 +147,7 @@ def _draw_arrows(axes: Axes, track: RunTrace) -> None:
     axes.set_title(f"wheels, longest arrow {fastest:.3g} m/s", loc="right", color=_ARROW, fontsize=8, pad=4)
 
 
-def struck_cells(track: RunTrace) -> set[tuple[int, int]]:
+def affected_cells(track: RunTrace) -> set[tuple[int, int]]:
     """Return the cells affected by a fault with begin and end, except cells that were out of the array."""
     return {
         (row, column)
@@ -176,8 +176,8 @@ def _draw_faults(axes: Axes, track: RunTrace) -> None:
     )
     away = [index[cell] for cell, again_s in out.items() if again_s is None and cell in index]
     _draw_squares(axes, track, away, facecolors="white", edgecolors=_PULLED, linestyles=(0, (2, 1.5)))
-    struck = [index[cell] for cell in struck_cells(track) if cell in index]
-    _draw_squares(axes, track, struck, edgecolors=LOST)
+    affected = [index[cell] for cell in affected_cells(track) if cell in index]
+    _draw_squares(axes, track, affected, edgecolors=LOST)
     lost = [index[cell] for cell in lost_for_good(track.faults) if cell in index]
     _draw_squares(axes, track, lost, facecolors="#fbd9d3", edgecolors=LOST)
     _draw_crosses(axes, track, lost)

@@ -53,7 +53,7 @@ class LinkLoad:
 def link_load(
     scene: Scene,
     message: np.dtype[np.void] | None,
-    tally: Mapping[str, int],
+    counters: Mapping[str, int],
     cell_ticks: int,
     link_ticks: int,
 ) -> LinkLoad | None:
@@ -62,7 +62,7 @@ def link_load(
     Args:
         scene: Scene of the run.
         message: Type of its messages.
-        tally: Counters of its cells.
+        counters: Counters of its cells.
         cell_ticks: Sum over cells of the ticks in which the cell was alive.
         link_ticks: Sum over directed links of the ticks in which the sender was alive.
     """
@@ -78,7 +78,7 @@ def link_load(
         capacity = min(capacity, settings.polled_bytes * scene.tick_ns / settings.period_ns)
     if settings.dwell_periods is not None:
         capacity /= 4  # one SCI for four sides
-    sent, heard = tally.get("messages.sent", 0), tally.get("messages.heard", 0)
+    sent, heard = counters.get("messages.sent", 0), counters.get("messages.heard", 0)
     size = bytes_of(message)
     return LinkLoad(
         sent=sent,

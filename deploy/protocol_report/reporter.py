@@ -54,7 +54,7 @@ class Reporter:
         FirmwareError: The firmware raised when it was asked for its theory.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("notes", "_limit", "residuals", "snapshots")
+    state_fields: ClassVar[StateFields] = StateFields("notes", "_limit", "residuals", "snapshots")
 
     def __init__(self, scene: Scene, lattice: Lattice, every: int = 1) -> None:
         from cell_firmware.loader import load
@@ -100,14 +100,14 @@ class Reporter:
             self._take(tick, drive.copy(), live)
 
     def report(
-        self, ticks: int, dead: Mapping[tuple[int, int], int], tally: Mapping[str, int] | None
+        self, ticks: int, dead: Mapping[tuple[int, int], int], counters: Mapping[str, int] | None
     ) -> ProtocolReport:
         """Build the report of the protocol.
 
         Args:
             ticks: Number of ticks of the run.
             dead: Tick of death of every dead cell.
-            tally: Counters of the cells; None if unknown.
+            counters: Counters of the cells; None if unknown.
         """
         self.deaths = dead
         residuals, theory = self.residuals, self.theory
@@ -143,8 +143,8 @@ class Reporter:
             ),
             notes=tuple(self.notes),
             links=None
-            if tally is None
-            else link_load(self.scene, self._message, tally, *self._lived(ticks, dead)),
+            if counters is None
+            else link_load(self.scene, self._message, counters, *self._lived(ticks, dead)),
         )
 
     def _told(self, ticks: int, dead: Mapping[tuple[int, int], int]) -> tuple[str, Rate | None]:

@@ -170,7 +170,7 @@ class Residuals:
         moved: The last tick in which any number was another than in the one before; 0 if none ever was.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         "_limit", "tick", "rms", "most", "scale", "_greatest", "moved", "_last"
     )
 
@@ -231,7 +231,7 @@ class Snapshots:
         kept: Tick, how far the field had moved by then (the sum of its changes' root mean squares), and the field.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("kept", "_next", "_moved", "_last")
+    state_fields: ClassVar[StateFields] = StateFields("kept", "_next", "_moved", "_last")
 
     def __init__(self) -> None:
         self.kept: list[tuple[int, float, Floats]] = []

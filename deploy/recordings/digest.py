@@ -31,7 +31,7 @@ class Digest:
     """
 
     __slots__ = ("value",)
-    remembers: ClassVar[StateFields] = StateFields("value")
+    state_fields: ClassVar[StateFields] = StateFields("value")
 
     def __init__(self, description: bytes) -> None:
         self.value: bytes = sha256(description).digest()

@@ -9,7 +9,7 @@ from typing import Any, TypedDict
 
 FILE_NAME = "recording.mcap"
 PROFILE = "mdms"
-FORMAT = 1
+FORMAT = 2
 """Increased when a reader of the older format could no longer read the newer."""
 
 TICK = "/tick"

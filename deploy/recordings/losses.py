@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, get_args
 
-from bus.lockstep.counters import Loss
-
-if TYPE_CHECKING:
-    from bus.lockstep.counters import Reason
+from bus.lockstep.counters import Loss, Reason
 
 Places = Sequence[tuple[int, int]]
 """``(row, column)`` of every cell, in the lattice's order."""
 
-_WORDS: Final = {"token lost": "its process went away", "stalled": "it did not answer in time"}
-_KINDS: Final[Mapping[str, Reason]] = {"token_lost": "token lost", "stalled": "stalled", "failed": "failed"}
-"""Reason of a loss, by kind of the recorded fault."""
+_WORDS: Final = {"disconnected": "its process went away", "timed_out": "it did not answer in time"}
+_REASONS: Final[tuple[Reason, ...]] = get_args(Reason)
 _NAMED: Final = 6
 """Most cells that a line names; further cells are counted."""
-
-
-def kind_of(loss: Loss) -> str:
-    """Return the kind of fault that is recorded for a loss."""
-    return loss.reason.replace(" ", "_")
 
 
 def found(faults: Sequence[Mapping[str, Any]], places: Places) -> list[Loss]:
     """Return the losses among recorded faults, which are neither scheduled nor injected."""
     index = {place: cell for cell, place in enumerate(places)}
     return [
-        Loss(index[row, column], fault["tick"], _KINDS[fault["kind"]], fault["detail"])
+        Loss(index[row, column], fault["tick"], fault["kind"], fault["detail"])
         for fault in faults
-        if fault["kind"] in _KINDS
+        if fault["kind"] in _REASONS
         for row, column in [fault["cell"]]
     ]
 
@@ -68,7 +59,7 @@ def nobody(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
     """Explain from the losses why no cell is left at the end of a run."""
     told = lines(losses, places, period_ns)
     more = f"; and {len(told) - 3} times more" if len(told) > 3 else ""
-    return f"no cell was alive at the end: {'; '.join(told[:3]) or 'live faults struck them'}{more}"
+    return f"no cell was alive at the end: {'; '.join(told[:3]) or 'faults injected during the run crashed them'}{more}"
 
 
 def _cells(names: Sequence[str]) -> str:

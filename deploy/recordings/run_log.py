@@ -9,7 +9,7 @@ from bus.fault import transition_ticks
 from bus.state import StateFields
 from deploy.faults.records import transition_record
 from deploy.recordings.digest import Digest
-from deploy.recordings.losses import found, kind_of, lines
+from deploy.recordings.losses import found, lines
 from deploy.recordings.mishaps import Mishaps
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class RunLog:
         controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         "_digest", "ticks", "time_ns", "faults", "cells_lost", "_hung", "_turns"
     )
 
@@ -162,7 +162,7 @@ class RunLog:
     def note(self, losses: Sequence[Loss]) -> None:
         """Log lost cells."""
         for loss in losses:
-            self._fault(loss.tick, kind_of(loss), loss.cell, loss.detail)
+            self._fault(loss.tick, loss.reason, loss.cell, loss.detail)
 
     def on_rejoin(self, tick: int, cells: Sequence[int]) -> None:
         """Log cells that rejoin at ``tick``."""

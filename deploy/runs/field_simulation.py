@@ -20,7 +20,7 @@ from deploy.recordings.trace import RunTrace, mask_absent
 from deploy.runs.output import draw_run_overview, exits, parcel_outcomes, validity
 from deploy.runs.output_folder import output_folder
 from deploy.runs.result import status_of
-from deploy.runs.setup import load_plant, tell_cautions
+from deploy.runs.setup import load_plant, report_warnings
 from deploy.runs.summary import Outcome, Summary
 from deploy.scenes.fault_schedule import (
     active,
@@ -179,7 +179,7 @@ class _FieldSimulation:
         self.cells_lost: list[tuple[int, int]] = []
         self.lasting = of_plant(in_run_faults(self.scene))
         self.time_ns = 0
-        self.cautions: tuple[str, ...] = ()
+        self.warnings: tuple[str, ...] = ()
 
     def go(self, output: Path | None, *, picture: bool) -> Outcome:
         """Everything; see `simulate`."""
@@ -189,7 +189,7 @@ class _FieldSimulation:
             rule = too_many_samples(self.scene.ticks, self.scene.parcel_count)
             if rule:
                 raise InputError(f"scene {self.named.name}: duration_s = {self.named.duration_s:g}: {rule}")
-            self.cautions = tell_cautions(self.named, self._warn)
+            self.warnings = report_warnings(self.named, self._warn)
 
             array = CellArray(self.scene.array)
             speeds = field_speeds(self.scene, array.positions_m)
@@ -316,7 +316,7 @@ class _FieldSimulation:
             faults=self.faults,
             cells_lost=self.cells_lost,
             feeders=plant.traffic(),
-            cautions=self.cautions,
+            warnings=self.warnings,
             digest=self._digest(),
             output=str(folder),
         )

@@ -144,7 +144,7 @@ def summary_of(
     refused: RejectionMonitor,
     folder: Path,
     *,
-    cautions: tuple[str, ...],
+    warnings: tuple[str, ...],
     protocol: ProtocolReport | None,
     resumed: tuple[int, ...],
 ) -> Summary:
@@ -158,7 +158,7 @@ def summary_of(
         ledger: Log of the run.
         refused: Monitor of rejections.
         folder: Output folder.
-        cautions: Warnings given before the start.
+        warnings: Warnings given before the start.
         protocol: Protocol report; None without one.
         resumed: Ticks before which the run was resumed.
     """
@@ -197,7 +197,7 @@ def summary_of(
         faults=ledger.faults,
         cells_lost=ledger.cells_lost,
         feeders=plant.traffic(),
-        cautions=cautions,
+        warnings=warnings,
         effects=_of_effects(counts.cell_counters),
         protocol=protocol,
         digest=ledger.digest,
@@ -216,17 +216,17 @@ def _firmware(scene: Scene) -> dict[str, str | int]:
 
 
 def _protocol_messages(
-    firmware: Mapping[str, str | int], tally: Mapping[str, int]
+    firmware: Mapping[str, str | int], counters: Mapping[str, int]
 ) -> ProtocolMessages | None:
     """Return the cells' counts of messages between cells; None for firmware without messages."""
     if not firmware["message_bytes"]:
         return None
-    return ProtocolMessages(sent=tally.get("messages.sent", 0), heard=tally.get("messages.heard", 0))
+    return ProtocolMessages(sent=counters.get("messages.sent", 0), heard=counters.get("messages.heard", 0))
 
 
-def _of_effects(tally: Mapping[str, int]) -> dict[str, int]:
+def _of_effects(counters: Mapping[str, int]) -> dict[str, int]:
     """Return the counters of effects; message counters are left out."""
-    return {name: number for name, number in sorted(tally.items()) if not name.startswith("messages.")}
+    return {name: number for name, number in sorted(counters.items()) if not name.startswith("messages.")}
 
 
 def status_of(error: PlantError) -> str:

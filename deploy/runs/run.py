@@ -100,7 +100,7 @@ class _Run:
         """Run, and write all outputs; see `run`."""
         asked = self.setup
         for line in asked.warnings:
-            self._warn(f"caution: {line}")
+            self._warn(f"warning: {line}")
         with System(asked.plan, asked.scene, asked.options) as system:
             with self.interruption.interruptible():
                 plant = load_plant(asked.scene, self._warn)
@@ -127,7 +127,7 @@ class _Run:
             ledger,
             refused,
             folder,
-            cautions=asked.warnings,
+            warnings=asked.warnings,
             protocol=self._report(ledger),
             resumed=() if self.about is None else self.about.resumed,
         )

@@ -49,16 +49,16 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
     return (*scene_warnings(scene), *of_firmware, *_processor(scene, talks=firmware.message is not None))
 
 
-def tell_cautions(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
+def report_warnings(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
     """Report each warning of a scene in a line, and return the warnings.
 
     Raises:
         FirmwareError: The firmware's ``warnings`` raised; the message has its traceback.
     """
-    cautions = warnings_of(scene)
-    for line in cautions:
-        tell(f"caution: {line}")
-    return cautions
+    warnings = warnings_of(scene)
+    for line in warnings:
+        tell(f"warning: {line}")
+    return warnings
 
 
 def _processor(scene: Scene, *, talks: bool) -> tuple[str, ...]:
@@ -131,7 +131,7 @@ class CellTimingSource:
         clocks: Clocks of all cells.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_tick", "_count", "_read_ns")
+    state_fields: ClassVar[StateFields] = StateFields("_tick", "_count", "_read_ns")
 
     def __init__(self, clocks: CellClocks) -> None:
         self._clocks = clocks
@@ -201,9 +201,9 @@ def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -
     """
     planned = plan(scene, options, run_name(scene, secrets.token_hex(4)))
     live = options.realtime is not None or options.replay is not None
-    cautions = warnings_of(scene)
+    warnings = warnings_of(scene)
     if options.registers is not None:
-        cautions += register_warnings(scene)
+        warnings += register_warnings(scene)
     reporter = _reporter(scene, planned.partition.lattice, options.protocol_report)
     replayed, script = None, ()
     if options.replay is not None:
@@ -223,7 +223,7 @@ def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -
         resumed,
         in_run_faults(scene),
         live if resumed is None else resumed.options["live"],
-        cautions,
+        warnings,
         reporter,
         replayed,
         script,

@@ -127,7 +127,7 @@ class Summary:
         refused: Of what was denied or malformed ``why`` and ``what``, ``whose`` it was, and the ``number``; connections
             that were turned away, too.
         feeders: What came and went; None where the scene has no feeders.
-        cautions: What the firmware said before the run will go wrong, a line each.
+        warnings: What the firmware said before the run will go wrong, a line each.
         effects: What effects of the cells did to cells that lived, by ``effect.what``, of all processes that said so:
             one that is killed from outside does not.
         protocol: What the cells' protocol did, held against theory; None unless asked for.
@@ -159,7 +159,7 @@ class Summary:
     cells_lost: Sequence[tuple[int, int]] = ()
     refused: Sequence[Mapping[str, Any]] = ()
     feeders: TrafficCount | None = None
-    cautions: Sequence[str] = ()
+    warnings: Sequence[str] = ()
     effects: Mapping[str, int] = field(default_factory=dict[str, int])
     firmware: Mapping[str, str | int] | None = None
     protocol: ProtocolReport | None = None

@@ -85,7 +85,7 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
             ("frames", f"{messages.sent:,} sent on the bus, {messages.delivered:,} delivered{trouble}")
         )
     lines += _refused(summary.refused)
-    lines += [("caution", caution) for caution in summary.cautions]
+    lines += [("warning", warning) for warning in summary.warnings]
     lines += _effects(summary.effects)
     if summary.faults:
         lines.append(("faults", _faults(summary.faults)))

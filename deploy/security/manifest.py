@@ -42,7 +42,7 @@ class KeyManifest(Spec):
     version: Literal[1] = 1
     kind: Kind
     scene: str
-    wire: Literal["packed", "cells"]
+    wire: Literal["packed", "per_cell"]
     roles: dict[str, tuple[CellName, ...]]
     hosts: tuple[str, ...] = ()
     until: datetime | None = None

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 from bus.lockstep.snapshots import CELL_LIMIT
-from bus.wire.frames import TALLY_LIMIT, TEXT_LIMIT
+from bus.wire.frames import COUNTER_LIMIT, TEXT_LIMIT
 from bus.wire.keys import cell_key, plant_key, shard_key
 from deploy.security.roles import OPERATOR, OPERATORS, PLANT, Role
 
@@ -37,7 +37,7 @@ def size_limits(cut: ProcessLayout) -> list[dict[str, Any]]:
     shards = range(cut.partition.count)
     cells = max(len(cut.partition.cells(shard)) for shard in shards)
     links = max(len(cut.partition.outgoing(shard)) for shard in shards)
-    report = 4 * TEXT_LIMIT + TALLY_LIMIT * (4 * TALLY_LIMIT + 16) + 16 * cells
+    report = 4 * TEXT_LIMIT + COUNTER_LIMIT * (4 * COUNTER_LIMIT + 16) + 16 * cells
     link_keys = ["mdms/*/cell/*/*/to/*", "mdms/*/shard/*/to/*"]
     return [
         _limit(
@@ -46,7 +46,7 @@ def size_limits(cut: ProcessLayout) -> list[dict[str, Any]]:
         _limit("link", link_keys, _ENVELOPE + _MESSAGE * max(links, 1)),
         _limit("report", [shard_key("*", None, "report")], _ENVELOPE + report),
         _limit("registers", [shard_key("*", None, "registers")], _ENVELOPE + _REGISTERS * cells),
-        _limit("memory", [shard_key("*", None, "memory")], _ENVELOPE + CELL_LIMIT * (cells + 1)),
+        _limit("snapshot", [shard_key("*", None, "snapshot")], _ENVELOPE + CELL_LIMIT * (cells + 1)),
     ]
 
 

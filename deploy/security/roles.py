@@ -59,7 +59,7 @@ class ProcessLayout:
     """
 
     partition: Partition
-    wire: Literal["packed", "cells"]
+    wire: Literal["packed", "per_cell"]
     names: tuple[str, ...]
 
     def role(self, shard: int) -> str:
@@ -86,7 +86,7 @@ def _cells(cut: ProcessLayout, shard: int) -> Role:
     return Role(
         cut.role(shard),
         cut.cells(shard),
-        puts=(*puts, *(shard_key(_ANY, shard, leaf) for leaf in ("report", "registers", "memory"))),
+        puts=(*puts, *(shard_key(_ANY, shard, leaf) for leaf in ("report", "registers", "snapshot"))),
         hears=(*hears, plant_key(_ANY, "control")),
         shows=shows,
         watches=(plant_key(_ANY, "alive"),),
@@ -106,7 +106,7 @@ def _packed(cut: ProcessLayout, shard: int) -> _Keys:
 
 
 def _by_cell(cut: ProcessLayout, shard: int) -> _Keys:
-    """Return the keys that a shard puts, hears and shows in wire format ``cells``."""
+    """Return the keys that a shard puts, hears and shows in wire format ``per_cell``."""
     partition, own = cut.partition, cut.cells(shard)
     cells = partition.lattice.cells
     outgoing, incoming = partition.outgoing(shard), partition.incoming(shard)

@@ -62,7 +62,7 @@ class Watchdog:
         self._calls = 0
         self._running = 0
         """Number of the running call; 0 if no call is running."""
-        self._struck = False
+        self._overran = False
         self._given_up = False
         self._target = 0
         self._thread = threading.Thread(target=self._watch, name="overseer", daemon=True)
@@ -84,9 +84,9 @@ class Watchdog:
     ) -> None:
         with self._lock:
             self._running = 0
-            if self._struck:
+            if self._overran:
                 _raise_in(self._target, None)  # it came too late
-                self._struck = False
+                self._overran = False
 
     def close(self) -> None:
         """End the watching thread."""
@@ -118,7 +118,7 @@ class Watchdog:
     def _interrupt(self, call: int) -> None:
         with self._lock:
             if self._running == call:
-                self._struck = True
+                self._overran = True
                 _raise_in(self._target, self._error)
 
     def _give_up(self, call: int, program: UnderWay) -> None:

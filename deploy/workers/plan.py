@@ -163,7 +163,7 @@ def _is_loopback(host: str) -> bool:
 
 
 Transport = Literal["zenoh", "memory"]
-Wire = Literal["packed", "cells"]
+Wire = Literal["packed", "per_cell"]
 Processes = int | Literal["each"]
 _Endpoints = tuple[str | None, str | None]
 """Endpoint for listeners and operators, and endpoint for processes of cells."""
@@ -317,7 +317,7 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         raise InputError(
             f"--processes {workers}: must be each or 0..{len(lattice)}, the number of cells"
         ) from None
-    wire: Wire = options.wire or ("cells" if setting == "each" else "packed")
+    wire: Wire = options.wire or ("per_cell" if setting == "each" else "packed")
     return Plan(
         run=run,
         scene=scene.name,

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from bus.lockstep import Coordinator
     from bus.lockstep.counters import Loss
 
-_PROCESS = ("token lost", "stalled")
+_PROCESS = ("disconnected", "timed_out")
 """Reasons of losses that a new process can mend; a failed firmware would fail again."""
 
 

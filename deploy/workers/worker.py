@@ -143,7 +143,7 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
         message=cells.message,
         stall=order.scene.stall,
         wanted=order.register_requests,
-        tally=cells.counters,
+        cell_counters=cells.counters,
         keeps=order.snapshots,
         joins=order.joins_running,
     )

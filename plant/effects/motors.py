@@ -174,7 +174,7 @@ class Motors:
         loaded: Whether they feel what they pull (effect ``wheel_load``).
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_volts", "_speed", "_travel")
+    state_fields: ClassVar[StateFields] = StateFields("_volts", "_speed", "_travel")
 
     def __init__(self, spec: MotorsSpec, cells: int, *, loaded: bool = False) -> None:
         self._supply_v = spec.supply_v

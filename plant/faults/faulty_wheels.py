@@ -28,7 +28,7 @@ class FaultyWheels:
         cells: Number of cells in the array.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_wheels")
+    state_fields: ClassVar[StateFields] = StateFields("_wheels")
 
     def __init__(self, wheels: Wheels, motors: MotorsSpec | None, cells: int) -> None:
         self._wheels = wheels

@@ -24,7 +24,7 @@ class FaultSchedule:
         next_transition: First of ``transitions``; ``NO_TICK_LIMIT`` if there is none.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("transitions", "next_transition")
+    state_fields: ClassVar[StateFields] = StateFields("transitions", "next_transition")
 
     def __init__(self, cells: int, faults: Sequence[FaultInstance[PlantFault]] = ()) -> None:
         self._cells = cells

@@ -58,7 +58,7 @@ class CompiledSolver(ABC):
         bodies: the parcels as the plant sees them.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         shared=("packed.y", "packed.par", "packed.ctl", "packed.mem")
     )
 

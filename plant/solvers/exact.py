@@ -167,7 +167,7 @@ class Exact(SegmentedCompiledSolver[ExactWorkspace]):
         spec: tolerance and capture.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(shared=("_allowance",))
+    state_fields: ClassVar[StateFields] = StateFields(shared=("_allowance",))
 
     def __init__(
         self,

@@ -53,7 +53,7 @@ class Heyoka(RestartingSolver):
     """
 
     # Courses remember nothing: what heyoka's integrators know is theirs alone, and a run on them can't be kept.
-    remembers: ClassVar[StateFields] = StateFields("_courses")
+    state_fields: ClassVar[StateFields] = StateFields("_courses")
 
     def __init__(self, scene: PlantSpec, spec: HeyokaSpec, array: CellArray, rate: float) -> None:
         try:

@@ -127,7 +127,7 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
         rate: of the motors, 1/s; 0 without.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         shared=("_paces", "_rollers.passed", "_springs.moments", "_edges.share")
     )
 

@@ -64,7 +64,7 @@ class ParcelState:
         outrun: whether it outruns a wheel that the law takes to be faster.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(
+    state_fields: ClassVar[StateFields] = StateFields(
         "under", "supports", "allowed", "effort_left", "outrun", records=(Supports,)
     )
 
@@ -116,7 +116,7 @@ class RestartingSolver(ABC):
         effort: steps, or evaluations of the right-hand side, so far: as its integrator counts.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("effort", "_parcels", shared=("state",))
+    state_fields: ClassVar[StateFields] = StateFields("effort", "_parcels", shared=("state",))
 
     def __init__(self, scene: PlantSpec, array: CellArray, effort_per_s: float) -> None:
         self.array = array

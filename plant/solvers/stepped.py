@@ -32,7 +32,7 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         steps_per_s: that a parcel may take in a simulated second.
     """
 
-    remembers: ClassVar[StateFields] = StateFields(shared=("_paces", "_springs.moments", "_edges.share"))
+    state_fields: ClassVar[StateFields] = StateFields(shared=("_paces", "_springs.moments", "_edges.share"))
 
     def __init__(
         self,

@@ -23,7 +23,7 @@ from bus.wire.frames import Control, DriveFrame, LinkFrame, SenseFrame
 
 MESSAGE = np.dtype([("u", "<f8"), ("hops", "<u2")])
 SENSORS = 2
-FORMS: list[WireFormat] = ["packed", "cells"]
+FORMS: list[WireFormat] = ["packed", "per_cell"]
 both_forms = pytest.mark.parametrize("form", FORMS)
 
 
@@ -127,7 +127,12 @@ class System:
         self.member_endpoints = [self._clocked(self.network.endpoint()) for _ in range(self.partition.count)]
         self.members = [
             Participant(
-                endpoint, self.partition, shard, self.form, tally=self._tally(shard), **self._agreed()
+                endpoint,
+                self.partition,
+                shard,
+                self.form,
+                cell_counters=self._cell_counters(shard),
+                **self._agreed(),
             )
             for shard, endpoint in enumerate(self.member_endpoints)
         ]
@@ -147,7 +152,7 @@ class System:
             agreed["clock"] = self.clock
         return agreed
 
-    def _tally(self, shard: int) -> Callable[[], dict[str, int]]:
+    def _cell_counters(self, shard: int) -> Callable[[], dict[str, int]]:
         return lambda: {"shards": 1, "numbers": shard, "nothing": 0}
 
     def start(self) -> System:

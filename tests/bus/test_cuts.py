@@ -79,8 +79,8 @@ def test_a_cut_longer_than_the_lease_loses_the_cells_behind_it_by_name(
     drive, losses = host.gather(0)
     assert time.monotonic() - cut < 1.2
     assert [(loss.cell, loss.tick, loss.reason) for loss in losses] == [
-        (0, 0, "token lost"),
-        (1, 0, "token lost"),
+        (0, 0, "disconnected"),
+        (1, 0, "disconnected"),
     ]
     assert not drive.drive.any()
     with pytest.raises(CoordinatorLostError, match="the plant left"):

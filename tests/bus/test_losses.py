@@ -37,7 +37,7 @@ def test_cells_whose_token_goes_are_lost_at_the_first_tick_without_their_drive(
     step(system, 0)
     system.member_endpoints[1].close()
     drive, losses = step(system, 1, [0, 2])
-    assert losses == [Loss(2, 1, "token lost"), Loss(3, 1, "token lost")]
+    assert losses == [Loss(2, 1, "disconnected"), Loss(3, 1, "disconnected")]
     whole = expected_drive(system, 1)
     whole[[2, 3]] = 0.0
     assert drive.drive.tolist() == whole.tolist()
@@ -61,7 +61,7 @@ def test_a_drive_that_came_before_its_token_went_still_counts(memory: Network, f
     assert losses == []
     assert drive.drive.tolist() == expected_drive(system, 0).tolist()
     _, losses = step(system, 1, [0])
-    assert losses == [Loss(1, 1, "token lost")]
+    assert losses == [Loss(1, 1, "disconnected")]
 
 
 @both_forms
@@ -75,7 +75,7 @@ def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form:
     before = clock.now
     drive, losses = step(system, 1, [0, 2])
     assert clock.now - before == pytest.approx(3.0)
-    assert losses == [Loss(1, 1, "stalled")]
+    assert losses == [Loss(1, 1, "timed_out")]
     assert drive.drive[1].tolist() == [0.0, 0.0]
     assert system.host.counters.lost == 1
     # Its neighbours don't wait for it, and it is told when it comes back.
@@ -117,7 +117,7 @@ def test_neighbours_are_told_of_a_loss_while_they_wait(network: Network, form: W
     for thread in threads:
         thread.start()
     system.member_endpoints[1].close()
-    assert host.gather(1)[1] == [Loss(1, 1, "token lost")]
+    assert host.gather(1)[1] == [Loss(1, 1, "disconnected")]
     for thread in threads:
         thread.join(10.0)
     frames = [gathered(result).links for result in results]
@@ -126,13 +126,13 @@ def test_neighbours_are_told_of_a_loss_while_they_wait(network: Network, form: W
 
 
 def test_a_loss_is_broadcast_by_name(memory: Network) -> None:
-    system = System(memory, Partition.each(grid(1, 2)), "cells").start()
+    system = System(memory, Partition.each(grid(1, 2)), "per_cell").start()
     listener = memory.endpoint()
     listener.subscribe("mdms/test/plant/control")
     system.member_endpoints[1].close()
     step(system, 0, [0])
     (event,) = drain(listener, lambda events: len(events) == 1)
-    assert decode_control(event[1], 2) == Control("lost", 0, ((0, 1),), "token lost")  # type: ignore[arg-type]
+    assert decode_control(event[1], 2) == Control("lost", 0, ((0, 1),), "disconnected")  # type: ignore[arg-type]
 
 
 @both_forms
@@ -296,7 +296,7 @@ def test_a_shard_that_keeps_saying_that_it_is_busy_gets_ten_deadlines_and_others
     system.members[1].busy(1)
     clock.waited = waited
     drive, losses = step(system, 1, [0])
-    assert losses == [Loss(1, 1, "stalled"), Loss(2, 1, "stalled")]
+    assert losses == [Loss(1, 1, "timed_out"), Loss(2, 1, "timed_out")]
     assert drive.drive[1:].tolist() == [[0.0, 0.0]] * 2
     # As somebody comes to wait for the last time, what was decided at the time before is to be seen.
     assert lived[0] == (3.0, [True, True, True])
@@ -313,7 +313,7 @@ def test_a_shard_that_is_busy_with_another_tick_gets_one_deadline(at: int, memor
     step(system, 0)
     before = clock.now
     system.members[1].busy(at)
-    assert step(system, 1, [0])[1] == [Loss(1, 1, "stalled")]
+    assert step(system, 1, [0])[1] == [Loss(1, 1, "timed_out")]
     assert clock.now - before == pytest.approx(3.0)
 
 
@@ -324,7 +324,7 @@ def test_a_shard_that_was_busy_and_falls_silent_gets_one_deadline_more(memory: N
     step(system, 0)
     before = clock.now
     system.members[1].busy(1)
-    assert step(system, 1, [0])[1] == [Loss(1, 1, "stalled")]
+    assert step(system, 1, [0])[1] == [Loss(1, 1, "timed_out")]
     assert clock.now - before == pytest.approx(6.0)
 
 

@@ -66,8 +66,8 @@ def test_a_router_that_dies_loses_all_cells_by_name_at_once_and_sessions_are_bac
         _, losses = host.gather(0)
         assert time.monotonic() - killed < 1.0
         assert [(loss.cell, loss.tick, loss.reason) for loss in losses] == [
-            (0, 0, "token lost"),
-            (1, 0, "token lost"),
+            (0, 0, "disconnected"),
+            (1, 0, "disconnected"),
         ]
         with pytest.raises(CoordinatorLostError, match="the plant left"):
             member.gather(1)

@@ -33,7 +33,7 @@ class Reading:
 
 
 class Wheel:
-    remembers: ClassVar[StateFields] = StateFields("turns")
+    state_fields: ClassVar[StateFields] = StateFields("turns")
 
     def __init__(self) -> None:
         self.turns = 0
@@ -41,7 +41,7 @@ class Wheel:
 
 
 class Motor(Wheel):
-    remembers: ClassVar[StateFields] = StateFields("volts", "last", records=(Pair,))
+    state_fields: ClassVar[StateFields] = StateFields("volts", "last", records=(Pair,))
 
     def __init__(self) -> None:
         super().__init__()
@@ -55,7 +55,7 @@ class Packed(NamedTuple):
 
 
 class Car:
-    remembers: ClassVar[StateFields] = StateFields("motors", "luck", shared=("log", "packed.y"))
+    state_fields: ClassVar[StateFields] = StateFields("motors", "luck", shared=("log", "packed.y"))
 
     def __init__(self) -> None:
         self.motors = [Motor(), Motor()]
@@ -192,21 +192,21 @@ def test_a_memory_of_something_else_is_refused_by_place(change: str, told: str) 
 
 
 class Holder:
-    remembers: ClassVar[StateFields] = StateFields("held")
+    state_fields: ClassVar[StateFields] = StateFields("held")
 
     def __init__(self, held: Any) -> None:
         self.held = held
 
 
 class Shares:
-    remembers: ClassVar[StateFields] = StateFields(shared=("held",))
+    state_fields: ClassVar[StateFields] = StateFields(shared=("held",))
 
     def __init__(self, held: Any) -> None:
         self.held = held
 
 
 class Leads:
-    remembers: ClassVar[StateFields] = StateFields("way.turns")
+    state_fields: ClassVar[StateFields] = StateFields("way.turns")
 
     def __init__(self, way: Any) -> None:
         self.way = way
@@ -239,7 +239,7 @@ def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, ane
 @pytest.mark.parametrize(
     ("held", "anew", "told"),
     [
-        (Wheel(), 3, "must be a int, which remembers nothing"),
+        (Wheel(), 3, "must be a int, which has no state_fields"),
         ({"a": Wheel()}, {"b": Wheel()}, "must be 1 objects"),
         ((Wheel(),), [Wheel()], "must be other objects"),
         ([[], Wheel()], [[Wheel()], Wheel()], r"held\[0\]: must be an object"),

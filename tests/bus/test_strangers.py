@@ -12,7 +12,7 @@ from bus.lockstep.counters import MessageCounters
 from bus.partition import Partition
 from bus.transports.base import Publisher
 from bus.wire.formats import WireFormat
-from bus.wire.frames import TALLY_LIMIT, DriveFrame
+from bus.wire.frames import COUNTER_LIMIT, DriveFrame
 from tests.bus.support import (
     MESSAGE,
     Network,
@@ -44,8 +44,8 @@ def test_no_payload_on_any_key_breaks_a_run(network: Network, form: WireFormat) 
     for publisher in publishers:
         while not publisher.matched():
             assert stranger.receive(0.005) is None
-    far = msgpack.packb({"v": 1, "tick": 10**15, "drive": [0.0, 0.0]})
-    outside = msgpack.packb({"v": 1, "tick": 0, "kind": "lost", "cells": [[9, 9]], "detail": ""})
+    far = msgpack.packb({"v": 2, "tick": 10**15, "drive": [0.0, 0.0]})
+    outside = msgpack.packb({"v": 2, "tick": 0, "kind": "lost", "cells": [[9, 9]], "detail": ""})
     for tick in range(6):
         for publisher in publishers:
             for payload in (b"", b"\xc1", b"\x80", b"\xff" * 3000, far, outside):
@@ -80,7 +80,7 @@ def test_the_second_payload_of_a_tick_is_refused_and_the_first_stands(memory: Ne
 
 
 def test_what_any_side_refuses_is_known_by_whose_it_was_and_the_plant_hears_of_it(memory: Network) -> None:
-    system = System(memory, Partition.each(grid(1, 2)), "cells", message=MESSAGE).start()
+    system = System(memory, Partition.each(grid(1, 2)), "per_cell", message=MESSAGE).start()
     stranger = memory.endpoint()
     for key in ("cell/0/1/to/west", "cell/0/0/sense", "cell/0/1/drive", "cell/9/9/drive", "cell/8/8/drive"):
         stranger.publisher(f"mdms/test/{key}").put(b"\xc1")
@@ -102,13 +102,13 @@ def test_a_report_has_as_much_of_what_was_refused_as_there_is_room_for() -> None
     for i in range(100):
         counts.refuse(WireError("link", "type", ""), f"cell {i},0")
     counts.refuse(WireError("link", "x" * 64, ""), "cell 0,0")
-    tally = counts.to_report({"sensor.bounces": 7, "malformed": 8})
-    assert len(tally) == TALLY_LIMIT
-    assert max(len(name) for name, _ in tally) <= TALLY_LIMIT
-    again = MessageCounters.from_report((1, 2, 3, 4), tally)
+    cell_counters = counts.to_report({"sensor.bounces": 7, "malformed": 8})
+    assert len(cell_counters) == COUNTER_LIMIT
+    assert max(len(name) for name, _ in cell_counters) <= COUNTER_LIMIT
+    again = MessageCounters.from_report((1, 2, 3, 4), cell_counters)
     assert (again.sent, again.delivered, again.lost, again.late) == (1, 2, 3, 4)
     assert again.cell_counters == {"sensor.bounces": 7, "malformed": 8}
-    assert again.refused == {(f"cell {i},0", "link: type"): 1 for i in range(TALLY_LIMIT - 2)}
+    assert again.refused == {(f"cell {i},0", "link: type"): 1 for i in range(COUNTER_LIMIT - 2)}
 
 
 @both_forms

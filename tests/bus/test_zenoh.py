@@ -209,13 +209,13 @@ def test_a_wait_for_payloads_ends_with_its_time() -> None:
 
 def test_a_silent_cell_is_lost_by_the_wall_clock_while_its_token_stands() -> None:
     network = Network("zenoh")
-    system = System(network, Partition.each(grid(1, 2)), "cells", stall=StallSpec(deadline_s=0.3)).start()
+    system = System(network, Partition.each(grid(1, 2)), "per_cell", stall=StallSpec(deadline_s=0.3)).start()
     try:
         system.host.publish(system.sense(0))
         system.members[0].gather(0)
         system.members[0].publish(system.drive(0, 0), None)
         start = time.monotonic()
-        assert system.host.gather(0)[1] == [Loss(1, 0, "stalled")]
+        assert system.host.gather(0)[1] == [Loss(1, 0, "timed_out")]
         assert 0.3 <= time.monotonic() - start < 1.0
     finally:
         network.close()
@@ -259,7 +259,7 @@ def test_a_stranger_s_deletion_is_no_payload() -> None:
 
 def test_any_zenoh_tool_can_listen_to_the_drives() -> None:
     network = Network("zenoh")
-    system = System(network, Partition.each(grid(1, 2)), "cells").start()
+    system = System(network, Partition.each(grid(1, 2)), "per_cell").start()
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{network.locator}"]')
@@ -283,7 +283,7 @@ def test_any_zenoh_tool_can_listen_to_the_drives() -> None:
     for key, fields in heard.items():
         shard = int(key.split("/")[4])
         expected = system.drive(shard, fields["tick"]).drive[0].tolist()  # type: ignore[arg-type]
-        assert fields == {"v": 1, "tick": fields["tick"], "drive": expected}
+        assert fields == {"v": 2, "tick": fields["tick"], "drive": expected}
 
 
 def test_sessions_close_fast() -> None:

@@ -150,7 +150,7 @@ def system(everything: Callable[..., Cells]) -> Iterator[Callable[..., System]]:
             endpoint.close()
 
 
-@pytest.mark.parametrize("form", ["packed", "cells"])
+@pytest.mark.parametrize("form", ["packed", "per_cell"])
 @pytest.mark.parametrize("shards", [1, 3, 9])
 def test_agents_on_the_bus_give_the_same_bytes_as_one_shard_without_one(
     grid: Callable[..., Lattice],
@@ -168,7 +168,7 @@ def test_agents_on_the_bus_give_the_same_bytes_as_one_shard_without_one(
     assert running.losses == []
 
 
-@pytest.mark.parametrize("form", ["packed", "cells"])
+@pytest.mark.parametrize("form", ["packed", "per_cell"])
 @pytest.mark.parametrize("shards", [1, 2, 6])
 def test_failed_firmware_reaches_the_plant_with_cell_tick_and_traceback_and_the_rest_goes_on(
     grid: Callable[..., Lattice],
@@ -194,7 +194,7 @@ def test_failed_firmware_reaches_the_plant_with_cell_tick_and_traceback_and_the_
     assert sorted((f.cell, f.tick) for f in failures) == [((1, 0), 3), ((1, 1), 3)]
 
 
-@pytest.mark.parametrize("form", ["packed", "cells"])
+@pytest.mark.parametrize("form", ["packed", "per_cell"])
 @pytest.mark.parametrize("shards", [1, 2, 3, 9])
 def test_cells_that_die_by_schedule_are_silent_from_their_tick_on(
     grid: Callable[..., Lattice],

@@ -17,7 +17,7 @@ from bus.sensors import SensorSchema
 from bus.wire.format import Senses
 from bus.wire.formats import WireFormat
 from bus.wire.frames import (
-    TALLY_LIMIT,
+    COUNTER_LIMIT,
     TEXT_LIMIT,
     Control,
     LinkFrame,
@@ -81,7 +81,7 @@ def _system(form: WireFormat, readings: SensorSchema = PRESENCE) -> System:
 def _sense(form: WireFormat, what: str, readings: SensorSchema) -> Target:
     system = _system(form, readings)
     member, host = system.members[0]._form, system.host._form
-    cells = 1 if form == "cells" else len(system.partition.cells(0))
+    cells = 1 if form == "per_cell" else len(system.partition.cells(0))
 
     def check(value: Any) -> None:
         _check_senses(member.join_senses([value]), readings, cells)
@@ -115,7 +115,7 @@ def _check_senses(senses: Senses, readings: SensorSchema, cells: int) -> None:
 def _drive(form: WireFormat) -> Target:
     system = _system(form)
     host = system.host._form
-    cells = 1 if form == "cells" else len(system.partition.cells(0))
+    cells = 1 if form == "per_cell" else len(system.partition.cells(0))
 
     def check(value: Any) -> None:
         drives = np.frombuffer(value).reshape(-1, 2) if isinstance(value, bytes) else value
@@ -129,7 +129,7 @@ def _drive(form: WireFormat) -> Target:
 def _link(form: WireFormat) -> Target:
     system = _system(form)
     sender, hearer = system.members[0]._form, system.members[1]._form
-    count = 1 if form == "cells" else len(system.partition.incoming(1))
+    count = 1 if form == "per_cell" else len(system.partition.incoming(1))
 
     def check(value: Any) -> None:
         sent, message = hearer.join_links([value])
@@ -160,7 +160,7 @@ def _said(system: System) -> Iterator[LinkFrame]:
 def _control() -> Target:
     records = [
         Control("start", 0),
-        Control("lost", 70_000, ((0, 1), (2, 3)), "token lost"),
+        Control("lost", 70_000, ((0, 1), (2, 3)), "disconnected"),
         Control("stop", TICK_LIMIT - 1, (), "the run is over — finished, größer"),
     ]
 
@@ -186,7 +186,7 @@ def _report() -> Target:
     reports = [
         Report("failed", 3, ((0, 1), (2, 3)), "ZeroDivisionError: on purpose\nTraceback ..."),
         Report("hung", 200, ((1, 1),), "HangingField: no answer within a tick"),
-        Report("counts", 70_000, (), "", (1, 2, 3, 2**40), (("messages.sent", 7), ("cop.resets", 0))),
+        Report("counters", 70_000, (), "", (1, 2, 3, 2**40), (("messages.sent", 7), ("cop.resets", 0))),
     ]
 
     def decode(payload: bytes) -> tuple[int, Report]:
@@ -196,8 +196,8 @@ def _report() -> Target:
     def check(report: Report) -> None:
         assert report.kind in ("failed", "hung", "counts")
         _check_words(report.cells, report.detail)
-        assert len(report.tally) <= TALLY_LIMIT
-        numbers = [*report.counts, *(number for _, number in report.tally)]
+        assert len(report.counters) <= COUNTER_LIMIT
+        numbers = [*report.counts, *(number for _, number in report.counters)]
         assert all(0 <= number < TICK_LIMIT for number in numbers)
 
     return Target("report", tuple(map(encode_report, reports)), decode, check)
@@ -248,12 +248,12 @@ def _kept() -> Target:
 
 def _request() -> Target:
     requests: list[dict[str, Any]] = [
-        {"do": "list"},
-        {"do": "repair", "number": 3},
-        {"do": "inject", "fault": {"kind": "crash", "cell": [1, 2]}, "for_s": 0.5},
-        {"do": "inject", "fault": {"kind": "crash", "share": 0.25, "at_s": 0.0, "until_s": 2.0}},
-        {"do": "inject", "fault": {"kind": "crash", "rectangle": [[0, 0], [1, 1]]}},
-        {"do": "inject", "fault": {"kind": "wheel_weak", "cells": [[0, 0], [1, 1]], "strength": 0.5}},
+        {"op": "list"},
+        {"op": "repair", "number": 3},
+        {"op": "inject", "fault": {"kind": "crash", "cell": [1, 2]}, "for_s": 0.5},
+        {"op": "inject", "fault": {"kind": "crash", "share": 0.25, "at_s": 0.0, "until_s": 2.0}},
+        {"op": "inject", "fault": {"kind": "crash", "rectangle": [[0, 0], [1, 1]]}},
+        {"op": "inject", "fault": {"kind": "wheel_weak", "cells": [[0, 0], [1, 1]], "strength": 0.5}},
     ]
 
     def decode(payload: bytes) -> tuple[int, Any]:

@@ -100,7 +100,7 @@ def test_spoilt_and_old_frames_on_every_key_change_nothing_and_are_all_counted(f
     )
     for shard in range(2):
         traffic[f"mdms/test/shard/{shard}/report"].append(
-            encode_report(Report("counts", 3, (), "", (1, 2, 3, 4)))
+            encode_report(Report("counters", 3, (), "", (1, 2, 3, 4)))
         )
     for tick in range(TICKS):
         expected = _step(quiet, tick)

@@ -153,7 +153,7 @@ def test_holding_at_tick_0_holds_a_wheel_that_never_turned(make: Make) -> None:
 
 
 def test_a_loss_is_reported_and_the_run_goes_on_by_the_policy(make: Make) -> None:
-    loss = Loss(1, 1, "token lost")
+    loss = Loss(1, 1, "disconnected")
     process, plant, records = make(policy="hold", losses={1: [loss]})
     assert process.run().status == "ok"
     assert _drives(plant) == [[1.0] * 3, [2.0, 1.0, 2.0], [3.0, 1.0, 3.0]]
@@ -168,7 +168,7 @@ def test_a_cell_that_is_lost_does_not_die_again_by_schedule(make: Make) -> None:
 
 
 @pytest.mark.parametrize(
-    ("reason", "status"), [("token lost", "failed"), ("failed", "failed"), ("stalled", "stalled")]
+    ("reason", "status"), [("disconnected", "failed"), ("failed", "failed"), ("timed_out", "stalled")]
 )
 def test_under_abort_a_loss_ends_the_run_before_the_plant_moves(reason: Any, status: str, make: Make) -> None:
     loss = Loss(0, 1, reason)

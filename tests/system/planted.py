@@ -27,9 +27,9 @@ DEADLINE_S = 1.0
 ONE: Way = ("--processes", "0", "--transport", "memory")
 WAYS: tuple[tuple[Way, float], ...] = (
     (ONE, 0.6),
-    (("--processes", "0", "--wire", "cells"), 0.1),
+    (("--processes", "0", "--wire", "per_cell"), 0.1),
     (("--processes", "2"), 0.15),
-    (("--processes", "3", "--wire", "cells"), 0.05),
+    (("--processes", "3", "--wire", "per_cell"), 0.05),
     (("--processes", "each"), 0.1),
 )
 

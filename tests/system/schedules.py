@@ -136,7 +136,7 @@ def carry_out(schedule: Schedule, folder: Path) -> Verdict:
     if again.summary.digest != outcome.summary.digest:
         wrong.append(f"the digest differs when the losses are injected: {outcome.summary.faults}")
     kinds = [fault["kind"] for fault in outcome.summary.faults]
-    lost = sum(kind in ("token_lost", "stalled") for kind in kinds)
+    lost = sum(kind in ("disconnected", "timed_out") for kind in kinds)
     back = sum(len(f["cells"]) for f in outcome.summary.faults if f["kind"] == "respawn")
     return Verdict(outcome.summary.status, lost, back, tuple(wrong))
 

@@ -192,8 +192,8 @@ LOST = [[r, c] for r, c in ((2, 1), (2, 2), (2, 3), (2, 4), (2, 5), (3, 1), (3, 
 @pytest.mark.parametrize(
     ("how", "kind"),
     [
-        pytest.param(signal.SIGKILL, "token_lost", id="killed"),
-        pytest.param(signal.SIGSTOP, "stalled", id="stopped", marks=pytest.mark.slow),
+        pytest.param(signal.SIGKILL, "disconnected", id="killed"),
+        pytest.param(signal.SIGSTOP, "timed_out", id="stopped", marks=pytest.mark.slow),
     ],
 )
 def test_a_run_goes_on_without_a_worker_that_is_killed_or_stopped(

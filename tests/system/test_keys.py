@@ -74,7 +74,7 @@ class Insider:
         stop = encode_control(Control("stop", 0, (), "by a stranger"))
         drive = b"\x83\xa1v\x01\xa4tick\x05\xa5drive\xc4\x60" + bytes(96)
         tick = msgpack.unpackb(sense)["tick"]
-        ahead = msgpack.packb({"v": 1, "tick": tick + 50, "drive": bytes(96)})
+        ahead = msgpack.packb({"v": 2, "tick": tick + 50, "drive": bytes(96)})
         puts = {"shard/1/drive": drive, "shard/0/sense": sense, "plant/control": stop}
         for _ in range(5):
             for key, payload in puts.items():
@@ -113,7 +113,7 @@ def test_strangers_and_insiders_are_refused_counted_and_shown_and_the_digest_sta
     )
     insider = Insider(join, identity_of(mine / "cells-0", "cells-0"))
     insider.act()
-    assert ask_run(listen, {"do": "list"}, 5.0, mine)["ok"]
+    assert ask_run(listen, {"op": "list"}, 5.0, mine)["ok"]
     assert (0, 0) in read_registers(listen, [(0, 0)], 5.0, mine / "operator").cells
     for endpoint in (listen, join):
         assert refused(endpoint.replace("tls", "tcp"), None)

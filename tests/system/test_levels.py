@@ -43,9 +43,9 @@ class Followers(Firmware):
     ("firmware", "transport", "wire"),
     [
         (ARRAYS, "memory", "packed"),
-        (ARRAYS, "memory", "cells"),
+        (ARRAYS, "memory", "per_cell"),
         (PLAIN, "memory", "packed"),
-        (PLAIN, "zenoh", "cells"),
+        (PLAIN, "zenoh", "per_cell"),
     ],
 )
 @pytest.mark.parametrize("adc", [False, True])

@@ -72,12 +72,12 @@ def test_a_live_fault_acts_is_repaired_and_is_repeated_to_the_same_digest(
     tmp_path: Path, processes: Processes
 ) -> None:
     running = Running(tmp_path / "live", processes)
-    first = running.ask(do="inject", fault={"kind": "crash", "cells": [[0, 0], [1, 2]]})
+    first = running.ask(op="inject", fault={"kind": "crash", "cells": [[0, 0], [1, 2]]})
     assert first["ok"]
     assert first["cells"] == [[0, 0], [1, 2]]
-    share = running.ask(do="inject", fault={"kind": "crash", "share": 0.2}, for_s=0.05)
-    repaired = running.ask(do="repair", number=first["number"])
-    listed = running.ask(do="list")["faults"]
+    share = running.ask(op="inject", fault={"kind": "crash", "share": 0.2}, for_s=0.05)
+    repaired = running.ask(op="repair", number=first["number"])
+    listed = running.ask(op="list")["faults"]
     live = running.end()
 
     assert live.summary.status == "ok"
@@ -104,13 +104,13 @@ def test_a_recording_of_another_scene_is_not_repeated(tmp_path: Path) -> None:
 def test_bad_requests_are_refused_in_words_and_change_nothing(tmp_path: Path) -> None:
     running = Running(tmp_path / "live", 0)
     for request, words in [
-        ({"do": "inject", "fault": {"kind": "crash", "cell": [9, 9]}}, "fault.cell: the array has rows 0..3"),
-        ({"do": "inject", "fault": {"kind": "melt", "cell": [0, 0]}}, 'fault.kind = "melt"'),
-        ({"do": "inject", "fault": {"cell": [0, 0], "at_s": 1.0}}, "fault.at_s: a live fault begins now"),
-        ({"do": "inject", "fault": {"cell": [0, 0], "until_s": 0.0}}, "until_s must be after at_s"),
-        ({"do": "inject", "fault": {"cell": [0, 0]}, "for_s": 0}, "for_s = 0: must be > 0"),
-        ({"do": "repair", "number": 4}, "there is no fault 4; there are: none"),
-        ({"do": "dance"}, 'do = "dance"'),
+        ({"op": "inject", "fault": {"kind": "crash", "cell": [9, 9]}}, "fault.cell: the array has rows 0..3"),
+        ({"op": "inject", "fault": {"kind": "melt", "cell": [0, 0]}}, 'fault.kind = "melt"'),
+        ({"op": "inject", "fault": {"cell": [0, 0], "at_s": 1.0}}, "fault.at_s: a live fault begins now"),
+        ({"op": "inject", "fault": {"cell": [0, 0], "until_s": 0.0}}, "until_s must be after at_s"),
+        ({"op": "inject", "fault": {"cell": [0, 0]}, "for_s": 0}, "for_s = 0: must be > 0"),
+        ({"op": "repair", "number": 4}, "there is no fault 4; there are: none"),
+        ({"op": "dance"}, 'do = "dance"'),
     ]:
         with pytest.raises(RequestError) as refused:
             running.ask(**request)
@@ -132,8 +132,8 @@ def test_bad_requests_are_refused_in_words_and_change_nothing(tmp_path: Path) ->
 
 
 def test_requests_are_read_or_refused_whatever_they_are() -> None:
-    assert read_request(b'{"do": "list"}').do == "list"
-    for payload in (None, b"{" * 100_000, b'{"do": ["list"]}', b'{"do": "inject"}', b"\x00"):
+    assert read_request(b'{"op": "list"}').do == "list"
+    for payload in (None, b"{" * 100_000, b'{"do": ["list"]}', b'{"op": "inject"}', b"\x00"):
         with pytest.raises(RequestError):
             read_request(payload)
 

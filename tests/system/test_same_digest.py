@@ -20,15 +20,15 @@ Way = tuple[Processes, Transport, Wire]
 
 WAYS: list[Way] = [
     (0, "memory", "packed"),
-    (0, "memory", "cells"),
+    (0, "memory", "per_cell"),
     (0, "zenoh", "packed"),
-    (0, "zenoh", "cells"),
+    (0, "zenoh", "per_cell"),
     (1, "zenoh", "packed"),
-    (1, "zenoh", "cells"),
+    (1, "zenoh", "per_cell"),
     (2, "zenoh", "packed"),
-    (2, "zenoh", "cells"),
+    (2, "zenoh", "per_cell"),
 ]
-EACH: list[Way] = [("each", "zenoh", "cells"), ("each", "zenoh", "packed")]
+EACH: list[Way] = [("each", "zenoh", "per_cell"), ("each", "zenoh", "packed")]
 
 CRASHES = """
 [stall]

@@ -73,10 +73,10 @@ EFFECTS = {
 ONE_PROCESS: tuple[Processes, Transport, Wire] = (0, "memory", "packed")
 WAYS: list[tuple[Processes, Transport, Wire]] = [
     ONE_PROCESS,
-    (0, "memory", "cells"),
+    (0, "memory", "per_cell"),
     (2, "zenoh", "packed"),
-    (2, "zenoh", "cells"),
-    ("each", "zenoh", "cells"),
+    (2, "zenoh", "per_cell"),
+    ("each", "zenoh", "per_cell"),
 ]
 
 

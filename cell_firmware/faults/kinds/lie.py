@@ -81,8 +81,8 @@ class _Lies(MessageFault):
         lattice = talk.lattice
         heard = links_of(lattice, injected.cells, heard=False, told=True)
         self._message = talk.message
-        self._struck = np.zeros((len(lattice), len(SIDES)), dtype=np.bool_)
-        self._struck[heard[:, 0], heard[:, 1]] = True
+        self._affected = np.zeros((len(lattice), len(SIDES)), dtype=np.bool_)
+        self._affected[heard[:, 0], heard[:, 1]] = True
         self._draws: CounterStream | None = None
         if fault.mode == "random" and len(heard):
             self._links = heard
@@ -104,7 +104,7 @@ class _Lies(MessageFault):
 
     def on_receive(self, tick: int, own: State, place: Ints, inbox: Inbox) -> tuple[State, Inbox, Ints]:
         """Replace numbers in messages from lying cells."""
-        lies = self._struck[place] & inbox.received
+        lies = self._affected[place] & inbox.received
         message = np.array(inbox.message)
         if own:
             own = self._learnt(own, lies, inbox.message)

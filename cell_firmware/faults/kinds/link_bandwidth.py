@@ -53,7 +53,7 @@ class LinkBandwidthFault(LinkTarget, LinkFault):
 class _Bucket(LinkFilter):
     """Filter with a token bucket and a queue for each link, oldest message first; tokens are counted in fractions."""
 
-    remembers: ClassVar[StateFields] = StateFields("_tokens", "_length", "_queue")
+    state_fields: ClassVar[StateFields] = StateFields("_tokens", "_length", "_queue")
 
     def __init__(
         self, fault: LinkBandwidthFault, links: AffectedLinks, injected: FaultInstance[CellFault]

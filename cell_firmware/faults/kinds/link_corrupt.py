@@ -56,9 +56,9 @@ class _Changed(LinkFilter):
         hit = came & (self._draws.uniform(tick) < self._probability)
         rows = np.flatnonzero(hit)
         if len(rows):
-            struck = words[rows].view(self._links.message)
-            data, count = self._wire.read(struck)
+            words_hit = words[rows].view(self._links.message)
+            data, count = self._wire.read(words_hit)
             chance = self._which.uniform(tick).reshape(len(words), -1)[rows]
-            struck = self._wire.write(struck, flipped(data, count, self._bits, chance))
-            words[rows] = struck.view(words.dtype)
+            words_hit = self._wire.write(words_hit, flipped(data, count, self._bits, chance))
+            words[rows] = words_hit.view(words.dtype)
         return came, words, {"corrupted": hit}

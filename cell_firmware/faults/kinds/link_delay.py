@@ -53,21 +53,21 @@ class _Delayed(FaultFilter):
         injected: The fault.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_waiting", "_struck")
+    state_fields: ClassVar[StateFields] = StateFields("_waiting", "_affected")
 
     def __init__(
         self, waiting: InputFilter, greatest: int, links: AffectedLinks, injected: FaultInstance[CellFault]
     ) -> None:
         super().__init__(injected, "delayed", "overtaken", lingers=greatest)
         self._waiting = waiting
-        self._struck = np.zeros(4 * len(links.site.cells), dtype=np.bool_)
-        self._struck[links.slot] = True
+        self._affected = np.zeros(4 * len(links.site.cells), dtype=np.bool_)
+        self._affected[links.slot] = True
 
     def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Delay messages while the fault is active, and deliver due messages."""
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: no inbox, but messages to delay"
-        delayed = inbox.received & self._struck.reshape(-1, 4) & self._injected.active_at(tick)
+        delayed = inbox.received & self._affected.reshape(-1, 4) & self._injected.active_at(tick)
         direct = inbox.received & ~delayed
         waits = replace(inputs, inbox=Inbox(delayed, inbox.message.copy()))
         due = self._waiting.apply(tick, waits, alive).inbox

@@ -34,7 +34,7 @@ class LinkDuplicateFault(LinkTarget, LinkFault):
 
 @final
 class _Duplicate(LinkFilter):
-    remembers: ClassVar[StateFields] = StateFields("_again", "_words")
+    state_fields: ClassVar[StateFields] = StateFields("_again", "_words")
 
     def __init__(self, probability: float, links: AffectedLinks, injected: FaultInstance[CellFault]) -> None:
         super().__init__(links, injected, "duplicated", "overtaken", lingers=1)

@@ -79,7 +79,7 @@ class _Independent(LinkFilter):
 class _Bursts(LinkFilter):
     """Filter with a state, good or bad, for each link; one draw a tick and link decides the next state."""
 
-    remembers: ClassVar[StateFields] = StateFields("_bad")
+    state_fields: ClassVar[StateFields] = StateFields("_bad")
 
     def __init__(
         self, fault: LinkLossFault, links: AffectedLinks, injected: FaultInstance[CellFault]

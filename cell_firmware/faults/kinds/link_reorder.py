@@ -38,7 +38,7 @@ class LinkReorderFault(LinkTarget, LinkFault):
 
 @final
 class _Reorder(LinkFilter):
-    remembers: ClassVar[StateFields] = StateFields("_held", "_words")
+    state_fields: ClassVar[StateFields] = StateFields("_held", "_words")
 
     def __init__(
         self, fault: LinkReorderFault, links: AffectedLinks, injected: FaultInstance[CellFault]

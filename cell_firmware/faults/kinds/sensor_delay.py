@@ -24,28 +24,28 @@ class SensorDelayFault(SensorFault):
     kind: Literal["sensor_delay"] = "sensor_delay"
     ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)]
 
-    def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
+    def make_filter(self, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
         """Return a filter that delays readings."""
-        return _Delay(self.ticks, struck, injected)
+        return _Delay(self.ticks, affected, injected)
 
 
 @final
 class _Delay(SensorFilter):
     """Filter that records readings from ``ticks`` before the fault's start, and delays readings."""
 
-    remembers: ClassVar[StateFields] = StateFields("_begun", "_bits", "_levels")
+    state_fields: ClassVar[StateFields] = StateFields("_begun", "_bits", "_levels")
 
-    def __init__(self, ticks: int, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
-        super().__init__(struck, injected)
+    def __init__(self, ticks: int, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
+        super().__init__(affected, injected)
         self._ticks = ticks
         self._begun = False
-        self._bits = np.zeros((ticks, *struck.shape), dtype=np.bool_)
-        self._levels = np.zeros((ticks, *struck.shape))
+        self._bits = np.zeros((ticks, *affected.shape), dtype=np.bool_)
+        self._levels = np.zeros((ticks, *affected.shape))
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Filter the inputs while the fault is active; record readings before its start."""
         if self._injected.start_tick - self._ticks <= tick < self._injected.start_tick:
-            at = self._struck.at
+            at = self._affected.at
             self.override(tick, inputs.presence[at], None if inputs.level is None else inputs.level[at])
         return super().apply(tick, inputs, alive)
 

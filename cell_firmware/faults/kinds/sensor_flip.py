@@ -23,17 +23,17 @@ class SensorFlipFault(SensorFault):
     rate: Probability
     """Probability, a reading and tick."""
 
-    def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
+    def make_filter(self, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
         """Flips."""
-        return _Flip(self.rate, struck, injected)
+        return _Flip(self.rate, affected, injected)
 
 
 @final
 class _Flip(SensorFilter):
-    def __init__(self, rate: float, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
-        super().__init__(struck, injected)
+    def __init__(self, rate: float, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
+        super().__init__(affected, injected)
         self._rate = rate
-        self._draws = struck.draws(injected)
+        self._draws = affected.draws(injected)
 
     def override(
         self, tick: int, bit: NDArray[np.bool_], level: Floats | None

@@ -22,15 +22,15 @@ class SensorStuckFault(SensorFault):
     value: Literal[0, 1]
     """The constant reading."""
 
-    def make_filter(self, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
+    def make_filter(self, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
         """Return a filter with a constant reading."""
-        return _Stuck(bool(self.value), struck, injected)
+        return _Stuck(bool(self.value), affected, injected)
 
 
 @final
 class _Stuck(SensorFilter):
-    def __init__(self, value: bool, struck: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
-        super().__init__(struck, injected)
+    def __init__(self, value: bool, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> None:
+        super().__init__(affected, injected)
         self._value = value
 
     def override(self, tick: int, bit: NDArray[np.bool_], level: Floats | None) -> tuple[bool, float]:

@@ -32,7 +32,9 @@ class Camera:
             tick, so that no frame arrives before it exists.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_draw", "_next_ns", "_under_way", records=(CameraFrame,))
+    state_fields: ClassVar[StateFields] = StateFields(
+        "_draw", "_next_ns", "_under_way", records=(CameraFrame,)
+    )
 
     def __init__(self, spec: CameraSpec, tick_ns: int, seed: int, later: int = 0) -> None:
         self._tick_ns = tick_ns

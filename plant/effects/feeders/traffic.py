@@ -31,7 +31,7 @@ class _Queue:
         longest_ns: The longest that one had to wait.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("called_ns", "fed", "held_back", "longest_ns")
+    state_fields: ClassVar[StateFields] = StateFields("called_ns", "fed", "held_back", "longest_ns")
 
     name: str
     first: int
@@ -60,7 +60,7 @@ class _Queue:
 class _Gate:
     """Exit with its edges, the transit times of parcels that left, and the number of misrouted parcels."""
 
-    remembers: ClassVar[StateFields] = StateFields("transit_ns", "misrouted")
+    state_fields: ClassVar[StateFields] = StateFields("transit_ns", "misrouted")
 
     name: str
     normal: Floats
@@ -95,7 +95,7 @@ class Traffic:
         on_surface: ascending indices of the parcels that neither wait nor have left.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_queues", "_gates", "_since_ns", "on_surface")
+    state_fields: ClassVar[StateFields] = StateFields("_queues", "_gates", "_since_ns", "on_surface")
 
     def __init__(
         self,

@@ -51,7 +51,7 @@ class ContactMover:
         resolves: whether contacts change the motion.
     """
 
-    remembers: ClassVar[StateFields] = StateFields("_met")
+    state_fields: ClassVar[StateFields] = StateFields("_met")
 
     def __init__(
         self,

@@ -30,7 +30,7 @@ def energy(inverse, motion):
 
 
 @kernel
-def struck(group, rows, ends, count, before, restitution, friction, after):
+def strike(group, rows, ends, count, before, restitution, friction, after):
     """Velocities after an impact, by the rule for every point alone. Returns whether they were found."""
     for i in range(before.shape[0]):
         for k in range(3):
@@ -94,12 +94,12 @@ def collide(group, count, states, restitution, friction, work):
         fastest = max(fastest, -leaving(rows[n], before[ends[n, 0]], before[ends[n, 1]]))
     if fastest <= CLOSING:
         return to.DONE, fastest
-    if not struck(group, rows, ends, count, before, restitution, friction, after):
+    if not strike(group, rows, ends, count, before, restitution, friction, after):
         return to.NOT_SETTLED, fastest
     had, share = energy(group.inverse, before), 1.0
     gained = energy(group.inverse, after) - had
     if gained > ROUNDING * had:
-        if not struck(group, rows, ends, count, before, at.NOTHING, friction, dead):
+        if not strike(group, rows, ends, count, before, at.NOTHING, friction, dead):
             return to.NOT_SETTLED, fastest
         # energy is convex along the mixture, not above what it was at its beginning, and above that at its end
         lost = min(energy(group.inverse, dead) - had, 0.0)

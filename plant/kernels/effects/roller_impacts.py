@@ -55,9 +55,9 @@ def _strike(surface, parcel, work, now, h):
         for axis in range(2):
             slip = slip_at(begun(work, surface, cell, before), surface, work.begin, cell, axis)
             slip_after = slip_at(speed(work, surface, cell, after), surface, work.end, cell, axis)
-            struck = strike_rollers(rollers, cell, axis, 0.5 * h * (slip + slip_after))
-            if struck != 0.0:
-                push(surface, parcel, work, after, cell, axis, struck * rollers.impulse_m_s * share)
+            hit = strike_rollers(rollers, cell, axis, 0.5 * h * (slip + slip_after))
+            if hit != 0.0:
+                push(surface, parcel, work, after, cell, axis, hit * rollers.impulse_m_s * share)
 
 
 @kernel
@@ -90,16 +90,16 @@ def strike_rollers(rollers, cell, axis, way):
     if way == 0.0:
         return 0.0
     passed = rollers.passed[cell, axis] + way / rollers.spacing_m
-    struck = (rollers.start[cell, axis] + passed) // 1.0
-    rollers.passed[cell, axis] = passed - struck
-    return struck
+    hit = (rollers.start[cell, axis] + passed) // 1.0
+    rollers.passed[cell, axis] = passed - hit
+    return hit
 
 
 @kernel
 def push(surface, parcel, work, e, cell, axis, impulse):
     """Strike the parcel at a wheel along an axis, by at most what stops the slip there; ``impulse`` per kg, m/s.
 
-    A wheel that feels what it pulls is struck back.
+    A wheel that feels what it pulls is hit back.
     """
     y, per_inertia = parcel.y, parcel.par[at.MASS_OVER_INERTIA]
     arm = lever(surface, y, cell, axis)

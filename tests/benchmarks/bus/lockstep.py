@@ -33,7 +33,7 @@ from bus.wire.frames import Control, SenseFrame
 CASES = (
     Case("18 cells, 1 worker, packed", 3, 6, 1, "packed", 1000, 1 / 2.5),
     Case("1,024 cells, 2 workers, packed", 32, 32, 2, "packed", 300, None),
-    Case("18 cells, one process a cell", 3, 6, 18, "cells", 100, 0.6),
+    Case("18 cells, one process a cell", 3, 6, 18, "per_cell", 100, 0.6),
 )
 
 METHOD = """\

@@ -108,7 +108,7 @@ def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
     system.member_endpoints[1].put_all(puts[:-1])
     system.member_endpoints[1].close()
     system.members[0].publish(system.drive(0, 1), system.links(0, 1))
-    assert system.host.gather(1)[1] == [Loss(1, 1, "token lost")]
+    assert system.host.gather(1)[1] == [Loss(1, 1, "disconnected")]
     system.host.publish(system.sense(2))
     heard = gathered(system.members[0].gather(2)).links
     assert heard is not None

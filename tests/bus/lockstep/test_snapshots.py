@@ -17,7 +17,7 @@ def test_it_comes_over_as_it_was() -> None:
 
 
 def test_that_it_is_asked_for_comes_over() -> None:
-    asked = Control("keep", 7)
+    asked = Control("snapshot", 7)
     assert decode_control(encode_control(asked), 1) == asked
 
 

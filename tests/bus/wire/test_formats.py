@@ -33,7 +33,7 @@ from tests.bus.support import grid
 MESSAGE = check_message(
     np.dtype([("u", "<f8"), ("w", "<f4"), ("n", "<i2"), ("m", "<u8"), ("there", "?"), ("h", "<f2")])
 )
-FORM_NAMES: list[WireFormat] = ["packed", "cells"]
+FORM_NAMES: list[WireFormat] = ["packed", "per_cell"]
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -188,9 +188,9 @@ def test_labels_and_pictures_survive_the_wire_whatever_else_there_is(
 
 
 def test_a_cell_is_told_its_label_and_the_picture_as_plain_numbers() -> None:
-    host, _ = sides("cells", encoders=False, labels=4, camera=3)
+    host, _ = sides("per_cell", encoders=False, labels=4, camera=3)
     bits, label = np.eye(6, 3, dtype=np.bool_), np.arange(6) % 5
-    told = {"v": 1, "tick": 0, "presence": [False, True, False], "encoder_m": None, "label": 1}
+    told = {"v": 2, "tick": 0, "presence": [False, True, False], "encoder_m": None, "label": 1}
     assert msgpack.unpackb(host.sense_payloads(SenseFrame(0, bits, None, None, label))[1]) == {
         **told,
         "picture": None,
@@ -214,39 +214,39 @@ def test_joined_arrays_may_be_written(form: WireFormat) -> None:
 
 
 def test_a_cell_s_payloads_are_maps_that_any_tool_reads() -> None:
-    host, (member, _) = sides("cells", encoders=False)
+    host, (member, _) = sides("per_cell", encoders=False)
     bits = np.array([[True, False, True]] + [[False] * 3] * 5)
     assert msgpack.unpackb(host.sense_payloads(SenseFrame(7, bits, None))[0]) == {
-        "v": 1,
+        "v": 2,
         "tick": 7,
         "presence": [True, False, True],
         "encoder_m": None,
     }
-    levelled, _ = sides("cells", encoders=False, levels=True)
+    levelled, _ = sides("per_cell", encoders=False, levels=True)
     assert msgpack.unpackb(levelled.sense_payloads(SenseFrame(7, bits, None, 0.25 * bits))[0]) == {
-        "v": 1,
+        "v": 2,
         "tick": 7,
         "presence": [True, False, True],
         "encoder_m": None,
         "level": [0.25, 0.0, 0.25],
     }
     drive = DriveFrame(7, np.array([[0.5, -0.25]] * 3))
-    assert msgpack.unpackb(member.drive_payloads(drive)[0]) == {"v": 1, "tick": 7, "drive": [0.5, -0.25]}
+    assert msgpack.unpackb(member.drive_payloads(drive)[0]) == {"v": 2, "tick": 7, "drive": [0.5, -0.25]}
     message = np.zeros(3, MESSAGE)
     message[0] = (0.1, 0.5, -3, 9, True, 2.0)
     payloads = member.link_payloads(LinkFrame(7, np.array([True, False, False]), message))
     assert msgpack.unpackb(payloads[0]) == {
-        "v": 1, "tick": 7, "u": 0.1, "w": 0.5, "n": -3, "m": 9, "there": True, "h": 2.0,
+        "v": 2, "tick": 7, "u": 0.1, "w": 0.5, "n": -3, "m": 9, "there": True, "h": 2.0,
     }  # fmt: skip
-    assert msgpack.unpackb(payloads[1]) == {"v": 1, "tick": 7}
+    assert msgpack.unpackb(payloads[1]) == {"v": 2, "tick": 7}
 
 
 def test_a_tool_may_write_whole_numbers_where_floats_are_meant() -> None:
-    host, (member, _) = sides("cells")
-    payload = msgpack.packb({"v": 1, "tick": 0, "drive": [1, -2]})
+    host, (member, _) = sides("per_cell")
+    payload = msgpack.packb({"v": 2, "tick": 0, "drive": [1, -2]})
     assert host.join_drives([host.decode_drive(0, payload)[1]]).tolist() == [[1.0, -2.0]]
     fields = {"u": 3, "w": 1, "n": 1, "m": 1, "there": False, "h": 1}
-    _, packed = member.decode_link(0, msgpack.packb({"v": 1, "tick": 0, **fields}))
+    _, packed = member.decode_link(0, msgpack.packb({"v": 2, "tick": 0, **fields}))
     assert np.frombuffer(packed, MESSAGE).tolist() == [(3.0, 1.0, 1, 1, False, 1.0)]
 
 
@@ -263,7 +263,7 @@ def good_payloads(form: WireFormat) -> list[tuple[Any, bytes]]:
     drive = member.drive_payloads(DriveFrame(5, np.full((3, 2), 0.1)))[0]
     link = member.link_payloads(LinkFrame(5, np.ones(3, np.bool_), np.ones(3, MESSAGE)))[0]
     silent = member.link_payloads(LinkFrame(5, np.zeros(3, np.bool_), np.ones(3, MESSAGE)))[0]
-    control = encode_control(Control("lost", 5, ((0, 1), (1, 2)), "stalled"))
+    control = encode_control(Control("lost", 5, ((0, 1), (1, 2)), "timed_out"))
     report = encode_report(Report("failed", 5, ((0, 1),), "trace", (1, 2, 3, 4), (("lost", 5),)))
     return [
         (lambda payload: member.decode_sense(0, payload), sense),
@@ -357,8 +357,8 @@ def refusal(decode: Any, fields: object) -> str:
 
 
 def test_every_refusal_has_a_name() -> None:
-    host, (member, _) = sides("cells")
-    drive = {"v": 1, "tick": 0, "drive": [0.0, 0.0]}
+    host, (member, _) = sides("per_cell")
+    drive = {"v": 2, "tick": 0, "drive": [0.0, 0.0]}
 
     def decode(payload: bytes) -> object:
         return host.decode_drive(0, payload)
@@ -366,7 +366,7 @@ def test_every_refusal_has_a_name() -> None:
     assert refusal(decode, b"\xc1") == "drive: encoding"
     assert refusal(decode, b"\x00" * 500) == "drive: length"
     assert refusal(decode, [1, 2]) == "drive: type"
-    assert refusal(decode, {**drive, "v": 2}) == "drive: version"
+    assert refusal(decode, {**drive, "v": 1}) == "drive: version"
     assert refusal(decode, {"tick": 0, "drive": [0.0, 0.0]}) == "drive: version"
     assert refusal(decode, {**drive, "more": 1}) == "drive: fields"
     assert refusal(decode, {**drive, "tick": -1}) == "drive: tick"
@@ -377,7 +377,7 @@ def test_every_refusal_has_a_name() -> None:
     assert refusal(decode, {**drive, "drive": [0.0, float("nan")]}) == "drive: finite"
     assert refusal(decode, {**drive, "drive": [float("inf"), 0.0]}) == "drive: finite"
 
-    link = {"v": 1, "tick": 0, "u": 0.0, "w": 0.0, "n": 0, "m": 0, "there": True, "h": 0.0}
+    link = {"v": 2, "tick": 0, "u": 0.0, "w": 0.0, "n": 0, "m": 0, "there": True, "h": 0.0}
 
     def decode_link(payload: bytes) -> object:
         return member.decode_link(0, payload)
@@ -389,7 +389,7 @@ def test_every_refusal_has_a_name() -> None:
     assert refusal(decode_link, {**link, "n": 1.5}) == "link: type"
     assert refusal(decode_link, {**link, "there": 1}) == "link: type"
     assert refusal(decode_link, {**link, "u": "0"}) == "link: type"
-    assert refusal(decode_link, {"v": 1, "tick": 0, "u": 0.0}) == "link: fields"
+    assert refusal(decode_link, {"v": 2, "tick": 0, "u": 0.0}) == "link: fields"
 
 
 def test_packed_bits_beyond_the_last_and_odd_sizes_are_refused() -> None:
@@ -429,7 +429,7 @@ def test_a_level_that_is_no_share_is_refused_and_so_is_one_where_none_was_agreed
             payload = host.sense_payloads(SenseFrame(0, there, travel, wrong))[0]
             assert refusal(lambda p, m=member: m.decode_sense(0, p), payload) == "sense: range"
     # whole numbers, and lists that are none
-    fields = {"v": 1, "tick": 0, "presence": [True] * 3, "encoder_m": [0, 0]}
+    fields = {"v": 2, "tick": 0, "presence": [True] * 3, "encoder_m": [0, 0]}
     assert member.decode_sense(0, msgpack.packb({**fields, "level": [0, 1, 0.5]}))[0] == 0
     assert refusal(lambda p: member.decode_sense(0, p), {**fields, "level": [0.5, 0.5]}) == "sense: type"
     assert (
@@ -468,15 +468,15 @@ def test_labels_and_pictures_that_no_run_can_have_are_refused(form: WireFormat) 
 
 
 def test_records_survive_the_wire() -> None:
-    control = Control("lost", 12, ((0, 1), (3, 4)), "token lost")
+    control = Control("lost", 12, ((0, 1), (3, 4)), "disconnected")
     assert decode_control(encode_control(control), 2) == control
-    tally = tuple((f"{i:064}", i) for i in range(64))
-    report = Report("failed", 12, ((0, 1),), "ZeroDivisionError", (5, 6, 7, 8), tally)
+    counters = tuple((f"{i:064}", i) for i in range(64))
+    report = Report("failed", 12, ((0, 1),), "ZeroDivisionError", (5, 6, 7, 8), counters)
     assert decode_report(encode_report(report), 1) == report
 
 
 @pytest.mark.parametrize(
-    "tally",
+    "counters",
     [
         tuple((f"{i}", i) for i in range(65)),
         (("x" * 65, 1),),
@@ -486,8 +486,8 @@ def test_records_survive_the_wire() -> None:
         ((1, 1),),
     ],
 )
-def test_a_tally_that_is_none_is_refused(tally: Any) -> None:
-    report = Report("counts", 12, (), "", (5, 6, 7, 8), tally)
+def test_counters_that_are_none_are_refused(counters: Any) -> None:
+    report = Report("counters", 12, (), "", (5, 6, 7, 8), counters)
     assert refusal(lambda p: decode_report(p, 1), encode_report(report)) == "report: type"
 
 

@@ -14,7 +14,7 @@ from scipy.stats import binom
 from bus.lattice import Lattice
 from cell_firmware.faults.kinds.link_loss import LinkLossFault
 from tests.cell_firmware.effects.links import heard_on
-from tests.cell_firmware.faults.struck import struck
+from tests.cell_firmware.faults.instances import instances
 
 Grid, Run = Callable[..., Lattice], Callable[..., Any]
 ALL = {"share": 1.0}
@@ -27,7 +27,7 @@ def heard(
     """The tick of what each link brought, ``(ticks, links)``, and what the fault counted, by its own names."""
     lattice = grid(*size)
     times = {name: how.pop(name) for name in ("first", "end") if name in how}
-    told, counted = heard_on(lattice, run, ticks, faults=struck(lattice, fault, **times), **how)
+    told, counted = heard_on(lattice, run, ticks, faults=instances(lattice, fault, **times), **how)
     kind = f"faults.{fault['kind']}."
     return told, {name.removeprefix(kind): number for name, number in counted.items() if number}
 
@@ -47,7 +47,7 @@ def test_a_link_that_is_down_brings_nothing_from_its_first_tick_to_its_last(grid
 
 def test_a_partition_cuts_the_links_across_its_line_and_no_others(grid: Grid, run: Run) -> None:
     lattice = grid(4, 3, missing=[(1, 1)])
-    told, counted = heard_on(lattice, run, 6, faults=struck(lattice, {"kind": "partition", "row": 1}))
+    told, counted = heard_on(lattice, run, 6, faults=instances(lattice, {"kind": "partition", "row": 1}))
     cell, side = np.nonzero(lattice.neighbours >= 0)
     across = ((lattice.rows[cell] == 1) & (side == 0)) | ((lattice.rows[cell] == 2) & (side == 2))
     across &= lattice.columns[cell] != 1
@@ -62,7 +62,7 @@ def test_messages_are_lost_as_often_as_asked_and_the_fault_and_its_number_draw(g
     assert likely(lost, told[1:].size, 0.07)
     assert counted == {"lost": lost}
     lattice = grid(12, 12)
-    second = struck(lattice, {"kind": "sensor_flip", "rate": 0.0, **ALL}, fault)
+    second = instances(lattice, {"kind": "sensor_flip", "rate": 0.0, **ALL}, fault)
     other, _ = heard_on(lattice, run, 30, faults=second)
     assert likely(int(((told < 0) & (other < 0))[1:].sum()), told[1:].size, 0.07**2)
 
@@ -185,7 +185,7 @@ def test_a_throttled_link_brings_exactly_what_its_bucket_lets_through(
 def test_faults_act_after_one_another_in_the_scene_s_order(grid: Grid, run: Run) -> None:
     late, cut = {"kind": "link_delay", "ticks": 2, **ALL}, {"kind": "link_down", **ALL, "first": 0, "end": 5}
     lattice = grid(1, 2)
-    delayed_first, _ = heard_on(lattice, run, 9, faults=struck(lattice, late, cut))
-    cut_first, _ = heard_on(lattice, run, 9, faults=struck(lattice, cut, late))
+    delayed_first, _ = heard_on(lattice, run, 9, faults=instances(lattice, late, cut))
+    cut_first, _ = heard_on(lattice, run, 9, faults=instances(lattice, cut, late))
     assert delayed_first[:, 0].tolist() == [-1, -1, -1, -1, -1, 2, 3, 4, 5]
     assert cut_first[:, 0].tolist() == [-1, -1, -1, -1, -1, -1, -1, 4, 5]

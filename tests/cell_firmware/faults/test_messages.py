@@ -22,7 +22,7 @@ from cell_firmware.faults.payload_bytes import flipped, random_bytes
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 from cell_firmware.specs import CellsSpec
-from tests.cell_firmware.faults.struck import struck
+from tests.cell_firmware.faults.instances import instances
 
 Grid = Callable[..., Lattice]
 HERE = {"cell": (0, 0)}
@@ -78,7 +78,7 @@ def told(
         clocks = ArrayClocks(
             lattice, CellClocks(4_096_000, window_ns, own, np.arange(len(lattice)) * 700_000)
         )
-    here = struck(
+    here = instances(
         lattice, *({**HERE, **fault} if "share" not in fault else fault for fault in faults), **times
     )
     firmware = Teller()

@@ -21,7 +21,7 @@ from cell_firmware.faults.base import CellFault
 from cell_firmware.faults.kinds.slow_clock import SlowClockFault
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
-from tests.cell_firmware.faults.struck import struck
+from tests.cell_firmware.faults.instances import instances
 
 Grid = Callable[..., Lattice]
 PERIOD_NS = 4_096_000
@@ -58,7 +58,7 @@ def driven(
 ) -> tuple[NDArray[np.float64], dict[str, int]]:
     """Drives of 0,0 and 0,1, ``(ticks, 2, 2)``; faults strike 0,0. And what was counted."""
     lattice = grid(1, 2)
-    here = struck(lattice, *({"cell": (0, 0), **fault} for fault in faults), **times)
+    here = instances(lattice, *({"cell": (0, 0), **fault} for fault in faults), **times)
     steps = lockstep(Counting(), Partition.even(lattice, shards), None, effects, 0, clocks, here)
     found = np.array([steps.step() for _ in range(ticks)])
     assert not steps.failures
@@ -165,7 +165,7 @@ def test_a_fault_of_one_cell_is_joined_to_a_running_array_to_the_same_effect(
         {"kind": "hang"},
         {"kind": "lie", "mode": "factor", "by": 3},
     )
-    faults: list[FaultInstance[CellFault]] = struck(
+    faults: list[FaultInstance[CellFault]] = instances(
         lattice, *({"cell": (0, 0), **table} for table in tables), first=7, end=11
     )
     scheduled = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, None, faults)
@@ -193,7 +193,7 @@ def test_faults_joined_one_by_one_act_and_count_as_if_they_had_been_there_from_t
     lattice = grid(1, 2)
     own = clocks(lattice, 3_000, -4_000, windows=windows) if windows else None
     timed = ({**table, "first": 5 + 3 * i, "end": 11 + 4 * i} for i, table in enumerate(tables))
-    faults = struck(lattice, *({"cell": (0, 0), **table} for table in timed))
+    faults = instances(lattice, *({"cell": (0, 0), **table} for table in timed))
     scheduled = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, own, faults)
     live = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, own)
     for tick in range(28):

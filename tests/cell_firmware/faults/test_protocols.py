@@ -12,7 +12,7 @@ from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.loader import BUNDLED, load
 from cell_firmware.specs import CellsSpec
-from tests.cell_firmware.faults.struck import struck
+from tests.cell_firmware.faults.instances import instances
 
 FASTEST = 1e6
 ROWS, COLUMNS, TICKS = 8, 12, 120
@@ -60,7 +60,7 @@ def test_a_bundled_protocol_survives_links_that_do_all_that_links_can_do(
     lattice = grid(ROWS, COLUMNS)
     firmware = load(CellsSpec(firmware=name, parameters=PARAMETERS[name]))
     firmware.check(lattice)
-    faults = struck(lattice, *HOSTILE, end=90)
+    faults = instances(lattice, *HOSTILE, end=90)
     steps = lockstep(firmware, Partition.even(lattice, 1), seed=4, faults=faults)
     place = np.stack((lattice.columns, lattice.rows), axis=1) * 0.1
     for tick in range(TICKS):

@@ -12,7 +12,7 @@ from scipy.stats import binom
 from bus.lattice import Lattice
 from cell_firmware.effects.base import ShardContext
 from cell_firmware.firmware import Inputs
-from tests.cell_firmware.faults.struck import struck
+from tests.cell_firmware.faults.instances import instances
 
 LATTICE = Lattice((0, column) for column in range(6))
 SENSORS = 3
@@ -33,7 +33,7 @@ def readings(
     level = chance.random((ticks, 6, SENSORS))[:, own]
     bits = level > 0.5
     site = ShardContext(own, SENSORS, None, 3, levels=levels)
-    (one,) = struck(LATTICE, fault, seed=3, **times)
+    (one,) = instances(LATTICE, fault, seed=3, **times)
     stages = list(one.fault.input_filters(site, LATTICE, one))
     told = [Inputs(bits[tick].copy(), level=level[tick].copy() if levels else None) for tick in range(ticks)]
     for tick in range(ticks):
@@ -82,7 +82,7 @@ def test_a_delayed_sensor_says_what_it_said_so_many_ticks_before_the_fault_s_fir
     assert (said[:4, 3] == bits[0, 3]).all(), "before the run there is nothing: what was said first"
     assert (said[4:, 3] == bits[:-4, 3]).all()
     assert not list(
-        struck(LATTICE, fault)[0].fault.input_filters(
-            ShardContext(np.array([0]), 1, None, 0), LATTICE, struck(LATTICE, fault)[0]
+        instances(LATTICE, fault)[0].fault.input_filters(
+            ShardContext(np.array([0]), 1, None, 0), LATTICE, instances(LATTICE, fault)[0]
         )
     )

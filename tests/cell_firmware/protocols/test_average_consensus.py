@@ -71,10 +71,10 @@ def test_above_its_limit_a_constant_weight_grows_as_the_caution_says(
 ) -> None:
     lattice = grid(4, 5)
     firmware = averaging(weight=0.32)
-    (caution,) = firmware.warnings(lattice)
+    (warning,) = firmware.warnings(lattice)
     seen = watch(firmware, lattice, 200)
     growth = np.linalg.norm(seen[-1]) / np.linalg.norm(seen[-2])
-    assert f"grow by a factor of {growth:.6g} a tick" in caution
+    assert f"grow by a factor of {growth:.6g} a tick" in warning
     assert averaging().warnings(lattice) == averaging(weight=0.25).warnings(lattice) == ()
 
 
@@ -120,7 +120,7 @@ def silenced(
     return go
 
 
-def struck(lattice: Lattice, fault: Any, first: int, end: int, number: int = 0) -> FaultInstance[Any]:
+def instance(lattice: Lattice, fault: Any, first: int, end: int, number: int = 0) -> FaultInstance[Any]:
     return FaultInstance(number, fault, np.arange(len(lattice)), first, end)
 
 
@@ -133,7 +133,7 @@ def test_bursts_of_losses_longer_than_the_patience_leave_the_mean_exact_while_th
     lattice = Lattice((a * 4 + r, c) for a in range(arrays) for r in range(rows) for c in range(columns))
     firmware = averaging(value=0.0, values=[{"columns": [0, 0], "value": 1.0}], ttl_periods=3)
     bursts = LinkLossFault.model_validate({"probability": 0.2, "burst_ticks": 20.0, **ALL_LINKS})
-    go = silenced(lockstep, firmware, lattice, [struck(lattice, bursts, 0, 10_000)], seed=5)
+    go = silenced(lockstep, firmware, lattice, [instance(lattice, bursts, 0, 10_000)], seed=5)
     error = abs(go(2000).reshape(2000, arrays, -1) - 1 / columns).max(axis=2)
     assert error[:200].max() > 0.5  # until cells know how long silences last
     assert error[-100:].max() < 1e-9, np.sort(error[-100:].max(axis=0))
@@ -145,7 +145,7 @@ def test_a_silence_that_a_cell_has_known_to_end_leaves_no_trace_when_it_comes_ag
         averaging(ttl_periods=5, values=VALUES[:1]),
     )
     down = LinkDownFault.model_validate(ALL_LINKS)
-    faults = [struck(lattice, down, 300, 400, 0), struck(lattice, down, 800, 1100, 1)]
+    faults = [instance(lattice, down, 300, 400, 0), instance(lattice, down, 800, 1100, 1)]
     go = silenced(lockstep, firmware, lattice, faults)
     v = np.where(lattice.columns < 2, 3.0, 0.5)
     np.testing.assert_allclose(go(300)[-1], v.mean(), rtol=0, atol=1e-9)
@@ -161,7 +161,7 @@ def test_a_neighbour_counts_as_gone_after_four_times_the_longest_silence_that_en
         averaging(ttl_periods=5, value=0.0, values=[{"cell": [0, 0], "value": 1.0}]),
     )
     down = LinkDownFault.model_validate(ALL_LINKS)
-    faults = [struck(lattice, down, 50, 80, 0), struck(lattice, down, 200, 1000, 1)]
+    faults = [instance(lattice, down, 50, 80, 0), instance(lattice, down, 200, 1000, 1)]
     seen = silenced(lockstep, firmware, lattice, faults)(400)
     alone, together = (1.0, 0.0), (0.5, 0.5)
     for tick, right in [(49, together), (53, together), (54, alone), (79, alone), (199, together)]:
@@ -174,7 +174,7 @@ def test_cells_that_hear_their_first_word_late_have_known_no_silence(lockstep: A
     """Words that take long to come are no silence: nothing was lent before the first."""
     lattice, firmware = Lattice([(0, 0), (0, 1)]), averaging(ttl_periods=5)
     down = LinkDownFault.model_validate(ALL_LINKS)
-    steps = lockstep(firmware, Partition.even(lattice, 1), faults=[struck(lattice, down, 0, 60)])
+    steps = lockstep(firmware, Partition.even(lattice, 1), faults=[instance(lattice, down, 0, 60)])
     for _ in range(100):
         steps.step()
     assert steps.shards[0].registers()[1]["firmware.longest"].tolist() == [0, 0]
@@ -223,7 +223,7 @@ def test_averages_are_the_same_to_the_last_bit_however_the_array_is_cut(
     bursts = LinkLossFault.model_validate({"probability": 0.2, "burst_ticks": 6.0, **ALL_LINKS})
     asked: dict[str, Any] = {
         "effects": CellEffects.model_validate({"link_loss": {"probability": 0.2}}),
-        "faults": [struck(lattice, bursts, 0, 10_000)],
+        "faults": [instance(lattice, bursts, 0, 10_000)],
         "dead": {30: [(2, 2)]},
     }
     whole = run(firmware, Partition.even(lattice, 1), 60, **asked).drives

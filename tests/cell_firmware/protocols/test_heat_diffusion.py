@@ -123,10 +123,10 @@ def test_above_what_an_array_bears_speeds_grow_at_the_rate_that_the_caution_says
 ):
     lattice = grid(5, 6, missing=[(1, 1)])
     firmware = heat(diffusion_number=0.3)
-    (caution,) = firmware.warnings(lattice)
+    (warning,) = firmware.warnings(lattice)
     factor = firmware.theory(lattice).factor
     assert factor is not None
-    assert f"grow by a factor of {factor:.6g} a tick, without bound" in caution
+    assert f"grow by a factor of {factor:.6g} a tick, without bound" in warning
     assert 1.1 < factor < 1.4
     drives = run(firmware, Partition.even(lattice, 1), 400).drives
     size = np.sqrt((drives**2).sum(axis=(1, 2)))
@@ -143,8 +143,8 @@ def test_between_a_quarter_and_what_an_array_bears_it_settles_but_overshoots(
     bears = 2.0 / 6.0  # the Laplacian of 3 x 3 cells has eigenvalues 0, 1, 3 along a row, and their sums
     start: dict[str, Any] = {"held": [], "initial": [{"cell": [1, 1], "speed_m_s": [1.0, 0.0]}]}
     firmware = heat(diffusion_number=0.32, speed_m_s=[0.0, 0.0], **start)
-    (caution,) = firmware.warnings(lattice)
-    assert f"this array bears {bears:.6g}, but speeds may overshoot" in caution
+    (warning,) = firmware.warnings(lattice)
+    assert f"this array bears {bears:.6g}, but speeds may overshoot" in warning
     drives = run(firmware, Partition.even(lattice, 1), 400).drives
     assert drives.min() < -0.2
     np.testing.assert_allclose(drives[-1, :, 0], 1.0 / 9.0, atol=1e-9)

@@ -131,7 +131,7 @@ def test_speed_may_go_by_the_slope(grid: Callable[..., Lattice], run: Callable[.
     np.testing.assert_allclose(drives, np.stack((want, 0 * want), axis=1), atol=1e-12)
 
 
-def test_what_cannot_work_is_cautioned_and_comes_true(
+def test_what_cannot_work_is_warned_of_and_comes_true(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:
     lattice = grid(3, 7, missing=[(r, 3) for r in range(3)])

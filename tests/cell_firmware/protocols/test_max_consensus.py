@@ -80,12 +80,12 @@ def test_a_leader_is_kept_where_messages_get_lost(
     assert not known[7]
 
 
-def test_a_lifetime_shorter_than_the_way_is_cautioned_and_the_far_cells_follow_others(
+def test_a_lifetime_shorter_than_the_way_is_warned_of_and_the_far_cells_follow_others(
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
     lattice, firmware = grid(1, 9), election(lifetime=5, ranks=[{"cell": [0, 0], "rank": 1}])
-    (caution,) = firmware.warnings(lattice)
-    assert "the leader's word takes, 8 ticks: 3 cells that are further away never keep it" in caution
+    (warning,) = firmware.warnings(lattice)
+    assert "the leader's word takes, 8 ticks: 3 cells that are further away never keep it" in warning
     leader = watch(firmware, lattice, 40)[-1, :, 1]
     assert (leader[:6] == 0).all()
     assert (leader[6:] != 0).all()

@@ -104,22 +104,22 @@ def test_lost_and_late_messages_cost_time_alone(
     np.testing.assert_allclose(run(firmware, whole, 2000, effects=asked).drives[-1], still, atol=1e-7)
 
 
-def test_sources_that_are_not_even_are_cautioned_and_every_cell_takes_its_share(
+def test_sources_that_are_not_even_are_warned_of_and_every_cell_takes_its_share(
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
     lattice, firmware = grid(3, 9), stream(sources=ENDS[:1])
-    (caution,) = firmware.warnings(lattice)
+    (warning,) = firmware.warnings(lattice)
     assert (
         "27 cells about [0, 0] are 0.06 m2/s out of balance: every one of them takes in 0.00222222 m2/s"
-        in caution
+        in warning
     )
     assert firmware.theory(lattice).limit is None
     potential = watch(firmware, lattice, 1500)[-1]
     want = np.where(lattice.columns == 0, 0.02, 0.0) - 0.06 / 27
     np.testing.assert_allclose(outflow(lattice, potential), want, atol=1e-10)
     assert stream().warnings(lattice) == ()
-    (caution,) = stream(diffusion_number=0.3).warnings(grid(9, 9))
-    assert "potentials that alternate in sign" in caution
+    (warning,) = stream(diffusion_number=0.3).warnings(grid(9, 9))
+    assert "potentials that alternate in sign" in warning
 
 
 def test_the_stream_is_the_same_to_the_last_bit_however_the_array_is_cut(

@@ -91,18 +91,18 @@ def test_above_the_limit_waves_grow_as_the_caution_says(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:
     lattice, firmware = grid(5, 6), wave(courant_number_squared=0.55)
-    (caution,) = firmware.warnings(lattice)
+    (warning,) = firmware.warnings(lattice)
     drives = run(firmware, Partition.even(lattice, 1), 300).drives
     growth = np.linalg.norm(drives[-1]) / np.linalg.norm(drives[-2])
     assert growth == pytest.approx(firmware.theory(lattice).factor, rel=1e-9)
     assert growth > 1.1
-    assert f"grow by a factor of {growth:.6g} a tick, without bound" in caution
+    assert f"grow by a factor of {growth:.6g} a tick, without bound" in warning
     bears = wave(courant_number_squared=0.505)
     greatest = (
         3.0 + 2.0 - 2.0 * np.cos(3 * np.pi / 5)
     )  # of three free cells in a row, and of two with a held one
-    (caution,) = bears.warnings(grid(3, 3))
-    assert caution.endswith(f"the bound on four neighbours; this array bears {4.0 / greatest:.6g}")
+    (warning,) = bears.warnings(grid(3, 3))
+    assert warning.endswith(f"the bound on four neighbours; this array bears {4.0 / greatest:.6g}")
     assert abs(run(bears, Partition.even(grid(3, 3), 1), 2000).drives).max() < 10.0
     assert wave(courant_number_squared=0.5).warnings(lattice) == ()
 

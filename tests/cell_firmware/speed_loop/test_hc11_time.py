@@ -1,4 +1,4 @@
-"""The integer speed loop as a program of the MC68HC11: the same bits, in the time that cautions count with."""
+"""The integer speed loop as a program of the MC68HC11: the same bits, in the time that warnings count with."""
 
 from __future__ import annotations
 

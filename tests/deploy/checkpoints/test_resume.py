@@ -60,7 +60,7 @@ def test_it_goes_on_as_it_was_run() -> None:
     ("asked", "told"),
     [
         ({"processes": 0}, "the run has --processes 2, which can't be --processes 0 now"),
-        ({"wire": "cells"}, "the run has --wire packed"),
+        ({"wire": "per_cell"}, "the run has --wire packed"),
         ({"protocol_report": 1}, "the run has --protocol-report None, which can't be --protocol-report 1"),
         ({"transport": "memory"}, "the run has --transport zenoh"),
         ({"respawn": 3}, "the run has --respawn 0"),

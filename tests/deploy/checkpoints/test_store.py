@@ -31,7 +31,7 @@ CHECKPOINT = Checkpoint(
     reporter=None,
     counts=(4, 3, 2, 1),
     refused={("cell 1,2", "sense: type"): 1},
-    tally={"sensor.bounces": 2},
+    counters={"sensor.bounces": 2},
     recorded={"/tick": 7},
     dead=(2, 5),
     wall_s=0.5,
@@ -201,7 +201,7 @@ def test_the_first_tick_may_be_over_and_the_counts_are_those_of_the_bus() -> Non
     assert Checkpoint.from_bytes(replace(CHECKPOINT, tick=1, dead=(0,)).to_bytes()).tick == 1
     counts = CHECKPOINT.all_counts()
     assert (counts.sent, counts.delivered, counts.lost, counts.late) == (4, 3, 2, 1)
-    assert (dict(counts.refused), dict(counts.cell_counters)) == (CHECKPOINT.refused, CHECKPOINT.tally)
+    assert (dict(counts.refused), dict(counts.cell_counters)) == (CHECKPOINT.refused, CHECKPOINT.counters)
 
 
 @given(st.integers(0, len(CONTENT) - 1), st.integers(1, 255))

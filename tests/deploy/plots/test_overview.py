@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from deploy.errors import DeployError
-from deploy.plots.map_view import RAIL, colour, event_annotations, extent, struck_cells
+from deploy.plots.map_view import RAIL, affected_cells, colour, event_annotations, extent
 from deploy.plots.overview import draw_overview, draw_times
 from deploy.recordings.reader import load
 from deploy.recordings.trace import RunTrace
@@ -99,10 +99,10 @@ def test_lost_cells_are_marked(track: RunTrace, draw: Callable[[Any], np.ndarray
 def test_a_cell_that_came_back_is_struck_and_not_lost(
     track: RunTrace, draw: Callable[[Any], np.ndarray]
 ) -> None:
-    lost = {"time_s": 0.01, "kind": "token_lost", "cell": [2, 3], "detail": ""}
+    lost = {"time_s": 0.01, "kind": "disconnected", "cell": [2, 3], "detail": ""}
     back = {"time_s": 0.02, "kind": "respawn", "phase": "happens", "cell": [2, 3], "cells": [[2, 3]]}
     told = dataclasses.replace(track, faults=[lost, back])
-    assert struck_cells(told) == {(2, 3)}
+    assert affected_cells(told) == {(2, 3)}
     assert pixels(draw(told), "#c1121f") > 100
     gone = draw(dataclasses.replace(track, faults=[lost]))
     assert pixels(gone, LOST_CELL) > pixels(draw(told), LOST_CELL) + 1_000
@@ -121,7 +121,7 @@ def test_cells_that_were_pulled_or_struck_are_marked(
     assert pixels(back, "#8a5a00") > 20
     assert pixels(away, "#ffffff") > pixels(back, "#ffffff") + 1_000
     stuck = with_fault("wheel_stuck", "begins")
-    assert struck_cells(stuck) == {(2, 3)}
+    assert affected_cells(stuck) == {(2, 3)}
     assert pixels(draw(stuck), "#c1121f") > 100
 
 

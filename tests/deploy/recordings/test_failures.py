@@ -103,7 +103,7 @@ def _file_of_one_chunk(folder: Path, header: Any, *, compression: str, size: int
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="mdms", library="other")
-        writer.add_metadata("mdms.header", {"format": "1", "json": json.dumps(header)})
+        writer.add_metadata("mdms.header", {"format": "2", "json": json.dumps(header)})
         stream.flush()
         content = struct.pack("<QQQI", 0, 0, size, 0)
         content += (

@@ -26,7 +26,7 @@ def test_no_bundled_scene_looks_mistaken() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scene", "change", "caution"),
+    ("scene", "change", "warning"),
     [
         ("elliptic", "parcels.0.angle_rad=90", "parcels.0.angle_rad = 90: more than a turn, and angles are in radians"),
         ("align", "cells.parameters.angle_rad=-45", "cells.parameters.angle_rad = -45: more than a turn, "),
@@ -40,9 +40,9 @@ def test_no_bundled_scene_looks_mistaken() -> None:
         ("elliptic", "duration_s=0.004", "duration_s = 0.004: the run is over after one tick, which takes 0.004096 s"),
     ],
 )  # fmt: skip
-def test_what_looks_mistaken_is_named_with_its_value_and_why(scene: str, change: str, caution: str) -> None:
+def test_what_looks_mistaken_is_named_with_its_value_and_why(scene: str, change: str, warning: str) -> None:
     (found,) = _of(change, scene=scene)
-    assert found.startswith(caution)
+    assert found.startswith(warning)
 
 
 @pytest.mark.parametrize(
@@ -56,8 +56,8 @@ def test_a_simulation_tells_them_too(tmp_path: Path, capsys: pytest.CaptureFixtu
     short = ("--duration", "0.001", "--no-picture", "--output", str(tmp_path))
     assert main(["simulate", "elliptic", *short]) == 0
     captured = capsys.readouterr()
-    assert "mdms: caution: duration_s = 0.001: the run is over after one tick" in captured.err
-    assert "caution    duration_s = 0.001" in captured.out
+    assert "mdms: warning: duration_s = 0.001: the run is over after one tick" in captured.err
+    assert "warning    duration_s = 0.001" in captured.out
 
 
 def test_a_run_is_told_those_of_the_scene_and_those_of_its_firmware() -> None:
@@ -75,7 +75,7 @@ def test_a_campaign_tells_each_once(
     monkeypatch.setattr(Campaign, "run", enough)
     asked = ("elliptic", "--fault", "crash", "--share", "0,0.1", "--set", "parcels.0.angle_rad=90")
     assert main(["campaign", *asked, "--output", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.count("mdms: caution: parcels.0.angle_rad = 90: ") == 1
+    assert capsys.readouterr().err.count("mdms: warning: parcels.0.angle_rad = 90: ") == 1
 
 
 def _nothing(*_: object, **__: object) -> None:
@@ -94,7 +94,7 @@ def _nothing(*_: object, **__: object) -> None:
     ],
     ids=lambda command: command[0],
 )
-def test_every_command_that_takes_a_scene_says_its_cautions_once(
+def test_every_command_that_takes_a_scene_prints_its_warnings_once(
     command: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -106,5 +106,5 @@ def test_every_command_that_takes_a_scene_says_its_cautions_once(
     name, *more = command
     settings = ["--set", "parcels.0.angle_rad=90", "--set", "duration_s=0.02"]
     assert main([name, "elliptic", *settings, *more]) == (2 if name == "accuracy" else 0)
-    line = "mdms: caution: parcels.0.angle_rad = 90: more than a turn"
+    line = "mdms: warning: parcels.0.angle_rad = 90: more than a turn"
     assert capsys.readouterr().err.count(line) == 1

@@ -12,7 +12,7 @@ from bus.partition import Partition
 from bus.sensors import SensorSchema
 from bus.wire.format import RunSchema
 from bus.wire.formats import FORMATS, WireFormat
-from bus.wire.frames import TALLY_LIMIT, TEXT_LIMIT, DriveFrame, LinkFrame, Report, encode_report
+from bus.wire.frames import COUNTER_LIMIT, TEXT_LIMIT, DriveFrame, LinkFrame, Report, encode_report
 from bus.wire.keys import intersects, plant_key, shard_key
 from deploy.security.policy import access_control, size_limits
 from deploy.security.roles import OPERATOR, PLANT, ProcessLayout, Role, roles_of
@@ -43,7 +43,7 @@ def test_a_process_may_do_all_that_its_shard_does(form: WireFormat, shards: int)
     wiring = RunSchema("some-run", made.partition, SensorSchema(1), MESSAGE)
     for shard, role in enumerate(cells_of(made)):
         member = FORMATS[form].participant(wiring, shard)
-        own = {shard_key("some-run", shard, leaf) for leaf in ("report", "registers", "memory")}
+        own = {shard_key("some-run", shard, leaf) for leaf in ("report", "registers", "snapshot")}
         assert covered({*member.drive_keys, *member.out_keys} | own, role.puts)
         control = plant_key("some-run", "control")
         assert covered({*member.sense_units, *member.in_parts, control}, role.hears)
@@ -111,6 +111,6 @@ def test_what_a_process_puts_is_within_the_limits_and_little_more_than_it_needs(
         links = LinkFrame(2**40, np.ones(count, dtype=bool), np.zeros(count, dtype=large))
         for key, payload in zip(member.out_keys, member.link_payloads(links), strict=True):
             assert len(payload) <= limit_of(key)
-        names = tuple(("n" * TALLY_LIMIT, 2**50) for _ in range(TALLY_LIMIT))
-        report = Report("counts", 2**40, made.cells(shard), "ä" * TEXT_LIMIT, (2**50,) * 4, names)
+        names = tuple(("n" * COUNTER_LIMIT, 2**50) for _ in range(COUNTER_LIMIT))
+        report = Report("counters", 2**40, made.cells(shard), "ä" * TEXT_LIMIT, (2**50,) * 4, names)
         assert len(encode_report(report)) <= limit_of(shard_key("some-run", shard, "report"))

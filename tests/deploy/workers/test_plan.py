@@ -35,7 +35,7 @@ def test_one_processor_core_gets_one_worker(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_process_a_cell_speaks_the_form_of_cells_and_others_the_packed_one(motors: Scene) -> None:
-    assert _plan(motors, processes="each").wire == "cells"
+    assert _plan(motors, processes="each").wire == "per_cell"
     assert _plan(motors, processes=18).wire == "packed"
     assert _plan(motors, processes="each", wire="packed").wire == "packed"
 

@@ -36,14 +36,14 @@ class Processes:
         self.asked.append(tick)
         return self.back
 
-    def lose(self, *cells: int, reason: Reason = "token lost") -> None:
+    def lose(self, *cells: int, reason: Reason = "disconnected") -> None:
         self.respawn.on_lost([Loss(cell, 5, reason) for cell in cells])
 
 
 def test_a_process_is_started_once_however_many_of_its_cells_were_lost() -> None:
     processes = Processes(9)
     processes.lose(1, 0)
-    processes.lose(3, reason="stalled")
+    processes.lose(3, reason="timed_out")
     assert processes.restarted == [0, 1]
     assert processes.warned == [
         "the process of cell 0,1 is started anew (1 of 9)",

@@ -18,7 +18,7 @@ from tests.deploy.checkpoints.test_store import CHECKPOINT
 class Part:
     """Something of a run that remembers a number."""
 
-    remembers: ClassVar[StateFields] = StateFields("value")
+    state_fields: ClassVar[StateFields] = StateFields("value")
 
     def __init__(self, value: Any = 0) -> None:
         self.value, self.shown = value, list[int]()

@@ -48,7 +48,7 @@ def overrides(firmware: str) -> list[str]:
     return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
 
 
-def test_cautions_come_before_the_start_and_in_the_summary(
+def test_warnings_come_before_the_start_and_in_the_summary(
     worried: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = "200 cells are too many: nothing will move"
@@ -56,8 +56,8 @@ def test_cautions_come_before_the_start_and_in_the_summary(
     run += ["--no-picture", "--output", str(tmp_path / "out")]
     assert main([*run, "--json"]) == 0
     shown = capsys.readouterr()
-    assert shown.err.splitlines()[0] == f"mdms: caution: {line}"
-    assert json.loads(shown.out)["cautions"] == [line]
+    assert shown.err.splitlines()[0] == f"mdms: warning: {line}"
+    assert json.loads(shown.out)["warnings"] == [line]
     assert main([*run, "--quiet"]) == 0
     shown = capsys.readouterr()
     assert line not in shown.err
@@ -70,7 +70,7 @@ def test_a_study_of_effects_says_them_once(
     monkeypatch.setattr("deploy.studies.effects.study.effect_types", dict)  # it has nothing to toggle
     changes = overrides(f"{worried}:Worried")
     assert main(["effects", "heat", *changes, "--repeats", "1", "--json"]) == 0
-    assert capsys.readouterr().err.count("caution: 200 cells are too many") == 1
+    assert capsys.readouterr().err.count("warning: 200 cells are too many") == 1
 
 
 def test_a_firmware_that_can_not_say_is_bad_input_with_its_traceback(worried: str) -> None:

@@ -12,7 +12,7 @@ from deploy.control.requests import RequestError, read_request
 def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_counted() -> None:
     fault = {"kind": "crash", "cell": [1, 1], **{f"k{i}": 0 for i in range(4000)}}
     with pytest.raises(RequestError) as caught:
-        read_request(json.dumps({"do": "inject", "fault": fault}).encode())
+        read_request(json.dumps({"op": "inject", "fault": fault}).encode())
     assert len(caught.value.problems) == 21
     assert caught.value.problems[0].startswith("fault.k0 = 0: unknown key")
     assert caught.value.problems[-1] == "and 3980 more"
@@ -28,13 +28,13 @@ def test_what_is_no_request_is_refused_in_words(payload: bytes | None) -> None:
 
 
 def test_add_is_refused_live_and_what_to_do_instead_is_said() -> None:
-    asked = {"do": "inject", "fault": {"kind": "add", "cell": [1, 1]}}
+    asked = {"op": "inject", "fault": {"kind": "add", "cell": [1, 1]}}
     with pytest.raises(RequestError, match="inject remove, and repair it"):
         read_request(json.dumps(asked).encode())
 
 
 def test_a_request_is_read_that_is_as_long_as_may_be_and_no_longer() -> None:
-    request = b'{"do": "list"}'
+    request = b'{"op": "list"}'
     assert read_request(request.ljust(65_536)).do == "list"
     with pytest.raises(RequestError, match="must be at most 65536 bytes"):
         read_request(request.ljust(65_537))
@@ -43,6 +43,6 @@ def test_a_request_is_read_that_is_as_long_as_may_be_and_no_longer() -> None:
 def test_of_twenty_problems_all_are_told() -> None:
     fault = {"kind": "crash", "cell": [1, 1], **{f"k{i}": 0 for i in range(20)}}
     with pytest.raises(RequestError) as caught:
-        read_request(json.dumps({"do": "inject", "fault": fault}).encode())
+        read_request(json.dumps({"op": "inject", "fault": fault}).encode())
     assert len(caught.value.problems) == 20
     assert all("unknown key" in problem for problem in caught.value.problems)

@@ -69,7 +69,7 @@ def test_marks_are_those_of_faults_that_begin_or_end_and_of_cells_that_are_lost(
 
 
 def test_cells_that_are_lost_together_share_a_line_and_are_not_lost_for_good_where_they_come_back() -> None:
-    gone = [{"kind": "token_lost", "time_s": 0.7, "cell": [row, 0], "detail": ""} for row in range(3)]
+    gone = [{"kind": "disconnected", "time_s": 0.7, "cell": [row, 0], "detail": ""} for row in range(3)]
     back = {"kind": "respawn", "phase": "happens", "time_s": 0.9, "cell": None, "cells": [[0, 0], [2, 0]]}
     told = [LOST, *gone, back]
     assert describe_faults(told) == [

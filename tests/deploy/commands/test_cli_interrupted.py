@@ -13,7 +13,7 @@ import pytest
 from deploy import cli
 from deploy.commands import application as command_line
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 
 AT_AN_IMPORT = """

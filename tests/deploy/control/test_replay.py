@@ -56,13 +56,13 @@ def test_cells_that_were_lost_crash_from_that_tick_until_they_came_back() -> Non
 
     script = _script(
         faults=(
-            lost("token_lost", 5, 0, 0),
-            lost("stalled", 5, 0, 1),
-            lost("token_lost", 5, 1, 0),
+            lost("disconnected", 5, 0, 0),
+            lost("timed_out", 5, 0, 1),
+            lost("disconnected", 5, 1, 0),
             {"kind": "hang", "phase": "begins", "tick": 6, "cells": [[1, 1]]},
             lost("failed", 6, 1, 1),
             {"kind": "respawn", "phase": "happens", "tick": 9, "cells": [[0, 0], [0, 1]]},
-            lost("token_lost", 9, 0, 0),
+            lost("disconnected", 9, 0, 0),
         )
     )
     assert [(record["kind"], record["tick"], record["detail"]["number"]) for record in script] == [

@@ -86,7 +86,7 @@ def test_a_fault_of_cells_is_told_to_all_recorded_and_answered_with_whom_it_stri
     answer = live.ask(10, do="inject", fault=HANG)
     assert answer == {
         "run": "one", "ok": True, "tick": 10, "time_s": pytest.approx(10 * TICK_S), "number": 0,
-        "cells": [[0, 1]], "struck": 1,
+        "cells": [[0, 1]], "affected": 1,
     }  # fmt: skip
     detail = {"number": 0, "fault": HANG, "first": 10, "end": None}
     assert live.details() == [(10, (), detail)]
@@ -200,7 +200,7 @@ def test_cells_are_named_up_to_sixty_four_and_too_many_to_tell_are_refused() -> 
     scene = load_scene("motors", [Override(("array",), {"rows": 100, "columns": 100}, "")])
     live = Live(scene=scene)
     answer = live.ask(10, do="inject", fault={"kind": "hang", "rectangle": [[0, 0], [99, 0]]})
-    assert (answer["struck"], len(answer["cells"])) == (100, 64)
+    assert (answer["affected"], len(answer["cells"])) == (100, 64)
     cells = [[row, column] for row in range(100) for column in range(40)]
     one = FaultInstance(1, CrashFault.model_validate({"cells": cells}), scene.lattice().rows, 10)
     assert len(json.dumps(encode_fault(cast("Any", one)))) > 30_000
@@ -211,7 +211,7 @@ def test_cells_are_named_up_to_sixty_four_and_too_many_to_tell_are_refused() -> 
 
 def test_eight_questions_are_answered_a_tick_and_the_others_wait() -> None:
     live = Live()
-    live.asked.extend([b'{"do": "list"}'] * 9 + [None])
+    live.asked.extend([b'{"op": "list"}'] * 9 + [None])
     live.console.before_tick(10)
     assert (len(live.answers), len(live.asked)) == (8, 2)
     live.console.before_tick(11)

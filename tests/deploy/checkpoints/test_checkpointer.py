@@ -28,7 +28,7 @@ class Books:
         self.disk.set()
         self.given_up = 0
 
-    remembers = Digest.remembers
+    state_fields = Digest.state_fields
     value = bytes(32)
 
     def request_snapshot(self, tick: int) -> None:

@@ -80,15 +80,15 @@ class Plant:
 
 def test_an_answer_is_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = Plant(b'{"ok": true, "run": "one"}', monkeypatch)
-    assert ask_run("tcp/x:1", {"do": "list"}, 3.0) == {"ok": True, "run": "one"}
+    assert ask_run("tcp/x:1", {"op": "list"}, 3.0) == {"ok": True, "run": "one"}
     ((_, request, timeout_s),) = plant.asked
-    assert (request, timeout_s, plant.left) == ({"do": "list"}, 3.0, True)
+    assert (request, timeout_s, plant.left) == ({"op": "list"}, 3.0, True)
 
 
 def test_a_refusal_is_told_with_all_its_problems(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = Plant(b'{"ok": false, "problems": ["a", "b"]}', monkeypatch)
     with pytest.raises(RequestError) as refused:
-        ask_run("tcp/x:1", {"do": "list"}, 3.0)
+        ask_run("tcp/x:1", {"op": "list"}, 3.0)
     assert refused.value.problems == ("a", "b")
     assert plant.left
 
@@ -113,6 +113,6 @@ def test_what_is_no_answer_of_a_run_is_said_and_left(
 ) -> None:
     plant = Plant(answer, monkeypatch)
     with pytest.raises(DeployError, match=told) as failed:
-        ask_run("tcp/x:1", {"do": "list"}, 3.0)
+        ask_run("tcp/x:1", {"op": "list"}, 3.0)
     assert not isinstance(failed.value, RequestError)
     assert plant.left

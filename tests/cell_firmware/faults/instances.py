@@ -14,7 +14,7 @@ from deploy.faults.registry import Fault
 _FAULT: TypeAdapter[FaultSpec] = TypeAdapter(Fault)
 
 
-def struck(
+def instances(
     lattice: Lattice, *faults: dict[str, Any], first: int = 0, end: int = NO_TICK_LIMIT, seed: int = 0
 ) -> list[FaultInstance[CellFault]]:
     """Faults by their tables; ``first`` and ``end`` are ticks, of all of them that do not say so themselves."""
