@@ -1,23 +1,23 @@
-"""The asyncio agent around a shard: it waits, the shard computes, it sends."""
+"""Asyncio agent of a shard: awaits the inputs of a tick, steps the shard, publishes its outputs."""
 
 from __future__ import annotations
 
 import asyncio
-import threading
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 from typing import Final, Protocol, final
 
 import numpy as np
 
-from bus.errors import WaitInterrupted, WireError
+from bus.errors import WireError
 from bus.lockstep import Participant, TickInputs
 from bus.state import save_state
-from bus.transports.base import Endpoint
-from bus.wire.frames import TEXT_LIMIT, Control, DriveFrame, LinkFrame, Mask
+from bus.transports.event_loop import TransportEventLoop
+from bus.wire.frames import TEXT_LIMIT, Control, DriveFrame, LinkFrame
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.shard import BoundaryMessages, Shard, ShardOutputs
 
@@ -77,13 +77,12 @@ can't bring a program to an end. Both calls come from another thread."""
 async def run(
     shard: Shard,
     member: Participant,
-    endpoint: Endpoint,
     inject: Inject | None = None,
     records: tuple[type, ...] = (),
     first: int = 0,
     watched: Watched | None = None,
 ) -> ShardResult:
-    """Run a shard tick by tick until a stop record arrives.
+    """Run a shard tick by tick until a stop record arrives. Runs in a ``TransportEventLoop``.
 
     The caller calls ``member.ready()`` before, and closes the member and the endpoint after. Cells with a scheduled
     death stop at their tick. A cell whose firmware fails is reported to the plant, with its traceback, and the others
@@ -92,8 +91,7 @@ async def run(
 
     Args:
         shard: The cells, before tick 0 or restored from a snapshot.
-        member: The shard's participant, ready.
-        endpoint: The participant's endpoint, used to wake it.
+        member: The shard's participant, ready; on the endpoint of the event loop.
         inject: Applies fault records received during the run; None: they are ignored.
         records: Record types in the cells' states, beyond plain values.
         first: The shard's first tick.
@@ -103,215 +101,128 @@ async def run(
         CoordinatorLostError: The plant went away.
         WaitInterrupted: The endpoint was woken, which ends a run without a stop record.
         BusError: Any other error of the participant.
-        asyncio.CancelledError: Cancelled; the gather thread has ended by then.
+        TypeError: The event loop is of another class.
+        asyncio.CancelledError: Cancelled.
     """
-    agent = _Agent(shard, member, endpoint, asyncio.get_running_loop(), inject, records, first)
-    return await agent.run(watched)
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class _Trouble:
-    """Failed cells of a tick, and the outputs of the other cells; None if there are none."""
-
-    tick: int
-    failures: Sequence[FirmwareFailed]
-    outputs: ShardOutputs | None
+    loop = asyncio.get_running_loop()
+    if not isinstance(loop, TransportEventLoop):
+        raise TypeError(
+            f"the event loop of an agent is a {type(loop).__name__}: must be a TransportEventLoop"
+        )
+    agent = _Agent(shard, member, inject, records)
+    watch = None if watched is None else watched(agent.busy, agent.abandon)
+    with nullcontext() if watch is None else closing(watch):
+        return await agent.run(loop, first, watch)
 
 
 @final
 class _Agent:
-    """One thread blocks in ``member.gather`` and hands each whole tick to the event loop with one hop.
+    """Agent of a shard: awaits the inputs of a tick, steps the shard, and publishes the outputs.
 
-    The tick is stepped and published in the very callback that the hop schedules: waking a task for it would
-    cost another turn of the loop. The thread goes back to gathering at once; it can't overtake the loop,
-    because the next tick begins only after this one's drives. A change of membership (a failure, rare)
-    is handed back to the thread instead, so that only one thread changes the participant's membership.
+    ``busy`` and ``abandon`` are called by the watch's thread while the event loop's thread is in a step. The
+    participant is thus used by one thread at a time.
     """
 
     def __init__(
-        self,
-        shard: Shard,
-        member: Participant,
-        endpoint: Endpoint,
-        loop: asyncio.AbstractEventLoop,
-        inject: Inject | None,
-        records: tuple[type, ...],
-        first: int,
+        self, shard: Shard, member: Participant, inject: Inject | None, records: tuple[type, ...]
     ) -> None:
         self._shard: Final = shard
         self._member: Final = member
-        self._endpoint: Final = endpoint
         self._records: Final = records
-        self._loop: Final = loop
         self._inject: Final = inject
-        self._first: Final = first
-        self._end: Final[asyncio.Future[str]] = loop.create_future()
-        self._thread: Final = threading.Thread(target=self._gather, name="gather", daemon=True)
-        self._stopping = False
-        self._failed: _Trouble | None = None
-        self._watch: Watch | None = None
-        self._ticks = 0
         self._failures: list[FirmwareFailed] = []
         self._reported: set[str] = set()
 
-    async def run(self, watched: Watched | None) -> ShardResult:
-        if watched is not None:
-            self._watch = watched(self._busy, self._hopeless)
-        self._thread.start()
-        try:
-            detail = await self._end
-        finally:
-            if self._watch is not None:
-                self._watch.close()
-            self._stopping = True
-            if self._thread.is_alive():
-                self._endpoint.wake()
-            self._thread.join()
-        return ShardResult(self._ticks, detail, tuple(self._failures))
+    async def run(self, loop: TransportEventLoop, first: int, watch: Watch | None) -> ShardResult:
+        """Run ticks from ``first`` on."""
+        tick, live = first, np.ones(len(self._shard), dtype=np.bool_)
+        while True:
+            inputs = await loop.poll(partial(self._member.gather, tick))
+            if isinstance(inputs, Control):
+                break
+            self._apply_faults()
+            before, live = live, self._member.live(tick)
+            try:
+                if (live != before).any():
+                    cells = zip(self._shard.cells, live, strict=True)
+                    self._shard.retire(cell for cell, lives in cells if not lives)
+                with nullcontext() if watch is None else watch:
+                    outputs = self._step(tick, inputs)
+            except BaseException as error:  # noqa: BLE001 - whatever comes out of a step is its cells' failure
+                self._fail(tick, failures_of(self._shard, tick, error))
+            else:
+                if watch is not None and watch.given_up:
+                    return self._result(tick - first, "a program did not return in time")
+                self._publish(tick, outputs)
+            tick += 1
+        return self._result(tick - first, inputs.detail)
 
-    # --- in the gather thread ---------------------------------------------------------------------
+    def _result(self, ticks: int, detail: str) -> ShardResult:
+        return ShardResult(ticks, detail, tuple(self._failures))
 
-    def _gather(self) -> None:
-        tick, before = self._first, np.ones(len(self._shard), dtype=np.bool_)
-        try:
-            while not self._stopping:
-                try:
-                    gathered = self._member.gather(tick)
-                except WaitInterrupted:
-                    if not (self._report() or self._stopping):
-                        raise  # somebody else woke us, and knows why
-                    continue
-                if isinstance(gathered, Control):
-                    self._call_in_loop(self._finish, gathered.detail)
-                    return
-                faults = self._member.drain_faults()
-                if faults:
-                    self._call_in_loop(self._apply_faults, faults)
-                live = self._member.live(tick)
-                changed = (live != before).any()
-                self._call_in_loop(self._step, tick, gathered, live if changed else None)
-                tick, before = tick + 1, live
-        except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
-            self._call_in_loop(self._fail, error)
-
-    def _report(self) -> bool:
-        """Report failed cells to the plant, if any, then publish the outputs of the others."""
-        failed, self._failed = self._failed, None
-        if failed is None:
-            return False
-        index = dict(zip(self._shard.cells, self._shard.indices.tolist(), strict=True))
-        alike: dict[str, list[int]] = {}
-        for failure in failed.failures:
-            alike.setdefault(report_text(failure), []).append(index[failure.cell])
-        for detail, cells in alike.items():
-            self._member.fail(cells, failed.tick, detail)
-        if failed.outputs is not None:
-            self._publish(failed.tick, failed.outputs)
-        return True
-
-    def _call_in_loop(self, callback: object, *arguments: object) -> None:
-        self._loop.call_soon_threadsafe(callback, *arguments)  # pyright: ignore[reportArgumentType]
-
-    # --- in the event loop ------------------------------------------------------------------------
-
-    def _apply_faults(self, faults: list[Control]) -> None:
-        if self._end.done() or self._inject is None:
-            return
-        try:
-            for fault in faults:
+    def _apply_faults(self) -> None:
+        for fault in self._member.drain_faults():
+            if self._inject is not None:
                 try:
                     self._inject(fault)
                 except WireError as error:
                     self._member.counters.refuse(error, "the plant")
-        except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
-            self._fail(error)
 
-    def _step(self, tick: int, gathered: TickInputs, live: Mask | None) -> None:
-        if self._end.done():
-            return
-        try:
-            if live is not None:  # changed since the last tick
-                self._shard.retire(
-                    cell for cell, lives in zip(self._shard.cells, live, strict=True) if not lives
-                )
-            sense, links = gathered
-            heard = None if links is None else BoundaryMessages(links.sent, links.message)
-            with nullcontext() if self._watch is None else self._watch:
-                outputs = self._shard.step(
-                    tick,
-                    sense.presence,
-                    sense.encoder_m,
-                    heard,
-                    sense.level,
-                    label=sense.label,
-                    camera=sense.picture,
-                )
-        except BaseException as error:  # noqa: BLE001 - whatever comes out of a step is its cells' failure
-            self._fail_all(tick, error)
-            return
-        if self._watch is not None and self._watch.given_up:
-            self._end.set_result("a program did not return in time")
-            return
-        self._ticks += 1
-        if outputs.failures:
-            self._trouble(_Trouble(tick, outputs.failures, outputs))
-            return
-        try:
-            self._publish(tick, outputs)
-        except Exception as error:  # noqa: BLE001 - what a program made can't be sent, shown or kept
-            self._fail_all(tick, error)
-
-    def _fail_all(self, tick: int, error: BaseException) -> None:
-        """Fail all cells of the shard, as the step itself failed."""
-        self._trouble(_Trouble(tick, failures_of(self._shard, tick, error), None))
-
-    def _trouble(self, trouble: _Trouble) -> None:
-        """Hand the failed cells to the gather thread, which owns the participant's membership."""
-        self._failures += trouble.failures
-        self._failed = trouble
-        self._endpoint.wake()
-
-    def _finish(self, detail: str) -> None:
-        """Finish after the gather thread has ended: report its remaining failures."""
-        if self._end.done():
-            return
-        try:
-            self._report()
-        except Exception as error:  # noqa: BLE001 - raised again where the run is awaited
-            self._fail(error)
-        else:
-            self._end.set_result(detail)
-
-    def _fail(self, error: Exception) -> None:
-        if not self._end.done():
-            self._end.set_exception(error)
-
-    # --- in the watch's thread --------------------------------------------------------------------
-
-    def _busy(self) -> None:
-        self._member.busy(self._shard.tick)
-
-    def _hopeless(self, cell: tuple[int, int], problem: str, trace: str) -> None:
-        tick = self._shard.tick
-        self._trouble(_Trouble(tick, (FirmwareFailed(cell, tick, problem, trace),), None))
-
-    # --- in either --------------------------------------------------------------------------------
+    def _step(self, tick: int, inputs: TickInputs) -> ShardOutputs:
+        sense, links = inputs
+        received = None if links is None else BoundaryMessages(links.sent, links.message)
+        return self._shard.step(
+            tick,
+            sense.presence,
+            sense.encoder_m,
+            received,
+            sense.level,
+            label=sense.label,
+            camera=sense.picture,
+        )
 
     def _publish(self, tick: int, outputs: ShardOutputs) -> None:
-        for hung in outputs.hung:
-            if hung.problem not in self._reported:  # once for all that hang for the same reason
-                self._reported.add(hung.problem)
-                index = int(self._shard.indices[self._shard.cells.index(hung.cell)])
-                self._member.hang(index, hung.tick, report_text(hung))
-        links = outputs.links
-        frame = None if links is None else LinkFrame(tick, links.sent, links.message)
-        self._member.publish_registers(tick, self._shard.registers)
-        self._member.publish(DriveFrame(tick, outputs.drive), frame)
-        self._member.publish_snapshot(tick + 1, self._saved_state)
+        """Report failed and hanging cells, then publish the outputs of the others."""
+        self._fail(tick, outputs.failures)
+        try:
+            for hung in outputs.hung:
+                if hung.problem not in self._reported:  # once for all that hang for the same reason
+                    self._reported.add(hung.problem)
+                    index = int(self._shard.indices[self._shard.cells.index(hung.cell)])
+                    self._member.hang(index, hung.tick, report_text(hung))
+            links = outputs.links
+            frame = None if links is None else LinkFrame(tick, links.sent, links.message)
+            self._member.publish_registers(tick, self._shard.registers)
+            self._member.publish(DriveFrame(tick, outputs.drive), frame)
+            self._member.publish_snapshot(tick + 1, self._saved_state)
+        except Exception as error:  # noqa: BLE001 - outputs of a program that can't be sent are its failure
+            self._fail(tick, failures_of(self._shard, tick, error))
+
+    def _fail(self, tick: int, failures: Sequence[FirmwareFailed]) -> None:
+        """Report failed cells to the plant, one report for all that failed for the same reason."""
+        if not failures:
+            return
+        self._failures += failures
+        index = dict(zip(self._shard.cells, self._shard.indices.tolist(), strict=True))
+        alike: dict[str, list[int]] = {}
+        for failure in failures:
+            alike.setdefault(report_text(failure), []).append(index[failure.cell])
+        for detail, cells in alike.items():
+            self._member.fail(cells, tick, detail)
 
     def _saved_state(self) -> bytes:
         return save_state(self._shard, self._records)
+
+    # --- in the watch's thread --------------------------------------------------------------------
+
+    def busy(self) -> None:
+        """Report that the step still runs."""
+        self._member.busy(self._shard.tick)
+
+    def abandon(self, cell: tuple[int, int], problem: str, trace: str) -> None:
+        """Fail a cell whose program does not return; the thread that steps stays in it."""
+        tick = self._shard.tick
+        self._fail(tick, (FirmwareFailed(cell, tick, problem, trace),))
 
 
 def failures_of(shard: Shard, tick: int, error: BaseException) -> tuple[FirmwareFailed, ...]:

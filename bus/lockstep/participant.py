@@ -210,16 +210,18 @@ class Participant:
 
     # --- a tick ---------------------------------------------------------------------------------
 
-    def gather(self, tick: int) -> TickInputs | Control:
+    def gather(self, tick: int, timeout_s: float | None = None) -> TickInputs | Control | None:
         """Wait for the inputs of ``tick``.
 
         These are the tick's senses, and the previous tick's link frame of every neighbour that was live in it.
 
         Args:
-            tick: Must go up from call to call.
+            tick: Must go up from call to call, except after None or WaitInterrupted.
+            timeout_s: Longest wait, wall seconds; None: none.
 
         Returns:
-            The inputs; or a ``stop`` record: the plant's, or the participant's own when no cell of the shard is live.
+            The inputs; or a ``stop`` record: the plant's, or the participant's own when no cell of the shard is live;
+            or None after ``timeout_s``.
 
         Raises:
             CoordinatorLostError: The plant is lost, or was silent for ``silence_s``.
@@ -230,7 +232,8 @@ class Participant:
         if told.rejoins_offered:
             told.rejoins_offered = [control for control in told.rejoins_offered if not self._offer(control)]
         sense, links = self._incoming.slots(tick)
-        deadline = None if self._silence_s is None else self._clock() + self._silence_s
+        until = self._deadline(timeout_s)
+        limits = [limit for limit in (until, self._deadline(self._silence_s)) if limit is not None]
         read = self._inbox.poll
         while True:
             waits = sense.missing > 0
@@ -250,14 +253,19 @@ class Participant:
                 return self._incoming.collect(tick)
             if told.plant_lost:
                 raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
-            left = None if deadline is None else max(deadline - self._clock(), 0.0)
+            left = max(min(limits) - self._clock(), 0.0) if limits else None
             if not waits:
                 # Messages after the senses wake nobody.
                 left = _LINK_POLL_S if left is None else min(left, _LINK_POLL_S)
             if not read(left, max(sense.missing, 1)) and left == 0:
+                if until == min(limits):
+                    return None
                 raise CoordinatorLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
+
+    def _deadline(self, after_s: float | None) -> float | None:
+        return None if after_s is None else self._clock() + after_s
 
     def drain_faults(self) -> list[Control]:
         """Return faults injected or repaired since the last call; effective from the tick gathered last."""

@@ -124,6 +124,7 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
 
     from bus.lockstep import Participant
     from bus.state import save_state
+    from bus.transports.event_loop import TransportEventLoop
     from cell_firmware import agent
     from cell_firmware.cell import records_of
     from cell_firmware.loader import load
@@ -158,7 +159,8 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
         cells.start_at(first)
         inject = _injector(order, cells, site)
         watched = partial(Watchdog, order.scene.stall.deadline_s, "stall.deadline_s")
-        ended = asyncio.run(agent.run(cells, member, endpoint, inject, records, first, watched))
+        with asyncio.Runner(loop_factory=partial(TransportEventLoop, endpoint)) as runner:
+            ended = runner.run(agent.run(cells, member, inject, records, first, watched))
         doomed = order.own_process and _all_dead_by_schedule(order, shard, schedule, first + ended.ticks)
         # Whoever had no cells left from the beginning stays none the less: the start waits for all.
         absent = order.resumed is not None and shard not in order.resumed.states

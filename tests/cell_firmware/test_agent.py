@@ -5,6 +5,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from bus.lattice import Lattice
 from bus.lockstep import Coordinator, Loss, Participant
 from bus.partition import Partition
 from bus.sensors import SensorSchema
+from bus.transports.event_loop import TransportEventLoop
 from bus.transports.memory import MemoryBus, MemoryEndpoint
 from bus.wire.frames import Control, SenseFrame
 from cell_firmware import agent
@@ -106,7 +108,8 @@ class System:
         shard = Shard(Board(self.firmware), self.everything(self.partition.lattice), self.partition, s)
         member.ready(10.0)
         try:
-            self.ended[s] = asyncio.run(agent.run(shard, member, self.endpoints[s], self.inject))
+            with asyncio.Runner(loop_factory=partial(TransportEventLoop, self.endpoints[s])) as runner:
+                self.ended[s] = runner.run(agent.run(shard, member, self.inject))
         except Exception as error:  # noqa: BLE001 - looked at by the test
             self.ended[s] = error
         self.malformed += member.counters.malformed
@@ -260,35 +263,74 @@ def test_waking_the_endpoint_ends_a_run_that_nobody_tells_to_stop(
     assert [type(ended) for ended in running.ended] == [WaitInterrupted]
 
 
-def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
+@pytest.fixture
+def silent(
     grid: Callable[..., Lattice], everything: Callable[..., Cells]
-):
-    """While the plant is silent, other tasks of the loop run; then the run is cancelled."""
+) -> Iterator[tuple[MemoryEndpoint, Shard, Participant]]:
+    """A shard's endpoint, cells and participant, ready for a plant that sends nothing."""
     partition = Partition.even(grid(2, 2), 1)
     bus = MemoryBus()
     endpoint, ours = bus.endpoint(), bus.endpoint()
-    Coordinator(endpoint, partition, "packed", run=RUN, readings=SensorSchema(1), message=HEAT.message)
-    member = Participant(
-        ours, partition, 0, "packed", run=RUN, readings=SensorSchema(1), message=HEAT.message
-    )
+    schema = SensorSchema(1)
+    Coordinator(endpoint, partition, "packed", run=RUN, readings=schema, message=HEAT.message)
+    member = Participant(ours, partition, 0, "packed", run=RUN, readings=schema, message=HEAT.message)
     member.ready(10.0)
-    shard = Shard(Board(HEAT), everything(partition.lattice), partition, 0)
+    yield ours, Shard(Board(HEAT), everything(partition.lattice), partition, 0), member
+    member.close()
+    ours.close()
+    endpoint.close()
+
+
+def test_while_the_plant_is_silent_other_tasks_run_and_the_agent_has_no_thread_of_its_own(
+    silent: tuple[MemoryEndpoint, Shard, Participant],
+):
+    endpoint, shard, member = silent
     threads = threading.active_count()
+    ticked: list[float] = []
 
     async def main() -> None:
-        task = asyncio.create_task(agent.run(shard, member, ours))
-        for _ in range(100):
-            await asyncio.sleep(0)
-        assert threading.active_count() == threads + 1
+        task = asyncio.create_task(agent.run(shard, member))
+        for _ in range(3):
+            await asyncio.sleep(0.002)
+            ticked.append(threading.active_count())
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
 
-    asyncio.run(main())
-    assert threading.active_count() == threads
-    member.close()
-    ours.close()
-    endpoint.close()
+    with asyncio.Runner(loop_factory=partial(TransportEventLoop, endpoint)) as runner:
+        runner.run(main())
+    assert ticked == [threads] * 3
+
+
+def test_a_callback_from_another_thread_ends_the_wait_and_not_the_run(
+    silent: tuple[MemoryEndpoint, Shard, Participant],
+):
+    endpoint, shard, member = silent
+
+    async def main() -> list[str]:
+        loop, seen = asyncio.get_running_loop(), list[str]()
+        task = asyncio.create_task(agent.run(shard, member))
+
+        def callback(text: str) -> None:
+            seen.append(text)
+            if text == "2":
+                task.cancel()
+
+        for text in "012":
+            timer = threading.Timer(0.02 * int(text), loop.call_soon_threadsafe, (callback, text))
+            timer.start()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        return seen
+
+    with asyncio.Runner(loop_factory=partial(TransportEventLoop, endpoint)) as runner:
+        assert runner.run(main()) == ["0", "1", "2"]
+
+
+def test_another_event_loop_is_refused(silent: tuple[MemoryEndpoint, Shard, Participant]):
+    _, shard, member = silent
+    with pytest.raises(TypeError, match="must be a TransportEventLoop"):
+        asyncio.run(agent.run(shard, member))
 
 
 def test_an_error_of_the_step_itself_fails_all_cells_of_the_shard(

@@ -1,0 +1,99 @@
+"""Asyncio event loop of one thread that waits in a transport instead of in the operating system's selector.
+
+A transport's wait (a Zenoh channel) has no file descriptor that a selector could watch. A second thread that blocks in
+the transport and hands each payload to the loop costs two switches of threads a tick. This loop has one thread: where
+it would sleep in the selector, it calls the poll that a coroutine awaits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+from collections.abc import Callable
+from contextvars import Context
+from typing import TypeVar, TypeVarTuple, final
+
+from bus.errors import WaitInterrupted
+from bus.transports.base import Endpoint
+
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
+
+
+@final
+class _Selector(selectors.DefaultSelector):
+    """Selector whose wait is replaced by ``wait`` while that is set."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.wait: Callable[[float | None], None] | None = None
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Return the file descriptors that are ready, after a wait in the transport."""
+        if self.wait is not None and (timeout is None or timeout > 0.0):
+            self.wait(timeout)
+            timeout = 0.0
+        return super().select(timeout)
+
+
+@final
+class TransportEventLoop(asyncio.SelectorEventLoop):
+    """Event loop that waits in a transport while a coroutine awaits ``poll``.
+
+    Callbacks and timers run as in every event loop. File descriptors are looked at after each wait only: no task of
+    this loop should wait for one.
+
+    Args:
+        endpoint: Endpoint that the polls wait in; woken by ``call_soon_threadsafe``.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._idle = _Selector()
+        self._endpoint = endpoint
+        self._called = False
+        """Whether the endpoint was woken for a callback from another thread."""
+        super().__init__(self._idle)
+
+    async def poll(self, poll: Callable[[float | None], T | None]) -> T:
+        """Return what ``poll`` returns, called whenever the loop is idle until that is not None.
+
+        One coroutine at a time.
+
+        Args:
+            poll: Waits in the transport; its argument is the longest time, s, None for any; returns None if that is
+                up. Raises WaitInterrupted when the endpoint was woken.
+
+        Raises:
+            WaitInterrupted: The endpoint was woken, and not for a callback of this loop.
+        """
+        found: asyncio.Future[T] = self.create_future()
+
+        def wait(timeout_s: float | None) -> None:
+            try:
+                value = poll(timeout_s)
+            except WaitInterrupted as error:
+                if self._called:
+                    self._called = False
+                else:
+                    found.set_exception(error)
+            except Exception as error:  # noqa: BLE001 - raised again where the poll is awaited
+                found.set_exception(error)
+            else:
+                if value is not None:
+                    found.set_result(value)
+
+        self._idle.wait = wait
+        try:
+            return await found
+        finally:
+            self._idle.wait = None
+
+    def call_soon_threadsafe(
+        self, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None
+    ) -> asyncio.Handle:
+        """Schedule a callback from another thread or a signal handler, and end the wait in the transport."""
+        handle = super().call_soon_threadsafe(callback, *args, context=context)
+        if self._idle.wait is not None:
+            self._called = True
+            self._endpoint.wake()
+        return handle
