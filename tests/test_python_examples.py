@@ -131,7 +131,9 @@ def test_worker_processes_are_not_given_a_class_that_they_cannot_import() -> Non
             return state, mdms.CellOutputs((0.0, 0.0))
 
     scene = mdms.load_scene({**SMALL, "cells": {"firmware": Here}})
-    with pytest.raises(mdms.FirmwareError, match=r"Here: worker processes can't import it: define it at the top of"):
+    with pytest.raises(
+        mdms.FirmwareError, match=r"Here: worker processes can't import it: define it at the top of"
+    ):
         mdms.Simulation.open(scene, mdms.Workers(1))
 
 
