@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 Places = Sequence[tuple[int, int]]
 """``(row, column)`` of every cell, in the lattice's order."""
 
-_WORDS: Final = {"token lost": "its process went away", "stalled": "it did not answer in time"}
+_WORDS: Final = {"token lost": "its process disconnected", "stalled": "it did not answer in time"}
 _KINDS: Final[Mapping[str, Reason]] = {"token_lost": "token lost", "stalled": "stalled", "failed": "failed"}
 """Reason of a loss, by kind of the recorded fault."""
 _NAMED: Final = 6
@@ -51,7 +51,7 @@ def lines(losses: Sequence[Loss], places: Places, period_ns: int) -> list[str]:
 def unreported(cells: Sequence[int], places: Places) -> str:
     """Describe cells (indices) whose messages are missing from the counters."""
     names = [f"{row},{column}" for row, column in map(places.__getitem__, cells)]
-    return f"messages of {_cells(names)} were not counted: no report of them came in time"
+    return f"messages of {_cells(names)} were not counted: no report arrived in time"
 
 
 def failure(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
@@ -67,8 +67,8 @@ def failure(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
 def nobody(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
     """Explain from the losses why no cell is left at the end of a run."""
     told = lines(losses, places, period_ns)
-    more = f"; and {len(told) - 3} times more" if len(told) > 3 else ""
-    return f"no cell was alive at the end: {'; '.join(told[:3]) or 'live faults struck them'}{more}"
+    more = f"; and {len(told) - 3} more losses" if len(told) > 3 else ""
+    return f"no cell was alive at the end: {'; '.join(told[:3]) or 'live faults killed them'}{more}"
 
 
 def _cells(names: Sequence[str]) -> str:
