@@ -99,7 +99,7 @@ class QuasiStaticSpec(Spec):
             "tolerance",
             _decades(3, 8),
             (1e-4, 1e-7),
-            note="neglects inertia, so the error is the model's error",
+            note="leaves out inertia: the error is the model's",
         ),
     )
     """Settings of the solver in a study of accuracy."""
