@@ -64,7 +64,7 @@ class Effects(Spec):
         for name, effect in self.enabled():
             for needed in effect.required():
                 if getattr(self, needed, None) is None:
-                    yield ("effects", needed), None, f"must be asked for too: effects.{name} needs it"
+                    yield ("effects", needed), None, f"must be set too: effects.{name} needs it"
             for other in effect.excludes:
                 if getattr(self, other, None) is not None:
                     yield ("effects", name), "", f"doesn't go with effects.{other}"

@@ -31,12 +31,12 @@ class FaultSpec(Spec):
     kind_name: ClassVar[str]
     """Its ``kind``."""
     repairable: ClassVar[bool] = True
-    """Whether it lasts, so that it may be repaired; else it happens once."""
+    """Whether the fault lasts and can be repaired; else it happens once."""
 
     at_s: Time = 0.0
-    """When it begins."""
+    """Start of the fault, simulated time."""
     until_s: Time | None = None
-    """When it is repaired; None: never."""
+    """Repair of the fault, simulated time; None: no repair."""
 
     @model_validator(mode="after")
     def _repaired_later(self) -> Self:
@@ -75,14 +75,14 @@ class CellTarget(FaultSpec):
     """A fault that affects cells: give one of ``cell``, ``cells``, ``rectangle`` and ``share``."""
 
     cell: CellName | None = None
-    """``[row, column]``."""
+    """One cell, ``[row, column]``."""
     cells: Annotated[tuple[CellName, ...], Field(min_length=1)] | None = None
-    """Several."""
+    """Several cells."""
     rectangle: tuple[CellName, CellName] | None = None
-    """Two corners, ``[[row, column], [row, column]]``: all cells that exist from one to the other."""
+    """Two corners, ``[[row, column], [row, column]]``: all existing cells of the rectangle between them."""
     share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] | None = None
-    """Of all cells, to the nearest whole number, drawn by the scene's seed. A greater share includes the cells
-    of a smaller one."""
+    """Share of all cells, rounded to a whole number of cells, drawn by the scene's seed. A greater share includes the
+    cells of a smaller share."""
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
@@ -141,7 +141,7 @@ class LinkTarget(CellTarget):
     """A fault that affects links of cells: links on ``side``, or on every side."""
 
     side: Literal["north", "east", "south", "west"] | None = None
-    """Of each cell; None: all four."""
+    """Side of each affected cell; None: all four sides."""
     direction: Literal["both", "out", "in"] = "both"
     """Messages that the cells send (``out``), messages that the cells receive (``in``), or both."""
 

@@ -31,10 +31,10 @@ class StallSpec(Spec):
     """
 
     policy: Literal["coast", "brake", "hold", "abort"] = "coast"
-    """Behaviour of a lost cell's wheels, or ``abort``: end the run."""
+    """Behaviour of a dropped cell's wheels; or ``abort``: end the run."""
     deadline_s: Seconds = 5.0
     """Wall seconds a tick may wait for a cell before the cell counts as stalled."""
     lease_s: Annotated[float, Field(ge=0.1, le=86_400, allow_inf_nan=False)] = 2.0
-    """Wall seconds of silence after which a process counts as lost: one that is stopped, or whose link is cut."""
+    """Wall seconds of silence after which a process counts as lost, because it is stopped or its link is cut."""
     start_s: Seconds = 30.0
-    """Wall seconds until every cell must be ready."""
+    """Wall seconds within which every cell must be ready."""

@@ -73,12 +73,12 @@ def load_state(owner: Any, data: bytes, records: Sequence[type] = ()) -> None:
     """
     part = decode(data, _records(owner, records))
     if not _is(part, ObjectState):
-        raise StateError(f"not the memory of a {type(owner).__name__}")
+        raise StateError(f"not the state of a {type(owner).__name__}")
     try:
         _put_back(owner, part, type(owner).__name__)
     except DECODE_ERRORS as error:
         raise StateError(
-            f"not the memory of a {type(owner).__name__}: {type(error).__name__}: {error}"
+            f"not the state of a {type(owner).__name__}: {type(error).__name__}: {error}"
         ) from None
 
 
@@ -178,7 +178,7 @@ def _set(owner: Any, path: str, value: Any, place: str) -> None:
     *way, name = path.split(".")
     holder = _found(owner, ".".join(way)) if way else owner
     if holder is None:
-        raise StateError(f"{place}: must be nothing, is a {type(value).__name__}")
+        raise StateError(f"{place}: must be None, is a {type(value).__name__}")
     setattr(holder, name, value)
 
 
@@ -186,7 +186,7 @@ def _merged(now: Any, value: Any, place: str) -> Any:
     """Merge a saved value into the value ``now`` of a freshly built object, and return the result."""
     if _is(value, ObjectState):
         if not declared(type(now)):
-            raise StateError(f"{place}: must be a {type(now).__name__}, which has no state_fields")
+            raise StateError(f"{place}: must be a {type(now).__name__}, which declares no state")
         _put_back(now, value, place)
         return now
     if _is(value, RngState):
@@ -214,7 +214,7 @@ def _each(now: Any, value: Any, place: str) -> Any:
         if _is(theirs, list, tuple) and not len(theirs) and not len(mine):
             continue
         if _merged(mine, theirs, f"{place}[{key}]") is not mine:
-            raise StateError(f"{place}[{key}]: must be an object with state_fields")
+            raise StateError(f"{place}[{key}]: must be an object with declared state")
     return now
 
 

@@ -78,7 +78,7 @@ def encode(value: Any, records: Records) -> bytes:
     try:
         return _Encoder(records).pack(value)
     except (ValueError, OverflowError, RecursionError) as error:
-        raise StateError(f"memory can't be kept: {error}") from None
+        raise StateError(f"state can't be saved: {error}") from None
 
 
 def decode(data: bytes, records: Records) -> Any:
@@ -90,7 +90,7 @@ def decode(data: bytes, records: Records) -> Any:
     try:
         return _Decoder(records).unpack(data)
     except DECODE_ERRORS as error:
-        raise StateError(f"not a memory: {type(error).__name__}: {error}") from None
+        raise StateError(f"not a saved state: {type(error).__name__}: {error}") from None
 
 
 @final
@@ -102,7 +102,7 @@ class _Encoder:
     def pack(self, value: Any) -> bytes:
         self._depth += 1
         if self._depth > _DEPTH:
-            raise StateError("memory goes too deep, or round in a circle")
+            raise StateError("state is nested too deeply, or contains itself")
         packed = _packb(value, default=self._other, strict_types=True)
         self._depth -= 1
         return packed
@@ -140,7 +140,7 @@ class _Encoder:
     def _record(self, value: Any) -> Any:
         kind = cast("Any", type(value))
         if self._records.get(kind.__qualname__) is not kind:
-            raise StateError(f"memory holds a {kind.__module__}.{kind.__qualname__}, which is no value")
+            raise StateError(f"state holds a {kind.__module__}.{kind.__qualname__}, which can't be saved")
         items = list(value) if issubclass(kind, tuple) else [getattr(value, f.name) for f in fields(value)]
         return self._ext(_RECORD, [kind.__qualname__, items])
 
@@ -165,7 +165,7 @@ class _Decoder:
     def unpack(self, data: bytes) -> Any:
         self._depth += 1
         if self._depth > _DEPTH:
-            raise ValueError("values within values without end")
+            raise ValueError("values are nested too deeply")
         unpacked = _unpackb(data, ext_hook=self._ext, strict_map_key=False)
         self._depth -= 1
         return unpacked
@@ -199,7 +199,7 @@ def _told(dtype: np.dtype[Any]) -> Any:
     """An array's type in MessagePack's: its code, or name, code and shape of every field."""
     if dtype.names is None:
         if dtype.kind not in _KINDS and dtype.kind != "V":
-            raise StateError(f"memory holds an array of {dtype}, which is no number")
+            raise StateError(f"state holds an array of {dtype}, which can't be saved: not a number")
         return dtype.str
     return [[name, _told(dtype[name].base), list(dtype[name].shape)] for name in dtype.names]
 

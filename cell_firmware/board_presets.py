@@ -32,12 +32,12 @@ BOARDS: Final[Mapping[BoardName, Mapping[str, Mapping[str, Any]]]] = {
 
 @final
 class BoardSpec(Spec):
-    """A board, short of some of its effects."""
+    """A board without some of its effects."""
 
     name: BoardName
-    """Which."""
+    """Name of the board."""
     without: tuple[str, ...] = ()
-    """Effects of it that the scene does without."""
+    """Effects of the board that are left out."""
 
     @field_validator("without")
     @classmethod
@@ -45,7 +45,7 @@ class BoardSpec(Spec):
         known = sorted({effect for board in BOARDS.values() for effect in board})
         for name in value:
             if name not in known:
-                raise ValueError(f"a board has {', '.join(known)}; not {name}")
+                raise ValueError(f"no board has an effect {name}; boards have {', '.join(known)}")
         return value
 
 
@@ -57,7 +57,7 @@ def _written(value: Any) -> str:
 Board = Annotated[
     Annotated[BoardName, Tag("name")] | Annotated[BoardSpec, Tag("table")], Discriminator(_written)
 ]
-"""A board by its name, or short of some of its effects."""
+"""A board by its name, or without some of its effects."""
 
 
 def expand_preset(scene: Any) -> Any:

@@ -148,7 +148,7 @@ def _encoder(effect: EncoderSpec, clock: ClockSpec | None, period_s: float, moto
     counts = motors.free_speed_m_s / encoder.unit_m_s * (1.0 if clock is None else clock.longest)
     if counts > LARGEST_DIFFERENCE:
         rule = (
-            f"at most {LARGEST_DIFFERENCE} counts a period can be told apart, and a wheel without load makes "
+            f"at most {LARGEST_DIFFERENCE} counts a period can be distinguished, and a wheel without load makes "
             f"{counts:.1f} at supply_v"
         )
         path = ("effects", "encoder", "counts_per_revolution")
@@ -181,7 +181,7 @@ def _fixed_point(
     told = tachometer.largest * tachometer.unit_m_s
     if motors.free_speed_m_s > told:
         rule = (
-            f"a 16-bit word tells speeds up to {told:.4g} m/s, and a wheel without load has "
+            f"a 16-bit word represents speeds up to {told:.4g} m/s, and a wheel without load has "
             f"{motors.free_speed_m_s:.4g} at supply_v"
         )
         raise SettingError(("effects", "fixed_point", "speed_unit_m_s"), effect.unit_m_s, rule)

@@ -220,7 +220,7 @@ class Firmware(Program, ABC):
     """Whether ``step`` may be run speculatively: all cells are stepped, and rows of cells not due are rolled back."""
 
     form: ClassVar[str] = "on arrays"
-    """How it runs, in words."""
+    """Description of the execution, for summaries."""
 
     def observables(self, state: State) -> State:
         """Return the state visible from outside: arrays by name, each with a row a cell; by default all."""

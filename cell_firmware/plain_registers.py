@@ -60,7 +60,7 @@ def unrecorded(state: Any) -> str | None:
             told.append(f"{name} is {_kind(value)}, not numbers")
         elif numbers is not None and not 0 < numbers.size <= COLUMNS_LIMIT:
             told.append(f"{name} has {numbers.size} numbers, not 1 to {COLUMNS_LIMIT}")
-    return f"of its state some is not recorded: {', '.join(told)}" if told else None
+    return f"parts of its state are not recorded: {', '.join(told)}" if told else None
 
 
 def _names(state: Any) -> tuple[str, ...]:

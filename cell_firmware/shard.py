@@ -311,7 +311,7 @@ class Shard:
         state = self._state if self._active is None else self._state.select(self._active)
         if _arrays(parts) != _arrays(state.parts):
             raise StateError(
-                f"the cells' memory: must have a row for each of {len(state.cells)} cells in "
+                f"the cells' state: must have a row for each of {len(state.cells)} cells in "
                 f"{', '.join(sorted(_arrays(state.parts)))}"
             )
         self._state = ControllerState(state.cells, {name: read_only(part) for name, part in parts.items()})

@@ -32,15 +32,15 @@ class SpeedLoopSpec(Spec):
     """
 
     kp_v_per_m_s: NotNegative = 12.0
-    """Volts per m/s of error."""
+    """Proportional gain: volts per m/s of error."""
     ki_v_per_m: NotNegative = 200.0
-    """Volts per metre: per m/s of error and second."""
+    """Integral gain: volts per metre, which is per m/s of error and second."""
     feed_forward_v_per_m_s: NotNegative = 0.0
-    """Volts per m/s of reference, added to what the loop asks for; 0 leaves it out."""
+    """Feed-forward gain: volts per m/s of reference; 0: no feed-forward."""
 
 
 class CellsSpec(Spec):
-    """The firmware that every cell runs, and how often."""
+    """The firmware of the cells, and its control period."""
 
     firmware: Annotated[str, Field(min_length=1)] = "velocity_field"
     """A bundled name, ``package.module:Class``, or a path to a ``.py`` file, with or without ``:Class``."""
@@ -49,12 +49,12 @@ class CellsSpec(Spec):
     parameters: dict[str, Any] = {}  # noqa: RUF012 - pydantic copies it
     """Parameters of the firmware, which validates them."""
     board: Board | None = None
-    """A board by name, or ``{ name, without }``: asks for all its effects but those, as if ``effects`` named them."""
+    """A board by name, or ``{ name, without }``: adds the board's effects except ``without`` to the scene's effects."""
     on_failure: Literal["stop", "isolate"] = "stop"
-    """When a program fails: ``stop`` ends the run in that tick with status ``failed``; ``isolate`` drops that cell
-    alone, and its wheels follow ``stall.policy``."""
+    """Handling of a failed program: ``stop`` ends the run in that tick with status ``failed``; ``isolate`` drops that
+    cell alone, and its wheels follow ``stall.policy``."""
     speed_loop: SpeedLoopSpec | None = None
-    """Gains of the speed loop; only for scenes with motors, which use the defaults if it is left out."""
+    """Gains of the speed loop; only for scenes with motors. Default: the default gains."""
 
     @field_validator("period_s")
     @classmethod

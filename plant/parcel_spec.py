@@ -15,9 +15,9 @@ class PolygonSpec(Spec):
     """A convex polygon: a rectangle about its frame's origin, or corners in that frame."""
 
     size_m: tuple[Positive, Positive] | None = None
-    """Length along its x and along its y: a rectangle."""
+    """Rectangle: length along the frame's x and along its y."""
     vertices_m: tuple[Vector, ...] | None = None
-    """Or a convex polygon in its own frame, in either direction round."""
+    """Convex polygon, instead of ``size_m``: corners in the frame, in either direction round."""
 
     @model_validator(mode="after")
     def _footprint(self) -> PolygonSpec:
@@ -48,15 +48,15 @@ class ParcelSpec(PolygonSpec):
 
     mass_kg: Positive
     inertia_kg_m2: Positive | None = None
-    """About the centre of mass; default: a uniform plate's about its centroid."""
+    """Moment of inertia about the centre of mass; default: of a uniform plate about its centroid."""
     centre_of_mass_m: Vector | None = None
-    """In the parcel's frame; default: the centroid."""
+    """Centre of mass in the parcel's frame; default: the centroid."""
     position_m: Vector
     angle_rad: Finite = 0.0
     velocity_m_s: Vector = (0.0, 0.0)
     angular_velocity_rad_s: Finite = 0.0
     destination: Annotated[str, Field(min_length=1)] | None = None
-    """Name of the exit that it is meant for."""
+    """Name of the exit for which the parcel is destined."""
 
     def moment_of_inertia_kg_m2(self) -> float:
         """About the centre of mass: as given, or a uniform plate's about its centroid."""
@@ -72,9 +72,9 @@ class ArraySpec(Spec):
     missing: tuple[CellName, ...] = ()
     """Holes: cells that do not exist."""
     cells: tuple[CellName, ...] | None = None
-    """An arbitrary layout: the cells that exist (excludes ``missing``)."""
+    """Arbitrary layout: the cells that exist (excludes ``missing``)."""
     sensors_m: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=5)] = ((0.0, 0.0),)
-    """Presence sensors relative to the cell centre, one to five."""
+    """Positions of the presence sensors relative to the cell centre, one to five."""
 
     @model_validator(mode="after")
     def _layout(self) -> ArraySpec:

@@ -50,16 +50,16 @@ class ExactSpec(Spec):
     sweeps: ClassVar[tuple[Sweep, ...]] = (
         Sweep("tolerance", _decades(4, 12), (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)),
     )
-    """Its settings in a study of accuracy."""
+    """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb_sliding", "rolling", "stick_slip")
-    """Which laws it solves; None: all."""
+    """Traction laws that the solver supports; None: all."""
     name: Literal["exact"] = "exact"
     tolerance: Tolerance = 1e-9
-    """Metres at the footprint, over the run."""
+    """Error of the footprint over the run, metres."""
     capture_m: Annotated[float, Field(gt=0, le=1e-2, allow_inf_nan=False)] = 1e-6
-    """Chatter below this amplitude is captured."""
+    """Amplitude below which chatter is captured."""
     max_steps_per_s: StepsPerSecond = 200_000.0
-    """Steps of one parcel in a simulated second beyond which its motion is given up."""
+    """Limit of steps of one parcel per simulated second, at which its motion is aborted."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -67,22 +67,22 @@ class ExactSpec(Spec):
 
 
 class ImplicitSpec(Spec):
-    """A convex problem a step, for any law."""
+    """Implicit steps, each a convex problem, for any law."""
 
     sweeps: ClassVar[tuple[Sweep, ...]] = (
         Sweep("tolerance", _decades(3, 11), (1e-4, 1e-7, 1e-10)),
         Sweep("step_s", _STEPS_S, (4e-3, 1e-3), title="steps"),
     )
-    """Its settings in a study of accuracy."""
+    """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = None
-    """Which laws it solves; None: all."""
+    """Traction laws that the solver supports; None: all."""
     name: Literal["implicit"]
     tolerance: Tolerance = 1e-6
-    """Metres at the footprint, a second of motion or a jump of the force; not used where ``step_s`` is given."""
+    """Error of the footprint, metres per second of motion or jump of the force; not used with ``step_s``."""
     step_s: Annotated[float, Field(gt=0, le=1.0, allow_inf_nan=False)] | None = None
-    """Steps of this length, none longer; left out: steps as the tolerance asks."""
+    """Constant step; default: steps controlled by the tolerance."""
     max_steps_per_s: StepsPerSecond = 1_000_000.0
-    """Steps of one parcel in a simulated second beyond which its motion is given up; not used with ``step_s``."""
+    """Limit of steps of one parcel per simulated second, at which its motion is aborted; not used with ``step_s``."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -92,7 +92,7 @@ class ImplicitSpec(Spec):
 
 
 class QuasiStaticSpec(Spec):
-    """Inertia neglected: at every instant the velocity at which all pulls balance."""
+    """Motion without inertia: at every instant the velocity at which all forces balance."""
 
     sweeps: ClassVar[tuple[Sweep, ...]] = (
         Sweep(
@@ -102,16 +102,16 @@ class QuasiStaticSpec(Spec):
             note="leaves out inertia: the error is the model's",
         ),
     )
-    """Its settings in a study of accuracy."""
+    """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb", "rolling", "stick_slip")
-    """Which laws it solves; None: all."""
+    """Traction laws that the solver supports; None: all."""
     name: Literal["quasi_static"]
     tolerance: Annotated[float, Field(ge=1e-11, le=1e-2, allow_inf_nan=False)] = 1e-6
-    """Metres at the footprint, a second of motion; not used where ``step_s`` is given."""
+    """Error of the footprint, metres per second of motion; not used with ``step_s``."""
     step_s: Annotated[float, Field(ge=1e-9, le=1.0, allow_inf_nan=False)] | None = None
-    """Steps of this length, none longer; left out: steps as the tolerance asks."""
+    """Constant step; default: steps controlled by the tolerance."""
     max_steps_per_s: StepsPerSecond = 1_000_000.0
-    """Steps of one parcel in a simulated second beyond which its motion is given up; not used with ``step_s``."""
+    """Limit of steps of one parcel per simulated second, at which its motion is aborted; not used with ``step_s``."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -121,20 +121,20 @@ class QuasiStaticSpec(Spec):
 
 
 class FixedStepSpec(Spec):
-    """Explicit steps of one length, supports looked at anew each time: the papers' own loop, to compare with."""
+    """Explicit steps of constant length, with new supports in each step: the papers' own loop, for comparison."""
 
     sweeps: ClassVar[tuple[Sweep, ...]] = (
         Sweep("step_s", _STEPS_S, _FEW_STEPS_S, (("method", "euler"),), "euler"),
         Sweep("step_s", _STEPS_S, _FEW_STEPS_S, (("method", "rk4"),), "rk4"),
     )
-    """Its settings in a study of accuracy."""
+    """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = None
-    """Which laws it solves; None: all."""
+    """Traction laws that the solver supports; None: all."""
     name: Literal["fixed_step"]
     method: Literal["euler", "rk4"] = "rk4"
-    """Euler's, or the classic Runge-Kutta method of four stages."""
+    """Euler's method, or the classic Runge-Kutta method of four stages."""
     step_s: Annotated[float, Field(ge=1e-9, le=1.0, allow_inf_nan=False)] = 1e-3
-    """Steps of this length, none longer; they end at ticks and samples."""
+    """Largest step; steps also end at ticks and samples."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -142,7 +142,7 @@ class FixedStepSpec(Spec):
 
 
 class SciPySpec(Spec):
-    """``scipy.integrate.solve_ivp``, restarted at every event it sees, to compare with."""
+    """``scipy.integrate.solve_ivp``, restarted at every detected event, for comparison."""
 
     sweeps: ClassVar[tuple[Sweep, ...]] = (
         Sweep("tolerance", _decades(3, 12), (1e-4, 1e-9), (("method", "RK45"),), "RK45"),
@@ -150,18 +150,18 @@ class SciPySpec(Spec):
         Sweep("tolerance", _decades(3, 9), (), (("method", "Radau"),), "Radau"),
         Sweep("tolerance", _decades(3, 11), (), (("method", "LSODA"),), "LSODA"),
     )
-    """Its settings in a study of accuracy."""
+    """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb_sliding", "rolling", "stick_slip")
-    """Which laws it solves; None: all."""
+    """Traction laws that the solver supports; None: all."""
     name: Literal["scipy"]
     method: Literal["RK45", "DOP853", "Radau", "LSODA"] = "DOP853"
-    """Of ``solve_ivp``."""
+    """Method of ``solve_ivp``."""
     tolerance: Annotated[float, Field(ge=1e-13, le=1e-2, allow_inf_nan=False)] = 1e-9
-    """``rtol`` and ``atol``: of one step, in SI units."""
+    """``rtol`` and ``atol`` of one step, in SI units."""
     max_step_s: Annotated[float, Field(ge=1e-9, allow_inf_nan=False)] | None = None
-    """No step is longer; left out: as long as the tolerance lets it. What a step hides is shorter than it."""
+    """Largest step; default: limited by the tolerance alone. Events within one step can remain undetected."""
     max_evaluations_per_s: StepsPerSecond = 1_000_000.0
-    """Right-hand sides of one parcel in a simulated second beyond which its motion is given up."""
+    """Limit of right-hand sides of one parcel per simulated second, at which its motion is aborted."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -169,17 +169,17 @@ class SciPySpec(Spec):
 
 
 class HeyokaSpec(Spec):
-    """heyoka's Taylor integrator, which isolates its events' roots, to check with."""
+    """heyoka's Taylor integrator, which isolates the roots of event functions, for verification."""
 
     sweeps: ClassVar[tuple[Sweep, ...]] = (Sweep("tolerance", _decades(4, 14), (1e-4, 1e-12)),)
-    """Its settings in a study of accuracy."""
+    """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "rolling")
-    """Which laws it solves; None: all."""
+    """Traction laws that the solver supports; None: all."""
     name: Literal["heyoka"]
     tolerance: Annotated[float, Field(ge=1e-16, le=1e-2, allow_inf_nan=False)] = 1e-12
-    """Of a step, relative, in SI units where a value is below 1."""
+    """Relative error of a step; absolute in SI units for values below 1."""
     max_steps_per_s: StepsPerSecond = 200_000.0
-    """Steps of one parcel in a simulated second beyond which its motion is given up."""
+    """Limit of steps of one parcel per simulated second, at which its motion is aborted."""
 
     def accuracy(self) -> Accuracy:
         """Name of the solver, and what its accuracy hangs on."""
@@ -190,7 +190,7 @@ AnySolver = ExactSpec | ImplicitSpec | QuasiStaticSpec | FixedStepSpec | SciPySp
 SolverSpec = Annotated[
     Annotated[AnySolver, Field(discriminator="name")], BeforeValidator(tagged("name", "exact"))
 ]
-"""How the motion is integrated, told apart by ``name``."""
+"""Any solver, discriminated by ``name``."""
 
 
 def settings_of(name: object) -> frozenset[str]:

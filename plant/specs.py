@@ -85,9 +85,9 @@ class PlantSpec(Spec):
     solver: SolverSpec = ExactSpec()
     gravity_m_s2: Positive = 9.81
     rest_speed_m_s: Positive | None = None
-    """A parcel none of whose corners moves faster is at rest; left out: 1e-5 pitches a second."""
+    """Largest corner speed of a parcel at rest; default: 1e-5 pitches a second."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Of everything that is left to chance."""
+    """Seed of all random streams."""
 
     @model_validator(mode="after")
     def _agrees(self) -> PlantSpec:

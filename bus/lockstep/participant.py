@@ -147,7 +147,7 @@ class Participant:
             left = deadline - self._clock()
             if left <= 0:
                 keys = ", ".join(list(waiting)[:8])
-                why = f"nobody listens to {keys}" if self._told.plant_seen else "the plant does not answer"
+                why = f"no subscriber for {keys}" if self._told.plant_seen else "the plant does not answer"
                 raise BarrierError(f"shard {self._shard} is not ready after {limit:g} s: {why}")
             # No event tells of a match.
             self._inbox.poll(min(left, _POLL_S))
@@ -174,10 +174,10 @@ class Participant:
         while self._told.rejoin_tick is None and self._told.stop is None:
             left = deadline - self._clock()
             if left <= 0:
-                raise BarrierError(f"shard {self._shard} was not let in within {limit:g} s")
+                raise BarrierError(f"shard {self._shard} was not readmitted within {limit:g} s")
             self._inbox.poll(left)
             if self._told.plant_lost:
-                raise CoordinatorLostError("the plant left before the shard could take part")
+                raise CoordinatorLostError("the plant left before the shard could rejoin")
         return self._told.rejoin_tick
 
     def resume(self, tick: int, dead: Sequence[int]) -> None:
@@ -244,7 +244,7 @@ class Participant:
                 # The token must not go before the report has come: the plant would take the cells' process for dead.
                 left = self._answer_until - self._clock()
                 if not told.unanswered or told.plant_lost or left <= 0:
-                    return Control("stop", tick, (), "no cell of this shard takes part any more")
+                    return Control("stop", tick, (), "no cell of this shard is alive any more")
                 read(left, 1)
                 continue
             if not missing:

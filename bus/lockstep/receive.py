@@ -110,7 +110,7 @@ class FrameAssembler:
         self._counts.delivered += 1
 
     def _duplicate(self, tick: int) -> WireError:
-        return WireError(self._kind, "duplicate", f"tick {tick} came already")
+        return WireError(self._kind, "duplicate", f"tick {tick} was received already")
 
     def allow_early(self, parts: Iterable[int]) -> None:
         """Accept frames of ``parts`` although their senders are dead.
@@ -244,7 +244,7 @@ class Dispatcher:
 
 
 def _refuse(part: int, payload: bytes) -> None:  # noqa: ARG001 - as every route
-    raise WireError("bus", "key", "no part of this run sends on such a key")
+    raise WireError("bus", "key", "no participant of this run sends on this key")
 
 
 _NOWHERE: Final[Route] = (_refuse, 0)

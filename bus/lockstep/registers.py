@@ -289,7 +289,7 @@ class RegisterReceiver:
             self._counts.late += 1
             return
         if (frame.tick, shard) in self._frames:
-            raise WireError("registers", "duplicate", f"tick {frame.tick} came already")
+            raise WireError("registers", "duplicate", f"tick {frame.tick} was received already")
         self._counts.delivered += 1
         if requested_at(self._wanted, frame.tick) is not None:
             self._frames[frame.tick, shard] = frame  # others are for those who watch

@@ -128,7 +128,7 @@ class SnapshotCollector:
             WireError: The snapshot was not requested.
         """
         if kept.tick != self.tick or shard not in self._shards:
-            raise WireError("snapshot", "tick", "was not asked for")
+            raise WireError("snapshot", "tick", "was not requested")
         self._kept[shard] = kept
 
     @property

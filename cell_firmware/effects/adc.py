@@ -26,15 +26,15 @@ _SPREAD: Final = (12.0 / _SUMMED) ** 0.5
 class AdcSpec(CellEffectSpec):
     """An 8-bit converter between analogue sensors and the cell.
 
-    What a cell sees of a level in [0, 1] is ``code / 256``, where ``code = floor(256 level + noise)``, at least 0 and
-    at most 255.
+    A cell reads a level in [0, 1] as ``code / 256``, where ``code = floor(256 level + noise)``, at least 0 and at most
+    255.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("analogue_sensors",)
     messages: ClassVar[tuple[str, ...]] = ("levels have 8 bits",)
     fidelity_rank: ClassVar[int | None] = 56
     noise_codes: Annotated[float, Field(ge=0, le=CODES, allow_inf_nan=False)] = 0.0
-    """Root mean square of what is added before rounding, each reading by itself, in codes."""
+    """Root mean square, in codes, of the noise that is added to each reading before rounding."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

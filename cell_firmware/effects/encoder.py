@@ -18,21 +18,21 @@ _TURN: Final = 2.0 * 3.141592653589793
 class EncoderSpec(CellEffectSpec):
     """Speed loops read whole encoder counts modulo 256, not the exact travel.
 
-    Without a decoder chip the first wheel's encoder is on the pulse accumulator, of which there is one, and the second
-    wheel's is counted by an interrupt on input capture, in software with the same 8 bits: one edge of one channel a
-    count. With one, each wheel's chip counts all four edges, and the program reads its low byte. All count both ways.
+    Without a decoder chip the pulse accumulator counts the first wheel's encoder, and an interrupt on input capture
+    counts the second wheel's encoder in software, with 8 bits too: one edge of one channel a count. With decoder chips,
+    each wheel's chip counts all four edges, and the program reads the low byte. All counters count in both directions.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     states: ClassVar[tuple[str, ...]] = ("counts of every encoder",)
     fidelity_rank: ClassVar[int | None] = 42
     counts_per_revolution: Annotated[int, Field(ge=1, le=65_536)] = 256
-    """Of a wheel, as they are counted: a decoder counts each cycle of its two channels four times."""
+    """Counts per revolution of a wheel; a decoder counts each cycle of its two channels four times."""
     decoder: Literal["hctl2016"] | None = None
-    """Quadrature decoder of each wheel; None: the processor's own accumulator and input capture. Costs no interrupts;
-    the numbers of a run don't depend on it."""
+    """Quadrature decoder of each wheel; None: the processor's accumulator and input capture. Decoders cost no
+    interrupts; the results of a run don't depend on it."""
     wheel_radius_m: Positive | None = None
-    """By default the motors', 0.03 where they have none; where both say one, they must agree."""
+    """Radius of the wheels. Default: the radius in ``motors.dc``, else 0.03; if both are given, they must be equal."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

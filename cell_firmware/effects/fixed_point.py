@@ -17,8 +17,8 @@ class FixedPointSpec(CellEffectSpec):
     needs: ClassVar[tuple[str, ...]] = ("motors",)
     fidelity_rank: ClassVar[int | None] = 46
     speed_unit_m_s: Positive | None = None
-    """Unit of speeds without ``encoder``, 0.001 unless given; with it the unit is a count a period. Speeds are 16-bit
-    words in sixteenths of the unit, and saturate at 2,048 units."""
+    """Unit of speeds without ``encoder``, default 0.001; with ``encoder`` the unit is a count a period. Speeds are
+    16-bit words in sixteenths of the unit, and saturate at 2,048 units."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

@@ -22,12 +22,12 @@ Ticks = Annotated[int, Field(ge=0, le=LONGEST_TICKS)]
 
 
 class Delays(Spec):
-    """How much longer messages take."""
+    """Additional delay of messages, ticks."""
 
     ticks: Ticks | None = None
     """Delay of every message."""
     between_ticks: tuple[Ticks, Ticks] | None = None
-    """Or the least and the greatest delay: each message has its own, all that are possible being as likely."""
+    """Least and greatest delay, instead of ``ticks``: each message has a random delay, uniformly distributed."""
     ordered: bool = True
     """Whether messages of a link arrive in the order of sending; else a message may overtake earlier ones."""
 
@@ -65,10 +65,10 @@ class Delays(Spec):
 
 @final
 class LinkDelaySpec(Delays, CellEffectSpec):
-    """Whole messages arrive some ticks later than without the effect, where the next tick is their time.
+    """Whole messages arrive some ticks later. Without the effect a message arrives in the next tick.
 
-    A cell reads one message a side and tick: of several that arrive at once the one sent last, and the others were
-    overtaken.
+    A cell reads one message a side and tick. Of several messages that arrive at once, the cell reads the one sent last;
+    the others count as overtaken.
     """
 
     states: ClassVar[tuple[str, ...]] = ("messages under way",)

@@ -22,7 +22,7 @@ class LinkLossSpec(CellEffectSpec):
     messages: ClassVar[tuple[str, ...]] = ("messages between neighbours get lost",)
     fidelity_rank: ClassVar[int | None] = 80
     probability: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
-    """Of a message, that its receiver never sees it."""
+    """Probability, for each message, that it is lost."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

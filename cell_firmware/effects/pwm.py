@@ -22,9 +22,9 @@ class PwmSpec(CellEffectSpec):
     messages: ClassVar[tuple[str, ...]] = ("drives are whole duties",)
     fidelity_rank: ClassVar[int | None] = 44
     levels: Annotated[int, Field(ge=1, le=65_535)] | None = None
-    """Timer counts of a pulse period: 2 MHz over the frequency. 2,000 (1 kHz) where neither is given."""
+    """Timer counts of a pulse period: 2 MHz over the frequency. Default without ``frequency_hz``: 2,000 (1 kHz)."""
     frequency_hz: Annotated[float, Field(ge=31, le=TIMER_HZ, allow_inf_nan=False)] | None = None
-    """Or how many pulses a second; the timer's nearest."""
+    """Pulse frequency, instead of ``levels``; rounded to a frequency of the timer."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

@@ -75,7 +75,7 @@ class Estimator:
         if across > pattern.WINDOW:
             raise ValueError(
                 f"size_m = [{wide:g}, {high:g}]: with {self._halo} around them up to {across:.1f} cells in a row would "
-                f"take part; at most {pattern.WINDOW} can, with a pitch of {cells.pitch_m:g} m"
+                f"contribute; at most {pattern.WINDOW} can, with a pitch of {cells.pitch_m:g} m"
             )
         n, words = len(cells), (cells.sensors, pattern.WORDS)
         nothing, nobody = np.zeros(n, dtype=np.int64), np.full(n, group.NOBODY)

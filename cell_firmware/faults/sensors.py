@@ -27,7 +27,7 @@ class SensorFault(CellTarget, CellFault):
     """
 
     sensor: Annotated[int, Field(ge=0)] | None = None
-    """Its number among the cell's sensors; None: all of them."""
+    """Number of the affected sensor in each cell, from 0; None: all sensors."""
 
     def fit_problems(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:
         """Yield a sensor that cells don't have."""

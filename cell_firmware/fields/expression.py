@@ -23,18 +23,18 @@ class Expression(Field):
 
     kind: Literal["expression"] = "expression"
     constants: dict[str, Finite] = {}  # noqa: RUF012 - pydantic copies it
-    """Numbers by the names that stand for them in the formulas."""
+    """Named constants of the formulas."""
     vx: str
-    """Along x, m/s."""
+    """Formula of the velocity along x, m/s."""
     vy: str
-    """Along y, m/s."""
+    """Formula of the velocity along y, m/s."""
 
     @field_validator("constants")
     @classmethod
     def _free_names(cls, value: dict[str, float]) -> dict[str, float]:
         for name in value:
             if not (name.isascii() and name.isidentifier()):
-                raise ValueError(f"{name!r} is no name: letters, digits and _, a letter first")
+                raise ValueError(f"{name!r} is not a name: letters, digits and _, a letter first")
             if name in RESERVED:
                 raise ValueError(f"{name} has a meaning already")
         return value

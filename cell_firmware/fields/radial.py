@@ -19,9 +19,9 @@ class Radial(Field):
 
     kind: Literal["radial"] = "radial"
     rate_per_s: Finite | None = None
-    """Speed that grows with the distance."""
+    """Rate k: the speed grows with the distance."""
     speed_m_s: Finite | None = None
-    """Or one speed at every distance."""
+    """Speed s at every distance, instead of ``rate_per_s``."""
     rotation_rad_s: Finite = 0.0
     """Added rigid rotation, counter-clockwise."""
     centre_m: Vector = (0.0, 0.0)

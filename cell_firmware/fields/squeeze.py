@@ -22,9 +22,9 @@ class Squeeze(Field):
     kind: Literal["squeeze"] = "squeeze"
     speed_m_s: Finite
     axis: Literal["x", "y"] = "x"
-    """The axis along which the cells drive; the line is across it."""
+    """Axis along which the cells drive, perpendicular to the line."""
     centre_m: Vector = (0.0, 0.0)
-    """A point of the line."""
+    """Point of the line."""
 
     def velocity(self, x: Array, y: Array) -> Array:
         """Surface velocity, ``(n, 2)`` m/s."""

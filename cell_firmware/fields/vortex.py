@@ -19,9 +19,9 @@ class Vortex(Field):
 
     kind: Literal["vortex"] = "vortex"
     rate_rad_s: Finite | None = None
-    """One angular rate: a rigid rotation."""
+    """Angular rate w of a rigid rotation."""
     speed_m_s: Finite | None = None
-    """Or one tangential speed at every distance."""
+    """Tangential speed s at every distance, instead of ``rate_rad_s``."""
     centre_m: Vector = (0.0, 0.0)
 
     @model_validator(mode="after")

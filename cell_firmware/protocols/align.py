@@ -24,21 +24,21 @@ class AlignParameters(EstimatorParameters):
     """Target pose of the parcel, source of its pose, gain and speed limits."""
 
     angle_rad: Finite = 0.0
-    """Of the parcel's x axis; which way round is left open."""
+    """Target direction of the parcel's x axis, up to half a turn."""
     target_m: Vector | None = None
     """Target of the parcel's centre; None: the parcel is turned in place."""
     source: Literal["sensors", "camera"] = "sensors"
     """Source of the pose: the cells' presence sensors and messages, or the scene's camera."""
     gain_per_s: Positive = 0.5
-    """Speed asked for per distance from the target, and angular speed per sine of the angle that is left."""
+    """Commanded speed per distance from the target, and commanded angular speed per sine of the remaining angle."""
     speed_m_s: Positive = 0.2
-    """Neither the parcel's centre nor, by its turning, a corner is asked to go faster."""
+    """Largest commanded speed of the parcel's centre, and of a corner by rotation."""
     rest_m: Positive = 0.003
-    """Wheels stop when the centre is no farther off ..."""
+    """Largest distance of the centre from the target at which wheels stop; they start again at twice this distance."""
     rest_rad: Positive = 0.003
-    """... and the angle no more, for ..."""
+    """Largest error of the angle at which wheels stop; they start again at twice this error."""
     rest_s: Positive = 1.0
-    """... so long; they start again when either is twice as large."""
+    """Time for which distance and angle must be within ``rest_m`` and ``rest_rad`` before wheels stop."""
     patience_s: Annotated[float, Field(gt=0, le=10)] = 0.2
     """Validity of a camera frame."""
 
@@ -93,8 +93,8 @@ class Align(Firmware):
         beyond = np.exp(-np.pi * damping / np.sqrt(1.0 - damping * damping))
         product = self.parameters.gain_per_s * self.parameters.response_s
         line = (
-            f"gain_per_s times response_s is {product:.3g}, above 1/4: parcels swing about the target, the first "
-            f"time by {beyond:.0%} of the way that they come at less than speed_m_s"
+            f"gain_per_s times response_s is {product:.3g}, above 1/4: parcels overshoot the target, first "
+            f"by {beyond:.0%} of the distance that they move at less than speed_m_s"
         )
         return (line,)
 
@@ -108,7 +108,7 @@ class Align(Firmware):
         damping, response_s = self._damping(), self.parameters.response_s
         slower = 1.0 if damping <= 1.0 else 1.0 - np.sqrt(1.0 - 1.0 / (damping * damping))
         return Theory(
-            f"X'' = mu g (gain (target - X) - X'): what is left dies out at {0.5 * slower / response_s:.3g} 1/s"
+            f"X'' = mu g (gain (target - X) - X'): the remaining error decays at {0.5 * slower / response_s:.3g} 1/s"
         )
 
     def _damping(self) -> float:

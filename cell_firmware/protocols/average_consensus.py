@@ -20,7 +20,7 @@ from cell_firmware.toolkit.regions import RegionValue, assign, region_problems
 from cell_firmware.toolkit.stencil import total
 
 _LONGER: Final = 4
-"""So many times the longest silence that a cell has known to end must pass before it takes a neighbour for gone.
+"""Factor on the longest silence that has ended so far: after a longer silence a neighbour counts as dead.
 
 With bursts of exponential length the longest of m is about ln m means long: one that is 4 times as long has a chance
 of 1 in m to the fourth, so cells err a few times at first and then no more.
@@ -37,11 +37,11 @@ class AverageConsensusParameters(Spec):
     values: tuple[RegionValue, ...] = ()
     """Cells with other values."""
     weight: Literal["metropolis"] | Annotated[float, Field(gt=0, allow_inf_nan=False)] = "metropolis"
-    """Of a link: ``1 / (1 + d)``, d being the greater number of neighbours of its two cells, or the same for all."""
+    """Weight of a link: ``1 / (1 + d)``, d being the greater number of neighbours of its two cells, or a constant."""
     ttl_periods: Ttl = 20
-    """After how many silent periods at least a neighbour is taken for gone, and what was lent to it is called in.
+    """Least number of silent periods after which a neighbour counts as dead, and the flow to it is taken back.
 
-    A cell that has known a neighbour to speak again after s silent periods waits 4 s from then on, if that is more.
+    After a neighbour has sent again after s silent periods, a cell waits 4 s periods if that is more.
     """
     velocity_m_s: Vector = (0.0, 0.0)
     """Velocity of the wheels for an estimate of 1."""

@@ -19,9 +19,9 @@ class HangingFieldParameters(Spec):
 
     field: FieldSpec
     cells: tuple[CellName, ...]
-    """Cells that have the bug."""
+    """Cells whose program hangs."""
     after_periods: Annotated[int, Field(ge=1, le=1_000_000_000)]
-    """Control periods that their program runs, from each start on, before it hangs."""
+    """Number of control periods from each start of the program until it hangs."""
 
 
 @final

@@ -17,7 +17,7 @@ from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 
 
 class HeatDiffusionParameters(InitialAndHeld):
-    """How fast speed spreads, where from, and where it is held."""
+    """Rate of diffusion, initial speeds, and cells of constant speed."""
 
     diffusion_number: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.2
     """``r = alpha period / pitch^2``: at most 1/4, or speeds may alternate and grow."""

@@ -26,7 +26,7 @@ class HopGradientParameters(Spec):
     goals: Annotated[tuple[Region, ...], Field(min_length=1)]
     speed_m_s: Positive = 0.2
     limit: Annotated[int, Field(ge=2, le=65_535)] = 255
-    """Distance that means no way to a goal; must exceed the longest possible way."""
+    """Distance that stands for no route to a goal; must exceed the longest route."""
     ttl_periods: Ttl = 1
     """Validity of a neighbour's message, periods; a neighbour that is silent for longer counts as dead."""
 
@@ -66,7 +66,7 @@ class HopGradient(Firmware):
             return ()
         far = int((away >= limit).sum())
         far_off = f"limit is {limit}, and the farthest cell is {away.max()} links from a goal"
-        return (f"{far_off}: {far} cells will say that no way leads there, and stand still",)
+        return (f"{far_off}: {far} cells will find no route to a goal, and stand still",)
 
     def theory(self, lattice: Lattice) -> Theory:
         """Predict the distances to the nearest goal, known after as many ticks as the largest distance."""

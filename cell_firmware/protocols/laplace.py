@@ -26,13 +26,13 @@ class LaplaceParameters(Spec):
     held: Annotated[tuple[RegionValue, ...], Field(min_length=1)]
     """Cells that keep their potential: sources, sinks, obstacles that repel."""
     relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
-    """1 for Jacobi's method; more for the second-order one, which is faster by far where it suits the array."""
+    """Relaxation factor: 1 for Jacobi's method; more for the second-order method, much faster if it suits the array."""
     ttl_periods: Ttl = 50
     """Validity of a neighbour's message, periods; then the neighbour counts as dead, and its side as insulated."""
     speed_m_s: NotNegative | None = None
-    """At which wheels run down the potential, however steep."""
+    """Constant speed of the wheels down the potential."""
     gain_m2_s: Finite | None = None
-    """Or their speed by its slope, the unit of potential being the scene's; below 0 they climb."""
+    """Wheel speed per slope of the potential, instead of ``speed_m_s``; below 0 parcels climb."""
 
     @model_validator(mode="after")
     def _at_most_one(self) -> Self:
@@ -90,7 +90,7 @@ class Laplace(Firmware):
         loose = int((hop_distance(lattice, np.flatnonzero(held)) < 0).sum())
         if loose:
             found.append(
-                f"{loose} cells have no way to a held one: their potential stays 0, and their wheels stand"
+                f"{loose} cells have no route to a held cell: their potential stays 0, and their wheels stand"
             )
         return tuple(found)
 

@@ -37,13 +37,13 @@ class MaxConsensusParameters(Spec):
     """Ranks of cells, and lifetime of a leader's messages."""
 
     rank: Rank = 0
-    """Of every cell, unless ``ranks`` names it. Among equals the highest row leads, then the highest column."""
+    """Rank of cells that ``ranks`` doesn't name. Among equal ranks the highest row leads, then the highest column."""
     ranks: tuple[Ranked, ...] = ()
-    """Cells that rank otherwise."""
+    """Cells with other ranks."""
     lifetime: Annotated[int, Field(ge=1, le=65_534)] = 1_000
     """Validity of a leader's key, periods: longer than its propagation through the array."""
     speed_m_s: Vector = (0.0, 0.0)
-    """At which the leader's wheels run; those of the others stand."""
+    """Speed of the leader's wheels; all other wheels stand."""
 
 
 @final
@@ -84,8 +84,8 @@ class MaxConsensus(Firmware):
         beyond = int((steps > lifetime).sum())
         if not beyond:
             return ()
-        late = f"lifetime {lifetime} is shorter than the leader's word takes, {steps.max()} ticks"
-        return (f"{late}: {beyond} cells that are further away never keep it, and follow others",)
+        late = f"lifetime {lifetime} is shorter than the propagation of the leader's key, {steps.max()} ticks"
+        return (f"{late}: {beyond} cells that are farther away lose the key, and follow others",)
 
     def theory(self, lattice: Lattice) -> Theory:
         """Predict the end after as many ticks as the largest distance of a cell from its leader."""

@@ -15,11 +15,11 @@ from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 
 
 class PresenceFieldParameters(Spec):
-    """The field, and how far ahead of a parcel it is awake."""
+    """The field, and its reach around a parcel."""
 
     field: FieldSpec
     reach: Annotated[int, Field(ge=0, le=100)] = 1
-    """How many cells away from one that senses a parcel wheels run, counted along rows and columns."""
+    """Largest distance, in cells along rows and columns, of a running cell from a cell that senses a parcel."""
     ttl_periods: Ttl = 1
     """Validity of a neighbour's message, periods: more than 1 where messages may be late."""
 

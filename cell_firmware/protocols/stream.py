@@ -30,7 +30,7 @@ class Source(Region):
     """Cells, and the flow out of each of them."""
 
     flow_m2_s: Finite
-    """Per cell and unit of height: below 0 it sinks away."""
+    """Flow out of each cell per unit of height; below 0 a sink."""
 
     @property
     def amount(self) -> float:
@@ -42,11 +42,11 @@ class StreamParameters(Spec):
     """Sources and sinks of the fluid, and relaxation of the potential."""
 
     sources: Annotated[tuple[Source, ...], Field(min_length=1)]
-    """Sources and sinks; together they should be even."""
+    """Sources and sinks; their flows should add up to 0."""
     diffusion_number: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.2
-    """By which a cell levels its balance: at most 1/4, or potentials may alternate and grow."""
+    """Factor with which a cell corrects its balance of flows: at most 1/4, or potentials may alternate and grow."""
     relaxation: Annotated[float, Field(ge=1, lt=2, allow_inf_nan=False)] = 1.0
-    """1 for explicit steps; more for the second-order method, which is faster where it suits the array."""
+    """Relaxation factor: 1 for explicit steps; more for the second-order method, faster if it suits the array."""
     ttl_periods: Ttl = 50
     """Validity of a neighbour's message, periods; then the neighbour counts as dead, and its side as a wall."""
 
@@ -93,7 +93,7 @@ class Stream(Firmware):
         found = explicit_warnings("diffusion_number", number, "potentials", lambda: GraphLaplacian(lattice))
         for cells, surplus in self._uneven(lattice):
             part = f"sources of the {cells.sum()} cells about {list(lattice.cells[int(np.argmax(cells))])}"
-            share = f"every one of them takes in {surplus / cells.sum():.6g} m2/s, and the stream is none of a fluid"
+            share = f"each cell gains {surplus / cells.sum():.6g} m2/s, so the flow is not incompressible"
             found += (f"{part} are {surplus:.6g} m2/s out of balance: {share}",)
         return found
 

@@ -31,19 +31,19 @@ class Vehicle(Spec):
     """Specification of a vehicle: initial pose, radius, speeds and journey."""
 
     start_m: Vector
-    """Its reference at first: where its parcel's centre of mass should be."""
+    """Initial reference: the target of the parcel's centre of mass."""
     angle_rad: Finite = 0.0
-    """And how it is turned."""
+    """Initial angle of the reference."""
     radius_m: Positive
-    """Of a circle about the reference in which its parcel stays."""
+    """Radius of a circle about the reference that contains the parcel."""
     speed_m_s: Positive = 0.1
-    """Of the reference, where it moves."""
+    """Speed of the moving reference."""
     turn_rate_rad_s: Positive = 0.5
-    """Of the reference, where it turns."""
+    """Angular speed of the turning reference."""
     legs: Annotated[tuple[TrajectorySegment, ...], Field(min_length=1, max_length=1_000)]
-    """Its journey."""
+    """Segments of the journey."""
     laps: Annotated[int, Field(ge=1, le=1_000)] = 1
-    """How often it goes through its legs."""
+    """Number of times that the reference runs through ``legs``."""
 
     def journey(self) -> ReferenceTrajectory:
         """Return the trajectory of the vehicle's reference."""
@@ -58,13 +58,13 @@ class VirtualVehicleParameters(Spec):
 
     vehicles: Annotated[tuple[Vehicle, ...], Field(min_length=1, max_length=100)]
     ahead: Annotated[int, Field(ge=1, le=20)] = 1
-    """How many cells from one that senses the parcel wheels turn too, and how many pitches wider than its radius a
-    vehicle is."""
+    """Distance, in cells, from a cell that senses the parcel up to which wheels run; and by how many pitches a vehicle
+    is wider than its radius."""
     ttl_periods: Ttl = 4
     """Validity of a neighbour's message, periods."""
     centring_per_s: tuple[NotNegative, NotNegative] = (0.5, 1.5)
-    """Speed towards the reference by distance from it, along its own axes: unequal, they turn a long parcel along the
-    weaker."""
+    """Speed towards the reference per distance from it, along the reference's x and y. Unequal values turn a long
+    parcel along the axis of the smaller value."""
     hold_m: Positive | None = None
     """A vehicle advances while a cell within this distance of its reference senses the parcel; default 1.5 pitches."""
 
@@ -144,7 +144,7 @@ class VirtualVehicle(Firmware):
         for v, (vehicle, journey) in enumerate(zip(parameters.vehicles, self._journeys, strict=True)):
             bare = _bare(journey, vehicle.speed_m_s, position_m, self._hold_m(pitch_m), pitch_m)
             if bare is not None:
-                rule = f"leads to ({bare[0]:.4g}, {bare[1]:.4g}) m, where no cell is near enough to hold it"
+                rule = f"leads to ({bare[0]:.4g}, {bare[1]:.4g}) m, where no cell is near enough to hold the vehicle"
                 problems.append(Problem(("vehicles", v), rule, list(vehicle.start_m)))
             for other in range(v):
                 way = np.subtract(vehicle.start_m, parameters.vehicles[other].start_m)
@@ -162,9 +162,7 @@ class VirtualVehicle(Firmware):
         """Predict the durations of the journeys without delays."""
         del lattice
         seconds = ", ".join(f"{journey.duration_s:.4g}" for journey in self._journeys)
-        return Theory(
-            f"journeys of {seconds} s of nominal periods, and a period more for each time they are handed on"
-        )
+        return Theory(f"journeys of {seconds} s of nominal periods, plus one period for each handover")
 
     def init(self, cells: Cells) -> State:
         """Return the initial state: cells in a vehicle's circle know its record; no messages, no presence."""

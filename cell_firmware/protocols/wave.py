@@ -16,12 +16,12 @@ from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
 
 
 class WaveParameters(InitialAndHeld):
-    """How fast waves run, how they die down, where they begin, and where speed is held."""
+    """Speed and damping of waves, initial speeds, and cells of constant speed."""
 
     courant_number_squared: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.25
     """``c2 = (wave speed period / pitch)^2``: at most 1/2, or waves may grow without bound."""
     damping: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
-    """Share of its change that a speed loses in half a period."""
+    """Share of its rate of change that a speed loses in half a period."""
     ttl_periods: Ttl = 1
     """Validity of a neighbour's message, periods."""
 

@@ -43,24 +43,24 @@ _AFRESH: Final = 16
 
 
 class TileParameters(TilesSpec):
-    """Tiles and lanes, how parcels are carried, and when silence means death."""
+    """Tiles and lanes, motion of parcels, and time-outs."""
 
     speed_m_s: Positive = 0.5
-    """Of parcels that are passed on, and the most while they are centred."""
+    """Speed of parcels that move to the next tile, and largest speed of parcels that are centred."""
     gain_per_s: tuple[Positive, Positive] = (5.0, 4.0)
-    """A tile that has a parcel drives the elliptic field with these rates, about its middle."""
+    """Rates, along x and y, of the elliptic field that centres a parcel in a tile."""
     settle_s: NotNegative = 0.3
-    """For how long a parcel is centred before it turns off."""
+    """Time for which a parcel is centred before it changes direction."""
     least_cells: Annotated[int, Field(ge=1)] | None = None
-    """A tile in which fewer cells live is closed; at least more than half. Left out: all but one row of it."""
+    """Least number of live cells of an open tile, more than half of its cells. Default: all but one row."""
     waiting_hops: Annotated[int, Field(ge=0, le=1_000)] = 4
-    """A tile whose parcel waits counts as so many cells more: others go round it if that is nearer then."""
+    """Additional distance, in cells, of a tile whose parcel waits, so that other parcels take shorter detours."""
     ttl_periods: Annotated[int, Field(ge=8, le=255)] = 40
     """Validity of a tile's word, ticks: longer than its propagation through two tiles."""
     recall: Ttl = 4
     """Validity of a neighbour's distances, periods."""
     limit: Annotated[int, Field(ge=2, le=16_000)] = 250
-    """Distance in cells that means: no way leads there."""
+    """Distance, in cells, that stands for no route."""
 
     @model_validator(mode="after")
     def _one_leader(self) -> TileParameters:

@@ -15,14 +15,14 @@ Floats = NDArray[np.float64]
 
 
 class TrajectorySegment(Spec):
-    """One leg: to a place, by an angle, both at once, or a pause."""
+    """Segment of a journey: a translation, a rotation, both at once, or a pause."""
 
     to_m: Vector | None = None
-    """Where it ends, m; where it begins, if left out."""
+    """End of the segment, m; default: its beginning."""
     turn_rad: Finite = 0.0
-    """By how much it turns, counter-clockwise."""
+    """Angle of the rotation, counter-clockwise."""
     wait_s: NotNegative = 0.0
-    """Or how long it stands still."""
+    """Duration of a pause, instead of a motion."""
 
     @model_validator(mode="after")
     def _moves_or_waits(self) -> TrajectorySegment:

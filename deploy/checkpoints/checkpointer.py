@@ -133,7 +133,10 @@ class Checkpointer:
             process.report()
             self._host.record_counters()
             if self._ledger.controls:
-                self._stop("what was done to the run while it went on is in its recording: see --replay")
+                self._stop(
+                    "faults were injected at run time, and a checkpoint doesn't hold them; to repeat the run, use "
+                    "mdms run --replay DIR"
+                )
                 return
             draft.plant, draft.mark = self._plant(process)
 
@@ -166,7 +169,7 @@ class Checkpointer:
             self._draft = None
             shards = ", ".join(map(str, self._host.cancel_snapshot()))
             self._warn(
-                f"no checkpoint before tick {draft.tick}: shard {shards} has not told what it remembers within "
+                f"no checkpoint before tick {draft.tick}: shard {shards} sent no snapshot within "
                 f"{self._patience_s:g} s"
             )
 
@@ -242,7 +245,7 @@ def checkpoint_metadata(
     try:
         save_state(plant)
     except StateError as error:
-        raise InputError(f"--checkpoint: this plant can't be kept: {error}") from None
+        raise InputError(f"--checkpoint: the plant's state can't be saved: {error}") from None
     about = CheckpointMetadata(
         scene_name=scene.name,
         scene=scene.model_dump(mode="json"),

@@ -127,15 +127,15 @@ def find_checkpoint(folder: Path) -> Checkpoint:
     status = _status(folder)
     if status in _OVER:
         raise InputError(
-            f"--resume {folder}: that run is over, with status {status}: there is nothing to go on with"
+            f"--resume {folder}: the run is over, with status {status}: there is nothing to resume"
         )
     try:
         return CheckpointStore(folder).read()
     except InputError as error:
         why = str(error).replace("\n", "; ")
         raise InputError(
-            f"--resume {folder}: {why}; a run leaves checkpoints with --checkpoint, the first after that many "
-            "seconds: begin it anew"
+            f"--resume {folder}: {why}; a run writes checkpoints with --checkpoint SECONDS, the first after that "
+            "time: start the run again"
         ) from None
 
 
@@ -225,4 +225,4 @@ def check(checkpoint: Checkpoint, now: dict[str, str]) -> None:
         if then.get(name) != now.get(name)
     ]
     if other:
-        raise InputError(f"--resume: not as when the run began: {'; '.join(other)}")
+        raise InputError(f"--resume: changed since the run began: {'; '.join(other)}")

@@ -28,8 +28,8 @@ DocsOption = Annotated[
     typer.Option(
         "--docs",
         metavar="[DIR]",
-        help="Instead of a scene: measure all that the page on accuracy says, and write accuracy.md and its pictures "
-        "to DIR (alone: docs). Takes minutes.",
+        help="Instead of a scene: measure every figure of the accuracy page, and write accuracy.md and its plots "
+        "to DIR (default: docs). Takes minutes.",
     ),
 ]
 OutputOption = Annotated[
@@ -37,7 +37,7 @@ OutputOption = Annotated[
     typer.Option(
         "--output",
         metavar="DIR",
-        help="Folder for accuracy.json, accuracy.csv and the pictures. Default: nothing is written.",
+        help="Folder for accuracy.json, accuracy.csv and the plots. Default: nothing is written.",
     ),
 ]
 TargetOption = Annotated[
@@ -45,11 +45,11 @@ TargetOption = Annotated[
     typer.Option(
         "--target",
         metavar="METRES",
-        help="Answer in one line: the cheapest solver and setting whose error is no larger. Exit status 1: none.",
+        help="Print in one line the cheapest solver and setting whose error is at most METRES. Exit status 1: none.",
     ),
 ]
 QuickOption = Annotated[
-    bool, typer.Option("--quick", help="Few settings, few runs: under 30 s once every solver is compiled.")
+    bool, typer.Option("--quick", help="Few settings and few runs: under 30 s once every solver is compiled.")
 ]
 RepeatsOption = Annotated[
     int | None,
@@ -57,12 +57,12 @@ RepeatsOption = Annotated[
         "--repeats",
         metavar="N",
         min=1,
-        help="Timed runs of every setting. Default: 5, with --quick 3, fewer where they take long.",
+        help="Timed runs of every setting. Default: 5, with --quick 3; fewer where runs take long.",
     ),
 ]
 SamplingOption = Annotated[
     bool,
-    typer.Option("--sampling/--no-sampling", help="Run the whole system at several control periods, too."),
+    typer.Option("--sampling/--no-sampling", help="Also run the whole system at several control periods."),
 ]
 
 
@@ -80,19 +80,19 @@ def accuracy(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Tell what accuracy costs in time: every solver that claims the scene, coarse to fine.
+    """Measure the cost of accuracy in time: every solver that claims the scene, coarse to fine.
 
-    Each is judged by a reference of another method, heyoka's where it is installed (extra accuracy), which is itself
-    checked by a third method and, where there is one, a closed form. The scene is simulated as mdms simulate does:
-    ideal wheels at the field's speed. With --output DIR there are tables and pictures, too.
+    Each solver is compared with a reference of another method (heyoka if the extra accuracy is installed). A third
+    method and, where it exists, a closed form check the reference. The scene is simulated as by mdms simulate: ideal
+    wheels at the field's speed. --output DIR also writes tables and plots.
 
-    A first look; everything; one answer:
+    A quick study; a full study; the cheapest solver for a target:
 
       [cyan]mdms accuracy elliptic --quick[/cyan]
       [cyan]mdms accuracy elliptic --output study[/cyan]
       [cyan]mdms accuracy elliptic --target 1e-6[/cyan]
 
-    The page on accuracy of the documentation, measured again:
+    Repeat all measurements of the documentation's accuracy page:
 
       [cyan]mdms accuracy --docs[/cyan]
     """
@@ -108,7 +108,7 @@ def accuracy(
         _write_page(scene, docs, repeats, silent if quiet else say)
         return
     if scene is None:
-        raise InputError("accuracy: which SCENE? (`mdms scenes` lists those that are bundled)")
+        raise InputError("accuracy: which SCENE? (`mdms scenes` lists the bundled ones)")
     found = load_scene(scene, sets, duration=duration)
     interruption = Interruption()
     with interruption.handling(last=True), interruption.interruptible():
@@ -129,7 +129,7 @@ def _write_page(scene: str | None, docs: Path, repeats: int | None, say: Callabl
     from deploy.util.signals import Interruption
 
     if scene is not None:
-        raise InputError(f"--docs {docs}: takes no SCENE: the page has its own")
+        raise InputError(f"--docs {docs}: takes no SCENE: the page has its own scenes; leave SCENE out")
     interruption = Interruption()
     with interruption.handling(last=True), interruption.interruptible(), locked_folder(docs, say):
         print(write(docs, repeats=REPEATS if repeats is None else repeats, say=say))

@@ -12,19 +12,19 @@ from typing import Annotated, Any
 import typer
 
 COMMANDS = {
-    "run": "The whole system: every cell an agent, the plant, messages between them.",
-    "simulate": "The plant alone, wheel speeds straight from the scene's field.",
-    "accuracy": "What accuracy costs in time: every solver against a reference.",
-    "campaign": "Many runs over seeds, faults and parameters: one table, one picture.",
-    "constants": "The constants of motion of a pose: equilibrium, loads, torque.",
-    "fault": "A fault injected into a running system, or repaired.",
-    "effects": "Every effect: what it adds, costs and changes; a ladder of fidelity.",
-    "keys": "A run's certificates and who may do what: let nobody else in.",
-    "orientations": "The angles at which a parcel comes to rest, exactly; maps over sizes.",
-    "plot": "Pictures of a recording.",
-    "registers": "What the cells of a running system show of themselves.",
-    "scenes": "The bundled scenes, or one of them in full.",
-    "schema": "The JSON Schema of a scene file, for editors.",
+    "run": "Run the whole system: cells with their firmware, the plant, messages between them.",
+    "simulate": "Simulate the plant alone, with wheel speeds straight from the scene's field.",
+    "accuracy": "Measure the cost of accuracy in time: every solver against a reference.",
+    "campaign": "Run a scene over seeds, faults and parameters: one table, one plot.",
+    "constants": "Print the constants of motion of a pose: equilibrium, loads, torque.",
+    "fault": "Inject a fault into a running system, or repair a fault.",
+    "effects": "Show additions, cost and influence of every effect; a ladder of fidelity.",
+    "keys": "Make certificates and permissions of a run's processes.",
+    "orientations": "Compute the angles at which a parcel comes to rest, exactly; maps over sizes.",
+    "plot": "Plot a recording.",
+    "registers": "Read the registers of a running system's cells.",
+    "scenes": "List the bundled scenes, or print a scene.",
+    "schema": "Print the JSON Schema of scene files, for editors.",
 }
 """Every command and its line in the list; command NAME is function NAME of ``deploy.commands.NAME``."""
 
@@ -36,7 +36,7 @@ _OPTIONAL_VALUES = {
     "--registers": ("1", re.compile(r"[+-]?\d+")),
     "--docs": ("docs", re.compile(r"[^-].*")),
 }
-"""Options that may stand without a value: what they mean then, and what a value looks like."""
+"""Options with an optional value: the value when the option stands alone, and the pattern of a given value."""
 
 _COMPLETING = "_MDMS_COMPLETE"
 """Environment variable by which a shell asks for completions, in place of running a command."""
@@ -44,25 +44,25 @@ _COMPLETING = "_MDMS_COMPLETE"
 _HELP = """A Modular Distributed Manipulator System in software.
 
 A fixed array of cells with two orthogonal wheels each carries flat parcels across it. Every cell runs its own
-firmware and talks to its four neighbours; the plant moves the parcels.
+firmware and exchanges messages with its four neighbours. The plant moves the parcels.
 """
 
 _EXAMPLES = (
-    ("A bundled scene, all of it; a recording and a picture at the end:", "mdms run elliptic"),
-    ("The same motion without cells, as exact as it gets:", "mdms simulate elliptic --tolerance 1e-12"),
-    ("Any value of a scene can be changed:", "mdms run heat --duration 2 --set cells.period_s=0.008192"),
-    ("A scene of your own:", "mdms scenes elliptic > mine.toml; mdms run mine.toml"),
-    ("Options and examples of a command:", "mdms run --help"),
+    ("Run a bundled scene; write a recording and a plot:", "mdms run elliptic"),
+    ("Simulate this motion without cells, at a fine tolerance:", "mdms simulate elliptic --tolerance 1e-12"),
+    ("Change any value of a scene:", "mdms run heat --duration 2 --set cells.period_s=0.008192"),
+    ("Write your own scene:", "mdms scenes elliptic > mine.toml; mdms run mine.toml"),
+    ("Show options and examples of a command:", "mdms run --help"),
 )
 
 _EXIT_STATUS = (
-    "Exit status: 0 done; 1 failed or stalled, the last line says where; 2 bad input, nothing started; "
+    "Exit status: 0 done; 1 failed or stalled, see the last line of stderr; 2 bad input, nothing started; "
     "3 numerically unstable; 130 interrupted."
 )
 
 
 def fill_flag_values(arguments: Sequence[str]) -> list[str]:
-    """The arguments, with the value that an option has when it stands alone."""
+    """Return the arguments, with the values of options that stand alone filled in."""
     given = list(arguments)
     for i, argument in enumerate(arguments):
         following = arguments[i + 1] if i + 1 < len(arguments) else ""
@@ -74,7 +74,7 @@ def fill_flag_values(arguments: Sequence[str]) -> list[str]:
 
 
 def application(arguments: Sequence[str]) -> typer.Typer:
-    """The command line, with that command imported which the arguments ask for; the others are names only."""
+    """Return the command line. Only the command named in the arguments is imported."""
     app = typer.Typer(
         name="mdms",
         help=_flowing(_HELP),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from deploy.studies.campaign.report import CampaignReport
     from deploy.studies.campaign.spec import CampaignSpec
 
-_VARIED, _JUDGED = "What is varied", "How runs are judged"
+_VARIED, _JUDGED = "Variation", "Criterion"
 _VALUES = "FROM:TO:STEP"
 
 FaultOption = Annotated[
@@ -36,7 +36,7 @@ FaultOption = Annotated[
         rich_help_panel=_VARIED,
         metavar="KIND",
         help="Add a fault of this kind to the scene. Its keys are set by --set fault.KEY=VALUE and varied by "
-        "--vary fault.KEY=VALUES. Where nothing says which cells it strikes, it strikes all of them.",
+        "--vary fault.KEY=VALUES. Without a key that selects cells, the fault affects all cells.",
     ),
 ]
 ShareOption = Annotated[
@@ -45,7 +45,7 @@ ShareOption = Annotated[
         "--share",
         rich_help_panel=_VARIED,
         metavar=_VALUES,
-        help="Shares of the cells that the fault strikes, drawn by the seed: --vary fault.share=...",
+        help="Shares of the cells that the fault affects, drawn by the seed: --vary fault.share=...",
     ),
 ]
 VaryOption = Annotated[
@@ -55,19 +55,20 @@ VaryOption = Annotated[
         rich_help_panel=_VARIED,
         metavar="KEY=VALUES",
         help="Vary any value of the scene or the fault: FROM:TO:STEP, or TOML values with commas between them. "
-        "Repeatable: every combination is run.",
+        "Repeatable: every combination runs.",
     ),
 ]
 AtOption = Annotated[
     float | None,
-    typer.Option(
-        "--at", rich_help_panel=_VARIED, metavar="SECONDS", help="When the fault begins. Default: 0."
-    ),
+    typer.Option("--at", rich_help_panel=_VARIED, metavar="SECONDS", help="Start of the fault. Default: 0."),
 ]
 UntilOption = Annotated[
     float | None,
     typer.Option(
-        "--until", rich_help_panel=_VARIED, metavar="SECONDS", help="When it ends. Default: it stays."
+        "--until",
+        rich_help_panel=_VARIED,
+        metavar="SECONDS",
+        help="End of the fault. Default: it doesn't end.",
     ),
 ]
 SeedsOption = Annotated[
@@ -76,7 +77,7 @@ SeedsOption = Annotated[
         "--seeds",
         rich_help_panel=_VARIED,
         metavar="N",
-        help="Run every combination with so many seeds, from the scene's own on; or FROM:TO, or a list. Default: 10.",
+        help="Run every combination with N seeds from the scene's seed on; or FROM:TO, or a list. Default: 10.",
     ),
 ]
 AgainstOption = Annotated[
@@ -85,7 +86,7 @@ AgainstOption = Annotated[
         "--against",
         rich_help_panel=_JUDGED,
         metavar="KEY=VALUE",
-        help="The undisturbed run has this value instead. Repeatable. Without --fault and --against there is no "
+        help="Value of the scene in the undisturbed run. Repeatable. Without --fault and --against there is no "
         "undisturbed run, and no error.",
     ),
 ]
@@ -95,14 +96,16 @@ WithinOption = Annotated[
         "--within",
         rich_help_panel=_JUDGED,
         metavar="METRES",
-        help="The largest error of a success. Default: what the scene's \\[goal] says; without either the campaign is "
-        "refused.",
+        help="Largest error of a success. Default: from the scene's \\[goal]; without either the campaign is refused.",
     ),
 ]
 ConfidenceOption = Annotated[
     float | None,
     typer.Option(
-        "--confidence", rich_help_panel=_JUDGED, metavar="SHARE", help="Of the intervals. Default: 0.95."
+        "--confidence",
+        rich_help_panel=_JUDGED,
+        metavar="SHARE",
+        help="Confidence level of the intervals. Default: 0.95.",
     ),
 ]
 LimitOption = Annotated[
@@ -111,7 +114,7 @@ LimitOption = Annotated[
         "--limit",
         rich_help_panel=EXECUTION_PANEL,
         metavar="SECONDS",
-        help="Wall time after which a run is ended and counted as failed. Default: 600.",
+        help="Wall time after which a run is ended and counts as failed. Default: 600.",
     ),
 ]
 JobsOption = Annotated[
@@ -121,7 +124,7 @@ JobsOption = Annotated[
         rich_help_panel=EXECUTION_PANEL,
         metavar="N",
         min=1,
-        help="Runs at a time. Default: one a processor.",
+        help="Number of simultaneous runs. Default: one per processor.",
     ),
 ]
 OutputOption = Annotated[
@@ -139,7 +142,7 @@ ResumeOption = Annotated[
         "--resume",
         rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
-        help="Go on with the campaign in this folder: do the runs that are missing. Needs nothing else.",
+        help="Resume the campaign in this folder: execute its missing runs. Needs no SCENE and no other option.",
     ),
 ]
 OtherVersionsOption = Annotated[
@@ -147,7 +150,7 @@ OtherVersionsOption = Annotated[
     typer.Option(
         "--other-versions",
         rich_help_panel=EXECUTION_PANEL,
-        help="With --resume: go on though this program or what it is built on has another version by now.",
+        help="With --resume: accept that this program or a library it uses has another version than at the start.",
     ),
 ]
 PictureOption = Annotated[
@@ -183,24 +186,24 @@ def campaign(
 ) -> None:
     r"""Run a scene many times, over seeds, faults and parameters: success, error and time with confidence intervals.
 
-    Every run is the whole system, cells and messages included, in one process; as many at a time as there are
-    processors. Its digest is that of mdms run. A run that fails, hangs or is killed is kept with its seed, and the
-    others go on. Leaves runs.jsonl, campaign.csv, campaign.json and campaign.png.
+    Every run is the whole system, cells and messages included, in one process, with the digest of mdms run. There are
+    as many simultaneous runs as processors. A run that fails, hangs or is killed is recorded with its seed, and the
+    other runs continue. Writes runs.jsonl, campaign.csv, campaign.json and campaign.png.
 
     A run has succeeded if its status is ok; no parcel tipped, fell off the array other than through an exit, or was
-    misrouted; every parcel that rests, or has left, in the undisturbed run does so here (one that should rest may
-    also have left); and the error is at most --within, or what the scene's \[goal] demands holds. The undisturbed run
-    is that of the same scene and seed without the campaign's fault. The error is the largest distance of a corner of a
-    parcel from where it is in the undisturbed run, at the end. Without such a run it is that of a parcel's centre of
-    mass from the goal's place. The time is when the last parcel came to rest or left.
+    misrouted; every parcel that rests or has left in the undisturbed run also does so in this run (a parcel that should
+    rest may also have left); and the error is at most --within, or the scene's \[goal] is met. The undisturbed run has
+    the same scene and seed, without the campaign's fault. The error is the largest final distance of a parcel's corner
+    from its place in the undisturbed run. Without an undisturbed run, the error is the largest distance of a parcel's
+    centre of mass from the goal's place. The time is when the last parcel came to rest or left.
 
-    Cells that die at random; messages that get lost, by how many; a parameter:
+    Random deaths of cells; message loss; a parameter of the protocol:
 
       [cyan]mdms campaign align --fault crash --share 0:0.3:0.05 --seeds 50[/cyan]
       [cyan]mdms campaign noisy --vary effects.link_loss.probability=0:0.4:0.1 --seeds 20[/cyan]
       [cyan]mdms campaign heat --vary cells.parameters.diffusion_number=0.05:0.25:0.05 --seeds 1[/cyan]
 
-    One that was interrupted goes on:
+    Resume an interrupted campaign:
 
       [cyan]mdms campaign --resume runs/align-campaign-20260301-120000[/cyan]
     """
@@ -223,7 +226,9 @@ def campaign(
         asked, text, folder = _new(given, output)
     else:
         if output is not None:
-            raise InputError(f"--output {output}: --resume {resume} goes on in its own folder")
+            raise InputError(
+                f"--output {output}: --resume {resume} writes to its own folder; leave --output out"
+            )
         asked, text = _resumed(given, resume, other_versions=other_versions)
         folder = resume
     with ExitStack() as locked:
@@ -241,7 +246,7 @@ def _new(given: dict[str, Any], output: Path | None) -> tuple[CampaignSpec, str,
 
     scene = given["scene"]
     if scene is None:
-        raise InputError("campaign: which SCENE? (`mdms scenes` lists those that are bundled)")
+        raise InputError("campaign: which SCENE? (`mdms scenes` lists the bundled ones)")
     if output is not None:
         _check_new(output)
     text = scene_text(scene)
@@ -253,7 +258,7 @@ def _check_new(folder: Path) -> None:
     from deploy.studies.campaign.spec import FILE_NAME
 
     if (folder / FILE_NAME).exists():
-        raise InputError(f"--output {folder}: holds a campaign already; --resume {folder} goes on with it")
+        raise InputError(f"--output {folder}: holds a campaign already; --resume {folder} resumes it")
 
 
 def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tuple[CampaignSpec, str]:
@@ -322,7 +327,7 @@ def _finish(report: CampaignReport, *, picture: bool, as_json: bool) -> None:
     else:
         print_report(report)
         if report.status != "interrupted" and picture and why_none(report):
-            print(f"No picture: {why_none(report)}.")
+            print(f"No plot: {why_none(report)}.")
         print(f"\n{report.folder}")
     sys.stdout.flush()
     if report.status != "ok":

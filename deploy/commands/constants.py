@@ -30,7 +30,7 @@ AtOption = Annotated[
     typer.Option(
         "--at",
         metavar=_POSE,
-        help="Another pose: centre of mass in metres, angle in degrees. Default: where the scene starts the parcel.",
+        help="Pose: centre of mass in metres, angle in degrees. Default: the parcel's initial pose in the scene.",
     ),
 ]
 
@@ -45,10 +45,10 @@ def constants(
 ) -> None:
     """Print the constants of motion of a parcel at a pose (eqs. 18 and 23 of the paper).
 
-    While the same cells carry the parcel, the force on it is affine in its position, and the torque does not depend
-    on its angle. Wheel speeds are those of the scene's velocity field.
+    While the same cells carry a parcel, the force on the parcel is affine in its position, and the torque does not
+    depend on its angle. Wheel speeds come from the scene's velocity field.
 
-    Where the scene starts it, and a little beside the centre, turned by 30 degrees:
+    The initial pose of the scene; a pose 0.1 m beside the centre, turned by 30 degrees:
 
       [cyan]mdms constants elliptic[/cyan]
       [cyan]mdms constants elliptic --at 0.1,0,30[/cyan]
@@ -128,10 +128,10 @@ def _print(scene: Scene, parcel: int, motion: ConstantsOfMotion) -> None:
         ("f0", f"{format_point(motion.f0_n)} N", "force at the origin"),
         ("mu W", f"{short_number(motion.damping_n_s_per_m)} N s/m", "damping in translation"),
         ("tau0", f"{short_number(motion.tau0_n_m)} N m", "torque at the pose"),
-        ("k_tau", f"{format_point(motion.k_tau_n)} N", "its gradient in position"),
+        ("k_tau", f"{format_point(motion.k_tau_n)} N", "gradient of the torque in position"),
         ("d", f"{short_number(motion.d_n_m_s)} N m s", "damping in rotation"),
-        ("equilibrium", _equilibrium(motion), "where the force vanishes"),
-        ("eigenvalues", f"{_rates(motion.eigenvalues_per_s)} 1/s", "of the translation"),
+        ("equilibrium", _equilibrium(motion), "position without force"),
+        ("eigenvalues", f"{_rates(motion.eigenvalues_per_s)} 1/s", "eigenvalues of the translation"),
         ("tau0 / I", f"{short_number(motion.angular_acceleration_rad_s2)} rad/s²", "acceleration from rest"),
     )
     pose = scene.parcels[parcel]

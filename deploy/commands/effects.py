@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 OutputOption = Annotated[
     Path | None,
     typer.Option(
-        "--output", metavar="DIR", help="Climb the ladder, and draw it into this folder as ladder.png."
+        "--output",
+        metavar="DIR",
+        help="Run the ladder of fidelity, and plot it as ladder.png in this folder.",
     ),
 ]
 
@@ -39,7 +41,7 @@ def effects(
     scene: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SCENE]", help="A scene file, or the name of a bundled scene. Without: all effects."
+            metavar="[SCENE]", help="A scene file, or the name of a bundled scene. Default: list all effects."
         ),
     ] = None,
     *,
@@ -49,17 +51,27 @@ def effects(
     solver: SolverOption = None,
     tolerance: ToleranceOption = None,
     repeats: Annotated[
-        int, typer.Option("--repeats", min=1, help="Timed runs of each side; the median counts.")
+        int,
+        typer.Option("--repeats", min=1, help="Timed runs with and without each effect; the median counts."),
     ] = 3,
     advise: Annotated[
-        bool, typer.Option("--advise", help="Tell which effects can go, and which are missing.")
+        bool,
+        typer.Option(
+            "--advise", help="List the effects that can be left out, and the effects that are missing."
+        ),
     ] = False,
     tolerance_mm: Annotated[
         float,
-        typer.Option("--tolerance-mm", help="With --advise: how far a corner may be off at the end."),
+        typer.Option(
+            "--tolerance-mm",
+            help="With --advise: largest final displacement of a corner that counts as no influence.",
+        ),
     ] = 1.0,
     ladder: Annotated[
-        bool, typer.Option("--ladder", help="Climb from a quasi-static motion to all effects instead.")
+        bool,
+        typer.Option(
+            "--ladder", help="Instead: run a ladder of models, from quasi-static motion to all effects."
+        ),
     ] = False,
     output: OutputOption = None,
     as_json: JsonOption = False,
@@ -67,11 +79,11 @@ def effects(
 ) -> None:
     """Show each effect's additions to a scene, its cost, and its influence on the result.
 
-    Each effect is toggled by itself: the scene as it is against the scene without; or, where the scene lacks the
-    effect, the scene with typical settings of it against the scene. Both run in this process under one solver. The
-    solver's own error, against a tolerance ten times as fine, says how much of an influence to believe.
+    Effects are toggled separately. An effect of the scene is left out; an effect that the scene lacks is added with
+    typical settings. Both simulations run in this process under one solver. The solver's own error, measured against
+    a tolerance ten times as fine, shows how much of an influence is significant.
 
-    All effects; those of a scene; what to leave out or add; cost against fidelity:
+    All effects; influence on a scene; advice on effects to leave out or add; cost against fidelity:
 
       [cyan]mdms effects[/cyan]
       [cyan]mdms effects prototype[/cyan]

@@ -31,19 +31,19 @@ KindArgument = Annotated[
     typer.Argument(
         metavar="KIND",
         autocompletion=fault_kinds,
-        help="Any kind that a scene may schedule, listed above; or list: which faults the run has; or repair: of "
-        "those by number.",
+        help="A kind of fault, listed above; or list: show the run's faults; or repair: repair faults by number.",
     ),
 ]
 TargetArgument = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[TARGET]...",
-        help="Cells as ROW,COLUMN; ROW,COLUMN-ROW,COLUMN: all from one corner to the other; 10%: a share of all cells.",
+        help="Cells as ROW,COLUMN; a rectangle of cells as ROW,COLUMN-ROW,COLUMN; or a share of all cells, as 10%.",
     ),
 ]
 SideOption = Annotated[
-    str | None, typer.Option("--side", help="Of links: north, east, south or west. Default: all.")
+    str | None,
+    typer.Option("--side", help="Side of the affected links: north, east, south or west. Default: all."),
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -51,7 +51,7 @@ SetOption = Annotated[
 ]
 ForOption = Annotated[
     float | None,
-    typer.Option("--for", metavar="SECONDS", help="Simulated time until it is repaired. Default: never."),
+    typer.Option("--for", metavar="SECONDS", help="Simulated time until the repair. Default: no repair."),
 ]
 
 
@@ -70,10 +70,10 @@ def fault(
 ) -> None:
     """Inject a fault into a running system, or repair one.
 
-    It acts from the next tick on; the answer says which. The recording keeps it, so that mdms run --replay repeats the
-    run to the same digest.
+    The fault is active from the next tick on, whose number is printed. The run's recording contains the fault, so
+    that mdms run --replay repeats the run to the same digest.
 
-    In one terminal, and in another:
+    Start a run in one terminal, and inject faults in another:
 
       [cyan]mdms run heat --duration 60 --realtime[/cyan]
       [cyan]mdms fault crash 3,4 --for 2[/cyan]
@@ -81,7 +81,7 @@ def fault(
       [cyan]mdms fault list[/cyan]
       [cyan]mdms fault repair 1[/cyan]
 
-    Kinds, whose keys are in docs/faults.md:
+    Kinds of faults (keys: docs/faults.md):
 
     {kinds}
     """
@@ -160,7 +160,7 @@ def _print(request: dict[str, Any], answer: dict[str, Any]) -> None:
     elif not answer["faults"]:
         print(f"{answer['run']}: no faults")
     for one in answer.get("faults", ()):
-        end = "for good" if one["until_tick"] is None else f"until tick {one['until_tick']:,}"
+        end = "on" if one["until_tick"] is None else f"until tick {one['until_tick']:,}"
         print(
             f"{one['number']:>4}  {one['kind']} of {plural(one['affected'], 'cell')}  "
             f"from tick {one['from_tick']:,} {end}  {one['state']}"

@@ -20,27 +20,27 @@ _MOST_DAYS = 3650
 _ROLES = 8
 """Roles listed one by one; of more, the first and the last."""
 
-FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make, for the keys.")]
+FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the keys.")]
 WireOption = Annotated[
     Literal["packed", "per_cell"] | None,
-    typer.Option("--wire", help="As the run is to have it. Default: as mdms run does."),
+    typer.Option("--wire", help="Wire form of the runs. Default: as for mdms run."),
 ]
 HostOption = Annotated[
     list[str] | None,
     typer.Option(
         "--host",
         metavar="NAME",
-        help="A name or address under which the plant is reached, beside loopback's. Repeatable.",
+        help="Name or address of the plant's host, in addition to loopback. Repeatable.",
     ),
 ]
-DaysOption = Annotated[int, typer.Option("--days", metavar="N", help="How long certificates hold.")]
+DaysOption = Annotated[int, typer.Option("--days", metavar="N", help="Validity of the certificates, days.")]
 PasswordsOption = Annotated[
     bool,
     typer.Option(
-        "--passwords", help="Users and passwords instead of certificates; what is said goes unencrypted."
+        "--passwords", help="Users and passwords instead of certificates; messages are not encrypted."
     ),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace the keys that are there.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing keys.")]
 
 
 def keys(
@@ -58,11 +58,12 @@ def keys(
 ) -> None:
     """Make the keys of a scene's runs: a certificate for the plant, for each process of cells and for operators.
 
-    With them nobody else can join, and nobody can do what is not theirs: a process of cells puts only what its own
-    cells do and say, and reads only what they sense and what their neighbours say; only the plant senses and controls;
-    only operators ask for live commands. What signs the certificates is forgotten at once, so that nobody makes more.
+    Only processes with keys can join a run, and each role has its own permissions: a process of cells publishes only
+    drives and messages of its own cells, and reads only their senses and their neighbours' messages; only the plant
+    publishes senses and control records; only operators send live commands. The signing key is discarded at once, so
+    that no more certificates can be made.
 
-    Keys are for one way of cutting the cells into processes:
+    Keys are valid for one division of the cells into processes:
 
       [cyan]mdms keys secret prototype --processes each[/cyan]
       [cyan]mdms run prototype --processes each --keys secret --listen tls/127.0.0.1:7447[/cyan]
@@ -71,7 +72,7 @@ def keys(
     if not 1 <= days <= _MOST_DAYS:
         raise InputError(f"--days {days}: must be 1..{_MOST_DAYS}")
     if passwords and host:
-        raise InputError("--host: is for certificates; passwords name no host")
+        raise InputError("--host: is for certificates; leave it out with --passwords, which name no host")
     made = plan(load_scene(scene, sets), RunOptions(processes=parse_processes(processes), wire=wire), "RUN")
     from deploy.security.generate import generate_keys
 
@@ -104,8 +105,8 @@ def _print(folder: Path, about: KeyManifest, how: str) -> None:
         own = about.roles.get(role, ())
         table.add_row(f"[cyan]{role}[/cyan]", plural(len(own), "cell") if own else "", where)
     console.print(table)
-    console.print(f"What each may do: {folder / ACCESS}", soft_wrap=True)
+    console.print(f"Permissions of the roles: {folder / ACCESS}", soft_wrap=True)
     if about.until is not None:
         until, hosts = f"{about.until:%Y-%m-%d %H:%M} UTC", ", ".join(about.hosts)
-        console.print(f"Certificates hold until {until}, the plant's for {hosts}.", soft_wrap=True)
+        console.print(f"Certificates are valid until {until}, the plant's for {hosts}.", soft_wrap=True)
     console.print(f"Run with: mdms run {about.scene}{how} --keys {folder}", soft_wrap=True)

@@ -19,8 +19,8 @@ from deploy.scenes.files import load_scene as load
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
 
-EXECUTION_PANEL: Final = "How it is run"
-"""Heads the options of a command that say nothing of what is run."""
+EXECUTION_PANEL: Final = "Execution"
+"""Heading of options that don't change the simulated system."""
 
 _SCENE: Final = "A scene file, or the name of a bundled scene."
 
@@ -28,51 +28,52 @@ SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENE, auto
 SceneUnlessArgument = Annotated[
     str | None, typer.Argument(metavar="SCENE", help=_SCENE, autocompletion=scenes)
 ]
-"""For commands that can do without, asked for something else."""
+"""Optional scene, for commands with a mode without a scene."""
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
         autocompletion=scene_keys,
-        help="Set any value of the scene: dotted path, list items by number, value in TOML. Repeatable.",
+        help="Set any value of the scene: KEY is a dotted path (list items by number), VALUE is TOML. Repeatable.",
     ),
 ]
-SeedOption = Annotated[int | None, typer.Option("--seed", help="Instead of the scene's seed.")]
+SeedOption = Annotated[int | None, typer.Option("--seed", help="Seed; replaces the scene's seed.")]
 DurationOption = Annotated[
-    float | None, typer.Option("--duration", metavar="SECONDS", help="Instead of the scene's duration_s.")
+    float | None,
+    typer.Option("--duration", metavar="SECONDS", help="Simulated time; replaces the scene's duration_s."),
 ]
 SolverOption = Annotated[
     str | None,
     typer.Option(
         "--solver",
         metavar="NAME",
-        help="Instead of the scene's solver.name: exact, implicit, quasi_static, fixed_step, scipy or heyoka. "
-        "What the scene sets for its own solver and NAME doesn't have is left out.",
+        help="Solver; replaces the scene's solver.name: exact, implicit, quasi_static, fixed_step, scipy or heyoka. "
+        "Settings of the scene's solver that NAME doesn't have are left out.",
     ),
 ]
 ToleranceOption = Annotated[
     float | None,
-    typer.Option("--tolerance", metavar="METRES", help="Instead of the scene's solver.tolerance."),
+    typer.Option("--tolerance", metavar="METRES", help="Tolerance; replaces the scene's solver.tolerance."),
 ]
 StepOption = Annotated[
     float | None,
     typer.Option(
-        "--step", metavar="SECONDS", help="Instead of the scene's solver.step_s, where the solver has steps."
+        "--step", metavar="SECONDS", help="Step; replaces solver.step_s of a solver that has steps."
     ),
 ]
 OutputOption = Annotated[
-    Path | None, typer.Option("--output", metavar="DIR", help="Folder for everything a run leaves behind.")
+    Path | None, typer.Option("--output", metavar="DIR", help="Folder for all files of the run.")
 ]
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="One JSON object on stdout and nothing else there; the rest on stderr.")
+    bool, typer.Option("--json", help="Print one JSON object on stdout, and everything else on stderr.")
 ]
 OperatorKeysOption = Annotated[
     Path | None,
     typer.Option(
         "--keys",
         metavar="DIR",
-        help="The run's keys, or the operator's folder of them, where it lets in only who has some.",
+        help="Folder of the run's keys, or of the operator's keys, for a run that was started with --keys.",
     ),
 ]
 RunningAtOption = Annotated[
@@ -80,7 +81,7 @@ RunningAtOption = Annotated[
     typer.Option(
         "--connect",
         metavar="ENDPOINT",
-        help="Where the run's plant listens: what its --listen says. Default: found by --run.",
+        help="Endpoint at which the run's plant listens (--listen of the run). Default: found by --run.",
     ),
 ]
 RunningInOption = Annotated[
@@ -88,11 +89,11 @@ RunningInOption = Annotated[
     typer.Option(
         "--run",
         metavar="DIR",
-        help="Or the folder that the run writes to. Default: the latest below runs/ that goes on.",
+        help="Output folder of the run. Default: the latest run below runs/ that has not ended.",
     ),
 ]
 TimeoutOption = Annotated[
-    float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for an answer.")
+    float, typer.Option("--timeout", metavar="SECONDS", help="Longest wait for an answer, wall time.")
 ]
 PictureOption = Annotated[bool, typer.Option("--picture/--no-picture", help="Draw overview.png at the end.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no warnings on stderr.")]
@@ -196,7 +197,7 @@ def address_of(connect: str | None, run: Path | None) -> str:
     return discover(run).connect
 
 
-ParcelOption = Annotated[int, typer.Option("--parcel", metavar="N", help="Which parcel, counted from 0.")]
+ParcelOption = Annotated[int, typer.Option("--parcel", metavar="N", help="Number of the parcel, from 0.")]
 
 
 def check_parcel(scene: Scene, parcel: int) -> None:

@@ -37,7 +37,7 @@ AtOption = Annotated[
     typer.Option(
         "--at",
         metavar=_POINT,
-        help="Where the centre of mass is, m. Default: where the field brings it to rest.",
+        help="Position of the centre of mass, m. Default: the position at which the field brings it to rest.",
     ),
 ]
 SizesOption = Annotated[
@@ -45,13 +45,13 @@ SizesOption = Annotated[
     typer.Option(
         "--sizes",
         metavar=_SIZES,
-        help="Instead of one parcel, rectangles of N lengths and N widths, m.",
+        help="Instead of the scene's parcel: rectangles of N lengths and N widths, m.",
     ),
 ]
 
 OutputOption = Annotated[
     Path | None,
-    typer.Option("--output", metavar="DIR", help="Folder to draw the picture into. Default: none is drawn."),
+    typer.Option("--output", metavar="DIR", help="Folder for the plot. Default: no plot."),
 ]
 
 
@@ -65,13 +65,13 @@ def orientations(
     output: OutputOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Tell at which angles a parcel comes to rest in the scene's velocity field, its centre of mass at rest already.
+    """Compute the angles at which a parcel comes to rest in a velocity field, with its centre of mass at rest.
 
-    Between the angles at which a cell crosses the parcel's edge the torque is constant. Where it falls through zero,
-    or about an interval without torque, it turns the parcel back from both sides: an attracting angle, or interval.
-    Angles come from the geometry and are exact. With --output DIR there is a picture, too.
+    Between the angles at which a cell crosses the parcel's edge the torque is constant. An angle at which the torque
+    falls through zero attracts: the torque turns the parcel back from both sides. An interval without torque can
+    attract too. Angles come from the geometry and are exact. --output DIR also writes a plot.
 
-    A parcel of the scene; and rectangles of 60 by 60 sizes in its place:
+    A parcel of the scene; rectangles of 60 by 60 sizes instead:
 
       [cyan]mdms orientations elliptic --output study[/cyan]
       [cyan]mdms orientations elliptic --sizes 0.3:0.8:60,0.2:0.5:60 --output study[/cyan]
@@ -150,7 +150,9 @@ def _ranges(text: str) -> tuple[Floats, Floats]:
             found.append(np.linspace(float(low), float(high), int(count)))
         lengths, widths = found
     except ValueError:
-        raise InputError(f"--sizes {text}: must be {_SIZES}: metres, and how many") from None
+        raise InputError(
+            f"--sizes {text}: must be {_SIZES}: bounds in metres, and a number of sizes"
+        ) from None
     for values in found:
         if not len(values) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
             raise InputError(f"--sizes {text}: lengths and widths must be > 0, and one at least of each")

@@ -17,29 +17,29 @@ class Kind(StrEnum):
 
 
 RecordingArgument = Annotated[
-    Path, typer.Argument(metavar="RECORDING", help="A recording, or the output folder it is in.")
+    Path, typer.Argument(metavar="RECORDING", help="A recording, or its output folder.")
 ]
 OutputOption = Annotated[
     Path | None,
     typer.Option(
         "--output",
         metavar="FILE",
-        help="The picture to write: a PNG, SVG or PDF by its suffix. Default: a PNG beside the recording.",
+        help="File to write: PNG, SVG or PDF by its suffix. Default: a PNG beside the recording.",
     ),
 ]
 KindOption = Annotated[
     Kind,
     typer.Option(
         "--kind",
-        help="Which picture: of the parcels, or of what the cells' protocol did (needs mdms run --registers).",
+        help="Kind of plot: the parcels' motion, or the protocol's fields (needs a run with --registers).",
     ),
 ]
 
 
 def plot(recording: RecordingArgument, output: OutputOption = None, kind: KindOption = Kind.overview) -> None:
-    """Draw a picture of a recording, whole or cut short.
+    """Plot a recording, complete or truncated.
 
-    Beside the recording, or a PDF for print; and what the cells' protocol did:
+    A plot beside the recording; a PDF for print; the protocol's fields:
 
       [cyan]mdms plot runs/NAME[/cyan]
       [cyan]mdms plot runs/NAME --output figure.pdf[/cyan]

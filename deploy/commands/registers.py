@@ -27,7 +27,11 @@ _SIDE_BY_SIDE = 6
 """Cells that have a column each."""
 
 CellsArgument = Annotated[
-    list[str] | None, typer.Argument(metavar="[ROW,COLUMN]...", help="Which cells. Default: all, in short.")
+    list[str] | None,
+    typer.Argument(
+        metavar="[ROW,COLUMN]...",
+        help="Cells to show. Default: least, mean and greatest values over all cells.",
+    ),
 ]
 
 
@@ -40,11 +44,11 @@ def registers(
     timeout: TimeoutOption = 5.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Look into the cells of a running system: their program's variables, their board's registers and counters.
+    """Read registers of a running system's cells: variables of the program, registers and counters of the board.
 
-    Nothing in the run changes by it. To keep them for later, have the run record them: mdms run --registers.
+    Reading does not change the run. To record registers, start the run with mdms run --registers.
 
-    In one terminal, and in another:
+    Start a run in one terminal, and read registers in another:
 
       [cyan]mdms run prototype --duration 60 --realtime[/cyan]
       [cyan]mdms registers 0,0 1,2[/cyan]

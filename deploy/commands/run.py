@@ -29,7 +29,7 @@ ProcessesOption = Annotated[
         "--processes",
         rich_help_panel=EXECUTION_PANEL,
         metavar="N|each|0",
-        help="Worker processes for the cells; each: one a cell; 0: everything in this process.",
+        help="Number of worker processes for the cells; each: one per cell; 0: run everything in this process.",
     ),
 ]
 TransportOption = Annotated[
@@ -37,7 +37,7 @@ TransportOption = Annotated[
     typer.Option(
         "--transport",
         rich_help_panel=EXECUTION_PANEL,
-        help="What carries the messages; memory needs --processes 0.",
+        help="Transport of the messages; memory needs --processes 0.",
     ),
 ]
 WireOption = Annotated[
@@ -45,7 +45,7 @@ WireOption = Annotated[
     typer.Option(
         "--wire",
         rich_help_panel=EXECUTION_PANEL,
-        help="One array a worker, or one key a cell and link that any Zenoh tool can join. "
+        help="packed: one array per worker; cells: one key per cell and link, for use with any Zenoh tool. "
         "Default: packed, but cells with --processes each.",
     ),
 ]
@@ -55,8 +55,8 @@ ListenOption = Annotated[
         "--listen",
         rich_help_panel=EXECUTION_PANEL,
         metavar="ENDPOINT",
-        help="Where listeners and operators (mdms fault, mdms registers) connect, such as tcp/127.0.0.1:7447; with "
-        "port 0 a free one. Default: a free loopback port.",
+        help="Endpoint for listeners and operators (mdms fault, mdms registers), such as tcp/127.0.0.1:7447; port 0 "
+        "selects a free port. Default: a free loopback port.",
     ),
 ]
 JoinOption = Annotated[
@@ -65,7 +65,7 @@ JoinOption = Annotated[
         "--join",
         rich_help_panel=EXECUTION_PANEL,
         metavar="ENDPOINT",
-        help="Where processes of cells connect, such as tls/10.0.0.5:7448 for cells on other hosts. Default: a socket "
+        help="Endpoint for processes of cells, such as tls/10.0.0.5:7448 for cells on other hosts. Default: a socket "
         "that only you can open; with --keys a free loopback port.",
     ),
 ]
@@ -75,7 +75,7 @@ KeysOption = Annotated[
         "--keys",
         rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
-        help="Let in only who has keys from here, to do only what their role may; mdms keys makes them.",
+        help="Admit only processes with keys from this folder, with their role's permissions. mdms keys makes keys.",
     ),
 ]
 InsecureOption = Annotated[
@@ -83,7 +83,7 @@ InsecureOption = Annotated[
     typer.Option(
         "--insecure",
         rich_help_panel=EXECUTION_PANEL,
-        help="Listen where anybody can come in without keys: whoever reaches --join can drive the run.",
+        help="Allow endpoints that anybody can use without keys: whoever reaches --join can drive the run.",
     ),
 ]
 RealtimeOption = Annotated[
@@ -92,7 +92,7 @@ RealtimeOption = Annotated[
         "--realtime",
         rich_help_panel=EXECUTION_PANEL,
         metavar="[FACTOR]",
-        help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as it goes.",
+        help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as possible.",
     ),
 ]
 RegistersOption = Annotated[
@@ -101,8 +101,8 @@ RegistersOption = Annotated[
         "--registers",
         rich_help_panel=EXECUTION_PANEL,
         metavar="[TICKS]",
-        help="Record what cells show of themselves, every tick or every so many: their program's variables, and the "
-        "registers and counters of their board.",
+        help="Record registers every TICKS ticks (default: every tick): variables of the program, registers and "
+        "counters of the board.",
     ),
 ]
 ProtocolReportOption = Annotated[
@@ -111,8 +111,8 @@ ProtocolReportOption = Annotated[
         "--protocol-report",
         rich_help_panel=EXECUTION_PANEL,
         metavar="[TICKS]",
-        help="Report what the cells' protocol does: its field's residuals tick by tick (or every so many ticks), their "
-        "rate against theory's, the load on its links; with a table (protocol.csv) and a picture (protocol.png).",
+        help="Report on the cells' protocol every TICKS ticks (default: every tick): residuals of its field, measured "
+        "and theoretical rate, load of the links. Writes a table (protocol.csv) and a plot (protocol.png).",
     ),
 ]
 RespawnOption = Annotated[
@@ -121,8 +121,8 @@ RespawnOption = Annotated[
         "--respawn",
         rich_help_panel=EXECUTION_PANEL,
         metavar="N",
-        help="Start worker processes anew that went or fell silent, N times in all: their cells begin as after "
-        "power-on, at a tick boundary.",
+        help="Restart worker processes that ended or fell silent, at most N times in total. Their cells rejoin at a "
+        "tick boundary and start as after power-on.",
     ),
 ]
 ReplayOption = Annotated[
@@ -131,8 +131,8 @@ ReplayOption = Annotated[
         "--replay",
         rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
-        help="Repeat what was done to a recorded run of this scene while it went on: its live faults, at their ticks, "
-        "and a crash of every cell that it lost. Says whether the digest is the same.",
+        help="Replay a recorded run of this scene: inject its live faults at their ticks, and crash every cell that "
+        "the run lost. Reports whether the digests agree.",
     ),
 ]
 CheckpointOption = Annotated[
@@ -141,7 +141,7 @@ CheckpointOption = Annotated[
         "--checkpoint",
         rich_help_panel=EXECUTION_PANEL,
         metavar="SECONDS",
-        help="Leave a checkpoint in the output folder every so many seconds of wall time. Default: none.",
+        help="Write a checkpoint to the output folder every SECONDS of wall time. Default: no checkpoints.",
     ),
 ]
 ResumeOption = Annotated[
@@ -150,13 +150,15 @@ ResumeOption = Annotated[
         "--resume",
         rich_help_panel=EXECUTION_PANEL,
         metavar="DIR",
-        help="Go on with the run whose output folder this is, from its last checkpoint: to the digest that it would "
-        "have come to. Takes scene, processes and the like from there.",
+        help="Resume the run with this output folder from its last checkpoint, to the digest of an uninterrupted run. "
+        "Scene, processes and similar options come from the checkpoint.",
     ),
 ]
 PlanOption = Annotated[
     bool,
-    typer.Option("--plan", rich_help_panel=EXECUTION_PANEL, help="Print what would be started, and exit."),
+    typer.Option(
+        "--plan", rich_help_panel=EXECUTION_PANEL, help="Print the processes that would be started, and exit."
+    ),
 ]
 
 
@@ -180,22 +182,22 @@ def run(
     resume: ResumeOption = None,
     show_plan: PlanOption = False,
 ) -> None:
-    """Run a scene: every cell an agent with its own controller, the plant, and messages between them.
+    """Run a scene as a whole system: cells with their firmware, the plant, and messages between them.
 
-    Leaves recording.mcap, summary.json and overview.png in the output folder. Ctrl-C ends the run early; what
-    was recorded is complete up to there.
+    Writes recording.mcap, summary.json and overview.png to the output folder. Ctrl-C ends the run early; the
+    recording is complete up to that time.
 
-    A process a cell; twelve seconds in step with the clock; a cell that crashes:
+    One process per cell; twelve seconds in real time; a cell that crashes:
 
       [cyan]mdms run prototype --processes each[/cyan]
       [cyan]mdms run elliptic --duration 12 --realtime[/cyan]
       [cyan]mdms run elliptic --set 'faults=[{ at_s = 1, cell = [9, 9] }]'[/cyan]
 
-    What a protocol's cells come to, how fast, and what theory says of it:
+    Compare a protocol's convergence with theory:
 
       [cyan]mdms run heat --protocol-report[/cyan]
 
-    A run that can be taken up again, whatever ends it; and that:
+    Write a checkpoint every 10 s, then resume after an interruption:
 
       [cyan]mdms run large --checkpoint 10 --output big[/cyan]
       [cyan]mdms run --resume big[/cyan]
@@ -221,7 +223,7 @@ def run(
         lock = None
         if resume is None:
             if not asked.scene:
-                raise InputError("mdms run: name a SCENE, or a run to go on with: --resume DIR")
+                raise InputError("mdms run: name a SCENE, or a run to resume: --resume DIR")
             scene, resumed = asked.load(), None
         else:
             check_unchanged(resume, asked)
@@ -243,14 +245,14 @@ def run(
 
 
 def check_unchanged(folder: Path, asked: AskedOfRun) -> None:
-    """Refuse to change what runs.
+    """Refuse options that would change a resumed run.
 
     Raises:
         InputError: Names the options.
     """
     if asked.changes:
         given = ", ".join(asked.changes)
-        raise InputError(f"--resume {folder}: the run goes on as it began: leave out {given}")
+        raise InputError(f"--resume {folder}: a resumed run keeps its scene and folder: leave out {given}")
 
 
 def lock_of(folder: Path, *, quiet: bool) -> OutputLock:
@@ -292,7 +294,7 @@ def parse_processes(text: str | None) -> Processes | None:
 
 
 def print_plan(made: Plan, *, as_json: bool) -> None:
-    """Print what would be started."""
+    """Print the processes that would be started."""
     if as_json:
         print(json.dumps(made.as_json(), indent=2))
         return

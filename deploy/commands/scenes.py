@@ -14,15 +14,15 @@ from deploy.scenes.files import bundled_names, load_scene, scene_text
 
 def scenes(
     scene: Annotated[
-        str | None, typer.Argument(metavar="SCENE", help="Print this one: a bundled name, or a file.")
+        str | None, typer.Argument(metavar="SCENE", help="Scene to print: a bundled name, or a file.")
     ] = None,
     *,
     as_json: JsonOption = False,
 ) -> None:
     """List the bundled scenes, or print a scene.
 
-    A scene printed is a scene file: [cyan]mdms scenes elliptic > mine.toml[/cyan] begins one of your own.
-    With --json a scene is printed as it is understood, defaults and all.
+    The printed text is a scene file: [cyan]mdms scenes elliptic > mine.toml[/cyan] starts a scene of your own.
+    With --json a scene is printed as validated, including defaults.
     """
     if scene is None:
         _list(as_json=as_json)

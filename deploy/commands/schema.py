@@ -10,8 +10,8 @@ from deploy.scenes.schema import scene_schema
 def schema() -> None:
     """Print the JSON Schema of a scene file.
 
-    It knows the parameters of the bundled firmware. Editors check and complete TOML with it; with Taplo or
-    Even Better TOML a scene says so in its first line:
+    The schema includes the parameters of the bundled firmware. Editors check and complete TOML by a schema; with
+    Taplo or Even Better TOML the first line of a scene names it:
 
       [cyan]#:schema ./scene.schema.json[/cyan]
     """

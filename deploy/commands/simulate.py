@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 def simulate(asked: SceneOptions, *, step: StepOption = None) -> None:
     """Simulate a scene without cells: wheel speeds straight from its velocity field.
 
-    This is the simulator of the papers: ideal wheels that run at the field's speed from the start. The scene's
-    firmware must be velocity_field. Leaves summary.json and overview.png in the output folder.
+    This is the simulator of the papers: ideal wheels run at the field's speed from the start. The scene's firmware
+    must be velocity_field. Writes summary.json and overview.png to the output folder.
 
-    As exact as it gets; as the papers' own loop would have it; as SciPy does:
+    At a fine tolerance; with the papers' own loop; with SciPy:
 
       [cyan]mdms simulate elliptic --tolerance 1e-12[/cyan]
       [cyan]mdms simulate elliptic --solver fixed_step --step 1e-3[/cyan]

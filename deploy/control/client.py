@@ -78,7 +78,7 @@ def discover(folder: Path | None) -> Address:
     if folder is not None:
         address = _read(folder / FILE_NAME)
         if address is None:
-            raise InputError(f"--run {folder}: no run goes on there")
+            raise InputError(f"--run {folder}: no run in progress writes there")
         return address
     notes = sorted(Path("runs").glob(f"*/{FILE_NAME}"), key=_age)
     for note in notes:
@@ -86,7 +86,7 @@ def discover(folder: Path | None) -> Address:
         if address is not None:
             return address
     raise InputError(
-        "no run goes on below runs/: name its folder with --run, or where it listens with --connect"
+        "no run is in progress below runs/: give its folder with --run, or its endpoint with --connect"
     )
 
 
@@ -136,7 +136,7 @@ def ask_run(
     except TransportError as error:
         raise DeployError(f"{connect}: {error}") from None
     except (ValueError, RecursionError):
-        raise DeployError(f"{connect}: what answers there is no run") from None
+        raise DeployError(f"{connect}: the answer is not from a run") from None
     finally:
         endpoint.close()
     if not answer["ok"]:

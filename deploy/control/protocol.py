@@ -61,7 +61,7 @@ def decode_fault(data: Mapping[str, Any], scene: Scene) -> FaultInstance[FaultSp
     one = strictly(_FaultRecord, data)
     fault, lattice = cast("FaultSpec", one.fault), scene.lattice()
     if any(True for _ in fault.problems(lattice)):
-        raise ValueError("it names cells that are not in the array")
+        raise ValueError("the fault names cells that are not in the array")
     affected = fault.affected_cells(lattice, scene.seed, one.number)
     return FaultInstance(
         one.number,
@@ -89,7 +89,7 @@ def decode_fault_control(control: Control, scene: Scene) -> FaultInstance[FaultS
         repaired = strictly(_RepairRecord, data)
     except _SPOILT as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
-        raise WireError("control", "fault", f"is no fault, nor a repair: {why}") from None
+        raise WireError("control", "fault", f"is neither a fault nor a repair: {why}") from None
     return repaired.number, repaired.end
 
 

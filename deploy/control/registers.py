@@ -82,7 +82,7 @@ def collect(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> RegisterR
             deadline = min(deadline, time.monotonic() + _TOGETHER_S)
         _take(seen, event)
     if not seen.cells:
-        raise DeployError("no cell showed anything in time: has the run ended, or does it stand still?")
+        raise DeployError("no cell published registers in time: has the run ended, or does it stand still?")
     missing = sorted(wanted - seen.cells.keys())
     if missing:
         names = ", ".join(f"{row},{column}" for row, column in missing)

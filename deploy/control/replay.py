@@ -31,7 +31,7 @@ def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], 
     if differs:
         raise InputError(
             f"--replay: the recording is of another scene than {scene.name}: {', '.join(differs)} differ; "
-            "give the scene as it was, with its --set, --seed and --duration"
+            "give the recorded scene, with its --set, --seed and --duration"
         )
     script = (*recording.control, *_losses(recording.faults))
     for record in script:
@@ -39,7 +39,7 @@ def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], 
             _check(record, scene)
         except (LookupError, TypeError, ValueError) as error:
             raise InputError(
-                f"--replay: the recording's command {record} can't be repeated: {error}"
+                f"--replay: the recording's command {record} can't be replayed: {error}"
             ) from None
     return script
 

@@ -33,7 +33,9 @@ class InjectRequest(Spec):
     @classmethod
     def _can_begin_now(cls, fault: object) -> object:
         if _kind_of(fault) == "add":
-            raise ValueError("add is for scenes: inject remove, and repair it to plug the cells in again")
+            raise ValueError(
+                "add is for scenes: inject remove, and repair that fault to plug the cells in again"
+            )
         return fault
 
 
@@ -83,7 +85,7 @@ def read_request(payload: bytes | None) -> Request:
     try:
         data: Any = {"request": json.loads(payload)}
     except (ValueError, RecursionError):
-        raise RequestError("a request: must be JSON, of a few levels") from None
+        raise RequestError("a request: must be JSON with a few levels of nesting") from None
     try:
         return strictly(_Asked, data).request
     except ValidationError as error:

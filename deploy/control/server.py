@@ -146,26 +146,26 @@ class ControlServer:
                 for path, _, rule in fault.setting_problems(effects)
             ]
         if fault.at_s:
-            problems.append("fault.at_s: a live fault begins now: leave it out")
+            problems.append("fault.at_s: a live fault begins at the next tick: leave at_s out")
         if request.for_s is not None and not fault.repairable:
-            problems.append(f"for_s: {fault.kind_name} happens once: leave it out")
+            problems.append(f"for_s: {fault.kind_name} happens once: leave for_s out")
         if request.for_s is not None and fault.until_s is not None:
-            problems.append("for_s: fault.until_s says it already")
+            problems.append("for_s: fault.until_s sets the repair already: leave one of the two out")
         if isinstance(fault, CellFault) and self._deaf:
             problems.append(
-                "fault.kind: this run's serial lines carry whole messages, as nothing was to happen to them: run it "
-                "with --realtime, or schedule the fault in the scene"
+                "fault.kind: this run's serial lines are not byte-accurate, since no fault was scheduled: start the "
+                "run with --realtime, or schedule the fault in the scene"
             )
         end = self._end(fault, request.for_s, tick)
         if end <= tick:
-            problems.append("fault.until_s: is over already")
+            problems.append("fault.until_s: is in the past")
         if problems:
             raise RequestError(*problems)
         number = max(self._faults, default=-1) + 1
         affected = fault.affected_cells(self._lattice, self._scene.seed, number)
         one = FaultInstance(number, fault, affected, tick, end, injected_at_runtime=True)
         if len(_text(one)) > TEXT_LIMIT:
-            raise RequestError("fault.cells: are too many to be told at once: use rectangle or share")
+            raise RequestError("fault.cells: are too many for one request: use rectangle or share")
         return one
 
     def _end(self, fault: FaultSpec, for_s: float | None, tick: int) -> int:
@@ -213,9 +213,9 @@ class ControlServer:
             known = ", ".join(map(str, sorted(self._faults))) or "none"
             raise RequestError(f"number: there is no fault {number}; there are: {known}")
         if is_permanent_crash(one):
-            raise RequestError(f"number: the cells of fault {number} have left the run for good")
+            raise RequestError(f"number: the cells of fault {number} have left the run and can't be repaired")
         if not one.fault.repairable or not one.active_at(tick):
-            raise RequestError(f"number: fault {number} doesn't act now")
+            raise RequestError(f"number: fault {number} is not active")
         one.end_tick = tick
         self._repaired.add(number)
         self._process.replan()

@@ -15,20 +15,20 @@ from plant.wheels import LossPolicy
 
 @final
 class CrashFault(CellTarget, CellFault, PlantFault):
-    """Cells that die. Repaired, they begin anew, as after power-on.
+    """Cells die permanently or until a repair, which restarts their programs as after power-on.
 
-    One that is not repaired is gone from the lockstep too: a worker process all of whose cells are dead ends itself by
-    SIGKILL, as a real death does; in a shared worker the cell's agent stops.
+    A cell without a repair leaves the lockstep too. A worker process all of whose cells are dead ends itself by
+    SIGKILL, like a process that dies; in a shared worker the cell's agent stops.
     """
 
     kind_name: ClassVar[str] = "crash"
     halts_program: ClassVar[bool] = True
     kind: Literal["crash"] = "crash"
     wheels: LossPolicy | None = None
-    """What the dead wheels do; None: what the scene's stall policy says."""
+    """Behaviour of the dead cells' wheels; None: the scene's ``stall.policy``."""
 
     def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """No program runs; after the repair it begins anew."""
+        """Halt the affected programs; restart them at the repair."""
         if injected.active_at(tick):
             pause.halted[injected.cells] = True
         pause.reset[injected.cells] |= tick == injected.end_tick

@@ -15,15 +15,15 @@ from plant.faults.base import PlantFault, WheelFaults
 
 
 class AbsentModuleFault(CellTarget, CellFault, PlantFault):
-    """Cells that are gone while it acts: no wheels under parcels, no sensors, no program, no links.
+    """A fault that removes cells from the array while active: no wheels, no sensors, no program, no links.
 
-    Plugged in again they begin anew, as after power-on: wheels at rest, encoders going on from where they stood.
+    Cells that are plugged in restart as after power-on, with wheels at rest; encoders continue at their last counts.
     """
 
     halts_program: ClassVar[bool] = True
 
     def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """No program runs; once it is plugged in it begins anew."""
+        """Halt the affected programs; restart them when their cells are plugged in."""
         if injected.active_at(tick):
             pause.halted[injected.cells] = True
         pause.reset[injected.cells] |= tick == injected.end_tick
@@ -35,7 +35,7 @@ class AbsentModuleFault(CellTarget, CellFault, PlantFault):
 
 @final
 class AddFault(AbsentModuleFault):
-    """Cells that are not there at the start, and are from ``at_s`` on."""
+    """Cells are added to the array at ``at_s``; before, they are absent."""
 
     kind_name: ClassVar[str] = "add"
     kind: Literal["add"]
@@ -43,19 +43,19 @@ class AddFault(AbsentModuleFault):
     @model_validator(mode="after")
     def _comes_once(self) -> Self:
         if self.at_s == 0.0:
-            raise ValueError("at_s must be > 0: what is added at the start is there")
+            raise ValueError("at_s must be > 0: cells that are present from the start need no fault add")
         if self.until_s is not None:
-            raise ValueError("what is added stays: leave until_s out, and pull it by a fault of kind remove")
+            raise ValueError("added cells stay: leave until_s out, and pull them by a fault of kind remove")
         return self
 
     def tick_range(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
-        """It acts until its cells are there."""
+        """Return the ticks in which the cells are absent: from the start of the run to ``at_s``."""
         return 0, tick_at(self.at_s)
 
 
 @final
 class RemoveFault(AbsentModuleFault):
-    """Cells that are pulled out of the array at ``at_s``, and plugged in again where ``until_s`` says so."""
+    """Cells are removed from the array at ``at_s``, and plugged in again at ``until_s`` if given."""
 
     kind_name: ClassVar[str] = "remove"
     kind: Literal["remove"]

@@ -10,12 +10,12 @@ from deploy.util.formatting import plural
 if TYPE_CHECKING:
     from bus.fault import FaultInstance, FaultSpec
 
-_DID = {"crash": "crashed", "disconnected": "went away", "timed_out": "timed out"}
-"""What a cell did that is lost, by the fault's kind, where that is not the word for it."""
+_DID = {"crash": "crashed", "timed_out": "timed out"}
+"""Verb for the loss of a cell, by kind of the fault; other kinds are their own verb."""
 _BACK = "respawn"
-"""The kind of those that tell of cells that were lost and take part again."""
+"""Kind of records of lost cells that rejoined."""
 OUT = ("remove", "add")
-"""Kinds of which cells are not in the array while they act."""
+"""Kinds of faults whose cells are absent from the array while the fault is active."""
 
 
 def transition_record(
@@ -70,7 +70,7 @@ def plot_marks(faults: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
 
 
 def lost_for_good(faults: Sequence[Mapping[str, Any]]) -> dict[tuple[int, int], float]:
-    """Each cell that was lost and did not come back, and when."""
+    """Return each cell that was lost and did not rejoin, and the time of its loss."""
     lost: dict[tuple[int, int], float] = {}
     for fault in faults:
         if fault["kind"] == _BACK:
@@ -121,7 +121,7 @@ def _mark(fault: Mapping[str, Any]) -> str:
     if fault["kind"] in OUT:
         return f"{_cells(fault, 'cell ')} {'plugged in' if fault['phase'] == 'ends' else 'pulled'}"
     if fault["kind"] == _BACK:
-        return f"{_cells(fault, 'cell ')} back"
+        return f"{_cells(fault, 'cell ')} rejoined"
     return f"{_cells(fault, 'cell ')}: {_kind(fault)}{' ends' if fault['phase'] == 'ends' else ''}"
 
 
@@ -139,9 +139,9 @@ def _lasting(fault: Mapping[str, Any], end_s: float | None) -> str:
     """One that begins, and may end."""
     affected = _cells(fault)
     if fault["kind"] == _BACK:
-        return f"{affected} came back at {fault['time_s']:g} s"
+        return f"{affected} rejoined at {fault['time_s']:g} s"
     if fault["kind"] == "add":
-        return f"{affected} not there yet" if end_s is None else f"{affected} plugged in at {end_s:g} s"
+        return f"{affected} not plugged in" if end_s is None else f"{affected} plugged in at {end_s:g} s"
     if fault["kind"] == "remove":
         again = "" if end_s is None else f", plugged in again at {end_s:g} s"
         return f"{affected} pulled at {fault['time_s']:g} s{again}"

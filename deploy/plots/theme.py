@@ -58,7 +58,7 @@ def format_of(path: Path) -> str:
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in FORMATS:
         known = ", ".join(f".{name}" for name in FORMATS[:-1])
-        raise InputError(f"output {path}: a picture's name must end in {known} or .{FORMATS[-1]}")
+        raise InputError(f"output {path}: a plot's name must end in {known} or .{FORMATS[-1]}")
     return suffix
 
 

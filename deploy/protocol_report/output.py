@@ -58,7 +58,7 @@ def _course(one: ResidualHistory) -> str:
     ]
     of_greatest = f"; at most {', '.join(settled)}" if settled else ""
     return (
-        f"rms at most {_number(one.greatest_rms)}, in the end {_number(one.last_rms)} "
+        f"rms at most {_number(one.greatest_rms)}, at the end {_number(one.last_rms)} "
         f"(greatest {_number(one.last_max)}){of_greatest}"
     )
 
@@ -68,10 +68,10 @@ def _number(value: float) -> str:
 
 
 def _links(load: LinkLoad) -> str:
-    filled = f"{100 * load.line_load:.3g} % of what a line at {load.baud:,} baud carries"
+    filled = f"{100 * load.line_load:.3g} % of the capacity of a line at {load.baud:,} baud"
     return (
         f"{short_number(load.sent_per_cell_tick)} messages a cell and tick sent, "
-        f"{short_number(load.heard_per_cell_tick)} heard; {load.line_bytes} bytes each on a serial line, "
+        f"{short_number(load.heard_per_cell_tick)} received; {load.line_bytes} bytes each on a serial line, "
         f"{short_number(load.line_bytes_per_cell_tick)} a cell and tick: "
-        f"{filled}{'' if load.on_lines else ', if the scene had them'}"
+        f"{filled}{'' if load.on_lines else ', if the scene had serial lines'}"
     )

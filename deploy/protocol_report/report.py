@@ -219,13 +219,13 @@ def verdict(
         last_death: The tick in which the last cell died that did; 0 if none.
     """
     if not len(residuals.tick):
-        return "Nothing was seen of the field."
+        return "No values of the field were received."
     if theory is not None and theory.ticks is not None:
         return _done(theory.ticks, residuals, reasons, last_death)
     if theory is None or theory.factor is None:
-        return f"{_measured(rate)} Theory says nothing of a rate here."
+        return f"{_measured(rate)} Theory predicts no rate here."
     if rate is None:
-        return f"Theory says a factor of {theory.factor:.6g} a tick; {_too_little(residuals)}"
+        return f"Theory predicts a factor of {theory.factor:.6g} a tick; {_too_little(residuals)}"
     return f"{_measured(rate)} {_compared(rate, theory.factor, reasons)}"
 
 
@@ -238,15 +238,15 @@ def _done(bound: int, residuals: Residuals, reasons: Sequence[str], last_death: 
         return f"The field still changed in the last tick, {last}; {says}{_but(reasons)}."
     fact = f"The field last changed in tick {last}{since}; {says}"
     if last <= bound:
-        return f"{fact}. That is as it should be."
+        return f"{fact}. This agrees with theory."
     if since and last - last_death <= bound:
-        return f"{fact}, and after every death anew. That is as it should be."
-    return f"{fact}: it took longer{_but(reasons)}."
+        return f"{fact}, counted again from every death. This agrees with theory."
+    return f"{fact}: this is longer than predicted{_but(reasons)}."
 
 
 def _measured(rate: Rate | None) -> str:
     if rate is None:
-        return "There is too little to fit a rate to."
+        return "There are too few values to fit a rate."
     spread = "" if f"{rate.low:.6g}" == f"{rate.high:.6g}" else f" ({rate.low:.6g} to {rate.high:.6g})"
     slow = rate.ticks_per_decade
     decade = f", a tenth every {slow:.4g} ticks" if slow is not None and isfinite(slow) and slow < 1e6 else ""
@@ -256,20 +256,22 @@ def _measured(rate: Rate | None) -> str:
 
 def _compared(rate: Rate, predicted: float, reasons: Sequence[str]) -> str:
     """Of a protocol that comes ever closer, stays as it is, or runs away."""
-    says = f"Theory says {predicted:.6g}"
+    says = f"Theory predicts {predicted:.6g}"
     times = ratio(rate, predicted)
     if times is None:
         near = abs(rate.factor - predicted) < 1e-3
-        return f"{says}: {'it agrees' if near else f'it does not agree{_but(reasons)}'}."
+        return f"{says}: {'the measured rate agrees' if near else f'the measured rate does not agree{_but(reasons)}'}."
     if abs(times - 1.0) <= _AGREES:
         return f"{says}: the rates agree within {max(100 * abs(times - 1.0), 0.01):.2g} %."
     if predicted > 1.0:
-        return f"{says}: it grows {times:.3g} times as fast{_but(reasons)}."
+        return f"{says}: the field grows {times:.3g} times as fast{_but(reasons)}."
     if times <= 0.0:
-        return f"{says}: it does not die out{_but(reasons)}."
+        return f"{says}: the residual does not decay{_but(reasons)}."
     if times > 1.0:
-        return f"{says} of the slowest error: {times:.3g} times as fast, as where a run has little of that error."
-    return f"{says}: {times:.3g} times as fast as that{_but(reasons)}."
+        return (
+            f"{says} of the slowest error: {times:.3g} times as fast, as in a run with little of that error."
+        )
+    return f"{says}: {times:.3g} times as fast as predicted{_but(reasons)}."
 
 
 def _but(reasons: Sequence[str]) -> str:
@@ -278,7 +280,7 @@ def _but(reasons: Sequence[str]) -> str:
 
 def _too_little(residuals: Residuals) -> str:
     quiet = residuals.moved == 0
-    return "the field never changed." if quiet else "the run leaves too few ticks to measure one."
+    return "the field never changed." if quiet else "the run has too few ticks to measure one."
 
 
 def excluded_effects(scene: Scene, cells_dead: int) -> list[str]:

@@ -67,7 +67,7 @@ class Reporter:
         self._every = every
         self.observed = DRIVE if firmware.observable is None else firmware.observable
         if firmware.observable is None:
-            self.notes.append("the program names no field of its own (observed): its drives are shown")
+            self.notes.append("the program declares no field (observed): its drives are shown")
         self.theory = self._theory(firmware)
         limit = None if self.theory is None or self.theory.limit is None else _rows(self.theory.limit)
         if limit is not None and len(limit) != len(lattice):
@@ -112,7 +112,7 @@ class Reporter:
         self.deaths = dead
         residuals, theory = self.residuals, self.theory
         if not len(residuals.tick) and ticks:
-            self.notes.append(f"no cell showed {self.observed}: it is no number, or of too many")
+            self.notes.append(f"no cell published {self.observed}: it is not a number, or has too many")
         courses = {
             name: found
             for name, rms in residuals.rms.items()
@@ -187,7 +187,7 @@ class Reporter:
         except FirmwareError as error:
             if not isinstance(error.__cause__, ModuleNotFoundError):
                 raise
-            self.notes.append(f"what theory says needs {error.__cause__.name}, which is not installed")
+            self.notes.append(f"theory needs {error.__cause__.name}, which is not installed")
             return None
 
 

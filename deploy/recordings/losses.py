@@ -10,7 +10,7 @@ from bus.lockstep.counters import Loss, Reason
 Places = Sequence[tuple[int, int]]
 """``(row, column)`` of every cell, in the lattice's order."""
 
-_WORDS: Final = {"disconnected": "its process went away", "timed_out": "it did not answer in time"}
+_WORDS: Final = {"disconnected": "its process disconnected", "timed_out": "it did not answer in time"}
 _REASONS: Final[tuple[Reason, ...]] = get_args(Reason)
 _NAMED: Final = 6
 """Most cells that a line names; further cells are counted."""
@@ -42,7 +42,7 @@ def lines(losses: Sequence[Loss], places: Places, period_ns: int) -> list[str]:
 def unreported(cells: Sequence[int], places: Places) -> str:
     """Describe cells (indices) whose messages are missing from the counters."""
     names = [f"{row},{column}" for row, column in map(places.__getitem__, cells)]
-    return f"messages of {_cells(names)} were not counted: no report of them came in time"
+    return f"messages of {_cells(names)} were not counted: no report arrived in time"
 
 
 def failure(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
@@ -58,8 +58,8 @@ def failure(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
 def nobody(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
     """Explain from the losses why no cell is left at the end of a run."""
     told = lines(losses, places, period_ns)
-    more = f"; and {len(told) - 3} times more" if len(told) > 3 else ""
-    return f"no cell was alive at the end: {'; '.join(told[:3]) or 'faults injected during the run crashed them'}{more}"
+    more = f"; and {len(told) - 3} more losses" if len(told) > 3 else ""
+    return f"no cell was alive at the end: {'; '.join(told[:3]) or 'faults injected during the run killed them'}{more}"
 
 
 def _cells(names: Sequence[str]) -> str:

@@ -35,7 +35,7 @@ class Mishaps:
             self._told += 1
             if self._told > _MOST:
                 self._warn(
-                    "more parcels tipped or fell: the summary counts them, the recording has every one"
+                    "more parcels tipped or fell: see the summary for their number, and the recording for each event"
                 )
                 return
             x, y = event.position_m

@@ -235,7 +235,7 @@ def load(path: str | Path) -> Recording:
     path = Path(path)
     if path.is_dir():
         if not (path / FILE_NAME).exists():
-            raise InputError(f"there is no {FILE_NAME} in {path}; of a simulation there never is one")
+            raise InputError(f"there is no {FILE_NAME} in {path}; mdms simulate writes none")
         path = path / FILE_NAME
     try:
         return _load(path)

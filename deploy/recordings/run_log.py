@@ -191,8 +191,8 @@ class RunLog:
             row, column = report.cells[0]
             since = f"tick {report.tick} ({report.tick * self.period_ns * 1e-9:g} s)"
             self.warn(
-                f"the program of cell {row},{column} hangs from {since} until it is reset (others that hang for the "
-                f"same reason are counted, not told): {report.detail}"
+                f"the program of cell {row},{column} hangs from {since} until a reset (further cells that hang for "
+                f"this reason are only counted): {report.detail}"
             )
 
     @property

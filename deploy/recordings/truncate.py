@@ -40,9 +40,9 @@ def copy_prefix(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[s
                 if record.topic == TICK:
                     last |= {k: v for k, v in unpack(record.data).items() if isinstance(v, bytes)}
     except FileNotFoundError:
-        raise InputError(f"there is no {path.name} in {path.parent} to go on with") from None
+        raise InputError(f"there is no {path.name} in {path.parent} to resume") from None
     missing = {topic: number for topic, number in left.items() if number > 0}
     if missing:
         told = ", ".join(f"{number} messages of {topic}" for topic, number in missing.items())
-        raise InputError(f"{path} does not reach as far as the checkpoint: it lacks {told}")
+        raise InputError(f"{path} ends before the checkpoint: {told} are missing")
     return last

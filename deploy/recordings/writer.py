@@ -194,7 +194,7 @@ class Recorder:
         with self._progress:
             self._progress.wait_for(lambda: self._ended or self._flushed >= mark)
         if self._flushed < mark:
-            raise DeployError(f"the recording {self.path} was not written so far")
+            raise DeployError(f"can't write the recording {self.path} up to the checkpoint")
         self._file.sync()
 
     def close(self, status: str, digest: str | None = None) -> None:
@@ -256,7 +256,7 @@ class Recorder:
         if self._error is not None:
             raise self._error
         if self._ended and not self._closing:
-            raise DeployError(f"this is a bug: the recorder of {self.path} ended by itself")
+            raise DeployError(f"this is a bug: the recorder of {self.path} ended unexpectedly")
 
     # --- the recorder's thread -------------------------------------------------------------------
 

@@ -196,11 +196,11 @@ class _FieldSimulation:
             plant = load_plant(self.scene, self._warn)
         if self.motors:
             left_out = " and effects.wheel_load are" if self.named.effects.wheel_load is not None else " is"
-            self._warn(f"effects.motors{left_out} left out: simulate has ideal wheels")
+            self._warn(f"effects.motors{left_out} left out: mdms simulate has ideal wheels")
         for name, _ in self.named.effects.of_cells().enabled():
-            self._warn(f"effects.{name} is left out: simulate has no cells")
+            self._warn(f"effects.{name} is left out: mdms simulate has no cells")
         for fault in cell_only_faults(self.named):
-            self._warn(f"{fault} is left out: simulate has no cells")
+            self._warn(f"{fault} is left out: mdms simulate has no cells")
         self.interruption.raise_if_requested()
         with output_folder(self.named, output, self._warn, recorded=False) as folder:
             return Outcome(self._simulated(plant, speeds, folder, picture=picture))
@@ -214,7 +214,9 @@ class _FieldSimulation:
             except (Interrupted, PlantStopped):
                 self._end("interrupted", f"interrupted at {self.time_ns * 1e-9:g} s of simulated time")
             except PlantError as error:
-                self._end(status_of(error), f"{error}; the first {self.time_ns * 1e-9:g} s are kept")
+                self._end(
+                    status_of(error), f"{error}; the trajectory up to {self.time_ns * 1e-9:g} s is valid"
+                )
         wall_s = time.monotonic() - started
         summary = self._summary(plant, folder, wall_s, started - self.begun)
         summary.write(folder)

@@ -105,7 +105,7 @@ def write_or_fail(
         return leave(summary, folder)
     except DeployError as error:
         reason = str(error)
-        warn(f"{reason}; what the run came to is printed all the same")
+        warn(f"{reason}; the result of the run is printed nevertheless")
     if summary.status == "ok":
         summary = replace(summary, status="failed", reason=reason)
         with suppress(DeployError):
@@ -141,6 +141,6 @@ def draw_or_interrupt(
         with interruption.interruptible():
             draw()
     except Interrupted:
-        summary = replace(summary, status="interrupted", reason="interrupted while the picture was drawn")
+        summary = replace(summary, status="interrupted", reason="interrupted while the plot was drawn")
         summary.write(folder)
     return summary

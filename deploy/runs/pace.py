@@ -57,7 +57,7 @@ class Pace:
             self._next_lag_s = _LAG_S
 
     def _tell(self, start_s: float, lag_s: float, wall_s: float) -> None:
-        """Tell the lag, and the pace that the run has kept so far."""
+        """Warn of the lag, with the pace of the run so far."""
         while self._next_lag_s <= lag_s:
             self._next_lag_s *= 2
         kept = (start_s - self._from_s) / wall_s

@@ -58,7 +58,7 @@ class RejectionMonitor:
     def _tell(self, whose: str, what: str, done: str) -> None:
         if (whose, what) not in self._told:
             self._told.add((whose, what))
-            self._warn(f"{done}: {whose}: {what} (the summary has how many)")
+            self._warn(f"{done}: {whose}: {what} (the summary has the number)")
 
 
 def total(rows: Iterable[Mapping[str, Any]], why: str, what: str | None = None) -> int:

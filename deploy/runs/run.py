@@ -202,7 +202,7 @@ class _Run:
         if replayed is None or self.result.status != replayed.status:
             return
         if digest == replayed.digest:
-            self._warn(f"the digest is that of {path}")
+            self._warn(f"the digest is equal to that of {path}")
         else:
             self.result.end("failed", f"the digest differs from that of {path}, {replayed.digest}")
 

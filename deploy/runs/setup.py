@@ -80,7 +80,7 @@ def _processor(scene: Scene, *, talks: bool) -> tuple[str, ...]:
     parts = ", ".join(f"{one.what} {_percent(one.least / whole, one.most / whole)}" for one in takes)
     line = (
         f"an MC68HC11 would be busy for {_percent(least, most)} of a control period of {whole:,.0f} E: {parts}; "
-        "the emulation takes no time for it, and a real board would miss periods and bytes"
+        "the emulation ignores this load, but a real board would miss periods and bytes"
     )
     return (line,)
 

@@ -74,7 +74,7 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
     messages = summary.messages
     if messages.protocol is not None:
         told = messages.protocol
-        lines.append(("messages", f"{told.sent:,} sent by cells to neighbours, {told.heard:,} heard"))
+        lines.append(("messages", f"{told.sent:,} sent by cells to neighbours, {told.heard:,} received"))
     if messages.sent or messages.lost:
         trouble = "".join(
             f", {number:,} {name}"
@@ -136,7 +136,7 @@ def _solver(summary: Summary) -> str:
 def _validity(summary: Summary) -> Iterator[tuple[str, str]]:
     """Yield lines on known limits of the result: left-out events, invalid friction law, captured chatter."""
     if summary.events_left_out:
-        why = "too many of one parcel in one solver call; since when a law is not valid may be among them"
+        why = "too many of one parcel in one solver call; the time from which a law is not valid may be among them"
         yield "events", f"{summary.events_left_out:,} left out: {why}"
     if summary.law_not_valid:
         parcel, since_s = (summary.law_not_valid[0][key] for key in ("parcel", "since_s"))
@@ -151,7 +151,7 @@ def _validity(summary: Summary) -> Iterator[tuple[str, str]]:
         capture_m = summary.captured["capture_m"]
         yield (
             "chatter",
-            f"captured: positions {whose} to {capture_m:g} m (solver.capture_m), not to the tolerance",
+            f"captured: positions {whose} are accurate to {capture_m:g} m (solver.capture_m), not to the tolerance",
         )
 
 
@@ -182,7 +182,7 @@ def _effects(effects: Mapping[str, int]) -> Iterator[tuple[str, str]]:
     """Yield a line for each effect of the cells, with its counters."""
     for effect, counts in groupby(effects.items(), lambda item: item[0].partition(".")[0]):
         told = [(name.partition(".")[2].replace("_", " ").replace(".", " "), n) for name, n in counts]
-        if effect == "faults":  # which there were is told below; each did something of its own
+        if effect == "faults":  # the faults are listed below; each counts its own events
             yield "by faults", ", ".join(f"{what} {number:,}" for what, number in told)
         else:
             yield effect, ", ".join(f"{number:,} {what}" for what, number in told)

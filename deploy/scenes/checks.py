@@ -60,11 +60,13 @@ def cross_problems(
     if cells is not None:
         if cells.board is not None:
             problems.append(
-                Problem(("cells", "board"), "is written out where a scene is read: a bug", cells.board)
+                Problem(
+                    ("cells", "board"), "this is a bug: boards are expanded when a scene is read", cells.board
+                )
             )
         if effects is not None and effects.motors is None and cells.speed_loop is not None:
             problems.append(
-                Problem(("cells", "speed_loop"), "closes on motors: the scene needs effects.motors")
+                Problem(("cells", "speed_loop"), "needs effects.motors: the speed loop controls motors")
             )
         if effects is not None:
             problems += _board_problems(cells, effects)
@@ -153,7 +155,7 @@ def _firmware_problems(
             firmware.check(lattice)
             firmware.check_geometry(lattice, CellArray(array).positions_m, array.pitch_m)
         needed = () if effects is None else firmware.required_effects()
-        firmware.uses_camera()  # nobody needs the answer yet: a refusal belongs before the run
+        firmware.uses_camera()  # called for its errors, which belong before the run
     except ParametersError as error:
         return [Problem((*_PARAMETERS, *p.path), p.message, p.value) for p in error.problems]
     except FirmwareError as error:

@@ -14,10 +14,10 @@ class GoalSpec(Spec):
     """A scene's own criterion of success, for `mdms campaign`. It changes nothing in a run."""
 
     within_m: Positive | None = None
-    """Largest error of a success, m: of any corner from where it ends in the undisturbed run, or, where there is no
+    """Largest error of a success, m: distance of any corner from its final place in the undisturbed run or, without an
     undisturbed run, of any parcel's centre of mass from place_m."""
     place_m: Vector | None = None
-    """Where parcels shall end, m: what errors are measured from in a campaign without undisturbed runs."""
+    """Target of the parcels, m: reference of errors in a campaign without undisturbed runs."""
     at_rest: bool = False
     """Whether every parcel must rest, or have been delivered, at the end."""
     delivered: bool = False
@@ -28,5 +28,5 @@ class GoalSpec(Spec):
         if self.within_m is None and not self.at_rest and not self.delivered:
             raise ValueError("give within_m, at_rest or delivered: a goal must demand something")
         if self.place_m is not None and self.within_m is None:
-            raise ValueError("place_m needs within_m: how near is near enough")
+            raise ValueError("place_m needs within_m, the largest distance of a success")
         return self

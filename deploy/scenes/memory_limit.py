@@ -54,7 +54,7 @@ def too_many_samples(samples: int, parcels: int) -> str:
     """The rule that a course of so many samples breaks on this machine; empty: none."""
     lack = shortage(samples * (parcels * SAMPLE_BYTES + 16))
     return (
-        f"a simulation keeps its whole course, and {samples:,} samples need {lack}: it must be shorter"
+        f"a simulation keeps its whole trajectory, and {samples:,} samples need {lack}: duration_s must be shorter"
         if lack
         else ""
     )

@@ -49,14 +49,14 @@ class Scene(Spec):
     """
 
     title: str = ""
-    """One line for people; changes nothing."""
+    """Title in one line; has no effect on the run."""
     duration_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
-    """Simulated time, s. The run ends there exactly; its last tick may be shorter than the others."""
+    """Simulated time, s. The run ends exactly at this time; the last tick may be shorter than the others."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Of everything that is left to chance."""
+    """Seed of all random streams."""
     gravity_m_s2: Positive = 9.81
     rest_speed_m_s: Positive | None = None
-    """A parcel none of whose corners moves faster is at rest; left out: 1e-5 pitches a second."""
+    """Largest corner speed of a parcel at rest; default: 1e-5 pitches a second."""
     array: ArraySpec
     cells: CellsSpec = CellsSpec()
     parcels: tuple[ParcelSpec, ...] = ()

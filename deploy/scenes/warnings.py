@@ -93,4 +93,4 @@ def _late_faults(scene: Scene) -> Iterator[str]:
     ]
     if late:
         told = ", ".join(f"faults.{number}.at_s = {at_s:g}" for number, at_s in late)
-        yield f"{told}: after the end of the run (duration_s = {scene.duration_s:g}): never acts"
+        yield f"{told}: after the end of the run (duration_s = {scene.duration_s:g}): never active"

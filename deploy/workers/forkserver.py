@@ -90,7 +90,7 @@ class _ForkServer:
             case "signal", (number, workers):
                 self._signal(number, set(workers))
             case _:
-                raise AssertionError(f"this is a bug: the nursery does not know {message!r}")
+                raise AssertionError(f"this is a bug: the fork server does not know {message!r}")
         return True
 
     def _start(self, worker: int, name: str) -> None:

@@ -155,7 +155,7 @@ class WorkerThread:
 
     def restart(self, order: WorkerConfig, shard: int) -> None:  # noqa: ARG002
         """Raise AssertionError: a thread can't be killed, and is never restarted."""
-        raise AssertionError("this is a bug: there is no process to start anew")
+        raise AssertionError("this is a bug: there is no process to restart")
 
     def ended(self, shard: int) -> bool:  # noqa: ARG002
         """Whether the agents have ended."""

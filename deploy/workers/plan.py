@@ -104,7 +104,7 @@ def check_opened(
         return
     if not addresses:
         raise InputError(
-            f"{option} {endpoint}: Zenoh doesn't say where it listens then: use tcp/, or --insecure"
+            f"{option} {endpoint}: Zenoh doesn't report the address then: use tcp/, or --insecure"
         )
     for address in addresses:
         _check_reach(address, kind, option)
@@ -121,7 +121,7 @@ def _check_reach(endpoint: str, kind: Kind | None, option: Option) -> None:
         return
     if kind == "password":
         raise InputError(
-            f"{option} {endpoint}: leaves this host, and with passwords what is said goes unencrypted: use "
+            f"{option} {endpoint}: leaves this host, and with passwords messages are not encrypted: use "
             "certificates (mdms keys without --passwords), or --insecure"
         )
     done = "listen to the run and disturb it" if option == "--listen" else "join"
@@ -341,18 +341,16 @@ def _check(options: RunOptions, scene: Scene, workers: int) -> None:
         raise InputError(f"--respawn {options.respawn}: must be at least 0")
     if options.respawn and not workers:
         raise InputError(
-            "--respawn: there are no worker processes to start anew: it needs --processes N or each"
+            "--respawn: there are no worker processes to restart: it needs --processes N or each"
         )
     if options.respawn and scene.effects.clock is not None:
-        raise InputError(
-            "--respawn: doesn't go with effects.clock: a cell that begins anew has lost its instants"
-        )
+        raise InputError("--respawn: doesn't go with effects.clock: a restarted cell has lost its instants")
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
         raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
     if options.checkpoint_s is not None and not 0 < options.checkpoint_s < float("inf"):
         raise InputError(f"--checkpoint {options.checkpoint_s:g}: must be greater than 0")
     if options.checkpoint_s is not None and options.replay is not None:
-        raise InputError("--checkpoint: a run that repeats another can't be kept; leave one of the two out")
+        raise InputError("--checkpoint: a replayed run can't be saved; leave --checkpoint or --replay out")
 
 
 def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | None:
@@ -360,7 +358,9 @@ def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | N
     if options.transport == "memory":
         for name, value in (("listen", options.listen), ("join", options.join), ("keys", options.keys)):
             if value is not None:
-                raise InputError(f"--{name}: the memory transport has no endpoint; leave one of the two out")
+                raise InputError(
+                    f"--{name}: the memory transport has no endpoint; leave --{name} or --transport memory out"
+                )
     if options.keys is None:
         return None
     from deploy.security.keyring import Keyring
@@ -402,7 +402,7 @@ def _processes_of(
         connect=None,
         ready=f"all {len(cells)} cells alive and ready within {start_s:g} s",
     )
-    where = "a process of its own" if workers else "a thread of this process"
+    where = "a separate process" if workers else "a thread of this process"
     processes = [plant]
     for shard in range(partition.count):
         own = tuple(cells[int(i)] for i in partition.cells(shard))

@@ -81,10 +81,10 @@ class Respawner:
         if self._done >= self._most:
             self._absent.pop(shard, None)
             self._warn(
-                f"the process of cell {row},{column} is not started anew: {self._most} times were allowed"
+                f"the process of cell {row},{column} is not restarted: the limit is {self._most} (--respawn)"
             )
             return
         self._done += 1
         self._absent[shard] = cell
-        self._warn(f"the process of cell {row},{column} is started anew ({self._done} of {self._most})")
+        self._warn(f"the process of cell {row},{column} is restarted ({self._done} of {self._most})")
         self._workers.restart(shard)

@@ -16,12 +16,12 @@ from bus.spec import Positive
 
 @final
 class ContactWidthSpec(EffectSpec):
-    """Wheels that come to be under a parcel by and by."""
+    """Wheels with a width, whose load ramps up as a parcel's edge passes over them."""
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit", "fixed_step", "quasi_static")
     fidelity_rank: ClassVar[int | None] = 20
     width_m: Positive
-    """Over which a cell comes to be under a parcel, half of it on either side of the edge; at most the pitch."""
+    """Width over which a cell's load ramps up, half of it on either side of the parcel's edge; at most the pitch."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:

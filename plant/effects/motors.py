@@ -21,23 +21,23 @@ from plant.wheels import Floats, WheelChanges, WheelMotion, WheelRun
 
 @final
 class DcMotorSpec(Spec):
-    """A DC motor with gears and a wheel, as its data sheet and a scale have it."""
+    """A DC motor with gears and a wheel, by values of data sheets."""
 
     gear_ratio: Positive = 1.0
-    """Turns of the rotor to one of the wheel."""
+    """Turns of the rotor per turn of the wheel."""
     rotor_inertia_kg_m2: Positive
     wheel_inertia_kg_m2: NotNegative = 0.0
-    """Of the wheel and what turns with it, about its shaft."""
+    """Inertia of the wheel and all parts that turn with it, about the wheel's shaft."""
     wheel_radius_m: Positive
     damping_n_m_s: NotNegative = 0.0
-    """Viscous torque at the rotor per rad/s."""
+    """Viscous torque at the rotor, per rad/s of the rotor."""
     resistance_ohm: Positive
     torque_constant_n_m_per_a: Positive
-    """At the rotor; as many V s/rad."""
+    """Torque constant at the rotor; equal to the back-EMF constant, V s/rad."""
     coulomb_torque_n_m: NotNegative = 0.0
-    """Dry friction at the wheel's shaft while it turns, ..."""
+    """Dry friction at the shaft of a turning wheel."""
     static_torque_n_m: NotNegative | None = None
-    """... and what it takes to start it; None: the same."""
+    """Torque at the wheel's shaft that starts a standing wheel; None: as ``coulomb_torque_n_m``."""
 
     @model_validator(mode="after")
     def _starts_no_easier(self) -> Self:
@@ -117,15 +117,15 @@ class MotorsSpec(EffectSpec):
     messages: ClassVar[tuple[str, ...]] = ("cells receive encoder counts", "drives are volts")
     fidelity_rank: ClassVar[int | None] = 30
     time_constant_s: Positive | None = None
-    """0.06 unless ``dc`` is given."""
+    """Time constant of the wheel speed; 0.06 unless ``dc`` is given."""
     speed_per_volt_m_s: Positive | None = None
     """No-load surface speed per volt; 0.1 unless ``dc`` is given."""
     coulomb_v: NotNegative | None = None
-    """Volts that dry friction takes from a turning wheel; none unless ``dc`` is given."""
+    """Voltage that dry friction takes from a turning wheel; 0 unless ``dc`` is given."""
     static_v: NotNegative | None = None
-    """Volts that start a wheel; as ``coulomb_v`` unless ``dc`` is given."""
+    """Voltage that starts a standing wheel; as ``coulomb_v`` unless ``dc`` is given."""
     supply_v: Positive = 12.0
-    """Commands saturate at plus and minus this voltage."""
+    """Supply voltage, at which commands saturate in both directions."""
     dc: DcMotorSpec | None = None
 
     @model_validator(mode="before")

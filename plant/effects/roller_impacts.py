@@ -30,7 +30,7 @@ class RollerImpactsSpec(EffectSpec):
     spacing_m: Annotated[float, Field(ge=1e-5, le=1.0, allow_inf_nan=False)]
     """Slip at a wheel from one roller to the next."""
     impulse_s: Positive
-    """What one roller gives the parcel along the wheel's axis, N s per newton of load on the cell."""
+    """Impulse of one roller on the parcel along the wheel's axis, N s per newton of load on the cell."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

@@ -22,7 +22,7 @@ from plant.wheels import Floats
 
 
 class SupportSpec(Spec):
-    """One cell's own support; what is left out is drawn like every other's."""
+    """Support of one cell; settings that are left out are drawn as for all cells."""
 
     cell: CellName
     stiffness_n_per_m: Positive | None = None
@@ -38,11 +38,11 @@ class UnevenSupportsSpec(EffectSpec):
     stiffness_n_per_m: Positive
     """Mean spring rate of a cell."""
     stiffness_spread: Annotated[float, Field(ge=0, le=2, allow_inf_nan=False)] = 0.0
-    """Standard deviation of the logarithm of the rates, which are log-normal: about their relative spread."""
+    """Standard deviation of the logarithm of the log-normal rates, approximately their relative spread."""
     height_spread_m: NotNegative = 0.0
-    """Standard deviation of the heights, which are normal."""
+    """Standard deviation of the normally distributed heights."""
     cells: tuple[SupportSpec, ...] = ()
-    """Cells whose rate or height is known."""
+    """Cells with given rate or height."""
 
     @field_validator("cells")
     @classmethod

@@ -14,7 +14,7 @@ from bus.spec import Positive
 
 @final
 class WheelLoadSpec(EffectSpec):
-    """Wheels with inertia, which a load slows."""
+    """Wheels with inertia, slowed by traction."""
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
     needs: ClassVar[tuple[str, ...]] = ("motors",)
@@ -22,8 +22,8 @@ class WheelLoadSpec(EffectSpec):
     states: ClassVar[tuple[str, ...]] = ("what its load took from every wheel's speed and travel",)
     fidelity_rank: ClassVar[int | None] = 40
     inertia_kg: Positive | None = None
-    """Of a wheel and what turns with it, at the surface: moment of inertia over the wheel's radius squared. None: that
-    of ``motors.dc``."""
+    """Inertia of a wheel with its drive train at the surface: moment of inertia over the wheel's radius squared. None:
+    from ``motors.dc``."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

@@ -84,7 +84,7 @@ class WheelFault(CellTarget, PlantFault):
     """A fault of wheels of cells."""
 
     wheel: Literal["x", "y", "both"] = "both"
-    """The one that moves parcels along x, the one along y, or both."""
+    """Affected wheel of each cell: the wheel that moves parcels along x, the wheel along y, or both."""
 
     def wheels(self, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], slice]:
         """Rows and columns of those that it strikes, in an array ``(n, 2)`` of all wheels."""

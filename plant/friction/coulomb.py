@@ -19,9 +19,9 @@ class Coulomb(FrictionLaw):
 
     law: Literal["coulomb"]
     coefficient: Positive
-    """Coulomb's: largest traction per newton of load, dimensionless."""
+    """Coulomb coefficient: largest traction per newton of load, dimensionless."""
     contact: Literal["independent_wheels", "isotropic"] = "independent_wheels"
-    """Whether each wheel of a cell slips by itself, or both share one circular cone."""
+    """Friction cone: each wheel of a cell slips independently, or both wheels share a circular cone."""
 
     def traction(self) -> Traction:
         """``b`` infinite, ``c = mu N``."""

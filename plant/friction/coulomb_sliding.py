@@ -18,7 +18,7 @@ class CoulombSliding(FrictionLaw):
 
     law: Literal["coulomb_sliding"]
     coefficient: Positive
-    """Coulomb's: traction per newton of load, dimensionless."""
+    """Coulomb coefficient: traction per newton of load, dimensionless."""
 
     def traction(self) -> Traction:
         """``g = mu N sign(V)`` alone."""

@@ -17,9 +17,9 @@ class MotorLaw(FrictionLaw):
     motor_constant_n_per_a: Positive
     """K: force at the surface per ampere, and volts per m/s of surface speed."""
     resistance_ohm: Positive
-    """R: of the winding."""
+    """R: resistance of the winding."""
     gain_v_s_per_m: Positive
-    """G: of the speed controller, volts per m/s of error."""
+    """G: gain of the speed controller, volts per m/s of error."""
     drag_n_s_per_m: NotNegative = 0.0
     """B: drag of bearings and gears per m/s."""
 

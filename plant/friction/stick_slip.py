@@ -18,7 +18,7 @@ class StickSlip(MotorLaw):
 
     law: Literal["stick_slip"]
     coefficient: Positive
-    """Coulomb's: largest traction per newton of load, dimensionless."""
+    """Coulomb coefficient: largest traction per newton of load, dimensionless."""
 
     def traction(self) -> Traction:
         """``b`` about the free speed, ``c = mu N``."""

@@ -19,7 +19,7 @@ class Viscous(FrictionLaw):
 
     law: Literal["viscous"] = "viscous"
     coefficient_s_per_m: Positive
-    """Viscous (eq. 14): traction per newton of load and per m/s of slip."""
+    """Viscous coefficient (eq. 14): traction per newton of load and per m/s of slip."""
 
     def traction(self) -> Traction:
         """``b = mu N``, without a limit."""

@@ -239,7 +239,7 @@ def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, ane
 @pytest.mark.parametrize(
     ("held", "anew", "told"),
     [
-        (Wheel(), 3, "must be a int, which has no state_fields"),
+        (Wheel(), 3, "must be a int, which declares no state"),
         ({"a": Wheel()}, {"b": Wheel()}, "must be 1 objects"),
         ((Wheel(),), [Wheel()], "must be other objects"),
         ([[], Wheel()], [[Wheel()], Wheel()], r"held\[0\]: must be an object"),
@@ -277,7 +277,7 @@ def test_a_path_that_breaks_off_leads_to_nothing_and_stays_so() -> None:
     leads = Leads(None)
     load_state(leads, save_state(leads))
     assert leads.way is None
-    with pytest.raises(StateError, match=r"Leads\.way\.turns: must be nothing, is a int"):
+    with pytest.raises(StateError, match=r"Leads\.way\.turns: must be None, is a int"):
         load_state(leads, save_state(Leads(_turned(2))))
 
 
@@ -345,7 +345,7 @@ def test_values_lie_as_deep_as_they_may_and_as_many_side_by_side_as_they_like() 
     ids=repr,
 )
 def test_an_array_that_no_array_is_written_as_is_refused(told: list[Any]) -> None:
-    with pytest.raises(StateError, match="not a memory: ValueError"):
+    with pytest.raises(StateError, match="not a saved state: ValueError"):
         decode(packed(msgpack.ExtType(1, packed(told))), {})
 
 

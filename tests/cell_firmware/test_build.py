@@ -71,7 +71,7 @@ print(json.dumps([name for name in sys.modules if name.startswith("cell_firmware
             MOTORS,
             {"encoder": {"counts_per_revolution": 8000}},
             "encoder.counts_per_revolution",
-            "at most 127 counts a period can be told apart, and a wheel without load makes 208.6 at supply_v",
+            "at most 127 counts a period can be distinguished, and a wheel without load makes 208.6 at supply_v",
         ),
         (
             MOTORS,
@@ -83,7 +83,7 @@ print(json.dumps([name for name in sys.modules if name.startswith("cell_firmware
             MotorFacts(12.0, 2.4),
             {"fixed_point": {}},
             "fixed_point.speed_unit_m_s",
-            "a 16-bit word tells speeds up to 2.048 m/s, and a wheel without load has 2.4 at supply_v",
+            "a 16-bit word represents speeds up to 2.048 m/s, and a wheel without load has 2.4 at supply_v",
         ),
     ],
 )

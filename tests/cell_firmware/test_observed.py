@@ -136,8 +136,8 @@ def test_a_state_that_is_numbers_itself_is_shown_as_such() -> None:
             "its state is None, which has no numbers by name; a dataclass, a NamedTuple, a dict or a NumPy record",
         ),
         ({}, "its state is a dict, which has no numbers by name; a dataclass"),
-        (Much(1, (0.0, 0.0)), "of its state some is not recorded: name is a str, not numbers"),
-        ({"a": 1, "b": [0.0] * 65}, "of its state some is not recorded: b has 65 numbers, not 1 to 64"),
+        (Much(1, (0.0, 0.0)), "parts of its state are not recorded: name is a str, not numbers"),
+        ({"a": 1, "b": [0.0] * 65}, "parts of its state are not recorded: b has 65 numbers, not 1 to 64"),
     ],
 )
 def test_why_a_plain_programs_state_is_not_recorded(state: Any, problem: str | None) -> None:

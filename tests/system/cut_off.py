@@ -213,7 +213,7 @@ class Sweep:
         else:
             assert (ended.status, ended.out) == (2, ""), f"{case}: {ended}"
             case.refused = ended.error
-            if re.search("that run is over, with status ok", ended.error):
+            if re.search("the run is over, with status ok", ended.error):
                 case.digest = json.loads((self._folder / "summary.json").read_text())["digest"]
                 _assert_whole(self._folder, case.digest)
         return case

@@ -22,7 +22,7 @@ REFUSED = [
     ),
     (
         ("--transport", "memory", "--listen", "tcp/127.0.0.1:7447"),
-        "--listen: the memory transport has no endpoint; leave one of the two out",
+        "--listen: the memory transport has no endpoint; leave --listen or --transport memory out",
     ),
     (
         ("--listen", "tcp/0.0.0.0:7447"),

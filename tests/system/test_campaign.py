@@ -47,7 +47,7 @@ def test_an_interrupted_campaign_leaves_nothing_running_and_goes_on_to_the_same_
     status, stdout, stderr = running.end()
     assert status == 130
     assert json.loads(stdout)["status"] == "interrupted"
-    assert stderr.splitlines()[-1].endswith(f"`mdms campaign --resume {folder}` goes on")
+    assert stderr.splitlines()[-1].endswith(f"`mdms campaign --resume {folder}` resumes")
     before = journal.read_bytes()
     assert before.count(b"\n") < 9
     assert not any((folder / name).exists() for name in LEFT)
@@ -98,7 +98,7 @@ def test_other_arguments_and_a_folder_in_use_are_bad_input(
     scene: Path, whole: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["campaign", "--resume", str(whole), "--seeds", "4"]) == 2
-    assert "--seeds 4: the campaign there was begun with 3" in capsys.readouterr().err
+    assert "--seeds 4: the campaign has 3" in capsys.readouterr().err
     assert main(["campaign", str(scene), "--output", str(whole)]) == 2
     assert f"--resume {whole} goes on with it" in capsys.readouterr().err
     assert main(["campaign"]) == 2

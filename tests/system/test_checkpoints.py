@@ -133,7 +133,7 @@ def test_a_killed_plant_is_taken_up_again_and_killed_again(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"bound": {"numpy": "0"}}, r"not as when the run began: .*numpy \(then 0, now "),
+        ({"bound": {"numpy": "0"}}, r"changed since the run began: .*numpy \(then 0, now "),
         ({"recorded": {"/tick": 10_000}}, "lacks .* messages of /tick"),
     ],
 )

@@ -106,11 +106,14 @@ def test_bad_requests_are_refused_in_words_and_change_nothing(tmp_path: Path) ->
     for request, words in [
         ({"op": "inject", "fault": {"kind": "crash", "cell": [9, 9]}}, "fault.cell: the array has rows 0..3"),
         ({"op": "inject", "fault": {"kind": "melt", "cell": [0, 0]}}, 'fault.kind = "melt"'),
-        ({"op": "inject", "fault": {"cell": [0, 0], "at_s": 1.0}}, "fault.at_s: a live fault begins now"),
+        (
+            {"op": "inject", "fault": {"cell": [0, 0], "at_s": 1.0}},
+            "fault.at_s: a live fault begins at the next tick",
+        ),
         ({"op": "inject", "fault": {"cell": [0, 0], "until_s": 0.0}}, "until_s must be after at_s"),
         ({"op": "inject", "fault": {"cell": [0, 0]}, "for_s": 0}, "for_s = 0: must be > 0"),
         ({"op": "repair", "number": 4}, "there is no fault 4; there are: none"),
-        ({"op": "dance"}, 'do = "dance"'),
+        ({"op": "dance"}, 'op = "dance"'),
     ]:
         with pytest.raises(RequestError) as refused:
             running.ask(**request)
@@ -127,13 +130,13 @@ def test_bad_requests_are_refused_in_words_and_change_nothing(tmp_path: Path) ->
         endpoint.close()
     live = running.end()
     assert live.summary.digest == run(scene(), _memory(tmp_path / "undisturbed")).summary.digest
-    with pytest.raises(InputError, match="no run goes on there"):
+    with pytest.raises(InputError, match="no run in progress writes there"):
         discover(running.folder)
 
 
 def test_requests_are_read_or_refused_whatever_they_are() -> None:
     assert read_request(b'{"op": "list"}').do == "list"
-    for payload in (None, b"{" * 100_000, b'{"do": ["list"]}', b'{"op": "inject"}', b"\x00"):
+    for payload in (None, b"{" * 100_000, b'{"op": ["list"]}', b'{"op": "inject"}', b"\x00"):
         with pytest.raises(RequestError):
             read_request(payload)
 
@@ -143,7 +146,7 @@ def test_a_note_of_a_run_that_is_over_is_none(tmp_path: Path, monkeypatch: pytes
     folder = tmp_path / "runs" / "one"
     folder.mkdir(parents=True)
     Address("one", "tcp/127.0.0.1:1", 2**22 + 1).write(folder)
-    with pytest.raises(InputError, match="no run goes on below runs/"):
+    with pytest.raises(InputError, match="no run is in progress below runs/"):
         discover(None)
 
 

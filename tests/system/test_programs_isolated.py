@@ -108,7 +108,7 @@ def test_a_campaign_all_of_whose_programs_fail_has_failed(
     arguments = ["campaign", str(scene), "--set", program, *asked, "--jobs", "1", "--output", str(folder)]
     assert main([*arguments, "--quiet"]) == 1
     last = capsys.readouterr().err.splitlines()[-1]
-    assert "no run came to its end; the first: failed: the program of cell 0,1 failed in tick 5" in last
+    assert "no run completed; the first: failed: the program of cell 0,1 failed in tick 5" in last
 
 
 @pytest.mark.parametrize("processes", [0, 2, "each"])

@@ -112,7 +112,7 @@ def test_why_a_program_hangs_is_told_once(
     _go(_scene(small(), **COP), way, tmp_path, quiet=False)
     said = capfd.readouterr().err
     assert said.count("hangs from tick 10 (0.04096 s)") == 1
-    assert "not told): OverflowError: the counter of periods has run over" in said
+    assert "this reason are only counted): OverflowError: the counter of periods has run over" in said
     assert "hanging_field.py" in said
 
 

@@ -347,10 +347,10 @@ def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
             raise TransportError(f"{attempted}: the port is in use") from None
         if attempted.startswith("connect to tls"):
             raise TransportError(
-                f"{attempted}: nobody answers, or they let nobody in with these keys ({first_line(error)})"
+                f"{attempted}: no answer, or the run refuses these keys ({first_line(error)})"
             ) from None
         if attempted.startswith("connect"):
-            raise TransportError(f"{attempted}: nobody answers ({first_line(error)})") from None
+            raise TransportError(f"{attempted}: no answer ({first_line(error)})") from None
         raise TransportError(f"{attempted}: {first_line(error)}") from None
 
 

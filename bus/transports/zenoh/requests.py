@@ -82,4 +82,4 @@ def send_request(endpoint: ZenohEndpoint, key: str, payload: bytes, timeout_s: f
             raise TransportError(f"no answer within {timeout_s:g} s: {reply.err.payload.to_string()}")
     except zenoh.ZError as error:
         raise TransportError(f"ask {key}: {first_line(error)}") from None
-    raise TransportError("no run answers there")
+    raise TransportError("no run answers at this endpoint")

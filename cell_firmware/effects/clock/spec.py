@@ -33,13 +33,13 @@ def parts_per_billion(error_ppm: float) -> int:
 
 
 class CellClockSpec(Spec):
-    """One cell's own clock; what is left out is as every other's."""
+    """Clock of one cell; settings that are left out are drawn as for all cells."""
 
     cell: CellName
     error_ppm: Annotated[float, Field(ge=-WORST_PPM, le=WORST_PPM, allow_inf_nan=False)] | None = None
-    """By how much its periods are longer than nominal."""
+    """Relative excess of the cell's periods over the nominal period."""
     phase_s: NotNegative | None = None
-    """Its first instant; less than a period."""
+    """First instant of the cell; less than a period."""
 
     @field_validator("error_ppm")
     @classmethod
@@ -58,7 +58,7 @@ class CellClockSpec(Spec):
 
 @final
 class ClockSpec(CellEffectSpec):
-    """Cells step at instants of their own: their crystals are off, and their interrupts began at different times."""
+    """Cells step at individual instants: crystals have errors, and interrupts start at different times."""
 
     states: ClassVar[tuple[str, ...]] = ("every cell's count of periods and last drive", "waiting messages")
     messages: ClassVar[tuple[str, ...]] = (
@@ -67,13 +67,13 @@ class ClockSpec(CellEffectSpec):
     )
     fidelity_rank: ClassVar[int | None] = 55
     error_ppm: Annotated[float, Field(ge=0, le=WORST_PPM, allow_inf_nan=False)] = 50.0
-    """Cells' periods are off by up to so much, either way, evenly by the seed."""
+    """Largest error of a cell's period in either direction; errors are drawn uniformly by the seed."""
     phase: Literal["random", "aligned"] = "random"
-    """Whether a cell's first instant is drawn, evenly within a period, or 0 for all."""
+    """First instants of cells: drawn uniformly within a period, or 0 for all cells."""
     exchanges_per_period: Annotated[int, Field(ge=1, le=64)] = 1
-    """Windows, of equal length, in the shortest period that the settings allow."""
+    """Number of windows, of equal length, in the shortest period that the settings allow."""
     cells: tuple[CellClockSpec, ...] = ()
-    """Cells whose clock is known."""
+    """Cells with given clocks."""
 
     @field_validator("error_ppm")
     @classmethod

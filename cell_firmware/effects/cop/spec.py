@@ -21,16 +21,16 @@ TIMEOUTS_S: Final = tuple(count * DIVIDER_S for count in (1, 4, 16, 64))
 class CopSpec(CellEffectSpec):
     """A watchdog resets cells whose program hangs.
 
-    A program that raises hangs, and its cell is not lost: its pins keep what they had until the watchdog resets it.
+    A program that raises counts as hanging, and the cell is not lost. Its pins are held until the watchdog resets it.
     """
 
     states: ClassVar[tuple[str, ...]] = (
         "when each watchdog was served, drives of hung cells, cells that restart",
     )
     timeout_s: Positive
-    """0.016384, 0.065536, 0.262144 or 1.048576: that long after the last service, and less than 0.016384 more."""
+    """Time from the last service to the reset: 0.016384, 0.065536, 0.262144 or 1.048576, plus less than 0.016384."""
     reboot_s: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 0.05
-    """From the reset until the program starts, wheels at 0."""
+    """Time from the reset to the start of the program, with wheels at 0."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

@@ -18,8 +18,8 @@ _DWELL_PERIODS: Final = 8
 class SerialSpec(CellEffectSpec):
     """Messages between neighbours go over serial lines: ten bits a byte, timed at the sender's clock.
 
-    A message is as long as its fields, packed, and a check byte; one that is longer than a period carries spans
-    periods. While it goes out the newest of those that the firmware sends waits for it.
+    A message consists of its packed fields and a check byte. A message that is longer than a period can carry spans
+    periods; while it is sent, only the newest later message of the firmware waits.
     """
 
     states: ClassVar[tuple[str, ...]] = (
@@ -28,15 +28,15 @@ class SerialSpec(CellEffectSpec):
     messages: ClassVar[tuple[str, ...]] = ("links carry the bytes of a tick instead of messages",)
     fidelity_rank: ClassVar[int | None] = 75
     baud: int = 9615
-    """Rate: 125,000 / {1, 3, 4, 13} / 2^n, to the nearest whole number."""
+    """Bit rate: 125,000 / {1, 3, 4, 13} / 2^n, rounded to a whole number."""
     ring_bytes: Literal[0, 16] = 16
-    """Places in the ring of each receiver, which interrupts fill; 0: the firmware polls the register each period."""
+    """Size of each receiver's ring buffer, which interrupts fill; 0: the firmware polls the register each period."""
     bytes_per_period: Annotated[int, Field(ge=1, le=2)] | None = None
-    """What a driver that polls sends in a period, 1 unless given: a register that is polled once receives no more."""
+    """Bytes that a polling driver sends in a period, default 1; a register that is polled once receives one byte."""
     sharing: Literal["quad_uart", "mux"] = "quad_uart"
     """A UART for each side, or the one SCI behind a switch that scans the sides."""
     dwell_periods: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    """How many periods the switch stays on a side, 8 unless given."""
+    """Number of periods that the switch stays on a side, default 8."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:  # noqa: ARG003

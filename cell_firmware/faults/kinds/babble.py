@@ -23,10 +23,10 @@ Ints = NDArray[np.int64]
 
 @final
 class BabbleFault(CellTarget, CellFault):
-    """Cells that send random bytes to all their neighbours, in every control period in which their program runs.
+    """Cells send random bytes to all their neighbours, in every control period in which their program runs.
 
-    Where links hand over whole messages, each is a message of random bytes; on serial lines bytes follow one another
-    without a pause, so that no message ever ends there.
+    Links without serial lines carry messages of random bytes. On serial lines bytes follow one another without a
+    pause, so that no message ever ends.
     """
 
     kind_name: ClassVar[str] = "babble"

@@ -10,7 +10,7 @@ from cell_firmware.faults.base import CellFault, ExecutionFaults
 
 @final
 class HangFault(CellTarget, CellFault):
-    """Programs that hang: pins are held, nothing is sent, and the watchdog is not served.
+    """Programs hang: pins are held, nothing is sent, and the watchdog is not served.
 
     A cell with a watchdog (effect ``cop``) is reset, restarts, and hangs again at once while the fault is active. A
     repair resets the program too, since an endless loop does not end.

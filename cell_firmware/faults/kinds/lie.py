@@ -41,14 +41,16 @@ class LieFault(CellTarget, CellFault):
     kind: Literal["lie"] = "lie"
     mode: Literal["stuck", "offset", "factor", "random"]
     by: Finite | None = None
-    """Offset, or factor."""
+    """Number that is added (``offset``), or that multiplies (``factor``)."""
     field: str | None = None
     """Field of the message; None: all numeric fields, without booleans."""
 
     @model_validator(mode="after")
     def _by_what(self) -> Self:
         if (self.by is None) == (self.mode in ("offset", "factor")):
-            raise ValueError(f"mode {self.mode} goes {'with' if self.by is None else 'without'} by")
+            raise ValueError(
+                f"mode {self.mode} {'needs by' if self.by is None else 'takes no by; leave it out'}"
+            )
         return self
 
     def fit_problems(self, cells: CellsSpec, sensors: int) -> Iterator[Problem]:
@@ -63,7 +65,7 @@ class LieFault(CellTarget, CellFault):
         named = [] if message is None else _numbers(message)
         if self.field is not None and self.field not in named:
             told = ", ".join(named) or "none"
-            yield ("field",), self.field, f"must be a number that {cells.firmware} says: {told}"
+            yield ("field",), self.field, f"must be a numeric field of {cells.firmware}'s messages: {told}"
 
     def message_faults(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> MessageFault:
         """Return the changes to messages, applied at their receivers."""

@@ -20,22 +20,22 @@ _BILLION: Final = 1_000_000_000
 
 @final
 class LinkBandwidthFault(LinkTarget, LinkFault):
-    """A token bucket for each link: ``messages_per_s`` tokens a second, at most ``burst`` stored, one for each message.
+    """Links carry at most ``messages_per_s`` messages a second: a token bucket with ``burst`` tokens for each link.
 
-    In every tick, in this order: tokens come; a message that comes goes to the end of the queue; if there is a token,
-    the first of the queue is heard, one a tick being all that a cell can hear; of a queue of more than ``queue`` the
-    oldest is lost. Buckets begin full. What still waits when the fault ends is lost. Integers keep the tokens: nothing
-    drifts.
+    In every tick, in this order: tokens are added; a message that arrives goes to the end of the queue; if there is a
+    token, the first message of the queue is delivered, at most one a tick; of a queue of more than ``queue`` messages
+    the oldest is lost. Buckets are full at the start of the fault. Messages that wait at its end are lost. Tokens are
+    integers, so that the rate doesn't drift.
     """
 
     kind_name: ClassVar[str] = "link_bandwidth"
     kind: Literal["link_bandwidth"] = "link_bandwidth"
     messages_per_s: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
-    """At most three decimal places."""
+    """Tokens added per second; at most three decimal places."""
     burst: Annotated[int, Field(ge=1, le=1_000)] = 1
-    """Most tokens in a bucket."""
+    """Largest number of tokens in a bucket."""
     queue: Annotated[int, Field(ge=0, le=1_000)] = 0
-    """Most messages that wait."""
+    """Largest number of waiting messages."""
 
     @field_validator("messages_per_s")
     @classmethod

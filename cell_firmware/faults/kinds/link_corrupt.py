@@ -27,9 +27,9 @@ class LinkCorruptFault(LinkTarget, LinkFault):
     corrupts_messages: ClassVar[bool] = True
     kind: Literal["link_corrupt"] = "link_corrupt"
     probability: Probability
-    """Of a message, that it is changed."""
+    """Probability, for each message, that it is corrupted."""
     bits: Annotated[int, Field(ge=1, le=64)] = 1
-    """How many bits of it: different ones, each as likely."""
+    """Number of different bits that are flipped in a corrupted message, all equally likely."""
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Return a filter that flips bits."""

@@ -14,7 +14,7 @@ from cell_firmware.firmware import Bools, Messages
 
 @final
 class LinkDownFault(LinkTarget, LinkFault):
-    """Links that are cut: all messages are lost."""
+    """Links are cut: all messages are lost."""
 
     kind_name: ClassVar[str] = "link_down"
     kind: Literal["link_down"] = "link_down"

@@ -25,7 +25,7 @@ class LinkDuplicateFault(LinkTarget, LinkFault):
     kind_name: ClassVar[str] = "link_duplicate"
     kind: Literal["link_duplicate"] = "link_duplicate"
     probability: Probability
-    """Of a message, that it comes twice."""
+    """Probability, for each message, that it is delivered twice."""
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Return a filter that repeats messages."""

@@ -19,10 +19,10 @@ from cell_firmware.firmware import Bools, Messages
 class LinkLossFault(LinkTarget, LinkFault):
     """Messages are lost independently, or in bursts by Gilbert's model.
 
-    In it each link is good or bad, by itself: a good one loses nothing, a bad one everything. From tick to tick a bad
-    one turns good with probability ``1 / burst_ticks``, a good one bad with ``probability / ((1 - probability)
-    burst_ticks)``; it begins bad with ``probability``. So that is the share of ticks in which it is bad, and bursts
-    last ``burst_ticks`` in the mean.
+    In Gilbert's model each link is independently good or bad: a good link loses no message, a bad link every message.
+    From tick to tick a bad link turns good with probability ``1 / burst_ticks``, and a good link bad with probability
+    ``probability / ((1 - probability) burst_ticks)``. A link begins bad with ``probability``. Hence links are bad in a
+    share ``probability`` of the ticks, and bursts last ``burst_ticks`` on average.
 
     Source: Gilbert, "Capacity of a burst-noise channel", Bell System Technical Journal 39 (1960), with h = 0.
     """
@@ -32,16 +32,14 @@ class LinkLossFault(LinkTarget, LinkFault):
     probability: Probability
     """Share of the messages that are lost."""
     burst_ticks: Annotated[float, Field(ge=1, le=1e9, allow_inf_nan=False)] | None = None
-    """For how many ticks in a row a link is bad, in the mean; None: each message is lost or not by itself."""
+    """Mean number of consecutive ticks in which a link is bad; None: messages are lost independently."""
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
         if self.burst_ticks is None:
             return self
         if self.probability == 1.0:
-            raise ValueError(
-                "burst_ticks goes with a probability below 1: else there is one burst, without an end"
-            )
+            raise ValueError("burst_ticks needs a probability below 1: at 1 a single burst never ends")
         if self.turns_bad > 1.0:
             least = self.probability / (1.0 - self.probability)
             raise ValueError(

@@ -27,9 +27,9 @@ class LinkReorderFault(LinkTarget, LinkFault):
     kind_name: ClassVar[str] = "link_reorder"
     kind: Literal["link_reorder"] = "link_reorder"
     probability: Probability
-    """Of a message, that it is held back."""
+    """Probability, for each message, that it is held back."""
     ticks: Annotated[int, Field(ge=1, le=LONGEST_TICKS)] = 1
-    """For how long."""
+    """Delay of a message that is held back, ticks."""
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Return a filter that holds messages back."""

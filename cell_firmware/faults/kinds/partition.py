@@ -20,14 +20,14 @@ Line = Annotated[int, Field(ge=0)]
 
 @final
 class PartitionFault(LinkFault):
-    """All links across a line are cut, both ways: that between a row and the next, or a column and the next."""
+    """All links across a line are cut, in both directions. The line is north of a row or east of a column."""
 
     kind_name: ClassVar[str] = "partition"
     kind: Literal["partition"] = "partition"
     row: Line | None = None
-    """The line is north of this row."""
+    """Row south of the line."""
     column: Line | None = None
-    """Or east of this column."""
+    """Column west of the line, instead of ``row``."""
 
     @model_validator(mode="after")
     def _one_line(self) -> Self:

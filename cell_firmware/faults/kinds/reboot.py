@@ -12,7 +12,7 @@ from cell_firmware.faults.base import CellFault, ExecutionFaults
 
 @final
 class RebootFault(CellTarget, CellFault):
-    """Cells that lose their state at once, stop for a while, and restart as after power-on.
+    """Cells restart as after power-on after a stop of ``delay_s``; all their state is lost.
 
     From the first tick not before ``at_s`` to the first not before ``at_s + delay_s`` wheels are commanded to 0,
     nothing is sent, and start-up code serves the watchdog, as after a reset by it.
@@ -23,7 +23,7 @@ class RebootFault(CellTarget, CellFault):
     halts_program: ClassVar[bool] = True
     kind: Literal["reboot"] = "reboot"
     delay_s: Time = 0.05
-    """How long it takes until the program starts."""
+    """Time from the loss of state to the start of the program."""
 
     def tick_range(self, tick_at: Callable[[float], int]) -> tuple[int, int]:
         """Return the interval of ticks until programs start."""

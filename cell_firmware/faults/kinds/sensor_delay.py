@@ -18,7 +18,7 @@ from cell_firmware.firmware import Floats, Inputs
 
 @final
 class SensorDelayFault(SensorFault):
-    """Sensors that lag by ``ticks`` readings; until so many exist, the first reading is repeated."""
+    """Sensors lag by ``ticks`` readings. Until so many readings exist, the first is repeated."""
 
     kind_name: ClassVar[str] = "sensor_delay"
     kind: Literal["sensor_delay"] = "sensor_delay"

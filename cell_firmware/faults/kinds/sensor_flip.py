@@ -16,12 +16,12 @@ from cell_firmware.firmware import Floats
 
 @final
 class SensorFlipFault(SensorFault):
-    """Readings that are the wrong way round, each by itself; of an analogue sensor one less the level."""
+    """Readings are inverted at random, each independently; an analogue level x becomes 1 - x."""
 
     kind_name: ClassVar[str] = "sensor_flip"
     kind: Literal["sensor_flip"] = "sensor_flip"
     rate: Probability
-    """Probability, a reading and tick."""
+    """Probability of an inverted reading, for each sensor and tick."""
 
     def make_filter(self, affected: AffectedSensors, injected: FaultInstance[CellFault]) -> SensorFilter:
         """Flips."""

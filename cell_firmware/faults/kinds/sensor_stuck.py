@@ -15,7 +15,7 @@ from cell_firmware.firmware import Floats
 
 @final
 class SensorStuckFault(SensorFault):
-    """Sensors whose bit is stuck, at 0 or 1; an analogue sensor reads fully uncovered or fully covered."""
+    """Sensors are stuck at 0 or 1; an analogue sensor reads fully uncovered or fully covered."""
 
     kind_name: ClassVar[str] = "sensor_stuck"
     kind: Literal["sensor_stuck"] = "sensor_stuck"

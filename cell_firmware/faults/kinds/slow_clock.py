@@ -18,7 +18,7 @@ _PLACES: Final = 10**6
 
 @final
 class SlowClockFault(CellTarget, CellFault):
-    """Cells that are too slow: programs run in a share ``factor`` of the control periods.
+    """Programs run in a share ``factor`` of the control periods, as if their cells were too slow.
 
     Of the periods m = 0, 1, 2, ... since the fault's start, programs run in those with
     ``floor((m + 1) factor) > floor(m factor)``: in any interval, the share holds to within one period. The computation
@@ -29,7 +29,7 @@ class SlowClockFault(CellTarget, CellFault):
     skips_periods: ClassVar[bool] = True
     kind: Literal["slow_clock"] = "slow_clock"
     factor: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)]
-    """Of its control periods, those in which it runs; at most six decimal places."""
+    """Share of the control periods in which a program runs; at most six decimal places."""
 
     @field_validator("factor")
     @classmethod

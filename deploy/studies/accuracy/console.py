@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 _WIDTH = 148
 """Columns that the table needs."""
 _KEY = (
-    "error: largest displacement of any corner of a footprint. events: found −missed +invented; times: largest error "
-    "of those found. wall: median. s/s: simulated seconds a second. steps: with scipy right-hand sides."
+    "error: largest displacement of any corner of a footprint. events: found −missed +invented; times: largest time "
+    "error of found events. wall: median. s/s: simulated seconds a second. steps: with scipy right-hand sides."
 )
 
 
@@ -46,7 +46,7 @@ def heading(report: AccuracyReport) -> list[str]:
     found = [
         (
             f"scene {report.scene}: {report.duration_s:g} s, {plural(report.cells, 'cell')}, "
-            f"{plural(report.parcels, 'parcel')}, looked at every {report.period_s * 1e3:g} ms"
+            f"{plural(report.parcels, 'parcel')}, sampled every {report.period_s * 1e3:g} ms"
         ),
         f"reference: {reference.method}",
     ]
@@ -178,8 +178,8 @@ def answer(report: AccuracyReport, target_m: float) -> str:
         )
     best = report.most_accurate()
     if best is None:
-        return f"no solver got through {report.scene}"
+        return f"no solver completed {report.scene}"
     return (
-        f"nothing tried reaches {target_m:g} m on {report.scene}; the nearest is {best.solver} with {best.setting}: "
+        f"no setting reaches {target_m:g} m on {report.scene}; the nearest is {best.solver} with {best.setting}: "
         f"{metres(best.error_max)} m in {seconds(best.wall_s)}"
     )

@@ -109,14 +109,14 @@ class _Study:
     def report(self) -> AccuracyReport:
         plan, scene = self._plan, self._scene
         plant = load_plant(scene, self._say)
-        self._say("loading every solver (seconds each where a version's kernels are compiled first) ...")
+        self._say("loading every solver (seconds for each solver whose kernels must be compiled) ...")
         field_speeds(scene, plant.array.positions_m)
         for fault in cell_only_faults(self._named):
             self._say(
-                f"{fault} is left out of all but the price of sampling: solvers move parcels without cells"
+                f"{fault} is left out except for the cost of sampling: solvers move parcels without cells"
             )
         if not len(plant.state):
-            raise InputError(f"scene {scene.name}: has no parcels: there is nothing to be accurate about")
+            raise InputError(f"scene {scene.name}: has no parcels: accuracy needs at least one")
         self._say("the reference ...")
         many, begun_s = plan.quick and len(plant.state) > QUICK_PARCELS, time.process_time()
         referee = ReferenceSolver(
@@ -175,7 +175,7 @@ class _Study:
             if number in refused:
                 rows.append(_bare(first[number], "omitted", refused[number], whole=True))
             elif not line:
-                rows.append(_bare(first[number], "omitted", "takes no part in a quick study", whole=True))
+                rows.append(_bare(first[number], "omitted", "not in a quick study", whole=True))
             rows += [done[number, level] for level in range(len(line)) if (number, level) in done]
         return rows
 

@@ -92,9 +92,9 @@ def values_of(text: str, option: str) -> tuple[Any, ...]:
     found = _RANGE.fullmatch(text)
     values = _listed(text, option) if found is None else _range(found[1], found[2], found[3], option)
     if not values:
-        raise InputError(f"{option}: no value at all")
+        raise InputError(f"{option}: must have a value")
     if len({repr(value) for value in values}) < len(values):
-        raise InputError(f"{option}: the same value twice")
+        raise InputError(f"{option}: a value is given twice")
     return values
 
 
@@ -119,7 +119,7 @@ def _listed(text: str, option: str) -> tuple[Any, ...]:
         words = [Override.parse(f"value={word}", option) for word in text.split(",")]
         return tuple(word.value for word in words)
     if len(table) != 1:  # a line break in the values began another key
-        raise InputError(f"{option}: values of one key, not of {len(table)}")
+        raise InputError(f"{option}: must be values of one key, not of {len(table)}")
     return tuple(table["values"])
 
 
@@ -136,7 +136,7 @@ def seeds_of(text: str, first: int) -> tuple[int, ...]:
     option = f"--seeds {text}"
     if _WHOLE.fullmatch(text):
         if not 1 <= int(text) <= _MOST_VALUES:
-            raise InputError(f"{option}: so many must be 1..{_MOST_VALUES:,}")
+            raise InputError(f"{option}: must be 1..{_MOST_VALUES:,}")
         return tuple(range(first, first + int(text)))
     seeds = values_of(text, option)
     for seed in seeds:
@@ -289,7 +289,7 @@ def _axes(asked: CampaignSpec) -> tuple[Axis, ...]:
     for number, axis in enumerate(axes):
         _check_fault(asked, axis.path, axis.option)
         if axis.path in [other.path for other in axes[:number]]:
-            raise InputError(f"{axis.option}: {axis.key} is varied already")
+            raise InputError(f"{axis.option}: {axis.key} is varied twice")
     return axes
 
 
@@ -299,7 +299,7 @@ def _check_fault(asked: CampaignSpec, path: Sequence[str | int], option: str) ->
     if len(path) < 2:
         raise InputError(f"{option}: must name a key of the fault: {FAULT}.KEY")
     if asked.fault is None:
-        raise InputError(f"{option}: of which fault? --fault KIND adds one")
+        raise InputError(f"{option}: needs a fault: --fault KIND adds one")
 
 
 def _fault(asked: CampaignSpec, more: Sequence[Override], axes: Sequence[Axis]) -> list[Override]:
@@ -310,7 +310,7 @@ def _fault(asked: CampaignSpec, more: Sequence[Override], axes: Sequence[Axis]) 
     if asked.fault is None:
         for option, given_s in (("--at", asked.at_s or None), ("--until", asked.until_s)):
             if given_s is not None:
-                raise InputError(f"{option} {given_s:g}: of which fault? --fault KIND adds one")
+                raise InputError(f"{option} {given_s:g}: needs a fault: --fault KIND adds one")
         return []
     table: dict[str, Any] = {"kind": asked.fault, "at_s": asked.at_s}
     if asked.until_s is not None:

@@ -73,7 +73,7 @@ _WIDEST = 1000
 """Columns of any table."""
 
 _FAILED = 5
-"""Failed runs that are told; the others are in ``runs.jsonl``."""
+"""Failed runs that are listed; the others are in ``runs.jsonl``."""
 
 
 def print_report(report: CampaignReport) -> None:
@@ -97,7 +97,7 @@ def print_report(report: CampaignReport) -> None:
     lost = sum(row.cells_lost for row in report.rows)
     if lost:
         console.print(
-            f"\n{plural(lost, 'cell')} were lost though no fault struck them: programs that raised, or did not answer "
+            f"\n{plural(lost, 'cell')} were lost without a fault: their programs raised, or did not answer "
             "in time."
         )
 

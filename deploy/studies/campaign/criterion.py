@@ -47,7 +47,7 @@ class Criterion:
 
     @property
     def reference(self) -> str:
-        """Words for what errors are measured from."""
+        """Description of the reference of errors."""
         if self.compared or self.place_m is None:
             return "where the undisturbed run ends"
         return f"{format_point(self.place_m)} m"
@@ -68,8 +68,8 @@ def criterion_of(asked: CampaignSpec, scene: Scene, *, compared: bool) -> Criter
     measured = compared or (goal is not None and goal.place_m is not None)
     if asked.within_m is not None and not measured:
         raise InputError(
-            f"--within {asked.within_m:g}: within that of what? Without --fault and --against there is no undisturbed "
-            f"run to compare with, and scene {asked.scene} has no goal.place_m"
+            f"--within {asked.within_m:g}: no reference for errors: without --fault and --against there is no "
+            f"undisturbed run to compare with, and scene {asked.scene} has no goal.place_m; give one of them"
         )
     if goal is None:
         if asked.within_m is None:
@@ -94,11 +94,11 @@ def criterion_of(asked: CampaignSpec, scene: Scene, *, compared: bool) -> Criter
 def _nothing_demanded(asked: CampaignSpec, *, compared: bool) -> str:
     if compared:
         return (
-            f"campaign: nothing says when a run of {asked.scene} has succeeded: give --within METRES, the largest "
+            f"campaign: no criterion of success for {asked.scene}: give --within METRES, the largest "
             "distance of a parcel from where the undisturbed run ends, or give the scene a [goal]"
         )
     return (
-        f"campaign: nothing says when a run of {asked.scene} has succeeded: without --fault and --against there is no "
+        f"campaign: no criterion of success for {asked.scene}: without --fault and --against there is no "
         "undisturbed run to compare with; give the scene a [goal], such as "
         "--set 'goal={ place_m = [0.0, 0.0], within_m = 0.05 }' or --set goal.at_rest=true"
     )

@@ -65,11 +65,11 @@ def why_none(report: CampaignReport) -> str:
     """Return why no plot is drawn; empty if a plot is drawn."""
     varied = len(_varied(report))
     if varied == 0:
-        return "nothing is varied"
+        return "no value is varied"
     return (
         ""
         if varied <= 2
-        else f"{varied} values are varied, and it shows one or two (the table and CSV have all)"
+        else f"{varied} values are varied; a plot shows one or two (the table and the CSV file have all)"
     )
 
 

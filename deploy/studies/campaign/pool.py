@@ -214,7 +214,7 @@ class ExecutorPool:
             if self._stillborn > _STILLBORN:
                 why = next((one.error for one in self._crew.failures if one.worker == worker), "")
                 raise WorkerError(
-                    "worker processes end before they have run anything: "
+                    "worker processes end before their first run: "
                     f"{why or describe_exit(self._crew.ended[worker])}"
                 )
         busy = sum(desk.job is not None for desk in self._desks)
@@ -277,7 +277,9 @@ class ExecutorPool:
         deadline = time.monotonic() + _REPORT_S
         while worker not in self._crew.ended and (left := deadline - time.monotonic()) > 0.0:
             self._crew.poll(left)
-        return describe_exit(self._crew.ended[worker]) if worker in self._crew.ended else "nobody knows how"
+        return (
+            describe_exit(self._crew.ended[worker]) if worker in self._crew.ended else "for an unknown reason"
+        )
 
     def _overdue(self) -> Iterator[tuple[int, CaseEnd]]:
         """End what takes longer than it may."""
@@ -286,4 +288,7 @@ class ExecutorPool:
             if desk.job is not None and now - desk.job.since > self._limit_s:
                 self._crew.signal(signal.SIGKILL, [desk.worker])
                 self._release(desk)
-                yield desk.job.place, CaseEnd(status="failed", reason=f"not over after {self._limit_s:g} s")
+                yield (
+                    desk.job.place,
+                    CaseEnd(status="failed", reason=f"not over after {self._limit_s:g} s (--limit)"),
+                )

@@ -82,7 +82,9 @@ class Journal:
             try:
                 self._take(json.loads(line))
             except (ValueError, KeyError, TypeError) as error:
-                raise InputError(f"{self._path}: line {number} is no run of a campaign: {error!r}") from None
+                raise InputError(
+                    f"{self._path}: line {number} is not a run of a campaign: {error!r}"
+                ) from None
 
     def _take(self, line: Mapping[str, Any]) -> None:
         if "undisturbed" in line:
@@ -157,7 +159,7 @@ class Campaign:
                 over, total = len(journal.runs), self.cases.runs
                 status = "interrupted"
                 reason = (
-                    f"{over:,} of {total:,} runs are over; `mdms campaign --resume {self.folder}` goes on"
+                    f"{over:,} of {total:,} runs are over; `mdms campaign --resume {self.folder}` resumes"
                 )
             return self._report(journal, status, reason)
 
@@ -227,7 +229,7 @@ class Campaign:
         outcomes = journal.runs
         if status == "ok" and all(one.status != "ok" for one in outcomes.values()):
             first = outcomes[min(outcomes)]
-            status, reason = "failed", f"no run came to its end; the first: {first.status}: {first.reason}"
+            status, reason = "failed", f"no run completed; the first: {first.status}: {first.reason}"
         rows = tuple(aggregate(self.cases, outcomes, self.asked.confidence))
         return CampaignReport(
             status=status,

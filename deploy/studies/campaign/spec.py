@@ -51,7 +51,7 @@ OPTIONS = {
     "within_m": "--within",
     "limit_s": "--limit",
 }
-"""How fields are told on the command line, where it isn't ``--`` and their name."""
+"""Command line options of fields whose option isn't ``--`` and the field's name."""
 
 
 def read_options(given: dict[str, Any]) -> CampaignSpec:
@@ -120,7 +120,7 @@ def check_same(kept: CampaignSpec, given: dict[str, Any], folder: Path) -> None:
     """
     data = kept.model_dump()
     lines = [
-        f"--resume {folder}: {_option(name)} {_typed(value)}: the campaign there was begun with {_typed(data[name])}"
+        f"--resume {folder}: {_option(name)} {_typed(value)}: the campaign has {_typed(data[name])}"
         for name, value in given.items()
         if value is not None and value != data[name]
     ]
@@ -140,8 +140,8 @@ def check_versions(kept: dict[str, str], now: dict[str, str], folder: Path) -> N
     ]
     if changed:
         raise InputError(
-            f"--resume {folder}: begun with other versions: {'; '.join(changed)}: runs may differ in their last bits; "
-            "--other-versions goes on all the same"
+            f"--resume {folder}: versions have changed: {'; '.join(changed)}: runs may differ in their last bits; "
+            "--other-versions resumes nevertheless"
         )
 
 

@@ -131,7 +131,8 @@ def print_rows(scene: Scene, rows: Sequence[AblationRow]) -> None:
     """Print what every effect costs and does."""
     console = Console(highlight=False)
     console.print(
-        f"scene {scene.name}, {scene.duration_s:g} s: with an effect against without it\n", markup=False
+        f"scene {scene.name}, {scene.duration_s:g} s: difference between runs with and without each effect\n",
+        markup=False,
     )
     table = Table(box=None, pad_edge=False)
     table.add_column("effect", style="cyan", no_wrap=True)
@@ -147,8 +148,8 @@ def print_rows(scene: Scene, rows: Sequence[AblationRow]) -> None:
     for name, note in notes:
         console.print(f"{name}: {note}", markup=False)
     console.print(
-        "\nmm, mrad: how far a corner, an angle is moved at the end; rests: how much later all parcels do; events: the "
-        "farthest that one moves in time; solver: its own error, against a tolerance ten times as fine",
+        "\nmm, mrad: largest final displacement of a corner and of an angle; rests: delay until all parcels rest; "
+        "events: largest shift of an event in time; solver: the solver's own error, against a tenth of its tolerance",
         style="dim",
     )
 
@@ -186,18 +187,18 @@ def _notes(row: AblationRow, solver: str) -> Iterable[str]:
     if row.settings is not None and not row.on:
         given = [(key, value) for key, value in row.settings.items() if value not in (None, [])]
         told = ", ".join(f"{key} = {_plain(value)}" for key, value in given)
-        yield f"tried with {told or 'its defaults'}"
+        yield f"tried with {told or 'default settings'}"
     if row.solver != solver:
-        yield f"both under {row.solver}, as {solver} doesn't know it"
+        yield f"both under {row.solver}, since {solver} doesn't support the effect"
     if row.beside:
-        yield f"both with {', '.join(row.beside)}, which it needs"
+        yield f"both with {', '.join(row.beside)}, which the effect needs"
     if row.along:
-        yield f"toggled with {', '.join(row.along)}, which need it"
+        yield f"toggled with {', '.join(row.along)}, which need the effect"
     if row.influence is not None and row.influence.parcels:
-        yield f"{plural(row.influence.parcels, 'parcel')} at the end of one side only"
+        yield f"{plural(row.influence.parcels, 'parcel')} at the end of one run only"
     if row.influence is not None and any(row.influence.only):
         with_it, without = row.influence.only
-        yield f"{plural(with_it, 'event')} only with it, {without} only without"
+        yield f"{plural(with_it, 'event')} only with the effect, {without} only without"
 
 
 def _plain(value: object) -> str:
@@ -205,22 +206,22 @@ def _plain(value: object) -> str:
 
 
 def print_advice(advice: Advice) -> None:
-    """Print which effects to leave out, and which to ask for."""
+    """Print effects to leave out, and effects to add."""
     console = Console(highlight=False)
     limit = f"{short_number(1e3 * advice.tolerance_m)} mm"
     console.print()
     if advice.can_go:
         together = advice.together and advice.together.displacement_m
         more = "" if together is None else f" (all of them together: {1e3 * together:.3g} mm)"
-        console.print(f"can go, within {limit}: {', '.join(advice.can_go)}{more}", markup=False)
+        console.print(f"can be left out, within {limit}: {', '.join(advice.can_go)}{more}", markup=False)
     else:
         console.print(
-            f"No effect of the scene can go: each moves the answer by {limit} or more, or there is none."
+            f"No effect of the scene can be left out: each changes the result by {limit} or more, or it has none."
         )
     if advice.missing:
         console.print(f"missing, beyond {limit}: {', '.join(advice.missing)}", markup=False)
     else:
-        console.print(f"No effect that the scene lacks moves the answer by {limit}, with typical settings.")
+        console.print(f"No missing effect changes the result by {limit}, with typical settings.")
     if advice.unclear:
         console.print(
             f"unclear: {', '.join(advice.unclear)}: the solver's own error is beyond {limit}; tighten solver.tolerance"

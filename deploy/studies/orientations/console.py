@@ -40,14 +40,14 @@ def print_orientations(study: OrientationStudy, profile: TorqueProfile) -> None:
         console.print()
         console.print(_table(found))
     else:
-        console.print("The torque never vanishes and never changes its sign: nothing stops it from turning.")
+        console.print("The torque never vanishes and never changes its sign: the parcel never stops turning.")
     if not np.all(np.isfinite(profile.torque_n_m)):
-        console.print("\nAt some angles it doesn't stand: it tips there.")
+        console.print("\nAt some angles the parcel tips.")
     force = profile.largest_force_n()
     if force > 0.0:
         console.print(
-            f"\nThe point is no equilibrium at every angle: up to {short_number(force)} N pull the parcel aside, "
-            "and it may come to rest at angles a little beside these."
+            f"\nThe point is not an equilibrium at every angle: up to {short_number(force)} N pull the parcel aside, "
+            "and the parcel may come to rest at slightly different angles."
         )
 
 

@@ -12,12 +12,12 @@ from bus.spec import Positive
 
 @final
 class AnalogueSensorsSpec(EffectSpec):
-    """Presence sensors that tell how much of a round spot is covered, from 0 to 1."""
+    """Presence sensors measure the covered share of a round spot, from 0 to 1."""
 
     messages: ClassVar[tuple[str, ...]] = ("cells receive the level of every sensor",)
     fidelity_rank: ClassVar[int | None] = 52
     spot_radius_m: Positive
-    """Of what a sensor sees; at most the pitch."""
+    """Radius of the spot; at most the pitch."""
 
     @classmethod
     def default_settings(cls, pitch_m: float) -> Self:

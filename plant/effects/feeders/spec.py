@@ -28,28 +28,28 @@ Interval = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 
 
 class FeedSpec(ParcelSpec):
-    """A feeder: where a kind of parcel appears, how often and when. Poses and speeds are those of its parcels."""
+    """A feeder: place, number and schedule of a kind of parcel. Poses and speeds are initial values of its parcels."""
 
     name: Name
     count: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    """How many parcels; not with ``times_s``, which says it."""
+    """Number of parcels; not with ``times_s``, whose length is the number."""
     times_s: Annotated[tuple[Time, ...], Field(min_length=1, max_length=10_000)] | None = None
-    """When each parcel is due, ascending."""
+    """Time at which each parcel is due, ascending."""
     every_s: Interval | None = None
-    """Or one parcel at ``first_s`` and one every so often from then on."""
+    """Interval between parcels from ``first_s`` on, instead of ``times_s``."""
     mean_s: Interval | None = None
-    """Or at random: the gaps between parcels, and from ``first_s`` to the first, are exponential with this mean."""
+    """Mean of random intervals, instead of ``times_s``: exponentially distributed, from ``first_s`` on."""
     first_s: Time = 0.0
     clear_m: NotNegative = 0.0
-    """Held back, too, while another's centre of mass is nearer than this to where a parcel is to appear."""
+    """Distance from the feeder's place within which another parcel's centre of mass holds a parcel back."""
     position_spread_m: tuple[NotNegative, NotNegative] = (0.0, 0.0)
-    """Each parcel's place is off by up to this much along x and along y, either way, uniformly at random."""
+    """Largest random offset of each parcel's position along x and along y, uniform in both directions."""
     angle_spread_rad: NotNegative = 0.0
-    """The same of its angle."""
+    """Largest random offset of each parcel's angle, uniform in both directions."""
     to: tuple[Name, ...] = ()
-    """Exits that its parcels are meant for; none: they are meant for no exit."""
+    """Destinations of the feeder's parcels, by name of the exit; default: no destination."""
     order: Literal["turn", "random"] = "turn"
-    """How: each exit in turn, or each parcel's at random."""
+    """Order of destinations: each exit in turn, or a random exit for each parcel."""
 
     @model_validator(mode="after")
     def _schedule(self) -> FeedSpec:
@@ -59,7 +59,7 @@ class FeedSpec(ParcelSpec):
             if self.count is None:
                 raise ValueError("every_s and mean_s need a count")
         elif self.count is not None or self.first_s:
-            raise ValueError("times_s says how many and when; leave count and first_s out")
+            raise ValueError("times_s determines number and times; leave count and first_s out")
         elif list(self.times_s) != sorted(self.times_s):
             raise ValueError("times_s must ascend")
         return self
@@ -67,7 +67,7 @@ class FeedSpec(ParcelSpec):
     @model_validator(mode="after")
     def _exits(self) -> FeedSpec:
         if self.destination is not None:
-            raise ValueError("its parcels' exits are given by to; leave destination out")
+            raise ValueError("the exits of a feeder's parcels are set by to; leave destination out")
         return self
 
     @property
@@ -113,11 +113,11 @@ class FeedSpec(ParcelSpec):
 
 
 class ExitSpec(PolygonSpec):
-    """An exit: a parcel whose centre of mass is in it leaves."""
+    """An exit. A parcel whose centre of mass is in an exit leaves the array."""
 
     name: Name
     position_m: Vector = (0.0, 0.0)
-    """Of its frame's origin: the middle of a rectangle."""
+    """Position of the exit frame's origin, which is the middle of a rectangle."""
     angle_rad: Finite = 0.0
 
     def corners(self) -> NDArray[np.float64]:
@@ -138,7 +138,7 @@ class FeedersSpec(EffectSpec):
     @classmethod
     def default_settings(cls, pitch_m: float) -> str:  # noqa: ARG003
         """None."""
-        return "only a scene can say what comes, where it comes and where it leaves"
+        return "no typical settings: feeders and exits depend on the scene"
 
     @model_validator(mode="after")
     def _names(self) -> FeedersSpec:

@@ -14,7 +14,7 @@ from bus.spec import NotNegative, Positive, Vector
 from plant.geometry import PolygonError, check_convex
 
 SLOW_PITCHES_S = 1e-2
-"""What meets no faster doesn't bounce, in pitches a second."""
+"""Approach speed up to which bodies don't bounce, pitches a second."""
 
 
 @final
@@ -25,11 +25,11 @@ class ParcelContactSpec(EffectSpec):
     states: ClassVar[tuple[str, ...]] = ("pairs that touch",)
     events: ClassVar[tuple[str, ...]] = ("contact", "apart")
     mode: Literal["report_only", "resolved"] = "resolved"
-    """``report_only`` finds contacts and leaves the motion as it is."""
+    """Mode: ``report_only`` detects contacts without effect on the motion; ``resolved`` adds impacts and friction."""
     restitution: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
-    """Newton's: speed of parting over speed of meeting."""
+    """Newton's coefficient of restitution: separation speed over approach speed."""
     bounce_speed_m_s: Positive | None = None
-    """What meets no faster doesn't bounce: where bouncing ends; left out: 0.01 pitches a second."""
+    """Approach speed up to which bodies don't bounce; default: 0.01 pitches a second."""
     friction: NotNegative = 0.0
     """Coulomb coefficient at the touching edges."""
     rails: tuple[tuple[Vector, ...], ...] = ()

@@ -14,12 +14,12 @@ from bus.spec import CellName
 
 @final
 class ScannersSpec(EffectSpec):
-    """Cells that read on a label which exit the parcel over them is meant for."""
+    """Cells with a scanner read the destination of the parcel over them from its label."""
 
     needs: ClassVar[tuple[str, ...]] = ("feeders",)
     messages: ClassVar[tuple[str, ...]] = ("cells receive the label over their scanner",)
     cells: Annotated[tuple[CellName, ...], Field(min_length=1)]
-    """Those that have one, at their centre."""
+    """Cells with a scanner, at their centre."""
 
     @field_validator("cells")
     @classmethod
@@ -32,7 +32,7 @@ class ScannersSpec(EffectSpec):
     @classmethod
     def default_settings(cls, pitch_m: float) -> str:  # noqa: ARG003
         """None."""
-        return "only a scene can say where its scanners are and where its parcels go"
+        return "no typical settings: scanners and destinations depend on the scene"
 
     def problems(
         self,

@@ -12,7 +12,7 @@ from plant.faults.base import WheelFault, WheelFaults
 
 @final
 class WheelReversedFault(WheelFault):
-    """Wheels on which drives act times -1. Encoders tell the truth: a speed loop drives them ever faster."""
+    """Wheels turn against their drives. Encoders report the true direction, so that speed loops accelerate."""
 
     kind_name: ClassVar[str] = "wheel_reversed"
     kind: Literal["wheel_reversed"]

@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
 @final
 class WheelRunawayFault(WheelFault):
-    """Wheels that get all that the supply gives, or run at a speed where they are ideal."""
+    """Wheels run at the full supply voltage. Without motors they run at ``speed_m_s``."""
 
     kind_name: ClassVar[str] = "wheel_runaway"
     kind: Literal["wheel_runaway"]
     way: Literal["positive", "negative"] = "positive"
-    """Towards greater coordinates, or smaller ones."""
+    """Direction: towards greater or smaller coordinates."""
     speed_m_s: Positive | None = None
-    """On ideal wheels: how fast."""
+    """Speed of ideal wheels; only for scenes without motors."""
 
     def setting_problems(self, effects: PlantEffects) -> Iterator[Problem]:
         """A speed is for ideal wheels, which have no supply."""
         if effects.motors is None and self.speed_m_s is None:
             yield ("kind",), self.kind, "needs speed_m_s: without effects.motors there is no supply to run at"
         elif effects.motors is not None and self.speed_m_s is not None:
-            rule = "is for ideal wheels: with effects.motors a wheel gets all that the supply gives; leave it out"
+            rule = "is for ideal wheels: with effects.motors a wheel runs at the full supply voltage; leave it out"
             yield ("speed_m_s",), self.speed_m_s, rule
 
     def on_ideal_wheels(self, motors: MotorsSpec) -> Self:

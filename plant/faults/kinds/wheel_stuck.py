@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @final
 class WheelStuckFault(WheelFault):
-    """Wheels that stand at once; freed, they start from rest. A wheel that jams doesn't coast with its dead cell."""
+    """Wheels jam and stop at once; after a repair they start from rest. Jammed wheels of a dead cell don't coast."""
 
     kind_name: ClassVar[str] = "wheel_stuck"
     kind: Literal["wheel_stuck"]

@@ -14,15 +14,15 @@ from plant.faults.base import WheelFault, WheelFaults
 
 @final
 class WheelWeakFault(WheelFault):
-    """Wheels of which a part is left."""
+    """Wheels have a fraction of their drive, or a lower top speed."""
 
     kind_name: ClassVar[str] = "wheel_weak"
     kind: Literal["wheel_weak"]
     strength: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] | None = None
-    """Share of the drive that is left: with motors of the voltage, and so of the torque at a stand and of the speed
-    without load; of the speed without."""
+    """Remaining share of the drive: without motors of the speed; with motors of the voltage, and so of the stall torque
+    and the no-load speed."""
     most_m_s: NotNegative | None = None
-    """The fastest that it is driven, either way: with motors the speed without load at the voltage that is left."""
+    """Top speed in either direction; with motors the no-load speed at the remaining voltage."""
 
     @model_validator(mode="after")
     def _weak_somehow(self) -> Self:

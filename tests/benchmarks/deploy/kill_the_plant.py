@@ -203,7 +203,7 @@ class _Lives:
             assert _is_over(folder), "it ended otherwise than by the kill"
             return
         if _is_over(folder):
-            assert "that run is over, with status ok" in refusal(folder)
+            assert "the run is over, with status ok" in refusal(folder)
             _check(json.loads((folder / "summary.json").read_text()), self._whole, folder)
             self._tell(phase, "over, with its summary")
         else:

@@ -144,7 +144,7 @@ def test_who_is_not_let_in_or_whose_plant_goes_says_so(memory: Network) -> None:
     step(system, 1, [0])
     member = _anew(system, 1)
     member.ready(10.0)
-    with pytest.raises(BarrierError, match="shard 1 was not let in"):
+    with pytest.raises(BarrierError, match="shard 1 was not readmitted"):
         member.join(0.01)
     system.host.close()
     with pytest.raises(CoordinatorLostError):
@@ -212,7 +212,7 @@ def test_what_comes_from_who_is_gone_is_kept_only_where_it_is_expected_back() ->
     collector.handle(1, bytes([6, 3]))
     collector.handle(1, bytes([7 + EARLY_TICKS, 4]))
     collector.handle(1, bytes([8 + EARLY_TICKS, 5]))
-    with pytest.raises(WireError, match="tick 8 came already"):
+    with pytest.raises(WireError, match="tick 8 was received already"):
         collector.handle(1, bytes([8, 9]))
     assert (counts.delivered, counts.late) == (2, 3)
     assert (collector.slot(8).values, collector.slot(8).missing) == ([0, 3], 1)

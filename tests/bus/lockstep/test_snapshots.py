@@ -55,5 +55,5 @@ def test_all_of_it_is_there_when_everybody_asked_has_answered() -> None:
 
 @pytest.mark.parametrize(("shard", "tick"), [(1, 7), (0, 8)])
 def test_what_was_not_asked_for_is_refused(shard: int, tick: int) -> None:
-    with pytest.raises(WireError, match="was not asked for"):
+    with pytest.raises(WireError, match="was not requested"):
         SnapshotCollector(7, [0]).handle(shard, KEPT._replace(tick=tick))

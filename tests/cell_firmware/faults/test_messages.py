@@ -183,8 +183,8 @@ def test_with_clocks_of_their_own_words_are_changed_in_periods_that_begin_a_tick
 @pytest.mark.parametrize(
     ("settings", "rule"),
     [
-        ({"mode": "offset"}, "mode offset goes with by"),
-        ({"mode": "stuck", "by": 1.0}, "mode stuck goes without by"),
+        ({"mode": "offset"}, "mode offset needs by"),
+        ({"mode": "stuck", "by": 1.0}, "mode stuck takes no by; leave it out"),
     ],
 )
 def test_a_lie_says_by_how_much_where_that_is_to_be_said(settings: dict[str, Any], rule: str) -> None:

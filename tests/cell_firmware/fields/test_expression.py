@@ -258,7 +258,7 @@ def test_whatever_text_there_is_it_is_a_formula_or_refused(text: str):
     [
         ("x", "x has a meaning already"),
         ("sin", "sin has a meaning"),
-        ("2a", "'2a' is no name"),
+        ("2a", "'2a' is not a name"),
         ("é", "no name"),
     ],
 )

@@ -136,8 +136,8 @@ def test_too_large_a_gain_is_told_of_and_the_parcel_swings_as_far_as_was_said() 
 
 def test_theory_has_the_slower_rate() -> None:
     slow = firmware(gain_per_s=0.1).theory(Lattice([(0, 0)]))
-    assert "dies out at 0.106 1/s" in slow.law  # the lesser root of s^2 - 2 s + 0.2
-    assert "dies out at 1 1/s" in firmware(gain_per_s=2.0).theory(Lattice([(0, 0)])).law
+    assert "decays at 0.106 1/s" in slow.law  # the lesser root of s^2 - 2 s + 0.2
+    assert "decays at 1 1/s" in firmware(gain_per_s=2.0).theory(Lattice([(0, 0)])).law
 
 
 def test_a_scene_must_have_the_camera_that_align_is_to_use() -> None:

@@ -66,7 +66,7 @@ def test_the_error_shrinks_by_the_spectrum_of_the_graph_laplacian(
     assert (size[400 - 1] / size[200]) ** (1 / 199) == pytest.approx(theory.factor, rel=1e-3)
 
 
-def test_above_its_limit_a_constant_weight_grows_as_the_caution_says(
+def test_above_its_limit_a_constant_weight_grows_as_the_warning_says(
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
     lattice = grid(4, 5)

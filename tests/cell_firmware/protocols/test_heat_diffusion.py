@@ -118,7 +118,7 @@ def test_a_dead_cell_insulates_from_the_tick_after_its_last_message(
     )
 
 
-def test_above_what_an_array_bears_speeds_grow_at_the_rate_that_the_caution_says(
+def test_above_what_an_array_bears_speeds_grow_at_the_rate_that_the_warning_says(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ):
     lattice = grid(5, 6, missing=[(1, 1)])

@@ -137,7 +137,7 @@ def test_what_cannot_work_is_warned_of_and_comes_true(
     lattice = grid(3, 7, missing=[(r, 3) for r in range(3)])
     alone = laplace(held=[{"cell": [0, 0], "value": 1.0}, {"cell": [2, 2], "value": 0.0}], speed_m_s=0.2)
     assert alone.warnings(lattice) == (
-        "9 cells have no way to a held one: their potential stays 0, and their wheels stand",
+        "9 cells have no route to a held cell: their potential stays 0, and their wheels stand",
     )
     flat = laplace(held=[{"rows": [0, 0], "value": 1.0}], speed_m_s=0.2)  # on its way there is a slope
     assert flat.warnings(lattice) == (

@@ -85,7 +85,9 @@ def test_a_lifetime_shorter_than_the_way_is_warned_of_and_the_far_cells_follow_o
 ) -> None:
     lattice, firmware = grid(1, 9), election(lifetime=5, ranks=[{"cell": [0, 0], "rank": 1}])
     (warning,) = firmware.warnings(lattice)
-    assert "the leader's word takes, 8 ticks: 3 cells that are further away never keep it" in warning
+    assert (
+        "the propagation of the leader's key, 8 ticks: 3 cells that are farther away lose the key" in warning
+    )
     leader = watch(firmware, lattice, 40)[-1, :, 1]
     assert (leader[:6] == 0).all()
     assert (leader[6:] != 0).all()

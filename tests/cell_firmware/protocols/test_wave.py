@@ -87,7 +87,7 @@ def test_with_damping_waves_die_down_at_the_predicted_factor_to_what_heat_comes_
     assert (crests[5] / crests[2]) ** (1 / 120) == pytest.approx(theory.factor, rel=3e-3)
 
 
-def test_above_the_limit_waves_grow_as_the_caution_says(
+def test_above_the_limit_waves_grow_as_the_warning_says(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:
     lattice, firmware = grid(5, 6), wave(courant_number_squared=0.55)

@@ -103,7 +103,7 @@ def test_cells_that_don_t_answer_in_time_cost_the_checkpoint_and_not_the_run(tmp
         run.tick(now)
     assert run.warned == []
     run.tick(15.1)
-    assert run.warned == ["no checkpoint before tick 1: shard 0 has not told what it remembers within 5 s"]
+    assert run.warned == ["no checkpoint before tick 1: shard 0 sent no snapshot within 5 s"]
     run.tick(21.0)
     assert run.books.asked == [1, 5]
 

@@ -33,7 +33,7 @@ def test_a_folder_that_is_not_there() -> None:
 
 
 def test_a_run_that_was_killed_before_its_first_checkpoint(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"there is no checkpoint in .* begin it anew"):
+    with pytest.raises(InputError, match=r"there is no checkpoint in .* start the run again"):
         find_checkpoint(tmp_path)
 
 
@@ -44,7 +44,7 @@ def test_a_run_that_is_over(status: str, refused: bool, tmp_path: Path) -> None:
     if not refused:
         assert find_checkpoint(tmp_path) == CHECKPOINT
         return
-    with pytest.raises(InputError, match=f"that run is over, with status {status}"):
+    with pytest.raises(InputError, match=f"the run is over, with status {status}"):
         find_checkpoint(tmp_path)
 
 
@@ -96,7 +96,7 @@ def test_the_scene_is_the_one_that_was_run() -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["run"], "name a SCENE, or a run to go on with"),
+        (["run"], "name a SCENE, or a run to resume"),
         (["run", "elliptic", "--seed", "3", "--resume", "DIR"], "leave out SCENE, --seed"),
         (["run", "elliptic", "--checkpoint", "0", "--plan"], "--checkpoint 0: must be greater than 0"),
     ],
@@ -109,5 +109,5 @@ def test_a_command_that_makes_no_sense_is_bad_input(
 
 
 def test_a_run_that_repeats_another_is_not_kept() -> None:
-    with pytest.raises(InputError, match="a run that repeats another can't be kept"):
+    with pytest.raises(InputError, match="a replayed run can't be saved"):
         plan(load_scene("elliptic"), RunOptions(checkpoint_s=1.0, replay=Path("other")), "RUN")

@@ -52,7 +52,9 @@ def test_all_of_the_plant_s_process_is_as_it_was(
 def test_a_plant_that_can_not_be_kept_is_said_before_anything_starts() -> None:
     scene, options = load_scene("elliptic"), RunOptions(checkpoint_s=1.0)
     stranger = cast("Any", Part(object()))
-    with pytest.raises(InputError, match="--checkpoint: this plant can't be kept: memory holds a builtins"):
+    with pytest.raises(
+        InputError, match="--checkpoint: the plant's state can't be saved: state holds a builtins"
+    ):
         checkpoint_metadata(scene, plan(scene, options, "RUN"), options, stranger, None, live=False)
     options = RunOptions()
     assert (

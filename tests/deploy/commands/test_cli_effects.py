@@ -58,7 +58,7 @@ def test_the_json_has_a_row_an_effect(capsys: pytest.CaptureFixture[str]) -> Non
     assert rows["wheel_load"]["beside"] == ["motors"]
     assert rows["uneven_supports"]["solver"] == "implicit"
     assert rows["feeders"]["influence_m"] is rows["feeders"]["cost_ratio"] is None
-    assert "only a scene can say" in rows["feeders"]["reason"]
+    assert "no typical settings" in rows["feeders"]["reason"]
     assert found["advice"]["can_go"] == []
     assert "parcel_contact" not in found["advice"]["missing"]
 
@@ -88,9 +88,9 @@ def test_the_table_fits_a_terminal_and_says_what_was_tried(
     assert by_name["motors"][1] == "yes"
     assert by_name["feeders"][1:3] == ["no", "–"]
     assert by_name["parcel_contact"][3:5] == ["0", "0"]
-    assert "feeders: not toggled: only a scene can say" in shown.out
+    assert "feeders: not toggled: no typical settings" in shown.out
     assert "wheel_load: tried with inertia_kg = 0.05" in shown.out
-    assert "can go, within 1000 mm: motors" in shown.out
+    assert "can be left out, within 1000 mm: motors" in shown.out
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def test_output_may_be_an_svg_or_a_pdf_and_nothing_else(
     assert main(["plot", str(path), "--output", str(tmp_path / "p.pdf")]) == 0
     assert (tmp_path / "p.pdf").read_bytes().startswith(b"%PDF-")
     assert main(["plot", str(path), "--output", str(tmp_path / "p.jpg")]) == 2
-    assert "p.jpg: a picture's name must end in .png, .svg or .pdf" in capsys.readouterr().err
+    assert "p.jpg: a plot's name must end in .png, .svg or .pdf" in capsys.readouterr().err
     assert not (tmp_path / "p.jpg").exists()
 
 

@@ -25,7 +25,7 @@ def test_a_run_is_found_in_its_folder_as_long_as_its_note_is_there(tmp_path: Pat
     assert discover(tmp_path) == HERE
     Address.remove(tmp_path)
     Address.remove(tmp_path)
-    with pytest.raises(InputError, match="no run goes on there"):
+    with pytest.raises(InputError, match="no run in progress writes there"):
         discover(tmp_path)
 
 
@@ -42,7 +42,7 @@ def test_a_run_is_found_in_its_folder_as_long_as_its_note_is_there(tmp_path: Pat
 )
 def test_a_note_that_nobody_answers_for_is_none(note: object, tmp_path: Path) -> None:
     (tmp_path / FILE_NAME).write_text("{" if note is None else json.dumps(note))
-    with pytest.raises(InputError, match="no run goes on there"):
+    with pytest.raises(InputError, match="no run in progress writes there"):
         discover(tmp_path)
 
 
@@ -50,7 +50,7 @@ def test_without_a_folder_it_is_the_last_run_below_runs_that_still_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match="no run goes on below runs/"):
+    with pytest.raises(InputError, match="no run is in progress below runs/"):
         discover(None)
     for began, (name, pid) in enumerate([("b", os.getpid()), ("c", os.getpid()), ("a", NOBODY)]):
         folder = tmp_path / "runs" / name
@@ -97,14 +97,14 @@ def test_a_refusal_is_told_with_all_its_problems(monkeypatch: pytest.MonkeyPatch
     ("answer", "told"),
     [
         (TransportError("no run answers"), "tcp/x:1: no run answers"),
-        (b"{", "what answers there is no run"),
-        (b"\xff", "what answers there is no run"),
-        (b"[" * 100_000, "what answers there is no run"),
-        (b"[]", "what answers there is no run"),
-        (b'{"ok": 1}', "what answers there is no run"),
-        (b'{"ok": false}', "what answers there is no run"),
-        (b'{"ok": 0, "problems": []}', "what answers there is no run"),
-        (b'{"problems": []}', "what answers there is no run"),
+        (b"{", "the answer is not from a run"),
+        (b"\xff", "the answer is not from a run"),
+        (b"[" * 100_000, "the answer is not from a run"),
+        (b"[]", "the answer is not from a run"),
+        (b'{"ok": 1}', "the answer is not from a run"),
+        (b'{"ok": false}', "the answer is not from a run"),
+        (b'{"ok": 0, "problems": []}', "the answer is not from a run"),
+        (b'{"problems": []}', "the answer is not from a run"),
     ],
     ids=lambda value: repr(value)[:30],
 )

@@ -20,7 +20,7 @@ def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_co
 
 
 @pytest.mark.parametrize(
-    "payload", [None, b" " * 65_537, b"\xff", b"[" * 60_000, b"", b"[]", b'{"do": ["list"]}']
+    "payload", [None, b" " * 65_537, b"\xff", b"[" * 60_000, b"", b"[]", b'{"op": ["list"]}']
 )
 def test_what_is_no_request_is_refused_in_words(payload: bytes | None) -> None:
     with pytest.raises(RequestError, match=r"^(a request|request|do)\b"):

@@ -151,9 +151,9 @@ def test_what_can_not_be_repaired_is_said() -> None:
     ]
     live = Live(*cast("Any", scheduled))
     for number, told_ in [
-        (0, "the cells of fault 0 have left the run for good"),
-        (1, "fault 1 doesn't act now"),
-        (2, "fault 2 doesn't act now"),
+        (0, "the cells of fault 0 have left the run and can't be repaired"),
+        (1, "fault 1 is not active"),
+        (2, "fault 2 is not active"),
         (3, "there is no fault 3; there are: 0, 1, 2"),
     ]:
         assert live.ask(10, do="repair", number=number)["problems"] == [f"number: {told_}"]
@@ -164,10 +164,13 @@ def test_what_can_not_be_repaired_is_said() -> None:
 @pytest.mark.parametrize(
     ("request_", "told_"),
     [
-        ({"fault": {**HANG, "at_s": 1.0}}, "fault.at_s: a live fault begins now"),
+        ({"fault": {**HANG, "at_s": 1.0}}, "fault.at_s: a live fault begins at the next tick"),
         ({"fault": {"kind": "reboot", "cell": [0, 0]}, "for_s": 1.0}, "for_s: reboot happens once"),
-        ({"fault": {**HANG, "until_s": 9.0}, "for_s": 1.0}, "for_s: fault.until_s says it already"),
-        ({"fault": {**HANG, "until_s": 10 * TICK_S}}, "fault.until_s: is over already"),
+        (
+            {"fault": {**HANG, "until_s": 9.0}, "for_s": 1.0},
+            "for_s: fault.until_s sets the repair already: leave one of the two out",
+        ),
+        ({"fault": {**HANG, "until_s": 10 * TICK_S}}, "fault.until_s: is in the past"),
         ({"fault": {**HANG, "cell": [99, 0]}}, "fault.cell: the array has rows"),
         (
             {"fault": {"kind": "wheel_runaway", "cell": [0, 0], "speed_m_s": 1.0}},
@@ -205,7 +208,7 @@ def test_cells_are_named_up_to_sixty_four_and_too_many_to_tell_are_refused() -> 
     one = FaultInstance(1, CrashFault.model_validate({"cells": cells}), scene.lattice().rows, 10)
     assert len(json.dumps(encode_fault(cast("Any", one)))) > 30_000
     assert live.ask(10, do="inject", fault={"kind": "hang", "cells": cells})["problems"] == [
-        "fault.cells: are too many to be told at once: use rectangle or share"
+        "fault.cells: are too many for one request: use rectangle or share"
     ]
 
 

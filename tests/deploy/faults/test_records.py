@@ -46,7 +46,7 @@ def test_each_fault_is_a_line_with_its_repair() -> None:
         "2 cells pulled at 1.6 s, plugged in again at 2.5 s",
         "6,6 pulled at 3 s",
     ]
-    assert describe_faults(RUN[:1]) == ["1,1 not there yet"]
+    assert describe_faults(RUN[:1]) == ["1,1 not plugged in"]
 
 
 def test_cells_out_of_the_array_are_told_with_when_they_came_back() -> None:
@@ -74,10 +74,10 @@ def test_cells_that_are_lost_together_share_a_line_and_are_not_lost_for_good_whe
     told = [LOST, *gone, back]
     assert describe_faults(told) == [
         "3,4 crashed at 0.5 s",
-        "3 cells went away at 0.7 s",
-        "2 cells came back at 0.9 s",
+        "3 cells disconnected at 0.7 s",
+        "2 cells rejoined at 0.9 s",
     ]
-    assert plot_marks(told) == [(0.5, "cell 3,4 lost"), (0.7, "3 cells lost"), (0.9, "2 cells back")]
+    assert plot_marks(told) == [(0.5, "cell 3,4 lost"), (0.7, "3 cells lost"), (0.9, "2 cells rejoined")]
     assert lost_for_good(told) == {(3, 4): 0.5, (1, 0): 0.7}
     assert lost_for_good([*told, {**gone[0], "time_s": 1.0}]) == {(3, 4): 0.5, (1, 0): 0.7, (0, 0): 1.0}
 

@@ -46,9 +46,7 @@ def test_an_unknown_suffix_is_refused_by_name_before_anything_is_drawn(tmp_path:
     def never() -> Figure:
         raise AssertionError
 
-    with pytest.raises(
-        InputError, match=rf"output .*{name}: a picture's name must end in .png, .svg or .pdf"
-    ):
+    with pytest.raises(InputError, match=rf"output .*{name}: a plot's name must end in .png, .svg or .pdf"):
         write_picture(never, tmp_path / name)
     assert not list(tmp_path.iterdir())
 

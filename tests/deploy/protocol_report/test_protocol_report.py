@@ -250,7 +250,7 @@ def test_a_program_that_names_no_field_is_shown_by_its_drives(plain: str, tmp_pa
     report = reported(scene(0.1, {}, cells__firmware=f"{plain}:Unnamed"), tmp_path).protocol
     assert report is not None
     assert (report.observed, report.ticks, report.last_change_tick) == ("drive", 25, 0)
-    assert report.notes == ("the program names no field of its own (observed): its drives are shown",)
+    assert report.notes == ("the program declares no field (observed): its drives are shown",)
 
 
 def test_a_limit_of_another_array_is_left_out(plain: str, tmp_path: Path) -> None:
@@ -288,7 +288,7 @@ def test_the_command_prints_it_for_people_and_programs(
     assert main(asked) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "field speed_m_s of 200 cells, every tick" in shown
-    assert "if the scene had them" in shown
+    assert "if the scene had serial lines" in shown
     assert (tmp_path / "protocol.png").read_bytes().startswith(b"\x89PNG")
     assert main(["run", "heat", "--protocol-report", "0"]) == 2
     assert "--protocol-report 0: must be a number of ticks from 1" in capsys.readouterr().err

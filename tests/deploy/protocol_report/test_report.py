@@ -28,18 +28,18 @@ def said(measured: float, predicted: float, *reasons: str) -> str:
 def test_rates_are_compared_by_their_logarithms() -> None:
     assert "the rates agree within 0.01 %" in said(0.98, 0.98)
     assert "the rates agree within 4 %" in said(0.98**1.04, 0.98)
-    assert "0.5 times as fast as that, which theory does not cover here: effect link_loss." in said(
+    assert "0.5 times as fast as predicted, which theory does not cover here: effect link_loss." in said(
         0.98**0.5, 0.98, "effect link_loss"
     )
-    assert "0.5 times as fast as that." in said(0.98**0.5, 0.98)
-    assert "it does not die out." in said(1.01, 0.98)
-    assert "2 times as fast, as where a run has little of that error" in said(0.98**2, 0.98)
-    assert "it grows 1.5 times as fast" in said(1.02**1.5, 1.02)
+    assert "0.5 times as fast as predicted." in said(0.98**0.5, 0.98)
+    assert "the residual does not decay." in said(1.01, 0.98)
+    assert "2 times as fast, as in a run with little of that error" in said(0.98**2, 0.98)
+    assert "the field grows 1.5 times as fast" in said(1.02**1.5, 1.02)
 
 
 def test_what_stays_as_it_is_agrees_by_its_factor() -> None:
-    assert said(1.0, 1.0).endswith("Theory says 1: it agrees.")
-    assert "it does not agree" in said(0.98, 1.0)
+    assert said(1.0, 1.0).endswith("Theory predicts 1: the measured rate agrees.")
+    assert "the measured rate does not agree" in said(0.98, 1.0)
 
 
 def test_a_ratio_is_of_rates_that_are_some() -> None:
@@ -60,21 +60,21 @@ def counting(until: int, ticks: int = 40) -> Residuals:
 def test_a_protocol_that_is_done_after_some_ticks_is_held_against_their_number() -> None:
     theory = Theory("a law", ticks=18)
     fact = "The field last changed in tick 17; theory: done after 18 ticks"
-    assert verdict(theory, counting(17), None, (), 0) == f"{fact}. That is as it should be."
+    assert verdict(theory, counting(17), None, (), 0) == f"{fact}. This agrees with theory."
     late = verdict(theory, counting(25), None, ("2 cells died",), 30)
-    assert late.endswith("it took longer, which theory does not cover here: 2 cells died.")
+    assert late.endswith("this is longer than predicted, which theory does not cover here: 2 cells died.")
     healed = verdict(theory, counting(25), None, ("2 cells died",), 10)
     assert "in tick 25, 15 after the last cell died; " in healed
-    assert healed.endswith("and after every death anew. That is as it should be.")
+    assert healed.endswith("counted again from every death. This agrees with theory.")
     assert "still changed in the last tick, 39" in verdict(theory, counting(50), None, (), 0)
 
 
 def test_without_theory_or_numbers_that_is_said() -> None:
     residuals = decaying(0.9, ticks=3)
-    assert verdict(None, residuals, None, (), 0).endswith("Theory says nothing of a rate here.")
+    assert verdict(None, residuals, None, (), 0).endswith("Theory predicts no rate here.")
     assert "too few ticks" in verdict(Theory("", factor=0.5), residuals, None, (), 0)
     assert "never changed" in verdict(Theory("", factor=0.5), counting(0), None, (), 0)
-    assert verdict(None, Residuals(None), None, (), 0) == "Nothing was seen of the field."
+    assert verdict(None, Residuals(None), None, (), 0) == "No values of the field were received."
 
 
 def test_a_residual_has_settled_from_where_it_stays_small() -> None:

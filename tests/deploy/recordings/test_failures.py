@@ -176,9 +176,7 @@ def test_a_header_with_fewer_than_no_parcels_is_refused(tmp_path: Path, made_up_
 
 
 def test_a_missing_recording_is_named(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"^there is no recording\.mcap in .*; of a simulation there never is one$"
-    ):
+    with pytest.raises(InputError, match=r"^there is no recording\.mcap in .*; mdms simulate writes none$"):
         load(tmp_path)
 
 

@@ -44,7 +44,9 @@ def test_tipped_and_fallen_parcels_are_told_with_time_and_place_and_nothing_else
 def test_of_many_parcels_that_fall_ten_are_named() -> None:
     lines = _told(*(Event(1.0, "off_array", i, (), (0.0, 0.0)) for i in range(30)))
     assert [line.split()[1] for line in lines[:10]] == [str(i) for i in range(10)]
-    assert lines[10:] == ["more parcels tipped or fell: the summary counts them, the recording has every one"]
+    assert lines[10:] == [
+        "more parcels tipped or fell: see the summary for their number, and the recording for each event"
+    ]
 
 
 def test_runs_and_simulations_tell_a_parcel_that_falls_on_stderr_unless_quiet(

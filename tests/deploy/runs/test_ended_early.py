@@ -95,7 +95,7 @@ def test_a_simulation_that_ends_unstable_keeps_and_draws_what_it_reached(tmp_pat
     assert (summary.status, EXIT_STATUS[summary.status]) == ("unstable", 3)
     assert summary.ticks > 2
     assert summary.simulated_s == pytest.approx(summary.ticks * 0.004096, abs=1e-12)
-    assert f"; the first {summary.simulated_s:g} s are kept" in (summary.reason or "")
+    assert f"; the trajectory up to {summary.simulated_s:g} s is valid" in (summary.reason or "")
     assert " at t = 0 s" not in (summary.reason or "")
     same = _scene(**(changes | {"solver__max_steps_per_s": 1e7, "duration_s": summary.simulated_s}))
     whole = simulate(same, output=tmp_path / "whole", picture=False, quiet=True).summary

@@ -57,7 +57,7 @@ def test_the_centre_follows_the_closed_form_of_the_linear_field(tmp_path: Path) 
 
 def test_motors_are_left_out_and_that_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     summary = simulate(_scene("motors", duration_s=0.1), output=tmp_path, picture=False).summary
-    assert "mdms: effects.motors is left out: simulate has ideal wheels" in capsys.readouterr().err
+    assert "mdms: effects.motors is left out: mdms simulate has ideal wheels" in capsys.readouterr().err
     assert summary.status == "ok"
 
 
@@ -71,7 +71,7 @@ def test_effects_of_the_cells_are_left_out_and_that_is_said(
     summaries = [simulate(scene, output=tmp_path, picture=False).summary for scene in scenes]
     said = capsys.readouterr().err
     for name in ("sensor", "link_loss"):
-        assert said.count(f"mdms: effects.{name} is left out: simulate has no cells") == 1
+        assert said.count(f"mdms: effects.{name} is left out: mdms simulate has no cells") == 1
     assert summaries[0].digest == summaries[1].digest
 
 
@@ -160,7 +160,7 @@ def test_faults_of_the_cells_are_left_out_and_that_is_said(
         _scene("elliptic", duration_s=0.02, faults=[stuck, hangs]), output=tmp_path, picture=False
     ).summary
     said = capsys.readouterr().err
-    assert said.count("mdms: faults[1] (hang) is left out: simulate has no cells") == 1
+    assert said.count("mdms: faults[1] (hang) is left out: mdms simulate has no cells") == 1
     assert "faults[0]" not in said
     assert [fault["kind"] for fault in summary.faults] == ["wheel_stuck"]
     assert active(_scene("elliptic", faults=[hangs])) is None

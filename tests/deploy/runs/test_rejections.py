@@ -42,10 +42,10 @@ def test_each_peer_and_kind_is_told_once_and_counted_every_time() -> None:
     counts.refused["shard 1", "drive: type"] += 1
     refused.poll(counts)
     assert told == [
-        "refused: shard 0: drive: type malformed (the summary has how many)",
-        "denied: cells-0: message (the summary has how many)",
-        "denied: a stranger: connection: no certificate (the summary has how many)",
-        "refused: shard 1: drive: type malformed (the summary has how many)",
+        "refused: shard 0: drive: type malformed (the summary has the number)",
+        "denied: cells-0: message (the summary has the number)",
+        "denied: a stranger: connection: no certificate (the summary has the number)",
+        "refused: shard 1: drive: type malformed (the summary has the number)",
     ]
     rows = refused.summary_rows(counts)
     assert [(row["why"], row["whose"], row["what"], row["number"]) for row in rows] == [

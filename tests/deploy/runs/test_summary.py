@@ -140,7 +140,7 @@ def test_the_table_tells_messages_of_cells_apart_from_frames_of_the_bus() -> Non
     text = printed(
         summary(messages=Messages(sent=10, delivered=9, protocol=ProtocolMessages(sent=1_234, heard=1_200)))
     )
-    assert "messages   1,234 sent by cells to neighbours, 1,200 heard" in text
+    assert "messages   1,234 sent by cells to neighbours, 1,200 received" in text
     assert "frames     10 sent on the bus, 9 delivered" in text
     assert "messages" not in printed(summary(messages=Messages(sent=10, delivered=9)))
 

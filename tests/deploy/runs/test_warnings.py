@@ -106,7 +106,7 @@ def test_what_of_a_plain_program_is_not_recorded_is_said_before_the_run(tmp_path
     scene = load_scene("elliptic")
     cells = scene.cells.model_copy(update={"firmware": str(path), "parameters": {}})
     plain = Scene.model_validate({**dict(scene), "cells": cells})
-    line = "--registers: quiet.py: of its state some is not recorded: name is a str, not numbers"
+    line = "--registers: quiet.py: parts of its state are not recorded: name is a str, not numbers"
     assert prepare_run(plain, RunOptions(0, "memory", registers=1), None).warnings == (line,)
     assert prepare_run(plain, RunOptions(0, "memory"), None).warnings == ()
     assert prepare_run(scene, RunOptions(0, "memory", registers=1), None).warnings == ()
@@ -120,7 +120,7 @@ def test_boards_that_no_processor_could_serve_are_told_with_what_takes_its_time(
     (line,) = processor("effects.serial={ baud = 31250 }")
     assert line == (
         "an MC68HC11 would be busy for 121 to 133 % of a control period of 8,192 E: speed loops 16 to 28 %, PWM 5 %, "
-        "serial bytes at 31,250 baud with 8 lines busy 100 %; the emulation takes no time for it, and a real board "
+        "serial bytes at 31,250 baud with 8 lines busy 100 %; the emulation ignores this load, but a real board "
         "would miss periods and bytes"
     )
     (edges,) = processor(

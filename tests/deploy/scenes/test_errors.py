@@ -142,12 +142,12 @@ def test_the_scene_these_tests_break_is_good() -> None:
         (
             'kind = "crash"\nat_s = 0.5',
             'kind = "add"\nat_s = 0',
-            "faults[0]: at_s must be > 0: what is added at the start is there",
+            "faults[0]: at_s must be > 0: cells that are present from the start need no fault add",
         ),
         (
             'kind = "crash"',
             'kind = "add"\nuntil_s = 1',
-            "faults[0]: what is added stays: leave until_s out, and pull it by a fault of kind remove",
+            "faults[0]: added cells stay: leave until_s out, and pull them by a fault of kind remove",
         ),
         (
             'kind = "crash"',
@@ -178,18 +178,18 @@ def test_the_scene_these_tests_break_is_good() -> None:
         (
             "[cells]",
             "[cells.speed_loop]\n[cells]",
-            "cells.speed_loop: closes on motors: the scene needs effects.motors",
+            "cells.speed_loop: needs effects.motors: the speed loop controls motors",
         ),
         (
             "seed = 1",
             "seed = 1\n[effects.encoder]",
-            "effects.motors = None: must be asked for too: effects.encoder needs it",
+            "effects.motors = None: must be set too: effects.encoder needs it",
         ),
         (
             "seed = 1",
             "seed = 1\n[effects]\nmotors = {}\nencoder = { counts_per_revolution = 9000 }",
             (
-                "effects.encoder.counts_per_revolution = 9000: at most 127 counts a period can be told apart, and a "
+                "effects.encoder.counts_per_revolution = 9000: at most 127 counts a period can be distinguished, and a "
                 "wheel without load makes 234.7 at supply_v"
             ),
         ),

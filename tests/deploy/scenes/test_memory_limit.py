@@ -53,7 +53,7 @@ def test_parcels_and_processes_and_courses_that_can_t_fit_are_refused(
         plan(load_scene("large"), RunOptions(processes="each"), "run")
     long = load_scene("elliptic", [Override.parse("duration_s=1e8")])
     with pytest.raises(
-        InputError, match=r"duration_s = 1e\+08: a simulation keeps its whole course, and 24,414,062,500"
+        InputError, match=r"duration_s = 1e\+08: a simulation keeps its whole trajectory, and 24,414,062,500"
     ):
         simulate(long, output=tmp_path, quiet=True)
     monkeypatch.setattr(room, "available_bytes", lambda: 1_000_000)

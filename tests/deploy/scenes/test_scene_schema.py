@@ -58,11 +58,13 @@ def test_the_parameters_are_those_of_the_firmware_that_the_scene_names(
 def test_the_words_under_a_field_describe_it() -> None:
     schema = scene_schema()
     properties = schema["$defs"]["ExactSpec"]["properties"]
-    assert properties["tolerance"]["description"] == "Metres at the footprint, over the run."
+    assert properties["tolerance"]["description"] == "Error of the footprint over the run, metres."
     field = schema["$defs"]["Radial"]["properties"]["rotation_rad_s"]
     assert field["description"] == "Added rigid rotation, counter-clockwise."
     fed = schema["$defs"]["FeedSpec"]["properties"]
-    assert fed["inertia_kg_m2"]["description"].startswith("About the centre of mass")  # inherited
+    assert fed["inertia_kg_m2"]["description"].startswith(
+        "Moment of inertia about the centre of mass"
+    )  # inherited
     assert "duration_s" in schema["properties"]
     assert "simulated time" in schema["properties"]["duration_s"]["description"].lower()
 

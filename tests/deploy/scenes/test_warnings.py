@@ -35,7 +35,7 @@ def test_no_bundled_scene_looks_mistaken() -> None:
          "parcels.0: 6 × 1 m, larger than the array, which is 2 × 2 m"),
         ("stream", "effects.feeders.feed.0.size_m=[9.0, 0.1]", "effects.feeders.feed.0: 9 × 0.1 m, larger than"),
         ("elliptic", "faults=[{ at_s = 1, cell = [0, 0] }, { at_s = 10, cell = [1, 1] }, { at_s = 12, cell = [2, 2] }]",
-         "faults.1.at_s = 10, faults.2.at_s = 12: after the end of the run (duration_s = 10): never acts"),
+         "faults.1.at_s = 10, faults.2.at_s = 12: after the end of the run (duration_s = 10): never active"),
         ("elliptic", "cells.period_s=4.096", "cells.period_s = 4.096: a control period of seconds; an "),
         ("elliptic", "duration_s=0.004", "duration_s = 0.004: the run is over after one tick, which takes 0.004096 s"),
     ],

@@ -50,5 +50,5 @@ def test_who_has_a_cell_s_certificate_or_another_host_s_is_not_taken_for_the_pla
     open_client(plant, identity=cell).close()
     for impostor in (written("other", authority.server("plant", ["10.0.0.5"])), cell):
         where = listening(impostor)
-        with pytest.raises(TransportError, match="let nobody in with these keys"):
+        with pytest.raises(TransportError, match="the run refuses these keys"):
             open_client(where, identity=cell, timeout_s=0.2)

@@ -80,7 +80,7 @@ def test_what_is_listened_on_counts_not_what_was_asked_for() -> None:
     check_opened("tcp/localhost:1", ["tcp/127.0.0.1:1", "tcp/[::1]:1"], None, insecure=False)
     with pytest.raises(InputError, match=r"tcp/10.0.0.5:1: leaves this host"):
         check_opened("tcp/localhost:1", ["tcp/127.0.0.1:1", "tcp/10.0.0.5:1"], None, insecure=False)
-    with pytest.raises(InputError, match="doesn't say where it listens"):
+    with pytest.raises(InputError, match="doesn't report the address"):
         check_opened("ws/localhost:1", [], None, insecure=False)
     check_opened("tcp/0.0.0.0:1", ["tcp/10.0.0.5:1"], None, insecure=True)
     check_opened("tls/0.0.0.0:1", ["tls/10.0.0.5:1"], "certificate", insecure=False)

@@ -68,7 +68,7 @@ def test_a_target_that_nothing_reaches_is_answered_too_with_status_1(
 ) -> None:
     assert main([*ALONE, "--target", "1e-30"]) == 1
     (line,) = capsys.readouterr().out.splitlines()
-    assert line.startswith("nothing tried reaches 1e-30 m on elliptic; the nearest is ")
+    assert line.startswith("no setting reaches 1e-30 m on elliptic; the nearest is ")
 
 
 @pytest.mark.parametrize(

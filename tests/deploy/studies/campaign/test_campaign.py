@@ -63,7 +63,7 @@ def test_a_campaign_none_of_whose_runs_comes_to_its_end_has_failed(tmp_path: Pat
     report = wanted.run(1, Interruption())
     assert (report.status, report.reason) == (
         "failed",
-        "no run came to its end; the first: unstable: why",
+        "no run completed; the first: unstable: why",
     )
     assert [(values, seed) for values, seed, _ in report.failed()] == [
         ({"fault.share": share}, seed) for share in (0.1, 0.2) for seed in (1, 2)

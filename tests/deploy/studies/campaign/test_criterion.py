@@ -30,13 +30,11 @@ def test_a_campaign_for_which_nothing_says_what_success_is_is_refused_before_any
     assert main(["campaign", WITHOUT_GOAL, "--fault", "crash", "--share", "0:0.5:0.25"]) == 2
     error = capsys.readouterr().err
     assert error.splitlines()[-1].startswith(
-        f"mdms: campaign: nothing says when a run of {WITHOUT_GOAL} has succeeded: give --within METRES"
-    ) or error.startswith(
-        f"campaign: nothing says when a run of {WITHOUT_GOAL} has succeeded: give --within METRES"
-    )
+        f"mdms: campaign: no criterion of success for {WITHOUT_GOAL}: give --within METRES"
+    ) or error.startswith(f"campaign: no criterion of success for {WITHOUT_GOAL}: give --within METRES")
     with pytest.raises(InputError, match=r"no undisturbed run to compare with; give the scene a \[goal\]"):
         _criterion(vary=("parcels.0.mass_kg=1,2",))
-    with pytest.raises(InputError, match=r"--within 0\.1: within that of what\?"):
+    with pytest.raises(InputError, match=r"--within 0\.1: no reference for errors"):
         _criterion(vary=("parcels.0.mass_kg=1,2",), within_m=0.1)
 
 

@@ -37,7 +37,7 @@ def test_values_are_toml_with_commas_between_them_and_words_need_no_quotes() -> 
         ("0:1:-0.1", "don't lead from 0 to 1"),
         ("0:1:1e-6", "at most 10,000"),
         ("1,1", "twice"),
-        ("", "no value at all"),
+        ("", "must have a value"),
         ("1,]", "must be TOML"),
         ("1]\ny=[2", "not of 2"),
     ],

@@ -64,7 +64,7 @@ def test_a_line_that_is_no_run_is_named(tmp_path: Path, case: Case) -> None:
         journal.add_run(case, 3, OUTCOME)
     with (tmp_path / FILE_NAME).open("a") as file:
         file.write('{"case": 1}\n')
-    with pytest.raises(InputError, match=r"runs\.jsonl: line 2 is no run of a campaign"):
+    with pytest.raises(InputError, match=r"runs\.jsonl: line 2 is not a run of a campaign"):
         Journal(tmp_path)
 
 

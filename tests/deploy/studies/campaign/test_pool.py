@@ -99,7 +99,7 @@ def test_a_run_whose_process_is_killed_twice_has_failed(endings: list[CaseEnd]) 
 
 
 def test_a_run_that_hangs_is_ended_at_the_limit(endings: list[CaseEnd]) -> None:
-    assert (endings[1].status, endings[1].reason) == ("failed", "not over after 15 s")
+    assert (endings[1].status, endings[1].reason) == ("failed", "not over after 15 s (--limit)")
 
 
 def test_a_run_that_fails_says_why(endings: list[CaseEnd]) -> None:
@@ -128,7 +128,7 @@ def test_a_pool_without_workers_says_why(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("deploy.studies.campaign.pool.WorkerLoop", lambda address: partial(int, "no number"))
     with (
         ExecutorPool(2, LIMIT_S, nothing) as pool,
-        pytest.raises(WorkerError, match=r"end before they have run anything: .*no number"),
+        pytest.raises(WorkerError, match=r"end before their first run: .*no number"),
     ):
         list(pool.map([load_scene("motors")]))
 

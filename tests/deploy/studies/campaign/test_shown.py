@@ -53,8 +53,8 @@ def test_a_picture_is_drawn_of_one_value_or_of_two(vary: tuple[str, ...], tmp_pa
 
 
 def test_of_no_value_and_of_three_there_is_no_picture_and_it_is_said_why(tmp_path: Path) -> None:
-    assert why_none(made_up(tmp_path)) == "nothing is varied"
-    assert why_none(made_up(tmp_path, "duration_s=5")) == "nothing is varied"
+    assert why_none(made_up(tmp_path)) == "no value is varied"
+    assert why_none(made_up(tmp_path, "duration_s=5")) == "no value is varied"
     assert why_none(made_up(tmp_path, ONE, TWO, WORDS)).startswith("3 values are varied")
 
 

@@ -36,10 +36,10 @@ def test_going_on_with_anything_else_is_refused_and_names_all_of_it() -> None:
     with pytest.raises(InputError) as refused:
         check_same(ASKED, given, Path("d"))
     assert str(refused.value).splitlines() == [
-        "--resume d: SCENE heat: the campaign there was begun with a b/ä.toml",
-        "--resume d: --seeds 20: the campaign there was begun with 10",
-        "--resume d: --vary a=1: the campaign there was begun with none",
-        "--resume d: --at 2.0: the campaign there was begun with 0.1",
+        "--resume d: SCENE heat: the campaign has a b/ä.toml",
+        "--resume d: --seeds 20: the campaign has 10",
+        "--resume d: --vary a=1: the campaign has none",
+        "--resume d: --at 2.0: the campaign has 0.1",
     ]
 
 

@@ -147,7 +147,7 @@ def test_every_bundled_scene_can_be_varied_and_stays_the_same_if_it_is_not(name:
     ("scene", "sets", "effect", "reason"),
     [
         ("rolling", (), "motors", "friction.law: has motors of its own; leave effects.motors out"),
-        ("elliptic", (), "feeders", "only a scene can say what comes, where it comes and where it leaves"),
+        ("elliptic", (), "feeders", "no typical settings: feeders and exits depend on the scene"),
         ("rails", (), "wheel_load", "effects.wheel_load: doesn't go with effects.parcel_contact"),
     ],
 )

@@ -72,9 +72,9 @@ def test_notes_say_under_what_an_effect_was_tried(capsys: pytest.CaptureFixture[
     assert line[-1] == "–"
     assert "wheel_load: tried with inertia_kg = 0.01 " in out
     _, out_of_defaults = rows(capsys, replace(row, settings={"values": [], "other": None}))
-    assert "wheel_load: tried with its defaults" in out_of_defaults
-    assert "wheel_load: both under implicit, as exact doesn't know it" in out
-    assert "wheel_load: both with motors, which it needs" in out
+    assert "wheel_load: tried with default settings" in out_of_defaults
+    assert "wheel_load: both under implicit, since exact doesn't support the effect" in out
+    assert "wheel_load: both with motors, which the effect needs" in out
 
 
 def test_a_rung_that_was_not_run_says_why(capsys: pytest.CaptureFixture[str]) -> None:

@@ -68,11 +68,11 @@ def test_a_square_in_this_array_may_lie_at_any_angle(capsys: pytest.CaptureFixtu
 
 def test_what_the_table_can_t_promise_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["orientations", "squeeze", "--at", "0.013,0.3"]) == 0
-    assert "The point is no equilibrium at every angle" in capsys.readouterr().out
+    assert "The point is not an equilibrium at every angle" in capsys.readouterr().out
     assert main(["orientations", *TIPS]) == 0
-    assert "At some angles it doesn't stand" in capsys.readouterr().out
+    assert "At some angles the parcel tips" in capsys.readouterr().out
     assert main(["orientations", "motors"]) == 0
-    assert "nothing stops it from turning" in " ".join(capsys.readouterr().out.split())
+    assert "the parcel never stops turning" in " ".join(capsys.readouterr().out.split())
 
 
 def test_where_a_parcel_does_not_stand_the_json_has_no_torque(capsys: pytest.CaptureFixture[str]) -> None:
