@@ -23,7 +23,7 @@ class LinkBandwidthFault(LinkTarget, LinkFault):
     """A token bucket for each link: ``messages_per_s`` tokens a second, at most ``burst`` stored, one for each message.
 
     In every tick, in this order: tokens come; a message that comes goes to the end of the queue; if there is a token,
-    the first of the queue is heard, one a tick being all that a cell can hear; of a queue of more than ``queue`` the
+    the first of the queue is received, at most one a tick; of a queue of more than ``queue`` the
     oldest is lost. Buckets begin full. What still waits when the fault ends is lost. Integers keep the tokens: nothing
     drifts.
     """
@@ -75,12 +75,12 @@ class _Bucket(LinkFilter):
         self._queue[waiting[came], np.flatnonzero(came)] = words[came]
         self._tokens = np.minimum(self._tokens + self._gain, self._most)
         length = waiting + came
-        heard = (length > 0) & (self._tokens >= self._token)
-        self._tokens = self._tokens - self._token * heard
+        delivered = (length > 0) & (self._tokens >= self._token)
+        self._tokens = self._tokens - self._token * delivered
         first = self._queue[0].copy()
-        length = length - heard
+        length = length - delivered
         lost = length == len(self._queue)
-        moves = heard | lost
+        moves = delivered | lost
         self._queue[:-1, moves] = self._queue[1:, moves]
         self._length = length - lost
-        return heard, first, {"waited": heard & (waiting > 0), "lost": lost}
+        return delivered, first, {"waited": delivered & (waiting > 0), "lost": lost}
