@@ -21,9 +21,9 @@ class Sweep(NamedTuple):
     Attributes:
         key: what is swept: ``tolerance`` or ``step_s``.
         values: from coarse to fine.
-        quick: some of them, for a first look; none: it is left out then.
+        quick: some of them, for a quick study; none: it is left out then.
         fixed: settings beside it.
-        title: tells this sweep from the solver's others.
+        title: distinguishes this sweep from the solver's others.
         note: what a reader of its errors must know.
     """
 
@@ -121,7 +121,7 @@ class QuasiStaticSpec(Spec):
 
 
 class FixedStepSpec(Spec):
-    """Explicit steps of one length, supports looked at anew each time: the papers' own loop, to compare with."""
+    """Explicit steps of one length, supports computed again each time: the papers' own loop, to compare with."""
 
     sweeps: ClassVar[tuple[Sweep, ...]] = (
         Sweep("step_s", _STEPS_S, _FEW_STEPS_S, (("method", "euler"),), "euler"),
@@ -190,7 +190,7 @@ AnySolver = ExactSpec | ImplicitSpec | QuasiStaticSpec | FixedStepSpec | SciPySp
 SolverSpec = Annotated[
     Annotated[AnySolver, Field(discriminator="name")], BeforeValidator(tagged("name", "exact"))
 ]
-"""How the motion is integrated, told apart by ``name``."""
+"""How the motion is integrated, distinguished by ``name``."""
 
 
 def settings_of(name: object) -> frozenset[str]:

@@ -15,7 +15,7 @@ from plant.wheels import LossPolicy
 
 @final
 class CrashFault(CellTarget, CellFault, PlantFault):
-    """Cells that die. Repaired, they begin anew, as after power-on.
+    """Cells that die. Repaired, they restart, as after power-on.
 
     One that is not repaired is gone from the lockstep too: a worker process all of whose cells are dead ends itself by
     SIGKILL, as a real death does; in a shared worker the cell's agent stops.
@@ -28,13 +28,13 @@ class CrashFault(CellTarget, CellFault, PlantFault):
     """What the dead wheels do; None: what the scene's stall policy says."""
 
     def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """No program runs; after the repair it begins anew."""
+        """No program runs; after the repair it restarts."""
         if injected.active_at(tick):
             pause.halted[injected.cells] = True
         pause.reset[injected.cells] |= tick == injected.end_tick
 
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """Nobody drives the wheels."""
-        harm.dead[cells] = True
+        wheel_faults.dead[cells] = True
         if self.wheels is not None:
-            harm.wheel_policies.update(dict.fromkeys(cells.tolist(), self.wheels))
+            wheel_faults.wheel_policies.update(dict.fromkeys(cells.tolist(), self.wheels))

@@ -17,20 +17,20 @@ from plant.faults.base import PlantFault, WheelFaults
 class AbsentModuleFault(CellTarget, CellFault, PlantFault):
     """Cells that are gone while it acts: no wheels under parcels, no sensors, no program, no links.
 
-    Plugged in again they begin anew, as after power-on: wheels at rest, encoders going on from where they stood.
+    Plugged in again they restart, as after power-on: wheels at rest, encoders going on from where they stood.
     """
 
     halts_program: ClassVar[bool] = True
 
     def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """No program runs; once it is plugged in it begins anew."""
+        """No program runs; once it is plugged in it restarts."""
         if injected.active_at(tick):
             pause.halted[injected.cells] = True
         pause.reset[injected.cells] |= tick == injected.end_tick
 
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """The cells are not in the array."""
-        harm.gone[cells] = True
+        wheel_faults.gone[cells] = True
 
 
 @final

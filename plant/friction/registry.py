@@ -24,4 +24,4 @@ FrictionSpec = Annotated[
     ],
     BeforeValidator(tagged("law", "viscous")),
 ]
-"""Any law, told apart by its ``law``."""
+"""Any law, distinguished by its ``law``."""

@@ -1,4 +1,4 @@
-"""Effect ``analogue_sensors``: a presence sensor sees a round spot, and tells how much of it is covered."""
+"""Effect ``analogue_sensors``: a presence sensor sees a round spot, and measures how much of it is covered."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bus.spec import Positive
 
 @final
 class AnalogueSensorsSpec(EffectSpec):
-    """Presence sensors that tell how much of a round spot is covered, from 0 to 1."""
+    """Presence sensors that measure how much of a round spot is covered, from 0 to 1."""
 
     messages: ClassVar[tuple[str, ...]] = ("cells receive the level of every sensor",)
     fidelity_rank: ClassVar[int | None] = 52
