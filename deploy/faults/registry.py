@@ -58,7 +58,7 @@ AnyFault = (
 )
 
 Fault = Annotated[Annotated[AnyFault, Field(discriminator="kind")], BeforeValidator(tagged("kind", "crash"))]
-"""A scene's ``[[faults]]`` are told apart by ``kind``."""
+"""A scene's ``[[faults]]`` are distinguished by ``kind``."""
 
 KINDS: dict[str, type[AnyFault]] = {kind.kind_name: kind for kind in get_args(AnyFault)}
 

@@ -43,6 +43,6 @@ def copy_prefix(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[s
         raise InputError(f"there is no {path.name} in {path.parent} to go on with") from None
     missing = {topic: number for topic, number in left.items() if number > 0}
     if missing:
-        told = ", ".join(f"{number} messages of {topic}" for topic, number in missing.items())
-        raise InputError(f"{path} does not reach as far as the checkpoint: it lacks {told}")
+        listed = ", ".join(f"{number} messages of {topic}" for topic, number in missing.items())
+        raise InputError(f"{path} does not reach as far as the checkpoint: it lacks {listed}")
     return last

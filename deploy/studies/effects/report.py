@@ -185,8 +185,8 @@ def _notes(row: AblationRow, solver: str) -> Iterable[str]:
         return
     if row.settings is not None and not row.on:
         given = [(key, value) for key, value in row.settings.items() if value not in (None, [])]
-        told = ", ".join(f"{key} = {_plain(value)}" for key, value in given)
-        yield f"tried with {told or 'its defaults'}"
+        listed = ", ".join(f"{key} = {_plain(value)}" for key, value in given)
+        yield f"tried with {listed or 'its defaults'}"
     if row.solver != solver:
         yield f"both under {row.solver}, as {solver} doesn't know it"
     if row.beside:
