@@ -15,7 +15,7 @@ from plant.wheels import LossPolicy
 
 @final
 class CrashFault(CellTarget, CellFault, PlantFault):
-    """Cells that die. Repaired, they restart, as after power-on.
+    """Death of cells. A repaired cell restarts, as after power-on.
 
     One that is not repaired is gone from the lockstep too: a worker process all of whose cells are dead ends itself by
     SIGKILL, as a real death does; in a shared worker the cell's agent stops.

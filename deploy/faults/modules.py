@@ -17,7 +17,7 @@ from plant.faults.base import PlantFault, WheelFaults
 class AbsentModuleFault(CellTarget, CellFault, PlantFault):
     """Cells that are gone while it acts: no wheels under parcels, no sensors, no program, no links.
 
-    Plugged in again they restart, as after power-on: wheels at rest, encoders going on from where they stood.
+    A cell that is plugged in again restarts, as after power-on: wheels at rest, encoders continuing from their counts.
     """
 
     halts_program: ClassVar[bool] = True
