@@ -88,8 +88,8 @@ class CellTarget(FaultSpec):
     def _one_target(self) -> Self:
         given = [name for name, value in self._targets().items() if value is not None]
         if len(given) != 1:
-            told = ", ".join(given) or "none"
-            raise ValueError(f"give one of {', '.join(self._targets())}, not {told}")
+            listed = ", ".join(given) or "none"
+            raise ValueError(f"give one of {', '.join(self._targets())}, not {listed}")
         return self
 
     def _targets(self) -> dict[str, object]:
@@ -159,11 +159,18 @@ class LinkTarget(CellTarget):
         """Return the affected links, ``(m, 2)``: index of the receiving cell and side; ascending, each once."""
         cells = self.affected_cells(lattice, seed, number)
         sides = range(len(SIDES)) if self.side is None else (SIDES.index(self.side),)
-        return links_of(lattice, cells, sides, heard=self.direction != "out", told=self.direction != "in")
+        return links_of(
+            lattice, cells, sides, incoming=self.direction != "out", outgoing=self.direction != "in"
+        )
 
 
 def links_of(
-    lattice: Lattice, cells: Index, sides: Iterable[int] = range(len(SIDES)), *, heard: bool, told: bool
+    lattice: Lattice,
+    cells: Index,
+    sides: Iterable[int] = range(len(SIDES)),
+    *,
+    incoming: bool,
+    outgoing: bool,
 ) -> Index:
     """Return links by receiver, ``(m, 2)``: cell and side, ascending, each once.
 
@@ -171,8 +178,8 @@ def links_of(
         lattice: The cells.
         cells: Cells whose links are selected.
         sides: Sides of these cells.
-        heard: Include links on which the cells receive.
-        told: Include links on which the cells send.
+        incoming: Include links on which the cells receive.
+        outgoing: Include links on which the cells send.
     """
     links: set[tuple[int, int]] = set()
     for cell in cells.tolist():
@@ -180,9 +187,9 @@ def links_of(
             other = int(lattice.neighbours[cell, side])
             if other < 0:
                 continue
-            if heard:
+            if incoming:
                 links.add((cell, side))
-            if told:
+            if outgoing:
                 links.add((other, OPPOSITE[side]))
     return np.array(sorted(links), dtype=np.int64).reshape(-1, 2)
 

@@ -1,4 +1,4 @@
-"""Which cells exist, in which order, and who neighbours whom."""
+"""Which cells exist, in which order, and which cells are neighbours."""
 
 from __future__ import annotations
 

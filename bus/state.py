@@ -33,7 +33,7 @@ class StateFields:
     state fields.
 
     Args:
-        names: Attributes that are replaced on loading. A path (``packed.y``) leads through objects that are kept.
+        names: Attributes that are replaced on loading. A path (``packed.y``) leads through objects that are retained.
         shared: Attributes whose values are updated in place, as other objects share them: arrays of one shape, lists,
             maps, sets.
         records: Frozen dataclasses and named tuples among the values.
@@ -175,8 +175,8 @@ def _put_back(owner: Any, part: ObjectState, place: str) -> None:
 
 
 def _set(owner: Any, path: str, value: Any, place: str) -> None:
-    *way, name = path.split(".")
-    holder = _found(owner, ".".join(way)) if way else owner
+    *parents, name = path.split(".")
+    holder = _found(owner, ".".join(parents)) if parents else owner
     if holder is None:
         raise StateError(f"{place}: must be None, is a {type(value).__name__}")
     setattr(holder, name, value)

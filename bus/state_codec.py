@@ -1,6 +1,6 @@
 """State as bytes: MessagePack, extended by types for values beyond lists and maps.
 
-Only values are read back: no code runs, no name is looked up but those of records that the reader lists.
+Only values are read back: no code runs, no name is resolved but those of records that the reader lists.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class _Encoder:
     def _array(self, value: NDArray[Any]) -> Any:
         if value.dtype.hasobject:
             return self._ext(_OBJECTS, [list(value.shape), value.ravel().tolist()])
-        return self._ext(_ARRAY, [_told(value.dtype), list(value.shape), value.tobytes()])
+        return self._ext(_ARRAY, [_encoded_dtype(value.dtype), list(value.shape), value.tobytes()])
 
     def _record(self, value: Any) -> Any:
         kind = cast("Any", type(value))
@@ -195,30 +195,30 @@ def is_record(kind: Any) -> bool:
     return isinstance(kind, type) and hasattr(kind, "_fields") and tuple in kind.__mro__
 
 
-def _told(dtype: np.dtype[Any]) -> Any:
+def _encoded_dtype(dtype: np.dtype[Any]) -> Any:
     """An array's type in MessagePack's: its code, or name, code and shape of every field."""
     if dtype.names is None:
         if dtype.kind not in _KINDS and dtype.kind != "V":
             raise StateError(f"state holds an array of {dtype}, which can't be saved: not a number")
         return dtype.str
-    return [[name, _told(dtype[name].base), list(dtype[name].shape)] for name in dtype.names]
+    return [[name, _encoded_dtype(dtype[name].base), list(dtype[name].shape)] for name in dtype.names]
 
 
-def _type(told: Any) -> np.dtype[Any]:
-    if isinstance(told, str):
-        found = np.dtype(told)
+def _type(encoded: Any) -> np.dtype[Any]:
+    if isinstance(encoded, str):
+        found = np.dtype(encoded)
         if not (found.kind in _KINDS and found.itemsize <= 8) and not (
-            found.kind == "V" and told[:2] == "|V"
+            found.kind == "V" and encoded[:2] == "|V"
         ):
-            raise ValueError(f"an array of {told!r}")
+            raise ValueError(f"an array of {encoded!r}")
         return found
-    if len(told) > _COLUMNS:
-        raise ValueError(f"an array of {len(told)} fields")
-    return np.dtype([(name, _type(code), tuple(shape)) for name, code, shape in told])
+    if len(encoded) > _COLUMNS:
+        raise ValueError(f"an array of {len(encoded)} fields")
+    return np.dtype([(name, _type(code), tuple(shape)) for name, code, shape in encoded])
 
 
-def _array(told: Any, shape: list[int], data: bytes) -> NDArray[Any]:
-    dtype, count = _type(told), _count(shape)
+def _array(encoded: Any, shape: list[int], data: bytes) -> NDArray[Any]:
+    dtype, count = _type(encoded), _count(shape)
     if len(data) != count * dtype.itemsize:
         raise ValueError(f"{len(data)} bytes for an array of {count} times {dtype.itemsize}")
     if dtype.kind == "b" and data.strip(b"\x00\x01"):

@@ -141,10 +141,10 @@ class Board(Controller):
             )
 
         program = self._begun(cells, "warm_start" if warm else "init", make)
-        kept = {
+        retained = {
             name: read_only(part.reset(state.cells, state.parts[name])) for name, part in self._parts.items()
         }
-        return ControllerState(cells, {_PROGRAM: program, **kept})
+        return ControllerState(cells, {_PROGRAM: program, **retained})
 
     def receive(
         self, now: StepTime, state: ControllerState, inputs: Inputs
@@ -152,8 +152,8 @@ class Board(Controller):
         """Receive whole messages from the lines."""
         if self.links is None or inputs.inbox is None:
             return state, inputs
-        heard, inbox = self.links.receive(now, state.parts[_LINKS], inputs.inbox)
-        return ControllerState(state.cells, {**state.parts, _LINKS: heard}), replace(inputs, inbox=inbox)
+        lines, inbox = self.links.receive(now, state.parts[_LINKS], inputs.inbox)
+        return ControllerState(state.cells, {**state.parts, _LINKS: lines}), replace(inputs, inbox=inbox)
 
     def compute(
         self, now: StepTime, state: ControllerState, inputs: Inputs

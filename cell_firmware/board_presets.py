@@ -50,7 +50,7 @@ class BoardSpec(Spec):
 
 
 def _written(value: Any) -> str:
-    """Whether a board is written as its name or as a table: what is wrong with it is then told of that alone."""
+    """Whether a board is written as its name or as a table: problems are then reported of that form alone."""
     return "name" if isinstance(value, str) else "table"
 
 

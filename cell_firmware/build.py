@@ -178,10 +178,10 @@ def _fixed_point(
         rule = "the unit of speeds is a count a period where there is effects.encoder: leave it out"
         raise SettingError(("effects", "fixed_point", "speed_unit_m_s"), effect.speed_unit_m_s, rule)
     tachometer = FixedPointTachometer(period_s, effect.unit_m_s) if encoder is None else encoder
-    told = tachometer.largest * tachometer.unit_m_s
-    if motors.free_speed_m_s > told:
+    largest_m_s = tachometer.largest * tachometer.unit_m_s
+    if motors.free_speed_m_s > largest_m_s:
         rule = (
-            f"a 16-bit word represents speeds up to {told:.4g} m/s, and a wheel without load has "
+            f"a 16-bit word represents speeds up to {largest_m_s:.4g} m/s, and a wheel without load has "
             f"{motors.free_speed_m_s:.4g} at supply_v"
         )
         raise SettingError(("effects", "fixed_point", "speed_unit_m_s"), effect.unit_m_s, rule)

@@ -42,7 +42,7 @@ def under_way(frame: FrameType | None) -> UnderWay | None:
     row: int | None = None
     while frame is not None:
         depth += 1
-        # a copy: the thread goes on while its variables are looked at
+        # a copy: the thread continues while its variables are read
         variables: dict[str, Any] = dict(frame.f_locals)
         owner = variables.get("self")
         if isinstance(owner, PerCellAdapter) and isinstance(variables.get("i"), int):

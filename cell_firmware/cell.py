@@ -319,7 +319,7 @@ def _send(
             continue
         if outbox is None:
             raise ValueError("outbox holds a message, but the firmware declares no message type")
-        if message is not last:  # most programs tell all sides the same
+        if message is not last:  # most programs send the same to all sides
             _check_values(message, side, fields)
             values, last = tuple(message[name] for name in fields), message
         outbox.message[i, s] = values

@@ -78,19 +78,19 @@ class ControllerState:
         taken = {id(array) for state in before.parts.values() for array in state.values()}
         parts: dict[str, State] = {}
         for part, state in self.parts.items():
-            kept: dict[str, NDArray[Any]] = {}
+            merged: dict[str, NDArray[Any]] = {}
             for name, array in state.items():
                 old = before.parts[part][name]
                 if array is old:
-                    kept[name] = array
+                    merged[name] = array
                     continue
                 if array.base is not None or id(array) in taken or array.dtype != old.dtype:
                     array = array.astype(np.result_type(array, old), order="C")  # noqa: PLW2901 - a copy
                 taken.add(id(array))
                 array.setflags(write=True)
                 put_rows(array, rows, take_rows(old, rows))
-                kept[name] = array
-            parts[part] = read_only(kept)
+                merged[name] = array
+            parts[part] = read_only(merged)
         return ControllerState(self.cells, parts)
 
     @staticmethod
@@ -163,7 +163,7 @@ class Controller(ABC):
 
         Args:
             state: Before it, of the cells that are reset.
-            warm: Whether the memory has kept its power, as in a watchdog's reset.
+            warm: Whether the memory has retained its power, as in a watchdog's reset.
 
         Raises:
             FirmwareFailed: A cell's program does not begin; names the cell.

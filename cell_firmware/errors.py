@@ -26,7 +26,7 @@ class ParametersError(FirmwareError):
     """Parameters refused by the firmware, with all problems at once.
 
     Attributes:
-        firmware: Name of the firmware as it was asked for.
+        firmware: Name of the firmware as requested.
         problems: Every problem; paths start inside the parameters.
     """
 

@@ -21,11 +21,11 @@ from typing import Any, Final, final
 PREFIX: Final = "mdms_firmware_"
 """The package of a folder is named by it and by a hash of the folder's path."""
 _OURS: Final = frozenset(("bus", "cell_firmware", "deploy", "mdms", "plant"))
-"""Packages that are never looked for beside a file: its base classes are from them."""
+"""Packages that are never searched beside a file: its base classes are from them."""
 
 
 def import_file(path: Path) -> ModuleType:
-    """Import a Python file, anew each time, with the modules that lie beside it.
+    """Import a Python file, again each time, with the modules that lie beside it.
 
     Args:
         path: The file.

@@ -72,6 +72,6 @@ def _line(error: BaseException) -> str:
 
 def _trace(error: BaseException) -> str:
     """The traceback from the author's hook on."""
-    told = traceback.TracebackException.from_exception(error)
-    told.stack = traceback.StackSummary.from_list([one for one in told.stack if one.filename != __file__])
-    return "".join(told.format()).rstrip()
+    trace = traceback.TracebackException.from_exception(error)
+    trace.stack = traceback.StackSummary.from_list([one for one in trace.stack if one.filename != __file__])
+    return "".join(trace.format()).rstrip()

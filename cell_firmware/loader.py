@@ -260,11 +260,11 @@ def _from_file(name: str, path: Path) -> ModuleType:
 
 def _import_failed(name: str, error: Exception | SystemExit) -> FirmwareError:
     """Return the error of a failed import, with a traceback of the firmware's frames only."""
-    told = traceback.TracebackException.from_exception(error)
-    told.stack = traceback.StackSummary.from_list(
-        [frame for frame in told.stack if not _imports(frame.filename)]
+    shortened = traceback.TracebackException.from_exception(error)
+    shortened.stack = traceback.StackSummary.from_list(
+        [frame for frame in shortened.stack if not _imports(frame.filename)]
     )
-    trace = "".join(told.format()).rstrip()
+    trace = "".join(shortened.format()).rstrip()
     return FirmwareError(f"firmware {name!r} can't be loaded: {type(error).__name__}: {error}\n{trace}")
 
 

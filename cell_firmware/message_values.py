@@ -185,12 +185,14 @@ def misfit(name: str, side: str, value: Any, field: np.dtype[Any]) -> str:
     else:
         low, high = bounds(field)
         rule = f"a whole number from {low} to {high} ({field.name})"
-    return f"message field {name} to the {side} is {_shown(value)}: must be {rule}"
+    return f"message field {name} to the {side} is {_shown(value, field)}: must be {rule}"
 
 
-def _shown(value: Any) -> str:
-    """A value as both forms show it: 300 for 300.0 too, which is what a draft holds of 300."""
+def _shown(value: Any, field: np.dtype[Any]) -> str:
+    """A value as both forms show it: as the draft of the field holds it, and 300 for 300.0 too."""
     number = _number(value)
+    if isinstance(number, int) and abs(number) < _PLAIN and _draft(field) == _DOUBLE:
+        number = float(number)
     if number is None:
         text = repr(value)
     elif isinstance(number, int):

@@ -52,15 +52,15 @@ def unrecorded(state: Any) -> str | None:
             f"its state is {_kind(state)}, which has no numbers by name; a dataclass, a NamedTuple, a dict or a NumPy "
             "record of numbers is recorded"
         )
-    told: list[str] = []
+    reasons: list[str] = []
     for name in names:
         value = _value(state, name)
         numbers = _numbers(value)
         if numbers is None and value is not None:
-            told.append(f"{name} is {_kind(value)}, not numbers")
+            reasons.append(f"{name} is {_kind(value)}, not numbers")
         elif numbers is not None and not 0 < numbers.size <= COLUMNS_LIMIT:
-            told.append(f"{name} has {numbers.size} numbers, not 1 to {COLUMNS_LIMIT}")
-    return f"parts of its state are not recorded: {', '.join(told)}" if told else None
+            reasons.append(f"{name} has {numbers.size} numbers, not 1 to {COLUMNS_LIMIT}")
+    return f"parts of its state are not recorded: {', '.join(reasons)}" if reasons else None
 
 
 def _names(state: Any) -> tuple[str, ...]:

@@ -120,7 +120,7 @@ class Shard:
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         self._outgoing = np.zeros(self._n * 4, dtype=self._message or np.bool_)
 
-        # slot 4 row + side of the inbox hears which slot of the outbox, or which link of the border
+        # slot 4 row + side of the inbox receives from which slot of the outbox, or which link of the border
         position = partition.position
         inside, outgoing, incoming = (
             partition.inside(shard),

@@ -26,7 +26,7 @@ class WheelControl(Protocol):
         """Let the wheels of revived cells follow drives again."""
         ...
 
-    def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
+    def apply_faults(self, wheel_faults: WheelFaults, drives: Floats) -> None:
         """Apply a fault state to wheels and cells; ``drives`` act from then on."""
         ...
 
@@ -91,31 +91,33 @@ class DeadCells:
         self._given[back] = 0.0
         self._mark()
 
-    def about_to_die(self, harm: WheelFaults) -> list[int]:
-        """Return the live cells that the fault state ``harm`` kills, ascending."""
-        return [cell for cell in np.flatnonzero(harm.dead & ~self.lost).tolist() if cell not in self._down]
+    def about_to_die(self, wheel_faults: WheelFaults) -> list[int]:
+        """Return the live cells that the fault state ``wheel_faults`` kills, ascending."""
+        return [
+            cell for cell in np.flatnonzero(wheel_faults.dead & ~self.lost).tolist() if cell not in self._down
+        ]
 
-    def on_transition(self, harm: WheelFaults, drives: Floats) -> bool:
+    def on_transition(self, wheel_faults: WheelFaults, drives: Floats) -> bool:
         """Apply a new fault state, and return whether modules were removed or plugged in.
 
         Args:
-            harm: Combined effect of the active faults.
+            wheel_faults: Combined effect of the active faults.
             drives: Last drives, ``(n, 2)``.
         """
-        dead: list[int] = np.flatnonzero(harm.dead).tolist()
+        dead: list[int] = np.flatnonzero(wheel_faults.dead).tolist()
         before = self._down
-        self._down = {cell: harm.wheel_policies.get(cell, self._policy) for cell in dead}
+        self._down = {cell: wheel_faults.wheel_policies.get(cell, self._policy) for cell in dead}
         changed = [cell for cell in before if self._down.get(cell) != before[cell] and not self.lost[cell]]
         fresh = [cell for cell in dead if self._down[cell] != before.get(cell) and not self.lost[cell]]
         if changed:
             self._plant.engage_wheels(changed)
             self._given[changed] = 0.0
         self._leave({cell: self._down[cell] for cell in fresh}, drives)
-        moved = bool((harm.gone != self._gone).any())
-        self._gone = harm.gone
-        self._given[harm.gone] = 0.0
+        moved = bool((wheel_faults.gone != self._gone).any())
+        self._gone = wheel_faults.gone
+        self._given[wheel_faults.gone] = 0.0
         self._mark()
-        self._plant.apply_faults(harm, self.override_drives(drives))
+        self._plant.apply_faults(wheel_faults, self.override_drives(drives))
         return moved
 
     def _leave(self, leaving: Mapping[int, LossPolicy], drives: Floats) -> None:

@@ -24,7 +24,7 @@ class PlantHalted(PlantError):
     Attributes:
         time_s: as given.
         events: what happened on the way of the call, of parcels that came farther too.
-        reached: the course up to the last sample before the end, of a call that samples; None of any other.
+        reached: the trajectory up to the last sample before the end, of a call that samples; None of any other.
     """
 
     def __init__(self, text: str, time_s: float = 0.0) -> None:
@@ -39,4 +39,4 @@ class PlantUnstable(PlantHalted):
 
 
 class PlantStopped(PlantHalted):
-    """Somebody asked for the end of the call; see ``plant.stop``."""
+    """The end of the call was requested; see ``plant.stop``."""

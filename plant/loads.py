@@ -53,7 +53,7 @@ def share_matrix(offsets_m: Floats, others_m: Floats | None = None) -> Floats:
 
     Args:
         offsets_m: ``(n, 2)`` cells, from their centroid.
-        others_m: ``(m, 2)`` places at which the plane of those loads is asked for instead.
+        others_m: ``(m, 2)`` places at which the plane of those loads is computed instead.
 
     Returns:
         ``(n, 3)`` or ``(m, 3)``: mean share, and the (pseudo-)inverse of their second moments.
@@ -90,7 +90,7 @@ def find_supports(offsets_m: Floats, guess: Bools, pitch_m: float) -> Supports |
     """
     if len(guess) == 0:
         return None
-    carrying, asked = guess.copy() if guess.any() else np.ones(len(guess), dtype=np.bool_), False
+    carrying, restarted = guess.copy() if guess.any() else np.ones(len(guess), dtype=np.bool_), False
     for _ in range(10 * len(guess) + 10):
         found = supports_of(offsets_m, carrying, pitch_m)
         load = found.plane @ np.array([1.0, *-found.centroid_m])
@@ -110,9 +110,9 @@ def find_supports(offsets_m: Floats, guess: Bools, pitch_m: float) -> Supports |
             carrying[worst] = not carrying[worst]
             if carrying.any():
                 continue
-        if asked or farthest_edge(offsets_m, pitch_m)[0] > 0.5 * ON_LINE * pitch_m:
+        if restarted or farthest_edge(offsets_m, pitch_m)[0] > 0.5 * ON_LINE * pitch_m:
             return None
-        carrying, asked = _least_norm(offsets_m / pitch_m), True
+        carrying, restarted = _least_norm(offsets_m / pitch_m), True
     return None
 
 

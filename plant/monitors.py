@@ -174,11 +174,11 @@ class RestDetector:
         still = slow[1:] & slow[:-1] & steady
         at_end = still[-1]
         differs = still != at_end
-        news: list[tuple[int, ParcelStatus]] = []
+        updates: list[tuple[int, ParcelStatus]] = []
         for k in np.flatnonzero((at_end != self._resting[which]) | np.any(differs, axis=0)).tolist():
             changed = np.flatnonzero(differs[:, k])
             since = changed[-1] + 1 if len(changed) else 0
             state: ParcelState = "at_rest" if at_end[k] else "moving"
-            news.append((int(which[k]), ParcelStatus(state, float(times_ns[since + at_end[k]]) * 1e-9)))
+            updates.append((int(which[k]), ParcelStatus(state, float(times_ns[since + at_end[k]]) * 1e-9)))
         self._resting[which] = at_end
-        return news
+        return updates

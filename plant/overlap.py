@@ -19,7 +19,7 @@ Place = tuple[float, float]
 
 
 def meeting(time_s: float, kind: str, first: int, second: int, depth_m: float, place: Place) -> Event:
-    """A change of an `OverlapDetector` as the plant tells it."""
+    """A change of an `OverlapDetector` as the plant reports it."""
     deep = f", {depth_m:.3g} m deep" if depth_m else ""
     return Event(time_s, kind, first, (), place, f"with parcel {second}{deep}")
 

@@ -89,10 +89,10 @@ class Plant:
         self._contact = self._moves.contact
         if self._contact is not None:
             self._contact.check_start(there)
-        self._harm: WheelFaults | None = None
+        self._wheel_faults: WheelFaults | None = None
         self._last_readings: Sense | None = None
         """What each cell has read last."""
-        self._pending_events = [] if self._traffic is None else self._look(self._traffic, 0)
+        self._pending_events = [] if self._traffic is None else self._update_traffic(self._traffic, 0)
         """What has happened since the last call."""
 
     @property
@@ -176,39 +176,43 @@ class Plant:
         """Mark cells as alive again: their wheels follow drives."""
         self._moves.engage(cells)
 
-    def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
+    def apply_faults(self, wheel_faults: WheelFaults, drives: Floats) -> None:
         """Let faults do to wheels and cells, from now on, what they say; for dead cells see `lose`.
 
-        Parcels over a cell that has gone or come stand on others at once: the next call's events tell.
+        Parcels over a cell that has gone or come stand on others at once, as the next call's events report.
 
         Args:
-            harm: all that is the matter.
+            wheel_faults: all that is the matter.
             drives: ``(n, 2)`` that stand until others take effect.
         """
         from plant.faults.faulty_wheels import FaultyWheels  # only where there are faults
 
         if not isinstance(self._wheels, FaultyWheels):
             self._wheels = FaultyWheels(self._wheels, self._motors, len(self.array))
-        self._harm = harm
-        self._wheels.apply_faults(harm, drives)
-        self._moves.lock(harm.stuck[:, 0] & harm.stuck[:, 1])
-        moved = self.array.keep(~harm.gone)
+        self._wheel_faults = wheel_faults
+        self._wheels.apply_faults(wheel_faults, drives)
+        self._moves.lock(wheel_faults.stuck[:, 0] & wheel_faults.stuck[:, 1])
+        moved = self.array.keep(~wheel_faults.gone)
         if len(moved):
-            self._rebuild(moved, harm.gone)
+            self._rebuild(moved, wheel_faults.gone)
 
     @property
     def _fault_state(self) -> tuple[Any, ...] | None:
         """Last fault state, by the fields of ``WheelFaults``; None: no fault acted yet."""
-        harm = self._harm
-        return None if harm is None else tuple(getattr(harm, field.name) for field in fields(harm))
+        wheel_faults = self._wheel_faults
+        return (
+            None
+            if wheel_faults is None
+            else tuple(getattr(wheel_faults, field.name) for field in fields(wheel_faults))
+        )
 
     @_fault_state.setter
-    def _fault_state(self, told: tuple[Any, ...] | None) -> None:
+    def _fault_state(self, saved: tuple[Any, ...] | None) -> None:
         """Restore wheels and cells under faults; motion within a tick is restored elsewhere."""
-        if told is not None:
+        if saved is not None:
             from plant.faults.base import WheelFaults
 
-            self.apply_faults(WheelFaults(*told), np.zeros((len(self.array), 2)))
+            self.apply_faults(WheelFaults(*saved), np.zeros((len(self.array), 2)))
 
     def _rebuild(self, cells: NDArray[np.int64], gone: NDArray[np.bool_]) -> None:
         """Cells have come to the array, or gone from it."""
@@ -243,7 +247,7 @@ class Plant:
         Raises:
             PlantError: drives for another number of cells, a time in the past, or instants that are not in between.
             PlantUnstable: the motion of a parcel can't be followed. Parcels are where the call found them.
-            PlantStopped: somebody asked for the call's end; likewise.
+            PlantStopped: the call's end was requested; likewise.
         """
         reading = None
         if timing is not None:
@@ -277,12 +281,12 @@ class Plant:
         if self._pending_events:
             events, self._pending_events = [*self._pending_events, *events], []
         if self._traffic is not None:
-            events += self._look(self._traffic, until_ns)
+            events += self._update_traffic(self._traffic, until_ns)
         if self._contact is None:
             events.extend(self._meetings(after, until_ns * 1e-9))
         return events
 
-    def _look(self, traffic: Traffic, time_ns: int) -> list[Event]:
+    def _update_traffic(self, traffic: Traffic, time_ns: int) -> list[Event]:
         """Let parcels leave and feed others, as they should by now."""
         events = traffic.update(time_ns)
         if events:
@@ -292,14 +296,14 @@ class Plant:
         return events
 
     def trajectory(self, drives: Floats, until_ns: int, sample_ns: int) -> Trajectory:
-        """Move on to ``until_ns`` in one go with constant drives, and look at the parcels every ``sample_ns``.
+        """Move on to ``until_ns`` in one go with constant drives, and sample the parcels every ``sample_ns``.
 
         Where parcels come and go, or push each other, it goes from sample to sample, as `advance` would.
 
         Raises:
             PlantUnstable: the motion of a parcel can't be followed. What all parcels reached is ``reached``, and
                 parcels are where it ends.
-            PlantStopped: somebody asked for the call's end; likewise.
+            PlantStopped: the call's end was requested; likewise.
         """
         times = np.arange(self._now_ns, until_ns, sample_ns, dtype=np.int64)
         if len(times) == 0 or times[-1] != until_ns:
@@ -317,16 +321,16 @@ class Plant:
             # the sample at the very end may be of parcels that did not come so far
             known = max(1, int(np.searchsorted(times, math.floor(halted.time_s * 1e9))))
             self._put_back(state[known - 1], int(times[known - 1]), status)
-            told = [
+            until_halt = [
                 event for event in (*self._pending_events, *halted.events) if event.time_s <= halted.time_s
             ]
-            halted.reached = self._noted(times[:known], state[:known], told)
+            halted.reached = self._noted(times[:known], state[:known], until_halt)
             raise
         self._pending_events = []
         return self._noted(times, state, events)
 
     def _noted(self, times: NDArray[np.int64], state: Floats, events: list[Event]) -> Trajectory:
-        """A course of parcels through some instants, with who rests and who overlaps on it."""
+        """A trajectory of parcels through some instants, with who rests and who overlaps on it."""
         self._note_rest(state, times)
         if self._contact is None:
             for k in self._overlaps.candidate_instants(state):

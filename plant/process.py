@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 class PlantProcess:
     """Tick loop of a run: plant and bus in lockstep, in one blocking thread.
 
-    In tick k the cells are told what they sense at ``t_k = k tick_ns`` and answer with the drives that act on
+    In tick k the cells receive what they sense at ``t_k = k tick_ns`` and answer with the drives that act on
     the whole of ``[t_k, t_(k+1))``; the last interval ends with the run and may be shorter. No drive is expected of
     a cell after its death, scheduled or not; its wheels follow the stall policy from that tick on. With local
-    clocks, a cell is told at t_k its last reading, and its drive acts from an instant within ``[t_k, t_(k+1))`` on.
+    clocks, a cell receives at t_k its last reading, and its drive acts from an instant within ``[t_k, t_(k+1))`` on.
 
     Args:
         plant: At time 0.
@@ -147,8 +147,8 @@ class PlantProcess:
             if tick < self.tick:
                 ordered[list(cells)] = True
         if self._faults is not None:
-            harm = self._faults.state_at(self.tick - 1, live=False)
-            ordered |= harm.dead | harm.gone
+            wheel_faults = self._faults.state_at(self.tick - 1, live=False)
+            ordered |= wheel_faults.dead | wheel_faults.gone
         return not ordered.all()
 
     def revive(self, cells: Sequence[int]) -> None:
@@ -237,7 +237,7 @@ class PlantProcess:
                 self.waiting = False
         picture = None
         if self._camera is not None:
-            picture = self._camera.look(tick, self._state, self._plant.on_surface)
+            picture = self._camera.capture(tick, self._state, self._plant.on_surface)
         self._coordinator.publish(
             SenseFrame(tick, sense.presence, sense.encoder_m, sense.level, sense.label, picture)
         )

@@ -197,12 +197,12 @@ class Propagator:
         if len(self.moving) < len(self.on_surface):
             # tipped ones stay where they are
             solver.presence(np.setdiff1d(self.on_surface, self.moving), seen)
-        news = solver.advance_segmented(
+        results = solver.advance_segmented(
             self.moving, SegmentedCall(run, self.driven, span_s, reads_s, margin_m, seen)
         )
         if reading is not None:
             reading.set_presence(seen)
-        return self._to_events(news, start_s)
+        return self._to_events(results, start_s)
 
     def _segmented(
         self,
@@ -240,23 +240,23 @@ class Propagator:
         """Move all parcels by a leg that begins at ``start_s``."""
         live = self.moving
         if self.contact is None:
-            news, events = self._solver.advance(live, leg), []
+            results, events = self._solver.advance(live, leg), []
         else:
-            news = self.contact.advance(live, self._chronicle.tipped(self.on_surface), leg, start_s)
+            results = self.contact.advance(live, self._chronicle.tipped(self.on_surface), leg, start_s)
             events = self.contact.events()
-        events += self._to_events(news, start_s)
+        events += self._to_events(results, start_s)
         if len(leg.times_s):
-            for done in news:
+            for done in results:
                 if done.termination == "tipped":
                     leg.out[leg.times_s > done.moved_s, done.parcel, 3:] = 0.0
             over = np.setdiff1d(self.on_surface, live)
             leg.out[:, over] = self._solver.state[over]
         return events
 
-    def _to_events(self, news: Sequence[AdvanceResult], start_s: float) -> list[Event]:
+    def _to_events(self, results: Sequence[AdvanceResult], start_s: float) -> list[Event]:
         """Convert results of a move that began at ``start_s`` to events, and stop parcels that tipped."""
         events: list[Event] = []
-        for done in news:
+        for done in results:
             events.extend(self._chronicle.events(done, start_s))
             if done.termination == "tipped":
                 self.moving = self.moving[self.moving != done.parcel]

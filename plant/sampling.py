@@ -80,7 +80,7 @@ class SensorSampler:
         self.any_inside = bool(inside.any())
         self.any_at_start = bool(self._at_start.any())
         self._inside = inside
-        # who reads sees a parcel only where one is near: those cells are told below
+        # who reads sees a parcel only where one is near: those cells are set below
         self._presence: NDArray[np.bool_] = last.presence & ~inside[:, None]
         self._level = None if last.level is None else np.where(inside[:, None], 0.0, last.level)
         self._label = None if last.label is None else np.where(inside, 0, last.label)
@@ -97,7 +97,7 @@ class SensorSampler:
 
         Args:
             now_s: s after the call's start.
-            sense: what all would read now; its encoders are not looked at.
+            sense: what all would read now; its encoders are not read.
             slowed_m: ``(n, 2)`` what loads have taken from the wheels' way since the start; None: nothing.
         """
         now = self.instants_s == now_s

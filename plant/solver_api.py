@@ -210,7 +210,7 @@ class Rewindable(Solver, Protocol):
         """Save all solver state that an advance of these parcels changes."""
         ...
 
-    def restore(self, kept: SolverSnapshot) -> None:
+    def restore(self, snapshot: SolverSnapshot) -> None:
         """Restore a snapshot bit for bit."""
         ...
 

@@ -21,9 +21,9 @@ class Sweep(NamedTuple):
     Attributes:
         key: what is swept: ``tolerance`` or ``step_s``.
         values: from coarse to fine.
-        quick: some of them, for a first look; none: it is left out then.
+        quick: some of them, for a quick study; none: it is left out then.
         fixed: settings beside it.
-        title: tells this sweep from the solver's others.
+        title: distinguishes this sweep from the solver's others.
         note: what a reader of its errors must know.
     """
 

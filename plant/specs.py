@@ -44,11 +44,11 @@ def disagreements(
 
 def misplaced(array: ArraySpec, effects: PlantEffects) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
     """Find effect settings that don't fit the array: the path of a value, the value, and the broken rule."""
-    asked = list(effects.enabled())
-    if not asked:
+    enabled = list(effects.enabled())
+    if not enabled:
         return
     lattice = array.lattice()
-    for name, effect in asked:
+    for name, effect in enabled:
         for path, value, rule in effect.problems(lattice, array.pitch_m):
             yield ("effects", name, *path), value, rule
 

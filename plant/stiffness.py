@@ -66,14 +66,14 @@ def beyond_steps(spec: PlantSpec, number: int, levers_m: Floats) -> str:
         limit, key, what = how.max_evaluations_per_s, "max_evaluations_per_s", "right-hand sides"
     else:
         limit, key, what = getattr(how, "max_steps_per_s", 0.0), "max_steps_per_s", "steps"
-    told = f"more than {limit:,.0f} {what} in a simulated second (solver.{key})"
+    cause = f"more than {limit:,.0f} {what} in a simulated second (solver.{key})"
     if isinstance(how, ImplicitSpec | QuasiStaticSpec):
-        return f"{told}: take a larger solver.tolerance than {how.tolerance:g}, or steps of one length (solver.step_s)"
+        return f"{cause}: take a larger solver.tolerance than {how.tolerance:g}, or steps of one length (solver.step_s)"
     constant = fastest(spec, spec.parcels[number], levers_m)
     if constant.time_s * limit > STIFF_STEPS:
-        return f"{told}: the motion is not stiff ({constant.part} settles in {constant.time_s:.2g} s); raise the limit"
+        return f"{cause}: the motion is not stiff ({constant.part} settles in {constant.time_s:.2g} s); raise the limit"
     return (
-        f"{told}: the motion is stiff, {constant.part} settles in {constant.time_s:.2g} s; {_instead(spec)}"
+        f"{cause}: the motion is stiff, {constant.part} settles in {constant.time_s:.2g} s; {_instead(spec)}"
     )
 
 

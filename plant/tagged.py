@@ -1,4 +1,4 @@
-"""Tables of a scene that are one of several kinds, told apart by a tag."""
+"""Tables of a scene that are one of several kinds, distinguished by a tag."""
 
 from __future__ import annotations
 

@@ -88,21 +88,21 @@ class WheelRun:
     def travel(self, after_s: Floats | float) -> Floats:
         """``(..., n, 2)`` m of surface passed after so many seconds, ``(..., n)`` or one for all; where wheels lag."""
         motion, change = self.motion, self.changes
-        asked: Floats = np.asarray(after_s)[..., None]
+        instants: Floats = np.asarray(after_s)[..., None]
         if change is None:
-            return _way(motion.steady, motion.decay, motion.rate, asked)
+            return _travel_of(motion.steady, motion.decay, motion.rate, instants)
         until: Floats = np.minimum.accumulate(change.after_s[::-1])[::-1]
-        way = _way(motion.steady, motion.decay, motion.rate, np.minimum(asked, until[0]))
+        travel = _travel_of(motion.steady, motion.decay, motion.rate, np.minimum(instants, until[0]))
         for k, (begun, steady, decay) in enumerate(self._each_change(), start=1):
-            end = np.minimum(asked, until[k]) if k < len(until) else asked
-            way = way + _way(steady, decay, motion.rate, np.maximum(end - begun, 0.0))
-        return way
+            end = np.minimum(instants, until[k]) if k < len(until) else instants
+            travel = travel + _travel_of(steady, decay, motion.rate, np.maximum(end - begun, 0.0))
+        return travel
 
     def _each_change(self) -> Iterable[tuple[Floats, Floats, Floats]]:
         return () if self.changes is None else zip(*self.changes, strict=True)
 
 
-def _way(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
+def _travel_of(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
     return steady * span_s - decay * (np.expm1(-rate * span_s) / rate)
 
 
@@ -176,7 +176,7 @@ class Wheels(Protocol):
             reads_s: ``(n,)`` in ``[0, span_s]``: when each cell's encoders are read on the way; None: at no time.
 
         Returns:
-            ``travel`` ``(n, 2)`` as it is then, but for what loads take from it; None if not asked, or as ``travel``.
+            ``travel`` ``(n, 2)`` as it is then, but for what loads take from it; None if not read, or as ``travel``.
         """
         ...
 

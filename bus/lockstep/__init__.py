@@ -2,7 +2,7 @@
 
 At tick k the coordinator publishes the senses. Each shard waits for the senses and for the messages that its
 neighbours sent in tick k - 1, computes, and sends messages and drives. The coordinator waits for the drives. Every
-payload carries its tick: an early payload is kept, a late one is counted. No side waits for dead cells.
+payload carries its tick: an early payload is stored, a late one is counted. No side waits for dead cells.
 """
 
 from __future__ import annotations

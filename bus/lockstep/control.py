@@ -18,7 +18,7 @@ class ControlState:
 
     Args:
         lattice: The run's cells.
-        company: Membership to update.
+        membership: Membership to update.
         token: Key of the plant's token.
         counts: Counters to update.
 
@@ -34,10 +34,10 @@ class ControlState:
     """
 
     def __init__(
-        self, lattice: Lattice, company: ParticipantMembership, token: str, counts: MessageCounters
+        self, lattice: Lattice, membership: ParticipantMembership, token: str, counts: MessageCounters
     ) -> None:
         self._lattice = lattice
-        self._company = company
+        self._membership = membership
         self._token = token
         self._counts = counts
         self._faults: list[Control] = []
@@ -76,16 +76,16 @@ class ControlState:
             case "stop":
                 self.stop = control
             case "fault":
-                if not cells or self._company.owns(cells):
+                if not cells or self._membership.owns(cells):
                     self._faults.append(control)
             case "rejoin_prepare":
                 self.rejoins_offered.append(control)
-                self._company.allow_early(cells)
+                self._membership.allow_early(cells)
             case "rejoin_commit":
-                if self._company.admit(cells, control.tick):
+                if self._membership.admit(cells, control.tick):
                     self.rejoin_tick = control.tick
             case "lost":
-                self._company.mark_lost(cells, control.tick)
+                self._membership.mark_lost(cells, control.tick)
                 self.unanswered.difference_update(cells)
         self._counts.delivered += 1
 

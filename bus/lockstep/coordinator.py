@@ -83,7 +83,7 @@ class Coordinator:
         self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
         self._control = endpoint.publisher(plant_key(run, "control"))
         self._state = endpoint.publisher(plant_key(run, "state"))
-        self._state_asked: float | None = None
+        self._state_polled: float | None = None
         self._state_wanted = False
         self._roll = LivenessTracker(self._form, partition.lattice)
         self._drives = FrameAssembler(
@@ -94,16 +94,16 @@ class Coordinator:
         for key, unit in self._form.drive_units.items():
             self._inbox.routes[key] = (self._drives.handle, unit)
         endpoint.subscribe(self._form.drive_expr)
-        self._muster = CoordinatorMembership(
+        self._membership = CoordinatorMembership(
             partition,
             self._form,
             self._roll,
             self._drives,
             self.counters,
             matched=lambda unit: self._sense[unit].matched(),
-            tell=self.control,
+            send=self.control,
         )
-        self._reported = ReportReceiver(partition, lambda: self._tick, self._muster.rejoins.on_ready)
+        self._reported = ReportReceiver(partition, lambda: self._tick, self._membership.rejoins.on_ready)
         self._subscribe_shards("report", self._reported.handle, "urgent")
         self._seen = RegisterReceiver(partition, wanted, self.counters, lambda: self._tick)
         if wanted:
@@ -152,7 +152,7 @@ class Coordinator:
             left = deadline - self._clock()
             if left <= 0:
                 raise self._roll.missing(limit, waiting)
-            # Tokens come as events, matches must be asked for: they come with the tokens.
+            # Tokens come as events, matches must be polled: they come with the tokens.
             self._inbox.poll(min(left, _POLL_S) if everybody else left)
         start = Control("start", self._tick)
         if _BEFORE in self._reported.counters:  # counted when the run began
@@ -195,7 +195,7 @@ class Coordinator:
         """
         check_sense(frame, self._wiring.readings, len(self._wiring.partition.lattice))
         puts = list(zip(self._sense, self._form.sense_payloads(frame), strict=True))
-        if not self._muster.unchanged:
+        if not self._membership.unchanged:
             puts = [put for put, until in zip(puts, self._drives.end_tick, strict=True) if until > frame.tick]
         self._drives.latest = frame.tick
         self._endpoint.put_all(puts)
@@ -223,27 +223,29 @@ class Coordinator:
         latest = deadline + _PATIENCE * self._stall.deadline_s
         while True:
             if self._roll.unhandled_departures or self._reported.failed:
-                self._muster.drop_failed(tick, self._reported.drain_failed())
-                self._muster.drop_disconnected(tick, slot.have)
+                self._membership.drop_failed(tick, self._reported.drain_failed())
+                self._membership.drop_disconnected(tick, slot.have)
             if slot.missing <= 0:
                 break
             if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
-                self._muster.drop_timed_out(tick, self._reported.drain_busy(tick) if clock() < latest else ())
+                self._membership.drop_timed_out(
+                    tick, self._reported.drain_busy(tick) if clock() < latest else ()
+                )
                 deadline = min(clock() + self._stall.deadline_s, latest)
         drive = self._form.join_drives(self._drives.close(tick).values)
-        if not self._muster.unchanged:
-            drive[~self._muster.live(tick)] = 0.0
-        return DriveFrame(tick, drive), self._muster.drain_losses()
+        if not self._membership.unchanged:
+            drive[~self._membership.live(tick)] = 0.0
+        return DriveFrame(tick, drive), self._membership.drain_losses()
 
     # --- who takes part -------------------------------------------------------------------------
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` (indices) as dead from ``tick`` on: a scheduled death, which is no loss."""
-        self._muster.mark_dead(cells, tick)
+        self._membership.mark_dead(cells, tick)
 
     def live(self, tick: int) -> Mask:
         """Return the mask of cells that are live in ``tick``, ``(n,)``."""
-        return self._muster.live(tick)
+        return self._membership.live(tick)
 
     def admit(self, tick: int) -> list[int]:
         """Readmit cells whose process was replaced and is ready; call between two ticks.
@@ -255,14 +257,14 @@ class Coordinator:
             Indices of the readmitted cells, ascending. Their drives are expected from ``tick`` on, and the rejoin has
             been announced to all shards.
         """
-        return self._muster.admit(tick)
+        return self._membership.admit(tick)
 
     # --- what shards remember and show ----------------------------------------------------------
 
     def request_snapshot(self, tick: int) -> None:
         """Request snapshots of all shards before ``tick``; call before ``publish`` of the previous tick."""
         self._control.put(encode_control(Control("snapshot", tick)))
-        self._keeping = SnapshotCollector(tick, self._muster.shards(tick - 1))
+        self._keeping = SnapshotCollector(tick, self._membership.shards(tick - 1))
 
     def record_counters(self) -> None:
         """Record the coordinator's counters for the requested snapshot; call when its tick is about to begin."""
@@ -282,9 +284,9 @@ class Coordinator:
         return [] if keeping is None else keeping.missing
 
     def _handle_snapshot(self, shard: int, payload: bytes) -> None:
-        kept = decode_snapshot(payload, len(self._wiring.partition.cells(shard)))
+        snapshot = decode_snapshot(payload, len(self._wiring.partition.cells(shard)))
         if self._keeping is not None:  # else it comes too late
-            self._keeping.handle(shard, kept)
+            self._keeping.handle(shard, snapshot)
 
     def drain_hung(self) -> list[Report]:
         """Return reports of programs that hung since the last call; the cells of these programs stay live."""
@@ -299,13 +301,13 @@ class Coordinator:
     def control(self, record: Control) -> None:
         """Send a control record to all shards."""
         self._control.put(encode_control(record))
-        self.counters.sent += len(self._muster.shards(self._tick))
+        self.counters.sent += len(self._membership.shards(self._tick))
 
     def publish_state(self, payload: bytes) -> None:
         """Publish ``payload`` on the plant's state key while it has a subscriber; checked about twice a second."""
         now = self._clock()
-        if self._state_asked is None or now - self._state_asked >= _STATE_POLL_S:
-            self._state_asked = now
+        if self._state_polled is None or now - self._state_polled >= _STATE_POLL_S:
+            self._state_polled = now
             self._state_wanted = self._state.matched()
         if self._state_wanted:
             self._state.put(payload)
@@ -325,7 +327,7 @@ class Coordinator:
         """
         self.control(Control("stop", self._tick, (), detail))
         counts = self._reported.counters
-        shards = self._muster.shards(self._tick)
+        shards = self._membership.shards(self._tick)
         deadline = self._clock() + deadline_s
         self._read_until(lambda: counts.keys() >= set(shards), deadline)
         self.close()

@@ -38,7 +38,7 @@ class Membership:
         self.mark_dead(index.tolist(), tick)
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
-        """Mark ``cells`` (indices) as dead from ``tick`` on; an earlier end tick is kept."""
+        """Mark ``cells`` (indices) as dead from ``tick`` on; an earlier end tick is retained."""
         index = np.fromiter(cells, dtype=np.int64)
         self.end_tick[index] = np.minimum(self.end_tick[index], tick)
         self.unchanged = False

@@ -143,7 +143,7 @@ class RejoinTracker:
         found: list[PendingRejoin] = []
         for shard, absence in self._absent.items():
             if not self._back(shard):
-                absence.prepared = False  # one that went again is asked about again
+                absence.prepared = False  # one that was lost again is prepared again
                 absence.linked.clear()
             elif not absence.prepared:
                 absence.prepared = True

@@ -27,7 +27,7 @@ class CoordinatorMembership:
         drives: Assembler of the drives of live cells.
         counts: Counters to update.
         matched: Whether a unit is subscribed.
-        tell: Sends a control record to all shards.
+        send: Sends a control record to all shards.
 
     Attributes:
         rejoins: Progress of rejoins.
@@ -42,7 +42,7 @@ class CoordinatorMembership:
         counts: MessageCounters,
         *,
         matched: Callable[[int], bool],
-        tell: Callable[[Control], None],
+        send: Callable[[Control], None],
     ) -> None:
         self._lattice = partition.lattice
         self._shard_of = partition.shard_of
@@ -50,8 +50,8 @@ class CoordinatorMembership:
         self._roll = roll
         self._drives = drives
         self._counts = counts
-        self._tell = tell
-        self._lives = Membership(len(partition.lattice))
+        self._send = send
+        self._intervals = Membership(len(partition.lattice))
         self._losses: list[Loss] = []
         shards = self._unit_shards = [int(partition.shard_of[cells[0]]) for cells in form.unit_cells]
         units = [[u for u, own in enumerate(shards) if own == s] for s in range(partition.count)]
@@ -60,20 +60,20 @@ class CoordinatorMembership:
     @property
     def unchanged(self) -> bool:
         """Whether no cell ever died: masks of live cells can be skipped."""
-        return self._lives.unchanged
+        return self._intervals.unchanged
 
     def live(self, tick: int) -> Mask:
         """Return the mask of cells that are live in ``tick``, ``(n,)``."""
-        return self._lives.live(tick)
+        return self._intervals.live(tick)
 
     def shards(self, tick: int) -> list[int]:
         """Return the shards with any live cell in ``tick``."""
-        return np.unique(self._shard_of[self._lives.live(tick)]).tolist()
+        return np.unique(self._shard_of[self._intervals.live(tick)]).tolist()
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` (indices) as dead from ``tick`` on."""
-        self._lives.mark_dead(cells, tick)
-        self._drives.update_membership(self._lives.end_by_group(self._unit_cells))
+        self._intervals.mark_dead(cells, tick)
+        self._drives.update_membership(self._intervals.end_by_group(self._unit_cells))
 
     # --- who goes -------------------------------------------------------------------------------
 
@@ -107,11 +107,11 @@ class CoordinatorMembership:
             self.rejoins.on_left(int(self._shard_of[loss.cell]), (loss.cell,))
 
     def _drop(self, cells: Iterable[int], tick: int, reason: Reason, detail: str = "") -> None:
-        lost = sorted(i for i in cells if self._lives.end_tick[i] > tick)
+        lost = sorted(i for i in cells if self._intervals.end_tick[i] > tick)
         if lost:
             self.mark_dead(lost, tick)
             names = tuple(self._lattice.cells[i] for i in lost)
-            self._tell(Control("lost", tick, names, detail or reason))
+            self._send(Control("lost", tick, names, detail or reason))
             self._losses += [Loss(i, tick, reason, detail) for i in lost]
 
     # --- who comes back -------------------------------------------------------------------------
@@ -130,15 +130,16 @@ class CoordinatorMembership:
             return []
         names = self._lattice.cells
         for absence in self.rejoins.to_prepare():
-            self._tell(Control("rejoin_prepare", tick, tuple(names[i] for i in absence.cells)))
+            self._send(Control("rejoin_prepare", tick, tuple(names[i] for i in absence.cells)))
         cells = self.rejoins.ready_to_commit(self.shards(tick))
         if cells:
-            self._lives.admit(cells, tick)
+            self._intervals.admit(cells, tick)
             self._drives.admit(
-                self._lives.start_by_group(self._unit_cells), self._lives.end_by_group(self._unit_cells)
+                self._intervals.start_by_group(self._unit_cells),
+                self._intervals.end_by_group(self._unit_cells),
             )
             # whoever is new knows nobody who went before
-            gone = tuple(names[i] for i in np.flatnonzero(~self._lives.live(tick)).tolist())
-            self._tell(Control("lost", 0, gone))
-            self._tell(Control("rejoin_commit", tick, tuple(names[i] for i in cells)))
+            gone = tuple(names[i] for i in np.flatnonzero(~self._intervals.live(tick)).tolist())
+            self._send(Control("lost", 0, gone))
+            self._send(Control("rejoin_commit", tick, tuple(names[i] for i in cells)))
         return cells

@@ -1,4 +1,4 @@
-"""Frame assembly by tick: early parts are kept, late parts are counted, dead senders are not expected."""
+"""Frame assembly by tick: early parts are stored, late parts are counted, dead senders are not expected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.keys import owner_of
 
 EARLY_TICKS: Final = 64
-"""Ticks ahead up to which a frame is kept; in lockstep no sender is more than one tick ahead."""
+"""Ticks ahead up to which a frame is stored; in lockstep no sender is more than one tick ahead."""
 
 
 @final
@@ -133,8 +133,8 @@ class FrameAssembler:
         return slot
 
     def _begin(self, tick: int) -> PartialFrame:
-        lives = zip(self.first_tick, self.end_tick, strict=True)
-        return PartialFrame(self._blank.copy(), sum(since <= tick < until for since, until in lives))
+        intervals = zip(self.first_tick, self.end_tick, strict=True)
+        return PartialFrame(self._blank.copy(), sum(since <= tick < until for since, until in intervals))
 
     def early(self, tick: int) -> int:
         """Return the number of parts received of frames from ``tick`` on."""
@@ -144,8 +144,8 @@ class FrameAssembler:
     def missing(self, tick: int) -> list[int]:
         """Return the live parts of ``tick`` that have not arrived."""
         have = self.slot(tick).have
-        lives = enumerate(zip(self.first_tick, self.end_tick, strict=True))
-        return [part for part, (since, until) in lives if since <= tick < until and not have[part]]
+        intervals = enumerate(zip(self.first_tick, self.end_tick, strict=True))
+        return [part for part, (since, until) in intervals if since <= tick < until and not have[part]]
 
     def update_membership(self, until: list[int]) -> None:
         """Set the end ticks of the senders: no part is expected from then on."""

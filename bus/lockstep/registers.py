@@ -217,7 +217,7 @@ class RegisterPublisher:
         self.requests = tuple(wanted)
         self._counts = counts
         self._clock = clock
-        self._next_look = 0.0
+        self._next_poll = 0.0
 
     def publish(self, tick: int, read: Callable[[], Own]) -> None:
         """Publish the registers after ``tick`` if the plant or another observer requests them.
@@ -240,9 +240,9 @@ class RegisterPublisher:
     def _watched(self) -> bool:
         """Whether the registers have an observer; checked a few times a second."""
         now = self._clock()
-        if now < self._next_look:
+        if now < self._next_poll:
             return False
-        self._next_look = now + _SHOW_S
+        self._next_poll = now + _SHOW_S
         return self.publisher.matched()
 
 

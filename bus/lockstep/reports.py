@@ -70,7 +70,7 @@ class ReportReceiver:
         linked: Called with a shard and the rejoining cells (indices) that it can send to.
 
     Attributes:
-        failed: Reports of failed cells that have not been drained, by cell. Only the first report of a cell is kept,
+        failed: Reports of failed cells that have not been drained, by cell. Only the first report of a cell is stored,
             which bounds the memory that a sender can fill.
         counters: By shard, counters of shards that have left.
     """
@@ -106,9 +106,9 @@ class ReportReceiver:
             self._linked(shard, cells)
         else:
             self._check(shard, report)
-            kept = self.failed if report.kind == "failed" else self._hung
+            stored = self.failed if report.kind == "failed" else self._hung
             for cell in report.cells:
-                kept.setdefault(cell, report)
+                stored.setdefault(cell, report)
 
     def _check(self, shard: int, report: Report) -> None:
         own = (c in self._lattice and self._shard_of[self._lattice.index(c)] == shard for c in report.cells)
@@ -119,12 +119,12 @@ class ReportReceiver:
 
     def drain_failed(self) -> list[tuple[str, Sequence[int]]]:
         """Return details and cells (indices) of reports on failures up to the current tick; each cell once."""
-        told = {cell: report for cell, report in self.failed.items() if report.tick <= self._now()}
-        for cell in told:
+        due = {cell: report for cell, report in self.failed.items() if report.tick <= self._now()}
+        for cell in due:
             del self.failed[cell]
         return [
-            (report.detail, [self._lattice.index(cell) for cell, one in told.items() if one == report])
-            for report in dict.fromkeys(told.values())
+            (report.detail, [self._lattice.index(cell) for cell, one in due.items() if one == report])
+            for report in dict.fromkeys(due.values())
         ]
 
     def drain_busy(self, tick: int) -> set[int]:

@@ -40,7 +40,7 @@ class InboundFrames:
         wiring: Schema of the run.
         shard: Number of the shard.
         form: The shard's side of the wire format.
-        lives: Membership, owned by the caller, who announces changes by ``update_membership`` and ``admit``.
+        membership: Membership, owned by the caller, who announces changes by ``update_membership`` and ``admit``.
         counts: Counters to update.
     """
 
@@ -49,11 +49,11 @@ class InboundFrames:
         wiring: RunSchema,
         shard: int,
         form: ParticipantCodec,
-        lives: Membership,
+        membership: Membership,
         counts: MessageCounters,
     ) -> None:
         self._form = form
-        self._lives = lives
+        self._membership = membership
         self._counts = counts
         self._cells = wiring.partition.cells(shard)
         self._speaks = wiring.message is not None
@@ -89,8 +89,8 @@ class InboundFrames:
     def collect(self, tick: int) -> TickInputs:
         """Close a tick and return its inputs."""
         senses = self._form.join_senses(self._senses.close(tick).values)
-        if not self._lives.unchanged:
-            gone = ~self._lives.live(tick)[self._cells]
+        if not self._membership.unchanged:
+            gone = ~self._membership.live(tick)[self._cells]
             for sensed in (senses.presence, senses.encoder_m, senses.level, senses.label):
                 if sensed is not None:
                     sensed[gone] = 0
@@ -100,7 +100,7 @@ class InboundFrames:
         values = self._form.blank_links if tick == self._first else self._links.close(tick - 1).values
         return TickInputs(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
 
-    # --- from when on, and of whom --------------------------------------------------------------
+    # --- intervals and sources ------------------------------------------------------------------
 
     def accept_any_tick(self) -> None:
         """Accept frames of any tick until ``resume`` or ``enter`` sets the first."""
@@ -119,7 +119,7 @@ class InboundFrames:
 
     def update_membership(self) -> None:
         """Update the expected senders and receivers after a change of membership."""
-        last, form = self._lives.end_by_group, self._form
+        last, form = self._membership.end_by_group, self._form
         self._senses.update_membership(last(form.unit_cells))
         # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
         sources, targets = last(form.in_sources), last(form.in_targets)
@@ -146,7 +146,7 @@ class InboundFrames:
 
     def admit(self) -> None:
         """Update the expected senders after a rejoin."""
-        first, last, form = self._lives.start_by_group, self._lives.end_by_group, self._form
+        first, last, form = self._membership.start_by_group, self._membership.end_by_group, self._form
         self._senses.admit(first(form.unit_cells), last(form.unit_cells))
         sources, targets = form.in_sources, form.in_targets
         since = [max(pair) for pair in zip(first(sources), first(targets), strict=True)]
@@ -166,18 +166,23 @@ class OutboundFrames:
         wiring: Schema of the run.
         shard: Number of the shard.
         form: The shard's side of the wire format.
-        lives: Membership, owned by the caller, who announces changes by ``update_membership``.
+        membership: Membership, owned by the caller, who announces changes by ``update_membership``.
 
     Attributes:
         publishers: All of them, by key.
     """
 
     def __init__(
-        self, endpoint: Endpoint, wiring: RunSchema, shard: int, form: ParticipantCodec, lives: Membership
+        self,
+        endpoint: Endpoint,
+        wiring: RunSchema,
+        shard: int,
+        form: ParticipantCodec,
+        membership: Membership,
     ) -> None:
         self._shard = shard
         self._form = form
-        self._lives = lives
+        self._membership = membership
         self._lattice = wiring.partition.lattice
         self._message = self._seen = wiring.message
         self._cells = wiring.partition.cells(shard)
@@ -194,7 +199,7 @@ class OutboundFrames:
 
     def update_membership(self) -> None:
         """Update the expected senders and receivers after a change of membership."""
-        last, form = self._lives.end_by_group, self._form
+        last, form = self._membership.end_by_group, self._form
         self._drive_until = last(form.unit_cells)
         self._out_until, self._target_until = last(form.out_sources), last(form.out_targets)
 
@@ -221,7 +226,7 @@ class OutboundFrames:
             driven = list(zip(self._drive, self._form.drive_payloads(drive), strict=True))
         except WireError:
             raise self._not_finite(drive) from None
-        if not self._lives.unchanged:
+        if not self._membership.unchanged:
             driven = [put for put, until in zip(driven, self._drive_until, strict=True) if until > tick]
         return puts + driven
 
@@ -230,12 +235,12 @@ class OutboundFrames:
         tick = links.tick
         if not self._out:
             return []
-        if self._lives.unchanged:
+        if self._membership.unchanged:
             return list(zip(self._out, self._form.link_payloads(links), strict=True))
-        live = self._lives.end_tick[self._sources] > tick
+        live = self._membership.end_tick[self._sources] > tick
         payloads = self._form.link_payloads(LinkFrame(tick, links.sent & live, links.message))
         puts = zip(self._out, payloads, strict=True)
-        return [put for put, spoken in zip(puts, self._has_reader(tick), strict=True) if spoken]
+        return [put for put, read in zip(puts, self._has_reader(tick), strict=True) if read]
 
     def _has_reader(self, tick: int) -> list[bool]:
         """Return whether each part of the outgoing links has a live sender, and a live receiver a tick later."""
@@ -286,7 +291,7 @@ class ParticipantMembership:
 
     Args:
         cells: The shard's own cells.
-        lives: Membership of the run's cells.
+        membership: Membership of the run's cells.
         incoming: Inbound frames of the shard.
         outgoing: Outbound frames of the shard.
         counts: Counters to update.
@@ -295,33 +300,33 @@ class ParticipantMembership:
     def __init__(
         self,
         cells: Index,
-        lives: Membership,
+        membership: Membership,
         incoming: InboundFrames,
         outgoing: OutboundFrames,
         counts: MessageCounters,
     ) -> None:
         self._cells = cells
-        self._lives = lives
+        self._membership = membership
         self._incoming = incoming
         self._outgoing = outgoing
         self._counts = counts
 
     def live(self, tick: int) -> Mask:
         """Return the mask of the shard's cells that are live in ``tick``, ``(n,)``."""
-        return self._lives.live(tick)[self._cells]
+        return self._membership.live(tick)[self._cells]
 
     def none_live(self, tick: int) -> bool:
         """Whether no cell of the shard is live in ``tick``."""
-        return not self._lives.unchanged and not self.live(tick).any()
+        return not self._membership.unchanged and not self.live(tick).any()
 
     def schedule_death(self, cells: Iterable[int], tick: int) -> None:
         """Schedule the permanent death of ``cells`` at ``tick``."""
-        self._lives.schedule_death(cells, tick)
+        self._membership.schedule_death(cells, tick)
         self._update_membership()
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` as dead from ``tick`` on."""
-        self._lives.mark_dead(cells, tick)
+        self._membership.mark_dead(cells, tick)
         self._update_membership()
 
     def mark_lost(self, cells: Iterable[int], tick: int) -> None:
@@ -337,7 +342,7 @@ class ParticipantMembership:
 
     def admit(self, cells: Collection[int], tick: int) -> bool:
         """Readmit ``cells`` from ``tick`` on, the next tick; return whether any is the shard's own."""
-        self._lives.admit(cells, tick)
+        self._membership.admit(cells, tick)
         own = self.owns(cells)
         if own:
             self._incoming.enter(tick)

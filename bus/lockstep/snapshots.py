@@ -29,9 +29,9 @@ class ShardSnapshot(NamedTuple):
     state: bytes
 
 
-def encode_snapshot(kept: ShardSnapshot) -> bytes:
+def encode_snapshot(snapshot: ShardSnapshot) -> bytes:
     """Encode the snapshot of a shard."""
-    return packer()({"v": VERSION, "tick": kept.tick, "counts": kept.counts, "state": kept.state})
+    return packer()({"v": VERSION, "tick": snapshot.tick, "counts": snapshot.counts, "state": snapshot.state})
 
 
 def decode_snapshot(payload: bytes, cells: int) -> ShardSnapshot:
@@ -114,27 +114,27 @@ class SnapshotCollector:
     def __init__(self, tick: int, shards: Iterable[int]) -> None:
         self.tick = tick
         self._shards = frozenset(shards)
-        self._kept: dict[int, ShardSnapshot] = {}
+        self._snapshots: dict[int, ShardSnapshot] = {}
         self._counts: MessageCounters | None = None
 
     def record_counters(self, own: MessageCounters) -> None:
         """Record the plant's counters before the tick."""
         self._counts = own + MessageCounters()
 
-    def handle(self, shard: int, kept: ShardSnapshot) -> None:
+    def handle(self, shard: int, snapshot: ShardSnapshot) -> None:
         """Handle the snapshot of a shard.
 
         Raises:
             WireError: The snapshot was not requested.
         """
-        if kept.tick != self.tick or shard not in self._shards:
+        if snapshot.tick != self.tick or shard not in self._shards:
             raise WireError("snapshot", "tick", "was not requested")
-        self._kept[shard] = kept
+        self._snapshots[shard] = snapshot
 
     @property
     def missing(self) -> list[int]:
         """Shards that have not answered."""
-        return sorted(self._shards - self._kept.keys())
+        return sorted(self._shards - self._snapshots.keys())
 
     def combined(self, left: dict[int, MessageCounters]) -> GlobalSnapshot | None:
         """Return the global snapshot once it is complete, else None.
@@ -145,6 +145,6 @@ class SnapshotCollector:
         if self._counts is None or self.missing:
             return None
         own = [counts for shard, counts in left.items() if shard not in self._shards]
-        asked = [MessageCounters(*kept.counts) for kept in self._kept.values()]
-        states = {shard: self._kept[shard].state for shard in sorted(self._kept)}
-        return GlobalSnapshot(self.tick, sum((*own, *asked), self._counts), states)
+        counters = [MessageCounters(*snapshot.counts) for snapshot in self._snapshots.values()]
+        states = {shard: self._snapshots[shard].state for shard in sorted(self._snapshots)}
+        return GlobalSnapshot(self.tick, sum((*own, *counters), self._counts), states)

@@ -28,7 +28,7 @@ _F8: Final = np.dtype("<f8")
 _U1: Final = np.dtype("u1")
 
 _Packer = cast("Callable[[], Any]", cast("Any", msgpack).Packer)
-# Says more than is known: what comes out is looked at before it counts as such a map.
+# Says more than is known: the result is checked before it counts as such a map.
 _unpackb = cast("Callable[[bytes], dict[str, Any]]", cast("Any", msgpack).unpackb)
 _NOT_MESSAGEPACK: Final = (ValueError, TypeError, OverflowError, msgpack.UnpackException)
 

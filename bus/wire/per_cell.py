@@ -242,15 +242,16 @@ class PerCellParticipant(ParticipantCodec):
         self.blank_senses = [blank(wiring.readings)] * len(names)
         message = np.dtype([]) if wiring.message is None else wiring.message
         incoming, outgoing = partition.incoming(shard), partition.outgoing(shard)
-        heard = range(0 if wiring.message is None else len(incoming))
+        received = range(0 if wiring.message is None else len(incoming))
         said = range(0 if wiring.message is None else len(outgoing))
         self.in_parts = {
-            cell_link_key(run, cells[int(incoming.source[i])], int(incoming.source_side[i])): i for i in heard
+            cell_link_key(run, cells[int(incoming.source[i])], int(incoming.source_side[i])): i
+            for i in received
         }
-        self.in_sources = tuple(incoming.source[i : i + 1] for i in heard)
-        self.in_targets = tuple(incoming.target[i : i + 1] for i in heard)
+        self.in_sources = tuple(incoming.source[i : i + 1] for i in received)
+        self.in_targets = tuple(incoming.target[i : i + 1] for i in received)
         self.decode_link = _link_decoder(message)
-        self.blank_links = [b""] * len(heard)
+        self.blank_links = [b""] * len(received)
         self._no_message = bytes(message.itemsize)
         self._message = message
         self._fields = _struct(message, "1s").iter_unpack

@@ -89,21 +89,21 @@ class LinkDelaySpec(Delays, CellEffectSpec):
 class _AllAlike(InputFilter):
     """Filter with a constant delay: stores one inbox for each tick of the delay, so that no message overtakes."""
 
-    state_fields: ClassVar[StateFields] = StateFields("_under_way", records=(Inbox,))
+    state_fields: ClassVar[StateFields] = StateFields("_in_flight", records=(Inbox,))
 
     def __init__(self, ticks: int, site: ShardContext, message: np.dtype[np.void]) -> None:
         super().__init__()
         shape = (len(site.cells), len(SIDES))
-        self._under_way = [
+        self._in_flight = [
             Inbox(np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=message)) for _ in range(ticks)
         ]
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Replace the inbox by the inbox of as many ticks ago as the delay."""
         del alive
-        inbox, slot = inputs.inbox, tick % len(self._under_way)
+        inbox, slot = inputs.inbox, tick % len(self._in_flight)
         assert inbox is not None, "this is a bug: no inbox, but messages to delay"
-        due, self._under_way[slot] = self._under_way[slot], inbox
+        due, self._in_flight[slot] = self._in_flight[slot], inbox
         return replace(inputs, inbox=due)
 
 

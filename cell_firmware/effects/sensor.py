@@ -159,16 +159,16 @@ class _Debounce(InputFilter):
 
 @final
 class _Latency(InputFilter):
-    state_fields: ClassVar[StateFields] = StateFields("_under_way")
+    state_fields: ClassVar[StateFields] = StateFields("_delayed")
 
     def __init__(self, ticks: int, site: ShardContext) -> None:
         super().__init__()
-        self._under_way = np.zeros((ticks, len(site.cells), site.sensors), dtype=np.bool_)
+        self._delayed = np.zeros((ticks, len(site.cells), site.sensors), dtype=np.bool_)
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Replace the readings by the readings of as many ticks ago as the latency."""
         del alive
-        slot = self._under_way[tick % len(self._under_way)]
+        slot = self._delayed[tick % len(self._delayed)]
         read = slot.copy()
         slot[:] = inputs.presence
         return replace(inputs, presence=read)

@@ -48,9 +48,9 @@ def keys(row: Integers, column: Integers, leads: Bools) -> Integers:
     return np.where(leads, 0, _NEWCOMER) | row << 16 | column
 
 
-def levels(covered: Bools, told: NDArray[Any], heard: Bools, halo: int) -> Integers:
+def levels(covered: Bools, neighbour: NDArray[Any], valid: Bools, halo: int) -> Integers:
     """Return the proximity of a sensed parcel, which decreases by 1 a hop."""
-    theirs = np.where(heard, told["level"].astype(np.int64), 0)
+    theirs = np.where(valid, neighbour["level"].astype(np.int64), 0)
     highest = np.maximum(np.maximum(theirs[:, 0], theirs[:, 1]), np.maximum(theirs[:, 2], theirs[:, 3]))
     return np.where(covered, halo + 1, np.maximum(highest, 1) - 1)
 
@@ -59,8 +59,8 @@ def elect(
     own: Integers,
     covered: Bools,
     level: Integers,
-    told: NDArray[Any],
-    heard: Bools,
+    neighbour: NDArray[Any],
+    valid: Bools,
     before: ElectionState,
     hold: int,
 ) -> ElectionState:
@@ -75,8 +75,8 @@ def elect(
         own: ``(n,)`` keys of the cells.
         covered: ``(n,)``, whether the cell senses a parcel.
         level: ``(n,)``, result of ``levels``.
-        told: ``(n, 4)``, each neighbour's last message, with ``FIELDS``.
-        heard: ``(n, 4)``, whether that message is still valid.
+        neighbour: ``(n, 4)``, each neighbour's last message, with ``FIELDS``.
+        valid: ``(n, 4)``, whether that message is still valid.
         before: State after the previous round.
         hold: Periods for which the key of a dropped leader is blocked.
     """
@@ -84,10 +84,13 @@ def elect(
     best = np.where(covered, own, NOBODY) << 8
     parent = np.full(len(own), ROOT, dtype=np.int64)
     for side in range(4):
-        leader, hops = told["leader"][:, side].astype(np.int64), told["hops"][:, side].astype(np.int64)
+        leader, hops = (
+            neighbour["leader"][:, side].astype(np.int64),
+            neighbour["hops"][:, side].astype(np.int64),
+        )
         stale = (leader == own) | ((bar > 0) & (leader == before.blocked_leader))
         circular = (leader == before.leader) & (hops > before.hops)
-        fit = heard[:, side] & (leader != NOBODY) & (hops < FARTHEST) & ~stale & ~circular
+        fit = valid[:, side] & (leader != NOBODY) & (hops < FARTHEST) & ~stale & ~circular
         offer = np.where(fit, leader << 8 | (hops + 1), NOBODY << 8)
         nearer = offer < best
         best, parent = np.where(nearer, offer, best), np.where(nearer, side, parent)
@@ -104,9 +107,9 @@ def elect(
     )
 
 
-def children(place: ElectionState, told: NDArray[Any], heard: Bools) -> Bools:
+def children(place: ElectionState, neighbour: NDArray[Any], valid: Bools) -> Bools:
     """Return which neighbours have the cell as their parent, ``(n, 4)``."""
     opposite = np.array(OPPOSITE)
-    same = told["leader"].astype(np.int64) == place.leader[:, None]
-    farther = told["hops"].astype(np.int64) > place.hops[:, None]
-    return heard & same & farther & (told["parent"] == opposite) & (place.leader != NOBODY)[:, None]
+    same = neighbour["leader"].astype(np.int64) == place.leader[:, None]
+    farther = neighbour["hops"].astype(np.int64) > place.hops[:, None]
+    return valid & same & farther & (neighbour["parent"] == opposite) & (place.leader != NOBODY)[:, None]

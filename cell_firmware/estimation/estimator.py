@@ -85,7 +85,7 @@ class Estimator:
             "column": cells.column,
             "position_m": cells.position_m,
             "site": np.tile(site, (n, 1)),
-            "told": np.zeros((n, 4), dtype=_GROUP),
+            "neighbour": np.zeros((n, 4), dtype=_GROUP),
             "counts": np.zeros((n, 4), dtype=np.int16),
             "level": nothing,
             "leader": nobody,
@@ -93,8 +93,8 @@ class Estimator:
             "parent": np.full(n, group.ROOT),
             "blocked_leader": nobody,
             "block_ticks": nothing,
-            "heard_known": np.zeros((n, 4, *words), dtype=np.uint64),
-            "heard_covered": np.zeros((n, 4, *words), dtype=np.uint64),
+            "neighbour_known": np.zeros((n, 4, *words), dtype=np.uint64),
+            "neighbour_covered": np.zeros((n, 4, *words), dtype=np.uint64),
             "sent_known": np.zeros((n, *words), dtype=np.uint64),
             "sent_covered": np.zeros((n, *words), dtype=np.uint64),
             "turn": nothing,
@@ -162,19 +162,19 @@ class Estimator:
     ) -> tuple[dict[str, NDArray[Any]], Bools, NDArray[Any]]:
         """Compute a control period of active cells: changed arrays, which cells send, and the messages."""
         counts = np.where(inbox.received, self._patience, np.maximum(state["counts"], 1) - 1)
-        heard, told = counts > 0, state["told"].copy()
-        told[inbox.received] = inbox.message[list(_GROUP.names or ())][inbox.received]
+        valid, neighbour = counts > 0, state["neighbour"].copy()
+        neighbour[inbox.received] = inbox.message[list(_GROUP.names or ())][inbox.received]
         covered: Bools = np.any(presence, axis=1)
-        place = self._place(state, covered, told, heard)
+        place = self._place(state, covered, neighbour, valid)
 
-        theirs = pattern.heard(
-            pattern.OccupancyMap(state["heard_known"], state["heard_covered"]),
+        theirs = pattern.update_neighbours(
+            pattern.OccupancyMap(state["neighbour_known"], state["neighbour_covered"]),
             inbox.message,
             inbox.received,
-            heard,
+            valid,
         )
         mine = pattern.own(state["row"], state["column"], presence, place.level > 0)
-        whole = pattern.merge(mine, theirs, group.children(place, told, heard))
+        whole = pattern.merge(mine, theirs, group.children(place, neighbour, valid))
         sent = pattern.OccupancyMap(state["sent_known"], state["sent_covered"])
         turn = pattern.next_sensor(whole, sent, state["turn"])
         sent = pattern.mark_sent(sent, whole, turn)
@@ -183,10 +183,10 @@ class Estimator:
         changed: dict[str, NDArray[Any]] = {
             **place._asdict(),
             **views,
-            "told": told,
+            "neighbour": neighbour,
             "counts": counts,
-            "heard_known": theirs.known,
-            "heard_covered": theirs.covered,
+            "neighbour_known": theirs.known,
+            "neighbour_covered": theirs.covered,
             "sent_known": sent.known,
             "sent_covered": sent.covered,
             "turn": turn + 1,
@@ -194,11 +194,13 @@ class Estimator:
         }
         return changed, (place.level > 0) | (state["level"] > 0), _message(place, whole, turn, views)
 
-    def _place(self, state: State, covered: Bools, told: NDArray[Any], heard: Bools) -> group.ElectionState:
+    def _place(
+        self, state: State, covered: Bools, neighbour: NDArray[Any], valid: Bools
+    ) -> group.ElectionState:
         before = group.ElectionState(*(state[name] for name in group.ElectionState._fields))
-        level = group.levels(covered, told, heard, self._halo)
+        level = group.levels(covered, neighbour, valid, self._halo)
         own = group.keys(state["row"], state["column"], state["leads"])
-        return group.elect(own, covered, level, told, heard, before, self._patience + 2)
+        return group.elect(own, covered, level, neighbour, valid, before, self._patience + 2)
 
     def _pose(
         self,

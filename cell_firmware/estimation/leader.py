@@ -40,7 +40,7 @@ _STRANGE: Final = 0.3
 """Contradiction, in pitches, with which a pose is not believed for long."""
 _STRANGE_PERIODS: Final = 16
 _DOUBTFUL: Final = 0.02
-"""Contradiction, in pitches, with which it is asked whether the parcel's sides are mistaken for each other."""
+"""Contradiction, in pitches, from which it is tested whether the parcel's sides are mistaken for each other."""
 _DOUBT_PERIODS: Final = 32
 
 
@@ -103,7 +103,7 @@ class Leader:
         observer, n = self._observer, len(command)
         sensors = self._sensors(before, whole)
         new, old = ~before["leads"], before["age"] < UNKNOWN
-        spread = np.where(new[:, None, None], observer.told, before["spread"])
+        spread = np.where(new[:, None, None], observer.received, before["spread"])
         direction = np.where(old[:, None], before["direction"], (1.0, 0.0))
         pose = Pose(before["centre_m"], direction, before["motion"])
         belief = observer.moved(Belief(pose, spread), command, before["grip"])
@@ -150,12 +150,14 @@ class Leader:
         observer, doubt = self._observer, np.maximum(doubt, 1) - 1
         if not len(rows):
             return belief, doubt
-        told, half_m = sensors.take(rows), observer.half_m(len(rows))
+        readings, half_m = sensors.take(rows), observer.half_m(len(rows))
         own = Pose(*(array[rows] for array in belief.pose))
         aside = own._replace(direction=np.stack((-own.direction[:, 1], own.direction[:, 0]), axis=1))
-        spread = np.broadcast_to(observer.told, (len(rows), 3, 3)).copy()
-        other = observer.corrected(Belief(aside, spread), told)[0].pose
-        gain = worst_residual(told, own, half_m)[0] - np.maximum(worst_residual(told, other, half_m)[0], 0.0)
+        spread = np.broadcast_to(observer.received, (len(rows), 3, 3)).copy()
+        other = observer.corrected(Belief(aside, spread), readings)[0].pose
+        gain = worst_residual(readings, own, half_m)[0] - np.maximum(
+            worst_residual(readings, other, half_m)[0], 0.0
+        )
         counts = doubt[rows] + np.where(gain > _DOUBTFUL * self._pitch_m, 2, 0)
         turns = counts > _DOUBT_PERIODS
         pose, found = [array.copy() for array in belief.pose], belief.spread.copy()

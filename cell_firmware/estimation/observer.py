@@ -72,7 +72,7 @@ class Observer:
         metric = np.diag([1.0, 1.0, 1.0 / (half_m[0] * half_m[0] + half_m[1] * half_m[1])])
         self.unsure = (0.4 * pitch_m) ** 2 * metric
         """Spread of a first guess."""
-        self.told = (0.1 * pitch_m) ** 2 * metric
+        self.received = (0.1 * pitch_m) ** 2 * metric
         """Spread of a guess that another cell has made."""
         self._drift = (_DRIFT * pitch_m) ** 2 * period_s * metric
         self._fineness = (0.01 * pitch_m) ** 2

@@ -50,14 +50,16 @@ def own(row: Integers, column: Integers, presence: Bools, member: Bools) -> Occu
     return OccupancyMap(known, np.where(presence[:, :, None], known, _NONE))
 
 
-def heard(before: OccupancyMap, told: NDArray[Any], received: Bools, counts: Bools) -> OccupancyMap:
+def update_neighbours(
+    before: OccupancyMap, message: NDArray[Any], received: Bools, counts: Bools
+) -> OccupancyMap:
     """Update the neighbours' maps with received messages; maps of silent neighbours are cleared."""
     sensors = int(before.known.shape[2])
-    number: Integers = told["sensor"].astype(np.int64)
+    number: Integers = message["sensor"].astype(np.int64)
     fresh = (received[:, :, None] & (number[:, :, None] == np.arange(sensors)))[:, :, :, None]
     listened = counts[:, :, None, None]
     maps = [
-        np.where(fresh, np.stack([told[name] for name in names], axis=2)[:, :, None], old)
+        np.where(fresh, np.stack([message[name] for name in names], axis=2)[:, :, None], old)
         for names, old in ((_KNOWN, before.known), (_COVERED, before.covered))
     ]
     return OccupancyMap(np.where(listened, maps[0], _NONE), np.where(listened, maps[1], _NONE))
@@ -83,19 +85,19 @@ def next_sensor(whole: OccupancyMap, sent: OccupancyMap, turn: Integers) -> Inte
     return waits.argmin(axis=1)
 
 
-def mark_sent(sent: OccupancyMap, whole: OccupancyMap, told: Integers) -> OccupancyMap:
-    """Return the sent maps after sending the maps of sensor ``told``."""
-    now = (np.arange(int(whole.known.shape[1])) == told[:, None])[:, :, None]
+def mark_sent(sent: OccupancyMap, whole: OccupancyMap, sensor: Integers) -> OccupancyMap:
+    """Return the sent maps after sending the maps of ``sensor``."""
+    now = (np.arange(int(whole.known.shape[1])) == sensor[:, None])[:, :, None]
     return OccupancyMap(np.where(now, whole.known, sent.known), np.where(now, whole.covered, sent.covered))
 
 
-def write_message(message: NDArray[Any], whole: OccupancyMap, told: Integers) -> None:
+def write_message(message: NDArray[Any], whole: OccupancyMap, sensor: Integers) -> None:
     """Put one sensor's maps into messages ``(n,)``."""
-    every = np.arange(len(told))
-    message["sensor"] = told
+    every = np.arange(len(sensor))
+    message["sensor"] = sensor
     for word in range(WORDS):
-        message[_KNOWN[word]] = whole.known[every, told, word]
-        message[_COVERED[word]] = whole.covered[every, told, word]
+        message[_KNOWN[word]] = whole.known[every, sensor, word]
+        message[_COVERED[word]] = whole.covered[every, sensor, word]
 
 
 def unfolded(words: Words, row: Integers, column: Integers) -> Bools:

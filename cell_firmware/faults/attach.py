@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from bus.fault import FaultInstance
 from bus.lattice import Lattice
 from cell_firmware.controller import Controller, ControllerState, ControllerWrapper
 from cell_firmware.effects.clock.wrapper import LocalClockWrapper
+from cell_firmware.effects.cop.wrapper import WatchdogWrapper
 from cell_firmware.faults.base import CellFault, FaultWrapper
+from cell_firmware.faults.execution import ClockFaultWrapper, ExecutionFaultWrapper
+from cell_firmware.faults.messages import MessageFaultWrapper
 from cell_firmware.firmware import Floats
 
 _Kind = TypeVar("_Kind", bound=FaultWrapper)
+
+WRAPPERS: Final[tuple[type[ControllerWrapper], ...]] = (
+    LocalClockWrapper,
+    ClockFaultWrapper,
+    WatchdogWrapper,
+    ExecutionFaultWrapper,
+    MessageFaultWrapper,
+)
+"""All wrappers of a controller, from the outermost to the innermost."""
 
 
 def attach_fault(
@@ -54,16 +66,10 @@ def _kinds(fault: CellFault, *, talks: bool) -> list[type[FaultWrapper]]:
     """Return the wrapper types that a fault needs; none where input filters suffice."""
     kinds: list[type[FaultWrapper]] = []
     if fault.skips_periods:
-        from cell_firmware.faults.execution import ClockFaultWrapper
-
         kinds.append(ClockFaultWrapper)
     if fault.halts_program:
-        from cell_firmware.faults.execution import ExecutionFaultWrapper
-
         kinds.append(ExecutionFaultWrapper)
     if fault.corrupts_messages and talks:
-        from cell_firmware.faults.messages import MessageFaultWrapper
-
         kinds.append(MessageFaultWrapper)
     return kinds
 
@@ -72,9 +78,10 @@ def _found(
     controller: Controller, kind: type[_Kind], lattice: Lattice, seed: int
 ) -> tuple[Controller, _Kind]:
     """Return a controller and its wrapper of type ``kind``; insert a wrapper if there is none."""
+    outer = WRAPPERS[: WRAPPERS.index(kind)]
     around: ControllerWrapper | None = None
     inside, lag = controller, 0
-    while isinstance(inside, ControllerWrapper) and isinstance(inside, kind.beneath):
+    while isinstance(inside, ControllerWrapper) and isinstance(inside, outer):
         lag = 1 if isinstance(inside, LocalClockWrapper) else lag
         around, inside = inside, inside.controller
     if isinstance(inside, kind):

@@ -153,9 +153,6 @@ class FaultWrapper(ControllerWrapper):
         faults: Faults that the wrapper carries out.
     """
 
-    beneath: ClassVar[tuple[type[ControllerWrapper], ...]]
-    """Types of wrappers that stay outside of this one."""
-
     def __init__(self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0) -> None:
         super().__init__(controller)
         self.lattice = lattice

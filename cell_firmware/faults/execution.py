@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from bus.fault import FaultInstance
 from cell_firmware.clocks import NOT_IN_WINDOW
 from cell_firmware.controller import ControllerOutputs, ControllerState, StepTime
-from cell_firmware.effects.clock.wrapper import LocalClockWrapper
-from cell_firmware.effects.cop.wrapper import WatchdogWrapper
 from cell_firmware.faults.base import CellFault, ExecutionFaults, FaultWrapper
 from cell_firmware.firmware import Bools, Floats, Inbox, Inputs, State, opaque_view
 
@@ -28,7 +26,6 @@ class ClockFaultWrapper(FaultWrapper):
     """
 
     part = "slow_clock"
-    beneath = (LocalClockWrapper,)
     shown = ("skipped",)
 
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
@@ -99,7 +96,6 @@ class ExecutionFaultWrapper(FaultWrapper):
     """
 
     part = "faults"
-    beneath = (LocalClockWrapper, ClockFaultWrapper, WatchdogWrapper)
     shown = ("stopped", "begun_anew")
 
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
@@ -176,12 +172,16 @@ class ExecutionFaultWrapper(FaultWrapper):
     def counters(self, state: ControllerState) -> dict[str, int]:
         """Return the periods in which programs were halted, by kind of fault, and the number of restarts."""
         own = state.parts[self.part]
-        told = {
+        counters = {
             f"{self.part}.{name.removeprefix(_PERIODS)}.periods": int(value.sum())
             for name, value in own.items()
             if name.startswith(_PERIODS)
         }
-        return {**told, f"{self.part}.begun_anew": int(own["begun_anew"].sum()), **super().counters(state)}
+        return {
+            **counters,
+            f"{self.part}.begun_anew": int(own["begun_anew"].sum()),
+            **super().counters(state),
+        }
 
 
 _PERIODS = "periods_"
@@ -203,6 +203,6 @@ def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:
     return replace(inputs, inbox=Inbox(received, message))
 
 
-def _served(stopped: Bools, unserved: Bools, told: Bools | None) -> Bools:
+def _served(stopped: Bools, unserved: Bools, inner: Bools | None) -> Bools:
     """Return which watchdogs are served; a halted program's watchdog is, unless the fault prevents it."""
-    return np.where(stopped, ~unserved, True if told is None else told)
+    return np.where(stopped, ~unserved, True if inner is None else inner)

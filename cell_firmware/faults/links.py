@@ -38,10 +38,10 @@ class LinkFault(CellFault):
         """Yield one filter, where cells of the shard receive on an affected link."""
         if site.message is None:
             return
-        heard = self.affected_links(lattice, site.seed, injected.number)
-        heard = heard[np.isin(heard[:, 0], site.cells)]
-        if len(heard):
-            yield self.make_filter(AffectedLinks.of(site, heard, site.message), injected)
+        links = self.affected_links(lattice, site.seed, injected.number)
+        links = links[np.isin(links[:, 0], site.cells)]
+        if len(links):
+            yield self.make_filter(AffectedLinks.of(site, links, site.message), injected)
 
     @abstractmethod
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> FaultFilter:
@@ -66,12 +66,12 @@ class AffectedLinks:
     message: np.dtype[Any]
 
     @staticmethod
-    def of(site: ShardContext, heard: Ints, message: np.dtype[Any]) -> AffectedLinks:
+    def of(site: ShardContext, links: Ints, message: np.dtype[Any]) -> AffectedLinks:
         """Return the affected links of a shard, given receiving cell and side, ``(m, 2)``."""
         order = np.argsort(site.cells)
-        row = order[np.searchsorted(site.cells, heard[:, 0], sorter=order)]
+        row = order[np.searchsorted(site.cells, links[:, 0], sorter=order)]
         sides = len(SIDES)
-        return AffectedLinks(site, sides * row + heard[:, 1], sides * heard[:, 0] + heard[:, 1], message)
+        return AffectedLinks(site, sides * row + links[:, 1], sides * links[:, 0] + links[:, 1], message)
 
     def __len__(self) -> int:
         return len(self.slot)

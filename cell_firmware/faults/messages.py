@@ -12,10 +12,7 @@ from bus.fault import FaultInstance
 from bus.lattice import Lattice
 from cell_firmware.board import Board
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime
-from cell_firmware.effects.clock.wrapper import LocalClockWrapper
-from cell_firmware.effects.cop.wrapper import WatchdogWrapper
 from cell_firmware.faults.base import CellFault, FaultWrapper
-from cell_firmware.faults.execution import ClockFaultWrapper, ExecutionFaultWrapper
 from cell_firmware.faults.message_fault import MessageContext, MessageFault
 from cell_firmware.firmware import Floats, Inbox, Inputs, opaque_view
 
@@ -33,7 +30,6 @@ class MessageFaultWrapper(FaultWrapper):
     """
 
     part = "words"
-    beneath = (LocalClockWrapper, ClockFaultWrapper, WatchdogWrapper, ExecutionFaultWrapper)
     shown = ("refused",)
 
     def __init__(self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0) -> None:
@@ -68,7 +64,7 @@ class MessageFaultWrapper(FaultWrapper):
         return self.wrap_state(inner, own)
 
     def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
-        """Reset the wrapped controller; the state of faults is kept."""
+        """Reset the wrapped controller; the state of faults is retained."""
         own = state.parts[self.part]
         return self.wrap_state(self.controller.reset(self.unwrap_state(state), warm=warm), own)
 
@@ -82,10 +78,12 @@ class MessageFaultWrapper(FaultWrapper):
         for tamper in self._tampers:
             if not tamper.injected.active_at(now.tick + self.start_tick):
                 continue
-            kept = tamper.begin(len(state.cells))
-            kept = {name: own.get(_named(tamper, name), array) for name, array in kept.items()}
-            kept, inbox, changed = tamper.on_receive(now.tick + self.start_tick, kept, own["place"], inbox)
-            own.update({_named(tamper, name): array for name, array in kept.items()})
+            memory = tamper.begin(len(state.cells))
+            memory = {name: own.get(_named(tamper, name), array) for name, array in memory.items()}
+            memory, inbox, changed = tamper.on_receive(
+                now.tick + self.start_tick, memory, own["place"], inbox
+            )
+            own.update({_named(tamper, name): array for name, array in memory.items()})
             own[_counts(tamper)] = own.get(_counts(tamper), 0) + changed
         inbox, refused = self._checked(inbox)
         own["refused"] = own["refused"] + refused
@@ -121,12 +119,12 @@ class MessageFaultWrapper(FaultWrapper):
 
     def counters(self, state: ControllerState) -> dict[str, int]:
         """Return the numbers of refused messages, and of changed messages by kind of fault."""
-        own, told = state.parts[self.part], dict[str, int]()
+        own, counters = state.parts[self.part], dict[str, int]()
         for tamper in self._tampers:
             name = f"faults.{tamper.injected.fault.kind_name}.{tamper.counts}"
-            told[name] = told.get(name, 0) + int(np.sum(own.get(_counts(tamper), 0)))
-        told["faults.words.refused"] = int(own["refused"].sum())
-        return {**told, **super().counters(state)}
+            counters[name] = counters.get(name, 0) + int(np.sum(own.get(_counts(tamper), 0)))
+        counters["faults.words.refused"] = int(own["refused"].sum())
+        return {**counters, **super().counters(state)}
 
 
 def _named(tamper: MessageFault, name: str) -> str:

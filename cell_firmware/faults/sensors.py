@@ -90,14 +90,14 @@ class SensorFilter(FaultFilter):
 
     def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Replace the readings of the affected sensors."""
-        told, at = self._affected.copied(inputs), self._affected.at
-        level = None if told.level is None else told.level[at]
-        bit, level = self.override(tick, told.presence[at], level)
-        told.presence[at] = bit
-        if told.level is not None and level is not None:
-            told.level[at] = level
-        self.count("wrong", told.presence ^ inputs.presence, alive)
-        return told
+        changed, at = self._affected.copied(inputs), self._affected.at
+        level = None if changed.level is None else changed.level[at]
+        bit, level = self.override(tick, changed.presence[at], level)
+        changed.presence[at] = bit
+        if changed.level is not None and level is not None:
+            changed.level[at] = level
+        self.count("wrong", changed.presence ^ inputs.presence, alive)
+        return changed
 
     @abstractmethod
     def override(

@@ -48,7 +48,7 @@ class Align(Firmware):
     """Rigid field about the estimated centre, which turns and shifts the parcel to its target.
 
     With c the centre that is believed and e the angle from the parcel's x axis to the target's, less whole half turns,
-    the parcel is asked to move by ``v = gain (target - c)`` and ``omega = gain sin(e)``, slower where that would be
+    the parcel is commanded to move by ``v = gain (target - c)`` and ``omega = gain sin(e)``, slower where that would be
     faster than allowed, and the wheels at p drive ``v + omega x (p - c) + gain (c + shift - p) near``. Under viscous
     friction the loads' balance makes that the parcel's own law of motion whichever cells carry it
     (``sum N_i p_i = W X``, the paper's eq. 5)::
@@ -143,7 +143,7 @@ class Align(Firmware):
         error, sine = self._error(centre, direction)
         quiet = self._quiet(state, known, error, sine)
         moves = known & (quiet < state["wait"])
-        velocity, spin, near = self._asked(error, sine)
+        velocity, spin, near = self._command(error, sine)
         place = state["position_m"] - centre
         pull = (self.parameters.gain_per_s * near)[:, None] * (shift - place)
         turning = spin[:, None] * np.stack((-place[:, 1], place[:, 0]), axis=1)
@@ -170,15 +170,15 @@ class Align(Firmware):
         there = (square <= (slack * p.rest_m) * (slack * p.rest_m)) & (np.abs(sine) <= slack * p.rest_rad)
         return np.where(known & there, np.minimum(state["quiet"] + 1, state["wait"]), 0)
 
-    def _asked(self, error: Floats, sine: Floats) -> tuple[Floats, Floats, Floats]:
+    def _command(self, error: Floats, sine: Floats) -> tuple[Floats, Floats, Floats]:
         """Velocity ``(n, 2)`` and angular velocity ``(n,)``; 1 at the target to 0 where the speed limit begins."""
         gain, limit = self.parameters.gain_per_s, self.parameters.speed_m_s
-        asked = gain * error
-        length = np.sqrt(asked[:, 0] * asked[:, 0] + asked[:, 1] * asked[:, 1])
+        wanted = gain * error
+        length = np.sqrt(wanted[:, 0] * wanted[:, 0] + wanted[:, 1] * wanted[:, 1])
         slower = np.where(length > limit, limit / np.maximum(length, limit), 1.0)
         fastest = limit / self._corner_m
         spin: Floats = np.clip(gain * sine, -fastest, fastest)
-        return asked * slower[:, None], spin, np.maximum(1.0 - length / limit, 0.0)
+        return wanted * slower[:, None], spin, np.maximum(1.0 - length / limit, 0.0)
 
     def _left(self, error: Floats, sine: Floats, known: Bools) -> Floats:
         distance = np.sqrt(error[:, 0] * error[:, 0] + error[:, 1] * error[:, 1])

@@ -85,7 +85,7 @@ class HeatDiffusion(Firmware):
         return {
             "speed_m_s": speed,
             "held": held[:, None],
-            "told_m_s": np.zeros((*sides, 2)),
+            "neighbour_m_s": np.zeros((*sides, 2)),
             "counts": np.zeros(sides, dtype=np.int16),
         }
 
@@ -95,11 +95,11 @@ class HeatDiffusion(Firmware):
         assert inbox is not None, "this is a bug: this firmware has messages"
         own = state["speed_m_s"]
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        told = hold_last(inbox.received, counts, message_speeds(inbox), state["told_m_s"])
-        flow = np.where(counts[:, :, None] > 0, told - own[:, None, :], 0.0)
+        neighbour = hold_last(inbox.received, counts, message_speeds(inbox), state["neighbour_m_s"])
+        flow = np.where(counts[:, :, None] > 0, neighbour - own[:, None, :], 0.0)
         gain = flow[:, 0] + flow[:, 1] + flow[:, 2] + flow[:, 3]
         speed = np.where(state["held"], own, own + self.parameters.diffusion_number * gain)
 
         outbox = Outbox.to_all(self.message, vx_m_s=speed[:, 0], vy_m_s=speed[:, 1])
-        after = {**state, "speed_m_s": speed, "told_m_s": told, "counts": counts}
+        after = {**state, "speed_m_s": speed, "neighbour_m_s": neighbour, "counts": counts}
         return after, Outputs(speed, outbox)

@@ -40,7 +40,7 @@ class HopGradient(Firmware):
 
         d_i[k] = min(limit, 1 + min over neighbours j of d_j[k-1])
 
-    A cell's own distance is not kept, which bounds the count to infinity: whatever was sent before, after m ticks no
+    A cell's own distance is not stored, which bounds the count to infinity: whatever was sent before, after m ticks no
     distance is below ``min(m, true distance)``, and from the tick equal to the true distance on, none is above it.
     Wheels drive towards the neighbour of the least distance, the first of ``north east south west`` that has it; at a
     goal, and where no way leads to one, they stand.
@@ -92,7 +92,7 @@ class HopGradient(Firmware):
         return {
             "goal": goal,
             "distance": np.where(goal, 0, self.parameters.limit).astype(np.uint16),
-            "told": np.full((n, 4), self.parameters.limit, dtype=np.uint16),
+            "neighbour": np.full((n, 4), self.parameters.limit, dtype=np.uint16),
             "counts": np.zeros((n, 4), dtype=np.int16),
         }
 
@@ -101,11 +101,13 @@ class HopGradient(Firmware):
         inbox, limit = inputs.inbox, self.parameters.limit
         assert inbox is not None, "this is a bug: this firmware has messages"
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        told = hold_last(inbox.received, counts, inbox.message["distance"], state["told"], silence=limit)
-        least, side = told.min(axis=1), told.argmin(axis=1)
+        neighbour = hold_last(
+            inbox.received, counts, inbox.message["distance"], state["neighbour"], silence=limit
+        )
+        least, side = neighbour.min(axis=1), neighbour.argmin(axis=1)
         distance = np.where(state["goal"], 0, np.minimum(least, limit - 1) + 1).astype(np.uint16)
         moves = ~state["goal"] & (distance < limit)
         speed = np.where(moves[:, None], self.parameters.speed_m_s * _AHEAD[side], 0.0)
 
-        after = {"goal": state["goal"], "distance": distance, "told": told, "counts": counts}
+        after = {"goal": state["goal"], "distance": distance, "neighbour": neighbour, "counts": counts}
         return after, Outputs(speed, Outbox.to_all(self.message, distance=distance))

@@ -116,7 +116,7 @@ class Laplace(Firmware):
             "potential": potential,
             "before": potential,
             "held": held,
-            "told": np.zeros(sides),
+            "neighbour": np.zeros(sides),
             "counts": np.zeros(sides, dtype=np.int16),
             "pitch_m": np.full(len(cells), cells.pitch_m),
         }
@@ -127,17 +127,17 @@ class Laplace(Firmware):
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, before = state["potential"], state["before"]
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        told = hold_last(inbox.received, counts, inbox.message["potential"], state["told"])
-        heard = counts > 0
-        number = total(heard.astype(np.float64))
-        mean = total(np.where(heard, told, 0.0)) / np.where(number > 0.0, number, 1.0)
+        neighbour = hold_last(inbox.received, counts, inbox.message["potential"], state["neighbour"])
+        valid = counts > 0
+        number = total(valid.astype(np.float64))
+        mean = total(np.where(valid, neighbour, 0.0)) / np.where(number > 0.0, number, 1.0)
         relaxed = before + self.parameters.relaxation * (mean - before)
         lowest, highest = self._range()
         bounded = np.minimum(np.maximum(relaxed, lowest), highest)
         potential = np.where(state["held"] | (number == 0.0), own, bounded)
 
-        speed = self._speed(across(heard, told, own), state["held"], state["pitch_m"])
-        after = {**state, "potential": potential, "before": own, "told": told, "counts": counts}
+        speed = self._speed(across(valid, neighbour, own), state["held"], state["pitch_m"])
+        after = {**state, "potential": potential, "before": own, "neighbour": neighbour, "counts": counts}
         return after, Outputs(speed, Outbox.to_all(self.message, potential=potential))
 
     def _start(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[Floats, Bools]:

@@ -107,12 +107,12 @@ class MaxConsensus(Firmware):
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         key, age = state["own"], np.zeros(len(state["own"]), dtype=np.int64)
-        heard = [(state["key"], state["age"] + 1, np.ones(len(key), dtype=np.bool_))]
+        candidates = [(state["key"], state["age"] + 1, np.ones(len(key), dtype=np.bool_))]
         for side in range(4):
             message = inbox.message[:, side]
-            heard.append((message["key"], message["age"].astype(np.int64) + 1, inbox.received[:, side]))
-        for other, old, said in heard:
-            good = said & (old <= self.parameters.lifetime)
+            candidates.append((message["key"], message["age"].astype(np.int64) + 1, inbox.received[:, side]))
+        for other, old, received in candidates:
+            good = received & (old <= self.parameters.lifetime)
             better = good & ((other > key) | ((other == key) & (old < age)))
             key, age = np.where(better, other, key), np.where(better, old, age)
 

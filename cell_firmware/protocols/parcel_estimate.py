@@ -29,7 +29,7 @@ class ParcelEstimateParameters(EstimatorParameters):
 class ParcelEstimate(Firmware):
     """Transport of parcels to a target by a pose that the cells under each parcel estimate together.
 
-    Cells that know a pose drive a rigid field, ``v = gain (target - centre)``, no faster than asked; a cell that
+    Cells that know a pose drive a rigid field, ``v = gain (target - centre)``, no faster than requested; a cell that
     senses a parcel and knows no pose takes its own place for the centre. Close to the target they add ``gain (centre +
     shift - own place)``. That brings the parcel's true centre to the target though the estimate may be off: loads share
     out so that ``sum N_i p_i = W X`` whatever cells carry it (the paper's eq. 5); ``shift`` allows for dead ones.
@@ -77,8 +77,8 @@ class ParcelEstimate(Firmware):
 
     def _velocity(self, centre: Floats) -> tuple[Floats, Floats]:
         """``(n, 2)`` m/s towards the target, and ``(n, 1)``, 1 at the target to 0 where the speed limit begins."""
-        asked = self.parameters.gain_per_s * (np.array(self.parameters.target_m) - centre)
-        length = np.sqrt(asked[:, :1] * asked[:, :1] + asked[:, 1:] * asked[:, 1:])
+        wanted = self.parameters.gain_per_s * (np.array(self.parameters.target_m) - centre)
+        length = np.sqrt(wanted[:, :1] * wanted[:, :1] + wanted[:, 1:] * wanted[:, 1:])
         limit = self.parameters.speed_m_s
         slower = np.where(length > limit, limit / np.maximum(length, limit), 1.0)
-        return asked * slower, np.maximum(1.0 - length / limit, 0.0)
+        return wanted * slower, np.maximum(1.0 - length / limit, 0.0)

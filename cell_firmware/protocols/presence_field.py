@@ -46,7 +46,7 @@ class PresenceField(Firmware):
         sides = cells.has_neighbour.shape
         return {
             "speed_m_s": self.parameters.field.velocity(x, y),
-            "told": np.zeros(sides, dtype=np.uint8),
+            "neighbour": np.zeros(sides, dtype=np.uint8),
             "counts": np.zeros(sides, dtype=np.int16),
         }
 
@@ -55,13 +55,15 @@ class PresenceField(Firmware):
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        told = hold_last(inbox.received, counts, inbox.message["level"], state["told"])
-        highest = np.maximum(np.maximum(told[:, 0], told[:, 1]), np.maximum(told[:, 2], told[:, 3]))
+        neighbour = hold_last(inbox.received, counts, inbox.message["level"], state["neighbour"])
+        highest = np.maximum(
+            np.maximum(neighbour[:, 0], neighbour[:, 1]), np.maximum(neighbour[:, 2], neighbour[:, 3])
+        )
         here = inputs.presence[:, 0]
         for sensor in range(1, inputs.presence.shape[1]):
             here = here | inputs.presence[:, sensor]
         level = np.where(here, self.parameters.reach + 1, np.maximum(highest, 1) - 1)
 
         speed = np.where(level[:, None] > 0, state["speed_m_s"], 0.0)
-        after = {**state, "told": told, "counts": counts}
+        after = {**state, "neighbour": neighbour, "counts": counts}
         return after, Outputs(speed, Outbox.to_all(self.message, level=level))

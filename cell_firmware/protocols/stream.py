@@ -117,7 +117,7 @@ class Stream(Firmware):
             "potential_m2_s": np.zeros(len(cells)),
             "before_m2_s": np.zeros(len(cells)),
             "source_m2_s": self._source(cells.row, cells.column),
-            "told_m2_s": np.zeros(sides),
+            "neighbour_m2_s": np.zeros(sides),
             "counts": np.zeros(sides, dtype=np.int16),
             "pitch_m": np.full(len(cells), cells.pitch_m),
         }
@@ -128,8 +128,10 @@ class Stream(Firmware):
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, before = state["potential_m2_s"], state["before_m2_s"]
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        told = hold_last(inbox.received, counts, inbox.message["potential_m2_s"], state["told_m2_s"])
-        faces = across(counts > 0, told, own)
+        neighbour = hold_last(
+            inbox.received, counts, inbox.message["potential_m2_s"], state["neighbour_m2_s"]
+        )
+        faces = across(counts > 0, neighbour, own)
         levelled = own + self.parameters.diffusion_number * (state["source_m2_s"] + total(faces))
         potential = before + self.parameters.relaxation * (levelled - before)
 
@@ -137,7 +139,7 @@ class Stream(Firmware):
             **state,
             "potential_m2_s": potential,
             "before_m2_s": own,
-            "told_m2_s": told,
+            "neighbour_m2_s": neighbour,
             "counts": counts,
         }
         speed = -gradient(faces, state["pitch_m"])

@@ -83,7 +83,7 @@ class _Words:
         core: Whether the cell holds the record and advances it.
         hops: Range of messages within the vehicle, hops.
         life: Remaining hops of the core's sign of life; 0: no core is known.
-        heard: Remaining periods for which neighbouring cells of the vehicle are valid.
+        valid_periods: Remaining periods for which neighbouring cells of the vehicle are valid.
     """
 
     periods: Integers
@@ -94,7 +94,7 @@ class _Words:
     core: Bools
     hops: Integers
     life: Integers
-    heard: Integers
+    valid_periods: Integers
 
 
 @final
@@ -103,10 +103,10 @@ class VirtualVehicle(Firmware):
 
     The record is a whole number: for how many periods the vehicle has been on its journey, from which every cell works
     out the reference pose. Cells near the reference (the core) that sense a parcel add one each period; all take over
-    the greatest number that a neighbour tells. So there is one pace, that of the core, and where no cell of the core
+    the greatest number that a neighbour sends. So there is one pace, that of the core, and where no cell of the core
     senses a parcel the vehicle waits.
 
-    A cell belongs to the vehicle in whose circle it lies deepest, of those that it has heard of and whose core still
+    A cell belongs to the vehicle in whose circle it lies deepest, of those that it knows and whose core still
     gives signs of life (a number that falls by one a hop). It drives a rigid motion and draws to the reference,
 
         V = U + w J d - R diag(kx, ky) R' d        d its place from the reference, R the reference's angle
@@ -115,7 +115,7 @@ class VirtualVehicle(Firmware):
     field over its supports is the field at its centre of mass, whatever the supports (docs/dynamics.md): with e its
     distance from the reference, ``e'' = -mu g (K e + e') - d/dt U``, K = R diag(kx, ky) R'.
 
-    Vehicles whose circles, wider by ``ahead`` pitches, meet: cells that hear of both tell, and the word goes from
+    Vehicles whose circles, wider by ``ahead`` pitches, meet: cells that know both send word, and it goes from
     hop to hop. The one named later gives way, while going on as they do the two would pass within a pitch of each
     other's circles; the one named first only where they have come that near. Nobody gives way to who is behind it.
 
@@ -147,8 +147,11 @@ class VirtualVehicle(Firmware):
                 rule = f"leads to ({bare[0]:.4g}, {bare[1]:.4g}) m, where no cell is near enough to hold the vehicle"
                 problems.append(Problem(("vehicles", v), rule, list(vehicle.start_m)))
             for other in range(v):
-                way = np.subtract(vehicle.start_m, parameters.vehicles[other].start_m)
-                if np.sqrt((way * way).sum()) < vehicle.radius_m + parameters.vehicles[other].radius_m:
+                between = np.subtract(vehicle.start_m, parameters.vehicles[other].start_m)
+                if (
+                    np.sqrt((between * between).sum())
+                    < vehicle.radius_m + parameters.vehicles[other].radius_m
+                ):
                     rule = f"begins within the circle of vehicles[{other}]"
                     problems.append(Problem(("vehicles", v), rule, list(vehicle.start_m)))
         if problems:
@@ -171,14 +174,15 @@ class VirtualVehicle(Firmware):
         dx, dy = cells.position_m[:, 0, None] - start[:, 0], cells.position_m[:, 1, None] - start[:, 1]
         within = np.sqrt(dx * dx + dy * dy) <= self._radius_m + self.parameters.ahead * cells.pitch_m
         sides = {
-            f"told_{name}": np.zeros((n, 4), dtype=np.int64) for name in ("vehicle", "level", "life", "halt")
+            f"neighbour_{name}": np.zeros((n, 4), dtype=np.int64)
+            for name in ("vehicle", "level", "life", "halt")
         }
         return {
             "position_m": cells.position_m,
             "pitch_m": np.full(n, cells.pitch_m),
             "period_s": np.full(n, cells.period_s),
             "periods": np.where(within, 0, -1),
-            "heard": np.zeros((n, len(vehicles)), dtype=np.int64),
+            "valid_periods": np.zeros((n, len(vehicles)), dtype=np.int64),
             **sides,
             "counts": np.zeros((n, 4), dtype=np.int16),
             "vehicle": np.zeros(n, dtype=np.int64),
@@ -193,13 +197,13 @@ class VirtualVehicle(Firmware):
         inbox = inputs.inbox
         assert inbox is not None, "this is a bug: this firmware has messages"
         here = np.zeros(len(inputs.presence), dtype=np.bool_) | inputs.presence.any(axis=1)
-        told = self._told(state, inbox)
-        words = self._words(state, told, inbox)
+        neighbour = self._update_neighbours(state, inbox)
+        words = self._words(state, neighbour, inbox)
         own = _own(words)
         mine: _Words = _picked(words, np.maximum(own - 1, 0))
-        level = _spread(told, own, "level", here, self.parameters.ahead + 1)
+        level = _spread(neighbour, own, "level", here, self.parameters.ahead + 1)
         conflict = self._conflict(words, mine, own, state["pitch_m"])
-        halt = _spread(told, own, "halt", conflict, mine.hops)
+        halt = _spread(neighbour, own, "halt", conflict, mine.hops)
 
         before = _picked(state["periods"], np.maximum(own - 1, 0))
         idle = np.where((own == 0) | (mine.periods > before), 0, np.minimum(state["idle"] + 1, _LONGEST))
@@ -207,9 +211,9 @@ class VirtualVehicle(Firmware):
         said = {"vehicle": own, "periods": mine.periods, "level": level, "life": mine.life, "halt": halt}
         after = {
             **state,
-            **told,
+            **neighbour,
             "periods": words.periods,
-            "heard": words.heard,
+            "valid_periods": words.valid_periods,
             "vehicle": own,
             "advances": mine.core & (own > 0) & here & (halt == 0) & ~mine.reference.ended,
             "idle": idle,
@@ -218,24 +222,26 @@ class VirtualVehicle(Firmware):
         }
         return after, Outputs(speed, self._outbox(said, words, inbox))
 
-    # --- what is heard ----------------------------------------------------------------------------
+    # --- reception --------------------------------------------------------------------------------
 
-    def _told(self, state: State, inbox: Inbox) -> dict[str, NDArray[Any]]:
+    def _update_neighbours(self, state: State, inbox: Inbox) -> dict[str, NDArray[Any]]:
         """Return each neighbour's last message while still valid, else zeros; and the remaining validity."""
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        told = {
-            name: hold_last(inbox.received, counts, inbox.message[name.removeprefix("told_")], state[name])
-            for name in ("told_vehicle", "told_level", "told_life", "told_halt")
+        neighbour = {
+            name: hold_last(
+                inbox.received, counts, inbox.message[name.removeprefix("neighbour_")], state[name]
+            )
+            for name in ("neighbour_vehicle", "neighbour_level", "neighbour_life", "neighbour_halt")
         }
-        return {**told, "counts": counts}
+        return {**neighbour, "counts": counts}
 
-    def _words(self, state: State, told: Mapping[str, Integers], inbox: Inbox) -> _Words:
+    def _words(self, state: State, neighbour: Mapping[str, Integers], inbox: Inbox) -> _Words:
         """Update the state of all vehicles by received messages."""
         pitch_m = state["pitch_m"][:, None]
         come = np.where(inbox.received, inbox.message["vehicle"], 0)[:, :, None] == self._numbers
-        heard = np.where(come, inbox.message["periods"].astype(np.int64)[:, :, None], -1).max(axis=1)
+        received = np.where(come, inbox.message["periods"].astype(np.int64)[:, :, None], -1).max(axis=1)
         advances = state["advances"][:, None] & (state["vehicle"][:, None] == self._numbers)
-        periods = np.maximum(state["periods"] + advances, heard)
+        periods = np.maximum(state["periods"] + advances, received)
 
         reference = at_all(self._journeys, np.maximum(periods, 0) * state["period_s"][:, None])
         place = state["position_m"]
@@ -245,10 +251,14 @@ class VirtualVehicle(Firmware):
         outer_m = self._radius_m + self.parameters.ahead * pitch_m
         hops = np.minimum(2.0 * np.ceil(2.0 * outer_m / pitch_m), _MOST_HOPS).astype(np.int64)
 
-        says = (told["told_vehicle"][:, :, None] == self._numbers) & (told["told_life"] > 0)[:, :, None]
-        nearest: Integers = np.where(says, told["told_life"][:, :, None], 0).max(axis=1)
+        says = (neighbour["neighbour_vehicle"][:, :, None] == self._numbers) & (
+            neighbour["neighbour_life"] > 0
+        )[:, :, None]
+        nearest: Integers = np.where(says, neighbour["neighbour_life"][:, :, None], 0).max(axis=1)
         life = np.where(core, hops, np.maximum(nearest - 1, 0))
-        still = np.where(says.any(axis=1), self.parameters.ttl_periods, np.maximum(state["heard"] - 1, 0))
+        still = np.where(
+            says.any(axis=1), self.parameters.ttl_periods, np.maximum(state["valid_periods"] - 1, 0)
+        )
         return _Words(periods, reference, dx, dy, outer_m - distance, core, hops, life, still)
 
     # --- what is done -----------------------------------------------------------------------------
@@ -256,18 +266,18 @@ class VirtualVehicle(Firmware):
     def _conflict(self, words: _Words, mine: _Words, own: Integers, pitch_m: Floats) -> Bools:
         """Return which cells know a vehicle to which their own must give way."""
         here, there = mine.reference, words.reference
-        way_x, way_y = there.x - here.x[:, None], there.y - here.y[:, None]
-        apart = np.sqrt(way_x * way_x + way_y * way_y)
+        apart_x, apart_y = there.x - here.x[:, None], there.y - here.y[:, None]
+        apart = np.sqrt(apart_x * apart_x + apart_y * apart_y)
         near = self._radius_m + self._radius_m[np.maximum(own - 1, 0)][:, None] + pitch_m[:, None]
-        towards = here.vx[:, None] * way_x + here.vy[:, None] * way_y > 0.0
+        towards = here.vx[:, None] * apart_x + here.vy[:, None] * apart_y > 0.0
 
         first = (self._numbers < own[:, None]) & (apart < near + self._margin * pitch_m[:, None])
         pace_x, pace_y = here.vx[:, None] - there.vx, here.vy[:, None] - there.vy
-        closing, pace = pace_x * way_x + pace_y * way_y, pace_x * pace_x + pace_y * pace_y
+        closing, pace = pace_x * apart_x + pace_y * apart_y, pace_x * pace_x + pace_y * pace_y
         # as both go on, they pass each other at sqrt(apart^2 - closing^2 / pace)
         meet = (closing > 0.0) & ((apart * apart - near * near) * pace < closing * closing)
 
-        others = (own > 0)[:, None] & (self._numbers != own[:, None]) & (words.heard > 0)
+        others = (own > 0)[:, None] & (self._numbers != own[:, None]) & (words.valid_periods > 0)
         found: Bools = (others & towards & ((apart < near) | (first & meet))).any(axis=1)
         return found
 
@@ -321,11 +331,11 @@ def _own(words: _Words) -> Integers:
 
 
 def _spread(
-    told: Mapping[str, Integers], own: Integers, what: str, source: Bools, most: Integers | int
+    neighbour: Mapping[str, Integers], own: Integers, what: str, source: Bools, most: Integers | int
 ) -> Integers:
     """Propagate a number: ``most`` at its sources, less by 1 a hop, within cells of a vehicle."""
-    same = (told["told_vehicle"] == own[:, None]) & (own > 0)[:, None]
-    highest = np.where(same, told[f"told_{what}"], 0).max(axis=1)
+    same = (neighbour["neighbour_vehicle"] == own[:, None]) & (own > 0)[:, None]
+    highest = np.where(same, neighbour[f"neighbour_{what}"], 0).max(axis=1)
     return np.where(source, most, np.maximum(highest - 1, 0))
 
 
@@ -341,8 +351,8 @@ def _bare(
 ) -> tuple[float, float] | None:
     """Return the first position of a journey without a cell near enough to hold the record; None if there is none."""
     steps = int(journey.duration_s * speed_m_s / (0.1 * pitch_m)) + 2
-    way = journey.at(np.linspace(0.0, journey.duration_s, steps))
-    for x, y in zip(way.x.tolist(), way.y.tolist(), strict=True):
+    path = journey.at(np.linspace(0.0, journey.duration_s, steps))
+    for x, y in zip(path.x.tolist(), path.y.tolist(), strict=True):
         dx, dy = position_m[:, 0] - x, position_m[:, 1] - y
         if not (dx * dx + dy * dy <= hold_m * hold_m).any():
             return x, y

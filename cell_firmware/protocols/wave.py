@@ -99,7 +99,7 @@ class Wave(Firmware):
             "speed_m_s": speed,
             "change_m_s": np.zeros_like(speed),
             "held": held[:, None],
-            "told_m_s": np.zeros((*sides, 2)),
+            "neighbour_m_s": np.zeros((*sides, 2)),
             "counts": np.zeros(sides, dtype=np.int16),
         }
 
@@ -109,15 +109,21 @@ class Wave(Firmware):
         assert inbox is not None, "this is a bug: this firmware has messages"
         own, b = state["speed_m_s"], self.parameters.damping
         counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        told = hold_last(inbox.received, counts, message_speeds(inbox), state["told_m_s"])
-        flow = np.where(counts[:, :, None] > 0, told - own[:, None, :], 0.0)
+        neighbour = hold_last(inbox.received, counts, message_speeds(inbox), state["neighbour_m_s"])
+        flow = np.where(counts[:, :, None] > 0, neighbour - own[:, None, :], 0.0)
         push = flow[:, 0] + flow[:, 1] + flow[:, 2] + flow[:, 3]
         change = ((1.0 - b) * state["change_m_s"] + self.parameters.courant_number_squared * push) / (1.0 + b)
         change = np.where(state["held"], 0.0, change)
         speed = own + change
 
         outbox = Outbox.to_all(self.message, vx_m_s=speed[:, 0], vy_m_s=speed[:, 1])
-        after = {**state, "speed_m_s": speed, "change_m_s": change, "told_m_s": told, "counts": counts}
+        after = {
+            **state,
+            "speed_m_s": speed,
+            "change_m_s": change,
+            "neighbour_m_s": neighbour,
+            "counts": counts,
+        }
         return after, Outputs(speed, outbox)
 
     def _factor(self, eigenvalue: float) -> float:

@@ -17,7 +17,7 @@ OUTPUT_BITS: Final = 12
 """Of an output and of an integral: Q12, 4096ths of a level."""
 IDEAL_LEVELS: Final = 2**11
 """Levels of the supply where no PWM has levels of its own."""
-LARGEST_WAY: Final = 2**29
+LARGEST_SWING: Final = 2**29
 """Q12: more than from the supply one way to the supply the other, which is all that an integral can have to go."""
 _LOW_BITS: Final = 14
 _LARGEST_SUM: Final = 2**31 - 1
@@ -62,7 +62,7 @@ class Gain:
         return (value * self.word + (1 << (self.shift - 1))) >> self.shift
 
     def away_from_zero(self, value: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The product of a share <= 1 with numbers up to `LARGEST_WAY` either way.
+        """The product of a share <= 1 with numbers up to `LARGEST_SWING` either way.
 
         In 32 bits like all else: the word by the upper bits and by the lower 14. Rounded away from zero, which is no
         further than the number itself, so that repeating it leaves nothing.
@@ -76,18 +76,18 @@ class Gain:
 
 
 class Realised(NamedTuple):
-    """A gain as asked for and as it is.
+    """A gain as requested and as realised.
 
     Attributes:
         name: Of the field.
-        asked: Its value.
+        requested: Its value.
         realised: What the integers make of it, in the same unit.
         word: Of the gain.
         shift: Of the gain.
     """
 
     name: str
-    asked: float
+    requested: float
     realised: float
     word: int
     shift: int
@@ -98,7 +98,7 @@ class Scaling:
     """A loop's gains in integers: speeds in Q4 of a reading's unit, outputs in Q12 of a level.
 
     All sums fit 32 bits, whatever the inputs. Errors are limited to what saturates the output against any integral and
-    feed-forward, so that limiting them changes nothing; speeds beyond what the tachometer tells are taken as that.
+    feed-forward, so that limiting them changes nothing; speeds beyond the tachometer's range are taken as that.
 
     Args:
         spec: Gains.
@@ -130,7 +130,7 @@ class Scaling:
         self.reference_limit = tachometer.largest << (FRACTION_BITS - tachometer.fraction_bits)
         self.output_limit = levels << OUTPUT_BITS
         self.volts_per_step = supply_v / self.output_limit
-        self._asked = tuple(float(getattr(spec, field)) for field in _FIELDS)
+        self._requested = tuple(float(getattr(spec, field)) for field in _FIELDS)
         unit = tachometer.step_m_s / self.volts_per_step
         self._units = (unit, unit * period_s, unit)
         gains = [self._gain(i) for i in range(len(_FIELDS))]
@@ -140,7 +140,7 @@ class Scaling:
         self._check_sum()
 
     def _gain(self, i: int) -> Gain:
-        factor = self._asked[i] * self._units[i]
+        factor = self._requested[i] * self._units[i]
         if factor > _LARGEST_SUM:
             self._refuse(i, "too large: not even the least error times it fits 32 bits")
         gain = Gain.nearest(factor)
@@ -171,14 +171,14 @@ class Scaling:
             )
 
     def _refuse(self, i: int, why: str) -> None:
-        raise SettingError(("cells", "speed_loop", _FIELDS[i]), self._asked[i], f"fixed point: {why}")
+        raise SettingError(("cells", "speed_loop", _FIELDS[i]), self._requested[i], f"fixed point: {why}")
 
     def realised(self) -> tuple[Realised, ...]:
-        """Every gain as asked for and as it is."""
+        """Every gain as requested and as realised."""
         gains = (self.kp, self.ki, self.feed_forward)
         return tuple(
-            Realised(name, asked, gain.factor / unit, gain.word, gain.shift)
-            for name, asked, gain, unit in zip(_FIELDS, self._asked, gains, self._units, strict=True)
+            Realised(name, requested, gain.factor / unit, gain.word, gain.shift)
+            for name, requested, gain, unit in zip(_FIELDS, self._requested, gains, self._units, strict=True)
         )
 
     @property

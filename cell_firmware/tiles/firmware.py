@@ -106,8 +106,8 @@ class TileFirmware(Firmware):
         """Return which messages are plausible: valid words, with known modes and exits."""
         good = super().accepts(messages)
         for name in ("own", *NEIGHBOURS):
-            told = messages[name].astype(np.int64)
-            good &= is_word(told) & (doing(told) <= TileMode.PUSH) & (exit_of(told) <= self._kinds)
+            words = messages[name].astype(np.int64)
+            good &= is_word(words) & (doing(words) <= TileMode.PUSH) & (exit_of(words) <= self._kinds)
         return good & (messages["label"] <= self._kinds)
 
     def theory(self, lattice: Lattice) -> Theory:
@@ -149,7 +149,7 @@ class TileFirmware(Firmware):
             "here": np.zeros(n, dtype=np.bool_),
             "passed": np.zeros(n, dtype=np.bool_),
             "grace": np.full(n, -1),
-            "told": np.full((*sides, self._kinds), far, dtype=np.uint16),
+            "neighbour": np.full((*sides, self._kinds), far, dtype=np.uint16),
             "counts": np.zeros(sides, dtype=np.int16),
             "way": np.full((n, self._kinds), far),
             "distance": np.full((n, self._kinds), self.parameters.limit),
@@ -163,37 +163,39 @@ class TileFirmware(Firmware):
         own, around = newest_words(state["own"], state["around"], inbox, state["mate"], state["used"])
         here, passed = _under_its_parcel(state, inputs, own)
         label = np.where(here, self.labels(inputs), 0)
-        told, counts = self._told(state, inputs)
-        way = self._ways(state, told)
+        neighbour, counts = self._update_neighbours(state, inputs)
+        way = self._ways(state, neighbour)
         after, leads, takes_over = rounds.on_messages(state, inbox, here, label, ttl_periods)
         known = NeighbourTiles.of(around)
         own = self._lead(state, after, own, known, way, leads, takes_over, here, label)
         speed = np.where(passed[:, None], 0.0, self._speed(state, own, known))
         after["here"], after["passed"] = here, passed
-        outbox = self._tell(state, after, own, around, way)
+        outbox = self._send(state, after, own, around, way)
         del after["ended"]
         learnt = {
             "own": own,
             "around": around,
-            "told": told,
+            "neighbour": neighbour,
             "counts": counts,
             "way": way,
             "distance": way >> 2,
         }
         return {**state, **after, **learnt}, Outputs(speed, outbox)
 
-    def _told(self, state: State, inputs: Inputs) -> tuple[NDArray[np.uint16], NDArray[np.int16]]:
+    def _update_neighbours(
+        self, state: State, inputs: Inputs
+    ) -> tuple[NDArray[np.uint16], NDArray[np.int16]]:
         inbox = inputs.inbox
         assert inbox is not None
         counts = age_ttl(inbox.received, state["counts"], self.parameters.recall)
-        news = np.stack([inbox.message[way] for way in self.ways], axis=2)
+        received = np.stack([inbox.message[way] for way in self.ways], axis=2)
         return hold_last(
-            inbox.received, counts, news, state["told"], silence=self.parameters.limit << 2
+            inbox.received, counts, received, state["neighbour"], silence=self.parameters.limit << 2
         ), counts
 
-    def _ways(self, state: State, told: NDArray[np.uint16]) -> Ints:
+    def _ways(self, state: State, neighbour: NDArray[np.uint16]) -> Ints:
         """Return the ways, ``(n, kinds)``: four times the distance, plus the side over which to leave the tile."""
-        far, hops = self.parameters.limit << 2, told.astype(np.int64)
+        far, hops = self.parameters.limit << 2, neighbour.astype(np.int64)
         out, mate = state["out"][:, :, None], state["mate"][:, :, None]
         away = (hops & ~3) + 4 | np.arange(4)[:, None]
         ahead = np.where(mate, hops + 4, np.where(out, away, far))
@@ -223,10 +225,12 @@ class TileFirmware(Firmware):
         doubts = leads & doubtful(state, own, around)
         after["grace"] = np.where(doubts, np.where(state["grace"] < 0, 0, state["grace"] + full), -1)
         after["ended"], after["least"] = over, state["least"]
-        news = decide(state, after, own, around, way, self.parameters.limit)
-        was, now = doing(own) * 4 + side(own), news.code
-        changed = leads & ((now != was) | (news.exit != own >> 16 & 255) | (news.ticket != own & MASK_16))
-        word_ = word(version(own) + changed, self.parameters.ttl_periods, now, news.exit, news.ticket)
+        decision = decide(state, after, own, around, way, self.parameters.limit)
+        was, now = doing(own) * 4 + side(own), decision.code
+        changed = leads & (
+            (now != was) | (decision.exit != own >> 16 & 255) | (decision.ticket != own & MASK_16)
+        )
+        word_ = word(version(own) + changed, self.parameters.ttl_periods, now, decision.exit, decision.ticket)
         expects, has = TileMode.EXPECT, now >> 2 >= TileMode.HOLD
         got = changed & (was >> 2 < TileMode.HOLD) & has
         after["came"] = np.where(got, np.where(was >> 2 == expects, was & 3, 4), state["came"])
@@ -252,7 +256,7 @@ class TileFirmware(Firmware):
         pushes = (does == TileMode.PUSH) & ~refused(state, own, around)
         return np.where(pushes[:, None], pushing, np.where(carries, centring, 0.0))
 
-    def _tell(
+    def _send(
         self, state: State, after: dict[str, NDArray[Any]], own: Ints, around: Ints, way: Ints
     ) -> Outbox:
         n = len(own)
@@ -282,7 +286,7 @@ def _under_its_parcel(state: State, inputs: Inputs, own: Ints) -> tuple[Bools, B
     inbox = inputs.inbox
     assert inbox is not None
     sensed, own = np.asarray(inputs.presence.any(axis=1)), np.where(own > 0, own, state["last"])
-    told = inbox.message["passed"] & state["mate"] & (side(own)[:, None] != OPPOSITES)
-    gone = ~sensed & (state["here"] | told.any(axis=1))
+    passed_by_mates = inbox.message["passed"] & state["mate"] & (side(own)[:, None] != OPPOSITES)
+    gone = ~sensed & (state["here"] | passed_by_mates.any(axis=1))
     passed = (doing(own) == TileMode.PUSH) & (state["passed"] | gone)
     return sensed & ~passed, passed

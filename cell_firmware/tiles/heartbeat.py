@@ -70,7 +70,7 @@ def on_messages(
 def round_finished(state: Any, after: dict[str, NDArray[Any]], leads: Bools) -> Bools:
     """Advance a leader's rounds by a tick, and add the results to ``after``.
 
-    A round in which all live cells answer tells whether a parcel is over any of them. A round that takes too long has
+    A round in which all live cells answer shows whether a parcel is over any of them. A round that takes too long has
     no result; after several of these in a row, a cell that answered in none counts as dead. A cell that answers lives.
 
     Returns:

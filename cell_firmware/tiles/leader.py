@@ -102,33 +102,39 @@ def decide(
     entry = ~state["into"].any(axis=1)
     labelled = entry & sure & occupied & (read > 0)
     nothing = np.zeros_like(own)
-    kept = Decision(was * 4 + at, exit_, ticket_)
+    unchanged = Decision(was * 4 + at, exit_, ticket_)
     mine = with_parcel(state, ways, limit, exit_)
-    news = kept.where(labelled & (was <= TileMode.FREE), with_parcel(state, ways, limit, read), read, nothing)
+    decision = unchanged.where(
+        labelled & (was <= TileMode.FREE), with_parcel(state, ways, limit, read), read, nothing
+    )
     vacant = sure & ~occupied
-    news = news.where((was == TileMode.CLOSED) & vacant, nothing + TileMode.FREE * 4, nothing, nothing)
-    news = news.where((was == TileMode.CLOSED) & sure & occupied & (exit_ > 0), mine, exit_, nothing)
-    news = _granted(news, state, was == TileMode.FREE, vacant, around, ways, limit)
+    decision = decision.where(
+        (was == TileMode.CLOSED) & vacant, nothing + TileMode.FREE * 4, nothing, nothing
+    )
+    decision = decision.where((was == TileMode.CLOSED) & sure & occupied & (exit_ > 0), mine, exit_, nothing)
+    decision = _granted(decision, state, was == TileMode.FREE, vacant, around, ways, limit)
 
     lost = (was == TileMode.EXPECT) & (after["grace"] >= 1)
-    news = news.where(lost & occupied, mine, exit_, nothing)
-    news = news.where(lost & ~occupied, nothing + TileMode.FREE * 4, nothing, nothing)
+    decision = decision.where(lost & occupied, mine, exit_, nothing)
+    decision = decision.where(lost & ~occupied, nothing + TileMode.FREE * 4, nothing, nothing)
 
-    news = news.where((was == TileMode.HOLD) | (was == TileMode.WANT) & after["ended"], mine, exit_, nothing)
+    decision = decision.where(
+        (was == TileMode.HOLD) | (was == TileMode.WANT) & after["ended"], mine, exit_, nothing
+    )
     steady = (state["held"] >= state["settle"]) | (state["came"] == OPPOSITES[at])
     promised = (partner.doing == TileMode.EXPECT) & partner.faces & (partner.ticket == version(own))
     goes = (was == TileMode.WANT) & promised & steady
-    news = news.where(goes, TileMode.PUSH * 4 + at, exit_, nothing)
+    decision = decision.where(goes, TileMode.PUSH * 4 + at, exit_, nothing)
 
     stopped = (was == TileMode.PUSH) & (after["grace"] >= 1) & occupied
-    news = news.where(stopped, mine, exit_, nothing)
-    news = news.where((was == TileMode.PUSH) & vacant, nothing + TileMode.FREE * 4, nothing, nothing)
+    decision = decision.where(stopped, mine, exit_, nothing)
+    decision = decision.where((was == TileMode.PUSH) & vacant, nothing + TileMode.FREE * 4, nothing, nothing)
 
     open_ = np.bitwise_count(after["members"].astype(np.uint64)) >= after["least"]
     keeps = (
         (was == TileMode.HOLD) | (was == TileMode.WANT) | (was == TileMode.PUSH) | (was == TileMode.CLOSED)
     )
-    return news.where(~open_, nothing, np.where(keeps, exit_, 0), nothing)
+    return decision.where(~open_, nothing, np.where(keeps, exit_, 0), nothing)
 
 
 def refused(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
@@ -138,7 +144,7 @@ def refused(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
 
 
 def doubtful(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
-    """Return where only a new round can tell which tile has the parcel: the other has closed, or withdrawn."""
+    """Return where only a new round can show which tile has the parcel: the other has closed, or withdrawn."""
     partner, granted = around.on(side(own)), ticket(own)
     wants = (partner.doing == TileMode.WANT) & (partner.version == granted)
     pushes = (partner.doing == TileMode.PUSH) & (partner.version == (granted + 1 & MASK_16))
@@ -147,7 +153,7 @@ def doubtful(state: Any, own: Ints, around: NeighbourTiles) -> Bools:
 
 
 def _granted(
-    news: Decision, state: Any, free: Bools, vacant: Bools, around: NeighbourTiles, ways: Ints, limit: int
+    decision: Decision, state: Any, free: Bools, vacant: Bools, around: NeighbourTiles, ways: Ints, limit: int
 ) -> Decision:
     """Grant a request to a free tile: a neighbour that already pushes first, else the sides in turn."""
     ours = around.faces & state["into"]
@@ -159,7 +165,7 @@ def _granted(
     chosen = around.on(first)
     found = free & (pushes | asks).any(axis=1)
     wish = np.where(chosen.doing == TileMode.PUSH, chosen.version - 1, chosen.version) & MASK_16
-    return news.where(found, TileMode.EXPECT * 4 + first, chosen.exit, wish)
+    return decision.where(found, TileMode.EXPECT * 4 + first, chosen.exit, wish)
 
 
 def _way_to(ways: Ints, exits: Ints) -> Ints:

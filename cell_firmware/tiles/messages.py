@@ -8,7 +8,7 @@ and a word that is not refreshed expires after as many ticks as its freshness.
 
 Versions and rounds are serial numbers of 16 bits (RFC 1982): after 65,535 comes 0, and of two the newer is the one that
 is fewer than 32,768 steps ahead of the other. Words and pulses live for 255 ticks at most, and a leader that takes over
-skips 16 versions, so all that are told of at one time lie within a fraction of that.
+skips 16 versions, so all that are known at one time lie within a fraction of that.
 """
 
 from __future__ import annotations
@@ -138,14 +138,14 @@ def newest_words(own: Ints, around: Ints, inbox: Inbox, mate: Bools, used: Bools
         New words of the own tile and of the neighbouring tiles.
     """
     message, n = inbox.message, len(own)
-    heard = np.empty((n, 5, 5), dtype=np.int64)  # of which tile, its own last; from whom, itself first
-    heard[:, :4, 0], heard[:, 4, 0] = around, own
+    known = np.empty((n, 5, 5), dtype=np.int64)  # by tile, its own last, and by sender, itself first
+    known[:, :4, 0], known[:, 4, 0] = around, own
     for tile, name in enumerate((*NEIGHBOURS, "own")):
-        heard[:, tile, 1:] = np.where(mate, message[name], 0)
+        known[:, tile, 1:] = np.where(mate, message[name], 0)
     beyond = np.where(mate | ~used[:, None], 0, message["own"])
     for number in range(4):  # either is 0
-        heard[:, number, 1 + number] += beyond[:, number]
-    found = newest(older(heard.reshape(5 * n, 5))).reshape(n, 5)
+        known[:, number, 1 + number] += beyond[:, number]
+    found = newest(older(known.reshape(5 * n, 5))).reshape(n, 5)
     return found[:, 4], found[:, :4]
 
 

@@ -41,8 +41,8 @@ def hop_distance(lattice: Lattice, cells: Ints, passes: NDArray[np.bool_] | None
         steps[front] = count
         near = lattice.neighbours[front]
         # the way is walked backwards: from there to here, over the side that faces this one
-        way = (near >= 0) & (True if passes is None else passes[near, _FACING])
-        front = np.unique(near[way & (steps[near] < 0)])
+        usable = (near >= 0) & (True if passes is None else passes[near, _FACING])
+        front = np.unique(near[usable & (steps[near] < 0)])
         count += 1
     return steps
 
@@ -93,7 +93,7 @@ class GraphLaplacian:
         lattice: The cells.
         held: ``(n,)``: does the cell keep its value?
         weight: ``(n, 4)``, of the link on each side, alike for both its ends; default: 1.
-        of_cell: ``(n,)``, s in ``S L S``, S = diag(s), whose spectrum is asked for; default: 1. With 1 / sqrt(degree)
+        of_cell: ``(n,)``, s in ``S L S``, S = diag(s), whose spectrum is computed; default: 1. With 1 / sqrt(degree)
             it is the normalised Laplacian.
 
     Attributes:

@@ -39,5 +39,5 @@ def hold_last(
         silence: Substitute for a message that has expired.
     """
     shape = received.shape + (1,) * (message.ndim - 2)
-    kept = np.where(counts.reshape(shape) > 0, before, np.array(silence, dtype=before.dtype))
-    return np.where(received.reshape(shape), message, kept)
+    held = np.where(counts.reshape(shape) > 0, before, np.array(silence, dtype=before.dtype))
+    return np.where(received.reshape(shape), message, held)

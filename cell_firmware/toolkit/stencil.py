@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from cell_firmware.firmware import Bools, Floats
 
 
-def across(heard: Bools, told: Floats, own: Floats) -> Floats:
+def across(valid: Bools, neighbour: Floats, own: Floats) -> Floats:
     """Return each neighbour's value less the cell's own, ``(n, 4)``; 0 across insulated faces, without a message.
 
     Args:
-        heard: ``(n, 4)``, whether the neighbour's value is valid.
-        told: ``(n, 4)``, the neighbours' values.
+        valid: ``(n, 4)``, whether the neighbour's value is valid.
+        neighbour: ``(n, 4)``, the neighbours' values.
         own: ``(n,)``, the cells' own values.
     """
-    return np.where(heard, told - own[:, None], 0.0)
+    return np.where(valid, neighbour - own[:, None], 0.0)
 
 
 def total(each: NDArray[np.float64]) -> Floats:

@@ -83,10 +83,10 @@ class ReferenceTrajectory:
         speeds: list[Floats] = []
         for leg in legs:
             there: Floats = np.array([*(here[:2] if leg.to_m is None else leg.to_m), here[2] + leg.turn_rad])
-            way = there - here
-            distance = float(np.sqrt(way[0] * way[0] + way[1] * way[1]))
+            displacement = there - here
+            distance = float(np.sqrt(displacement[0] * displacement[0] + displacement[1] * displacement[1]))
             took = leg.wait_s or max(distance / speed_m_s, abs(leg.turn_rad) / turn_rate_rad_s)
-            speeds.append(way / took if took else way)
+            speeds.append(displacement / took if took else displacement)
             time, here = time + took, there
             begins.append(time)
             poses.append(here)

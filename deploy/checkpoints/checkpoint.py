@@ -33,7 +33,7 @@ class Checkpoint:
         time_ns: Simulated time reached, ns.
         process: State of the plant's process.
         states: State of the cells, by shard; only shards with a live cell.
-        ledger: State of the run log, the digest included.
+        run_log: State of the run log, the digest included.
         reporter: State of the protocol's reporter; None without a protocol report.
         counts: Payloads of all sides: sent, delivered, lost, late.
         refused: Number of malformed payloads, by owner of the key and name of the error.
@@ -52,7 +52,7 @@ class Checkpoint:
     time_ns: int
     process: bytes
     states: dict[int, bytes]
-    ledger: bytes
+    run_log: bytes
     reporter: bytes | None
     counts: tuple[int, int, int, int]
     refused: dict[tuple[str, str], int]
@@ -107,7 +107,7 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
     "time_ns": (int,),
     "process": (bytes,),
     "states": (dict,),
-    "ledger": (bytes,),
+    "run_log": (bytes,),
     "reporter": (bytes, type(None)),
     "counts": (tuple,),
     "refused": (dict,),

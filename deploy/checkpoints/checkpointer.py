@@ -57,13 +57,13 @@ class _Pending:
 
     Attributes:
         tick: Tick before which the state is saved.
-        asked: Time at which snapshots were requested, monotonic wall seconds.
+        requested_at: Time at which snapshots were requested, monotonic wall seconds.
         plant: State of the plant's side, by field of ``Checkpoint``; None until ``tick`` is next.
         mark: Position in the recording that must be on disk before the checkpoint.
     """
 
     tick: int
-    asked: float
+    requested_at: float
     plant: Mapping[str, Any] | None = None
     mark: int = 0
 
@@ -82,7 +82,7 @@ class Checkpointer:
     Args:
         every_s: Wall time between two checkpoints, s.
         host: Coordinator of the lockstep, which requests snapshots.
-        ledger: Log of the run.
+        run_log: Log of the run.
         recorder: Recorder of the run.
         reporter: Reporter of the protocol; None without a protocol report.
         store: Checkpoint files.
@@ -99,7 +99,7 @@ class Checkpointer:
         self,
         every_s: float,
         host: Coordinator,
-        ledger: RunLog,
+        run_log: RunLog,
         recorder: Recorder,
         reporter: Reporter | None,
         store: CheckpointStore,
@@ -110,7 +110,7 @@ class Checkpointer:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._every_s, self._patience_s = every_s, max(patience_s, PATIENCE_S)
-        self._host, self._ledger, self._recorder, self._reporter = host, ledger, recorder, reporter
+        self._host, self._run_log, self._recorder, self._reporter = host, run_log, recorder, reporter
         self._store, self._about, self._warn, self._clock = store, about, warn, clock
         self._begun = clock()
         self._last = self._begun
@@ -132,7 +132,7 @@ class Checkpointer:
         elif draft.plant is None:
             process.report()
             self._host.record_counters()
-            if self._ledger.controls:
+            if self._run_log.controls:
                 self._stop(
                     "faults were injected at run time, and a checkpoint doesn't hold them; to repeat the run, use "
                     "mdms run --replay DIR"
@@ -147,7 +147,7 @@ class Checkpointer:
             "tick": process.tick,
             "time_ns": process.time_ns,
             "process": save_state(process),
-            "ledger": save_state(self._ledger),
+            "run_log": save_state(self._run_log),
             "reporter": None if self._reporter is None else save_state(self._reporter),
             "recorded": recorded,
             "dead": tuple(np.flatnonzero(process.lost).tolist()),
@@ -165,7 +165,7 @@ class Checkpointer:
         if together is not None:
             self._draft = None
             self._write(draft.plant, together, draft)
-        elif self._clock() > draft.asked + self._patience_s:
+        elif self._clock() > draft.requested_at + self._patience_s:
             self._draft = None
             shards = ", ".join(map(str, self._host.cancel_snapshot()))
             self._warn(
@@ -216,7 +216,7 @@ class Checkpointer:
             self._recorder.sync_to(draft.mark)
             self._store.write(checkpoint.to_bytes())
             self.written.append(checkpoint.tick)
-            self._took_s = self._clock() - draft.asked
+            self._took_s = self._clock() - draft.requested_at
         except (DeployError, OSError, ValueError) as error:  # ValueError: the recording has been closed
             self._trouble = str(error)
 
@@ -262,7 +262,7 @@ def make_checkpointer(
     about: CheckpointMetadata | None,
     options: RunOptions,
     host: Coordinator,
-    ledger: RunLog,
+    run_log: RunLog,
     recorder: Recorder,
     reporter: Reporter | None,
     resumed: Checkpoint | None,
@@ -274,10 +274,10 @@ def make_checkpointer(
         about: Fields that all checkpoints share; None without checkpoints.
         options: Options of the run.
         host: Coordinator of the lockstep.
-        ledger: Log of the run.
+        run_log: Log of the run.
         recorder: Recorder of the run, into whose folder checkpoints are written.
         reporter: Reporter of the protocol; None without a protocol report.
-        resumed: Checkpoint to resume from, kept until a newer one is written.
+        resumed: Checkpoint to resume from, retained until a newer one is written.
         patience_s: Wall time that shards get to send their snapshots, s.
     """
     if about is None or options.checkpoint_s is None:
@@ -289,24 +289,24 @@ def make_checkpointer(
     return Checkpointer(
         options.checkpoint_s,
         host,
-        ledger,
+        run_log,
         recorder,
         reporter,
         store,
         about,
         patience_s=patience_s,
-        warn=ledger.warn,
+        warn=run_log.warn,
     )
 
 
 def restore_run(
-    resumed: Checkpoint, process: PlantProcess, ledger: RunLog, reporter: Reporter | None
+    resumed: Checkpoint, process: PlantProcess, run_log: RunLog, reporter: Reporter | None
 ) -> None:
     """Restore the plant's process, the log and the reporter from a checkpoint."""
     from bus.state import load_state
 
     load_state(process, resumed.process)
-    load_state(ledger, resumed.ledger)
-    ledger.show(resumed.recorded.get(EVENTS, 0))
+    load_state(run_log, resumed.run_log)
+    run_log.show(resumed.recorded.get(EVENTS, 0))
     if reporter is not None and resumed.reporter is not None:
         load_state(reporter, resumed.reporter)

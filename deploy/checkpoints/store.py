@@ -1,4 +1,4 @@
-"""Checkpoint files of a run: the last two are kept, so that one is always whole."""
+"""Checkpoint files of a run: the last two are retained, so that one is always whole."""
 
 from __future__ import annotations
 
@@ -160,29 +160,29 @@ def scene_of(checkpoint: Checkpoint) -> Scene:
         raise InputError(f"the checkpoint's scene is refused: {error}") from None
 
 
-def options_of(checkpoint: Checkpoint, asked: RunOptions) -> RunOptions:
-    """Return the options of a resumed run: the checkpoint's where the result depends on an option, else ``asked``.
+def options_of(checkpoint: Checkpoint, options: RunOptions) -> RunOptions:
+    """Return the options of a resumed run: the checkpoint's where the result depends on an option, else ``options``.
 
     Args:
         checkpoint: Checkpoint to resume from.
-        asked: Options given now; a default stands for the checkpoint's value.
+        options: Options given now; a default stands for the checkpoint's value.
 
     Raises:
-        InputError: The checkpoint's options are unknown, or ``asked`` contradicts them.
+        InputError: The checkpoint's options are unknown, or ``options`` contradicts them.
     """
     then = checkpoint.options
     if set(then) != {"processes", "live", *_ALIKE}:
         raise InputError(f"the checkpoint's options are {', '.join(sorted(then))}")
     unsaid = RunOptions()
     for name in ("processes", *_ALIKE[:-1], "replay"):
-        now = getattr(asked, name)
+        now = getattr(options, name)
         if now not in (getattr(unsaid, name), then.get(name)):
             option = name.replace("_", "-")
             raise InputError(
                 f"--resume: the run has --{option} {then.get(name)}, which can't be --{option} {now} now"
             )
     alike: dict[str, Any] = {name: then[name] for name in ("processes", *_ALIKE)}
-    return replace(asked, **{**alike, "checkpoint_s": asked.checkpoint_s or then["checkpoint_s"]})
+    return replace(options, **{**alike, "checkpoint_s": options.checkpoint_s or then["checkpoint_s"]})
 
 
 def options_record(plan: Plan, options: RunOptions, *, live: bool) -> dict[str, Any]:

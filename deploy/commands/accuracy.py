@@ -113,15 +113,15 @@ def accuracy(
     interruption = Interruption()
     with interruption.handling(last=True), interruption.interruptible():
         plan = replace(StudyPlan.of(quick=quick, repeats=repeats), sampling=sampling and target is None)
-        tell = silent if quiet else say
-        report_warnings(found, tell)
-        with locked_folder(output, tell) as folder:  # before the work: it would be for nothing
-            report = study(found, plan, say=tell, look=interruption.raise_if_requested)
+        notify = silent if quiet else say
+        report_warnings(found, notify)
+        with locked_folder(output, notify) as folder:  # before the work: it would be for nothing
+            report = study(found, plan, say=notify, poll=interruption.raise_if_requested)
             if folder is not None:
                 from deploy.studies.accuracy.plots import write_report
 
                 write_report(report, folder)
-    _tell(report, target, folder, as_json=as_json)
+    _print(report, target, folder, as_json=as_json)
 
 
 def _write_page(scene: str | None, docs: Path, repeats: int | None, say: Callable[[str], None]) -> None:
@@ -135,7 +135,7 @@ def _write_page(scene: str | None, docs: Path, repeats: int | None, say: Callabl
         print(write(docs, repeats=REPEATS if repeats is None else repeats, say=say))
 
 
-def _tell(report: AccuracyReport, target: float | None, folder: Path | None, *, as_json: bool) -> None:
+def _print(report: AccuracyReport, target: float | None, folder: Path | None, *, as_json: bool) -> None:
     from deploy.studies.accuracy.console import answer, print_report
 
     if as_json:

@@ -223,16 +223,16 @@ def campaign(
         "confidence": confidence,
     }
     if resume is None:
-        asked, text, folder = _new(given, output)
+        spec, text, folder = _new(given, output)
     else:
         if output is not None:
             raise InputError(
                 f"--output {output}: --resume {resume} writes to its own folder; leave --output out"
             )
-        asked, text = _resumed(given, resume, other_versions=other_versions)
+        spec, text = _resumed(given, resume, other_versions=other_versions)
         folder = resume
     with ExitStack() as locked:
-        report = _run(asked, text, folder, jobs, locked, resumed=resume is not None, quiet=quiet)
+        report = _run(spec, text, folder, jobs, locked, resumed=resume is not None, quiet=quiet)
         _finish(report, picture=picture, as_json=as_json)
 
 
@@ -265,15 +265,15 @@ def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tu
     from deploy.runs.output import versions
     from deploy.studies.campaign.spec import check_same, check_versions, read
 
-    asked, text, before = read(folder)
-    check_same(asked, given, folder)
+    spec, text, before = read(folder)
+    check_same(spec, given, folder)
     if not other_versions:
         check_versions(before, versions(), folder)
-    return asked, text
+    return spec, text
 
 
 def _run(
-    asked: CampaignSpec,
+    spec: CampaignSpec,
     text: str,
     folder: Path | None,
     jobs: int | None,
@@ -296,20 +296,20 @@ def _run(
 
     interruption = Interruption()
     with interruption.handling(last=True):
-        tell = silent if quiet else say
+        notify = silent if quiet else say
         with interruption.interruptible():
-            cases = cases_of(asked, text)
+            cases = cases_of(spec, text)
             for line in dict.fromkeys(line for case in cases.cases for line in warnings_of(case.scene)):
-                tell(f"warning: {line}")
+                notify(f"warning: {line}")
         if folder is None:
             folder = new_folder(run_name(cases.scene, f"campaign-{time.strftime('%Y%m%d-%H%M%S')}"))
         if resumed:
-            locked.enter_context(OutputLock(folder, tell, named="--resume"))
+            locked.enter_context(OutputLock(folder, notify, named="--resume"))
         else:
-            locked.enter_context(locked_folder(folder, tell))
+            locked.enter_context(locked_folder(folder, notify))
             _check_new(folder)  # another may have begun one since
-            write(asked, text, versions(), folder)
-        return Campaign(asked, cases, folder, quiet=quiet).run(jobs or processors(), interruption)
+            write(spec, text, versions(), folder)
+        return Campaign(spec, cases, folder, quiet=quiet).run(jobs or processors(), interruption)
 
 
 def _finish(report: CampaignReport, *, picture: bool, as_json: bool) -> None:

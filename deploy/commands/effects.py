@@ -98,18 +98,18 @@ def effects(
     if not 0.0 < tolerance_mm < float("inf"):
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must be greater than 0")
     found = load_scene(scene, sets, seed, duration, solver, tolerance)
-    tell = silent if quiet else say
+    notify = silent if quiet else say
     interruption = Interruption()
     with interruption.handling(last=True), interruption.interruptible():
         from deploy.runs.setup import load_plant, report_warnings
 
-        report_warnings(found, tell)
-        load_plant(found, tell)  # whatever the plant refuses in the scene itself is bad input
+        report_warnings(found, notify)
+        load_plant(found, notify)  # whatever the plant refuses in the scene itself is bad input
         if ladder or output is not None:
-            with locked_folder(output, tell) as folder:
-                _ladder(found, repeats, folder, tell, as_json=as_json)
+            with locked_folder(output, notify) as folder:
+                _ladder(found, repeats, folder, notify, as_json=as_json)
         else:
-            _study(found, repeats, tolerance_mm if advise else None, tell, as_json=as_json)
+            _study(found, repeats, tolerance_mm if advise else None, notify, as_json=as_json)
 
 
 def _list(*, as_json: bool) -> None:
@@ -124,13 +124,13 @@ def _list(*, as_json: bool) -> None:
 
 
 def _study(
-    scene: Scene, repeats: int, tolerance_mm: float | None, tell: Callable[[str], None], *, as_json: bool
+    scene: Scene, repeats: int, tolerance_mm: float | None, notify: Callable[[str], None], *, as_json: bool
 ) -> None:
     from deploy.studies.effects.advice import advise
     from deploy.studies.effects.report import advice_json, row_json
     from deploy.studies.effects.study import EffectStudy
 
-    study = EffectStudy(scene, repeats, tell)
+    study = EffectStudy(scene, repeats, notify)
     rows = study.rows()
     advice = None if tolerance_mm is None else advise(study, rows, 1e-3 * tolerance_mm)
     if as_json:
@@ -149,12 +149,12 @@ def _study(
 
 
 def _ladder(
-    scene: Scene, repeats: int, folder: Path | None, tell: Callable[[str], None], *, as_json: bool
+    scene: Scene, repeats: int, folder: Path | None, notify: Callable[[str], None], *, as_json: bool
 ) -> None:
     from deploy.studies.effects.ladder import run_ladder, rungs
     from deploy.studies.effects.report import ladder_json
 
-    climbed = run_ladder(rungs(scene), repeats, tell)
+    climbed = run_ladder(rungs(scene), repeats, notify)
     picture = None if folder is None else _draw(scene, climbed, folder)
     if as_json:
         _print_json(

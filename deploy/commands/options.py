@@ -115,13 +115,13 @@ class SceneOptions:
     quiet: QuietOption = False
 
     def load(self, *, step: float | None = None) -> Scene:
-        """The scene asked for; see `load_scene`."""
+        """The requested scene; see `load_scene`."""
         return load_scene(self.scene, self.sets, self.seed, self.duration, self.solver, self.tolerance, step)
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class AskedOfRun(SceneOptions):
+class RunSceneOptions(SceneOptions):
     """Options of ``run``, in which a resumed run can provide the scene."""
 
     scene: Annotated[str, typer.Argument(metavar="[SCENE]", help=_SCENE, autocompletion=scenes)] = ""

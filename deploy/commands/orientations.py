@@ -87,52 +87,52 @@ def orientations(
     interruption = Interruption()
     with interruption.handling(last=True), interruption.interruptible():
         report_warnings(found, say)
-        asked = study(found, parcel, place)
+        orientation_study = study(found, parcel, place)
         with locked_folder(output, say) as folder:
             if ranges is None:
-                _one(asked, folder, as_json=as_json)
+                _one(orientation_study, folder, as_json=as_json)
             else:
-                _many(asked, ranges, folder, as_json=as_json)
+                _many(orientation_study, ranges, folder, as_json=as_json)
 
 
-def _one(asked: OrientationStudy, folder: Path | None, *, as_json: bool) -> None:
-    profile = asked.profile()
+def _one(orientation_study: OrientationStudy, folder: Path | None, *, as_json: bool) -> None:
+    profile = orientation_study.profile()
     picture = None
     if folder is not None:
         from deploy.studies.orientations.plots import FILE_NAME, draw_orientations
 
         picture = folder / FILE_NAME
-        draw_orientations(asked, profile, picture)
+        draw_orientations(orientation_study, profile, picture)
     if as_json:
-        found = {**_head(asked), **_plain(profile), "picture": picture and str(picture)}
+        found = {**_head(orientation_study), **_plain(profile), "picture": picture and str(picture)}
         print(json.dumps(found, indent=2, allow_nan=False))
         return
     from deploy.studies.orientations.console import print_orientations
 
-    print_orientations(asked, profile)
+    print_orientations(orientation_study, profile)
     if picture:
         print(f"\n{picture}")
 
 
 def _many(
-    asked: OrientationStudy, ranges: tuple[Floats, Floats], folder: Path | None, *, as_json: bool
+    orientation_study: OrientationStudy, ranges: tuple[Floats, Floats], folder: Path | None, *, as_json: bool
 ) -> None:
     from deploy.studies.orientations.study import size_map
 
-    sizes = size_map(asked, *ranges)
+    sizes = size_map(orientation_study, *ranges)
     picture = None
     if folder is not None:
         from deploy.studies.orientations.plots import SIZES_FILE_NAME, draw_sizes
 
         picture = folder / SIZES_FILE_NAME
-        draw_sizes(asked, sizes, picture)
+        draw_sizes(orientation_study, sizes, picture)
     if as_json:
-        found = {**_head(asked), "rows": _rows(sizes), "picture": picture and str(picture)}
+        found = {**_head(orientation_study), "rows": _rows(sizes), "picture": picture and str(picture)}
         print(json.dumps(found, indent=2, allow_nan=False))
         return
     from deploy.studies.orientations.console import print_sizes
 
-    print_sizes(asked, sizes)
+    print_sizes(orientation_study, sizes)
     if picture:
         print(f"\n{picture}")
 
@@ -159,8 +159,12 @@ def _ranges(text: str) -> tuple[Floats, Floats]:
     return lengths, widths
 
 
-def _head(asked: OrientationStudy) -> dict[str, Any]:
-    return {"scene": asked.scene.name, "parcel": asked.parcel, "centre_m": asked.centre_m.tolist()}
+def _head(orientation_study: OrientationStudy) -> dict[str, Any]:
+    return {
+        "scene": orientation_study.scene.name,
+        "parcel": orientation_study.parcel,
+        "centre_m": orientation_study.centre_m.tolist(),
+    }
 
 
 def _plain(profile: TorqueProfile) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from deploy.commands.options import EXECUTION_PANEL, AskedOfRun, expand_dataclass
+from deploy.commands.options import EXECUTION_PANEL, RunSceneOptions, expand_dataclass
 from deploy.commands.outcome import execute
 from deploy.errors import InputError
 from deploy.util.formatting import say, silent
@@ -164,7 +164,7 @@ PlanOption = Annotated[
 
 @expand_dataclass
 def run(
-    asked: AskedOfRun,
+    scene_options: RunSceneOptions,
     *,
     processes: ProcessesOption = None,
     transport: TransportOption = "zenoh",
@@ -211,8 +211,8 @@ def run(
         keys=keys,
         insecure=insecure,
         realtime=realtime,
-        output=asked.output,
-        picture=asked.picture,
+        output=scene_options.output,
+        picture=scene_options.picture,
         registers=registers,
         protocol_report=protocol_report,
         respawn=respawn,
@@ -222,41 +222,46 @@ def run(
     with ExitStack() as held:
         lock = None
         if resume is None:
-            if not asked.scene:
+            if not scene_options.scene:
                 raise InputError("mdms run: name a SCENE, or a run to resume: --resume DIR")
-            scene, resumed = asked.load(), None
+            scene, resumed = scene_options.load(), None
         else:
-            check_unchanged(resume, asked)
+            check_unchanged(resume, scene_options)
             if not show_plan:
-                lock = held.enter_context(lock_of(resume, quiet=asked.quiet))
+                lock = held.enter_context(lock_of(resume, quiet=scene_options.quiet))
             scene, options, resumed = taken_up(resume, options)
         if show_plan:
-            print_plan(plan(scene, options, "RUN"), as_json=asked.as_json)
+            print_plan(plan(scene, options, "RUN"), as_json=scene_options.as_json)
             return
 
         def work(interruption: Interruption) -> Outcome:
             from deploy.runs.run import run as run_scene
 
             return run_scene(
-                scene, options, quiet=asked.quiet, interruption=interruption, resumed=resumed, lock=lock
+                scene,
+                options,
+                quiet=scene_options.quiet,
+                interruption=interruption,
+                resumed=resumed,
+                lock=lock,
             )
 
-        execute("the run", work, as_json=asked.as_json)
+        execute("the run", work, as_json=scene_options.as_json)
 
 
-def check_unchanged(folder: Path, asked: AskedOfRun) -> None:
+def check_unchanged(folder: Path, scene_options: RunSceneOptions) -> None:
     """Refuse options that would change a resumed run.
 
     Raises:
         InputError: Names the options.
     """
-    if asked.changes:
-        given = ", ".join(asked.changes)
+    if scene_options.changes:
+        given = ", ".join(scene_options.changes)
         raise InputError(f"--resume {folder}: a resumed run keeps its scene and folder: leave out {given}")
 
 
 def lock_of(folder: Path, *, quiet: bool) -> OutputLock:
-    """Lock the folder of a run before its checkpoint is looked for: until then another process may write there.
+    """Lock the folder of a run before its checkpoint is read: until then another process may write there.
 
     Raises:
         InputError: There is no such folder, or another process is writing there.

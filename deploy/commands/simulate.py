@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @expand_dataclass
-def simulate(asked: SceneOptions, *, step: StepOption = None) -> None:
+def simulate(scene_options: SceneOptions, *, step: StepOption = None) -> None:
     """Simulate a scene without cells: wheel speeds straight from its velocity field.
 
     This is the simulator of the papers: ideal wheels run at the field's speed from the start. The scene's firmware
@@ -25,17 +25,17 @@ def simulate(asked: SceneOptions, *, step: StepOption = None) -> None:
       [cyan]mdms simulate elliptic --solver fixed_step --step 1e-3[/cyan]
       [cyan]mdms simulate elliptic --solver scipy --set solver.method=LSODA[/cyan]
     """
-    scene = asked.load(step=step)
+    scene = scene_options.load(step=step)
 
     def work(interruption: Interruption) -> Outcome:
         from deploy.runs.field_simulation import simulate as simulate_scene
 
         return simulate_scene(
             scene,
-            output=asked.output,
-            picture=asked.picture,
-            quiet=asked.quiet,
+            output=scene_options.output,
+            picture=scene_options.picture,
+            quiet=scene_options.quiet,
             interruption=interruption,
         )
 
-    execute("the simulation", work, as_json=asked.as_json)
+    execute("the simulation", work, as_json=scene_options.as_json)

@@ -13,7 +13,7 @@ from deploy.faults.registry import Fault
 from deploy.scenes.errors import problems_of, strictly
 
 _LONGEST: Final = 65_536
-_TOLD: Final = 20
+_MOST_PROBLEMS: Final = 20
 """Most problems that an answer lists, which bounds the length of the answer."""
 
 
@@ -55,7 +55,7 @@ class ListRequest(Spec):
 Request = InjectRequest | RepairRequest | ListRequest
 
 
-class _Asked(Spec):
+class _Envelope(Spec):
     request: Annotated[Request, Field(discriminator="op")]
 
 
@@ -87,10 +87,10 @@ def read_request(payload: bytes | None) -> Request:
     except (ValueError, RecursionError):
         raise RequestError("a request: must be JSON with a few levels of nesting") from None
     try:
-        return strictly(_Asked, data).request
+        return strictly(_Envelope, data).request
     except ValidationError as error:
-        problems = problems_of(error, data, _Asked)
-        told = [str(problem).removeprefix("request.") for problem in problems[:_TOLD]]
-        if len(problems) > _TOLD:
-            told.append(f"and {len(problems) - _TOLD} more")
-        raise RequestError(*told) from None
+        problems = problems_of(error, data, _Envelope)
+        listed = [str(problem).removeprefix("request.") for problem in problems[:_MOST_PROBLEMS]]
+        if len(problems) > _MOST_PROBLEMS:
+            listed.append(f"and {len(problems) - _MOST_PROBLEMS} more")
+        raise RequestError(*listed) from None

@@ -55,8 +55,8 @@ class ControlServer:
         scene: Scene of the run.
         run: Name of the run.
         faults: Faults that the scene schedules.
-        tell: Sends a control record to cells.
-        ledger: Log of the run, which records faults and commands.
+        send: Sends a control record to cells.
+        run_log: Log of the run, which records faults and commands.
         process: Plant's process, which applies faults in the plant.
         questions: Queue of incoming requests; None: no requests can be sent.
         script: Recorded commands to repeat, each with its tick.
@@ -68,8 +68,8 @@ class ControlServer:
         scene: Scene,
         run: str,
         faults: Sequence[FaultInstance[FaultSpec]],
-        tell: Callable[[Control], None],
-        ledger: RunLog,
+        send: Callable[[Control], None],
+        run_log: RunLog,
         process: Process,
         questions: RequestQueue | None = None,
         script: Sequence[Record] = (),
@@ -80,8 +80,8 @@ class ControlServer:
         self._lattice = scene.lattice()
         self._run = run
         self._faults = {one.number: one for one in faults}
-        self._tell = tell
-        self._ledger = ledger
+        self._send = send
+        self._run_log = run_log
         self._questions = questions
         self._script = sorted(script, key=lambda record: int(record["tick"]))
         self._deaf = scene.effects.serial is not None and not lines
@@ -109,10 +109,10 @@ class ControlServer:
         names = tuple(self._lattice.cells[cell] for cell in cells)
         for one in self._faults.values():
             if one.injected_at_runtime and isinstance(one.fault, CellFault):
-                self._tell(Control("fault", tick, names, _text(one)))
+                self._send(Control("fault", tick, names, _text(one)))
         for number in self._repaired:
             end = self._faults[number].end_tick
-            self._tell(Control("fault", tick, names, json.dumps({"number": number, "end": end})))
+            self._send(Control("fault", tick, names, json.dumps({"number": number, "end": end})))
 
     # --- requests ----------------------------------------------------------------------------------
 
@@ -194,11 +194,11 @@ class ControlServer:
     def _inject(self, one: FaultInstance[FaultSpec]) -> None:
         self._faults[one.number] = one
         if isinstance(one.fault, CellFault):
-            self._tell(Control("fault", one.start_tick, (), _text(one)))
+            self._send(Control("fault", one.start_tick, (), _text(one)))
         if isinstance(one.fault, PlantFault):
             self._process.inject(cast("FaultInstance[PlantFault]", one))
-        self._ledger.inject(one)
-        self._ledger.control(
+        self._run_log.inject(one)
+        self._run_log.control(
             {
                 "time_s": one.start_tick * self._scene.tick_ns * 1e-9,
                 "kind": "fault",
@@ -219,11 +219,11 @@ class ControlServer:
         one.end_tick = tick
         self._repaired.add(number)
         self._process.replan()
-        self._ledger.replan()
+        self._run_log.replan()
         detail = {"number": number, "end": tick}
-        self._tell(Control("fault", tick, (), json.dumps(detail)))
+        self._send(Control("fault", tick, (), json.dumps(detail)))
         time_s = tick * self._scene.tick_ns * 1e-9
-        self._ledger.control({"time_s": time_s, "kind": "repair", "tick": tick, "detail": detail})
+        self._run_log.control({"time_s": time_s, "kind": "repair", "tick": tick, "detail": detail})
 
     # --- replay ------------------------------------------------------------------------------------
 

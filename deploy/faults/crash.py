@@ -33,8 +33,8 @@ class CrashFault(CellTarget, CellFault, PlantFault):
             pause.halted[injected.cells] = True
         pause.reset[injected.cells] |= tick == injected.end_tick
 
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """Nobody drives the wheels."""
-        harm.dead[cells] = True
+        wheel_faults.dead[cells] = True
         if self.wheels is not None:
-            harm.wheel_policies.update(dict.fromkeys(cells.tolist(), self.wheels))
+            wheel_faults.wheel_policies.update(dict.fromkeys(cells.tolist(), self.wheels))

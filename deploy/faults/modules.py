@@ -28,9 +28,9 @@ class AbsentModuleFault(CellTarget, CellFault, PlantFault):
             pause.halted[injected.cells] = True
         pause.reset[injected.cells] |= tick == injected.end_tick
 
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """The cells are not in the array."""
-        harm.gone[cells] = True
+        wheel_faults.gone[cells] = True
 
 
 @final

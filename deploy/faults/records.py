@@ -62,7 +62,7 @@ def plot_marks(faults: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
     return [
         (
             float(alike[0]["time_s"]),
-            _mark(alike[0]) if "phase" in alike[0] else f"{_whom(alike, 'cell ')} lost",
+            _mark(alike[0]) if "phase" in alike[0] else f"{_cells_of(alike, 'cell ')} lost",
         )
         for alike in _together(faults)
         if alike[0]["kind"] != "add" or alike[0]["phase"] == "ends"
@@ -104,7 +104,7 @@ def _together(faults: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any
     return list(found.values())
 
 
-def _whom(lost: Sequence[Mapping[str, Any]], one: str = "") -> str:
+def _cells_of(lost: Sequence[Mapping[str, Any]], one: str = "") -> str:
     """Which cell was lost, or how many."""
     row, column = lost[0]["cell"]
     return f"{one}{row},{column}" if len(lost) == 1 else plural(len(lost), "cell")
@@ -113,7 +113,7 @@ def _whom(lost: Sequence[Mapping[str, Any]], one: str = "") -> str:
 def _lost(alike: Sequence[Mapping[str, Any]]) -> str:
     """Cells that died."""
     kind, time_s = alike[0]["kind"], alike[0]["time_s"]
-    return f"{_whom(alike)} {_DID.get(kind, kind)} at {time_s:g} s"
+    return f"{_cells_of(alike)} {_DID.get(kind, kind)} at {time_s:g} s"
 
 
 def _mark(fault: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c6d00", "#332288", "#56b4e9")
-"""One a parcel, in turn: after Okabe and Ito, told apart by colour-blind readers and on light grey."""
+"""One a parcel, in turn: after Okabe and Ito, distinguished by colour-blind readers and on light grey."""
 
 INK = "#22272e"
 LOST = "#c1121f"
@@ -184,7 +184,7 @@ def _draw_faults(axes: Axes, track: RunTrace) -> None:
 
 
 def _draw_squares(
-    axes: Axes, track: RunTrace, cells: list[int], *, facecolors: str = "none", **look: Any
+    axes: Axes, track: RunTrace, cells: list[int], *, facecolors: str = "none", **style: Any
 ) -> None:
     from matplotlib.collections import PolyCollection
 
@@ -192,7 +192,7 @@ def _draw_squares(
         return
     squares = list(_squares(track.positions_m[sorted(cells)], 0.92 * track.pitch_m))
     axes.add_collection(
-        PolyCollection(squares, facecolors=facecolors, linewidths=0.8, zorder=2.5, **look), autolim=False
+        PolyCollection(squares, facecolors=facecolors, linewidths=0.8, zorder=2.5, **style), autolim=False
     )
 
 

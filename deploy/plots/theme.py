@@ -116,8 +116,8 @@ def draw_heading(figure: Figure, title: str, subtitle: str, left_in: float) -> N
     rise = 0.06 * min(len(lines) - 1, 2)
     texts = [(0.34 - rise, _shortened(title, room), _TITLE)]
     texts += [(0.62 - 1.5 * rise + 0.16 * number, line, _SUBTITLE) for number, line in enumerate(lines)]
-    for down, text, look in texts:
-        figure.text(left_in / width, 1 - down / height, text, va="center", parse_math=False, **look)
+    for down, text, style in texts:
+        figure.text(left_in / width, 1 - down / height, text, va="center", parse_math=False, **style)
 
 
 def _lines(subtitle: str, room_in: float) -> list[str]:
@@ -136,16 +136,16 @@ def _lines(subtitle: str, room_in: float) -> list[str]:
 def _shortened(text: str, room_in: float) -> str:
     if _width_in(text, _TITLE) <= room_in:
         return text
-    kept = len(text) - 1
-    while kept > 1 and _width_in(f"{text[:kept].rstrip()}…", _TITLE) > room_in:
-        kept -= 1
-    return f"{text[:kept].rstrip()}…"
+    length = len(text) - 1
+    while length > 1 and _width_in(f"{text[:length].rstrip()}…", _TITLE) > room_in:
+        length -= 1
+    return f"{text[:length].rstrip()}…"
 
 
-def _width_in(text: str, look: dict[str, Any]) -> float:
+def _width_in(text: str, style: dict[str, Any]) -> float:
     """Return the width of a line of text, inches."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
 
-    font = FontProperties(size=look["size"], weight=look["weight"])
+    font = FontProperties(size=style["size"], weight=style["weight"])
     return text_to_path.get_text_width_height_descent(text, font, ismath=False)[0] / 72.0

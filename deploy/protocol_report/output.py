@@ -36,7 +36,7 @@ def report_lines(report: ProtocolReport) -> Iterator[tuple[str, str]]:
     often = "every tick" if report.every_ticks == 1 else f"every {report.every_ticks} ticks"
     yield "field", f"{report.observed} of {plural(report.cells, 'cell')}, {often}{_dead(report)}"
     for name, one in report.residuals.items():
-        yield name, _course(one)
+        yield name, _history(one)
     if report.law is not None:
         yield "theory", report.law
     yield "verdict", report.verdict
@@ -50,7 +50,7 @@ def _dead(report: ProtocolReport) -> str:
     return f"; {report.cells_dead:,} died" if report.cells_dead else ""
 
 
-def _course(one: ResidualHistory) -> str:
+def _history(one: ResidualHistory) -> str:
     settled = [
         f"{words} from tick {tick:,} on"
         for words, tick in (("1 %", one.settled_1_percent_tick), ("1e-6", one.settled_1e6_tick))

@@ -125,7 +125,7 @@ def _size(field: Floats) -> Floats:
 
 
 def _range(fields: list[Floats]) -> tuple[float, float]:
-    """The least and the greatest finite number that the colours tell apart, never the same.
+    """The least and the greatest finite number that the colours distinguish, never the same.
 
     Of whole numbers one that is far above all others stands for "none" (a distance where no way leads): it is beyond
     the colours.
@@ -195,8 +195,8 @@ def _draw_curves(axes: Axes, reporter: Reporter, report: ProtocolReport) -> None
     tick = np.array(residuals.tick)
     shown = np.unique(np.linspace(0, max(len(tick) - 1, 0), _POINTS).astype(np.int64))[: len(tick)]
     positive = False
-    for name, kept in residuals.rms.items():
-        rms = np.array(kept)[shown]
+    for name, series in residuals.rms.items():
+        rms = np.array(series)[shown]
         there = np.isfinite(rms) & (rms > 0.0)
         positive |= bool(there.any())
         width = 2.4 if name == ERROR else 1.3  # where errors are disagreement, both are seen

@@ -25,7 +25,7 @@ class LinkLoad:
 
     Attributes:
         sent: Messages that programs gave to a line with a neighbour at its end.
-        heard: Messages that they were given.
+        heard: Messages that they received.
         sent_per_cell_tick: Sent by a living cell in a tick, to all its sides together.
         heard_per_cell_tick: Likewise.
         message_bytes: A message's fields, packed.
@@ -134,7 +134,7 @@ class ProtocolReport:
 
     Attributes:
         observed: Its field: a variable of the program, or ``drive`` where the program names none.
-        every_ticks: In every how many ticks it was looked at.
+        every_ticks: Ticks from one sample to the next.
         ticks: How often it was.
         cells: That there were at the start.
         cells_dead: That died.
@@ -169,7 +169,9 @@ class ProtocolReport:
     links: LinkLoad | None
 
 
-def course(tick: Sequence[int], rms: Sequence[float], most: Sequence[float]) -> ResidualHistory | None:
+def residual_history(
+    tick: Sequence[int], rms: Sequence[float], most: Sequence[float]
+) -> ResidualHistory | None:
     """Summarise a residual's history; None if no value was finite."""
     sizes = np.asarray(rms, dtype=np.float64)
     known: NDArray[np.int64] = np.flatnonzero(np.isfinite(sizes))
@@ -285,8 +287,8 @@ def _too_little(residuals: Residuals) -> str:
 
 def excluded_effects(scene: Scene, cells_dead: int) -> list[str]:
     """List the disturbances of a run that theory leaves out: effects on cells and links, and deaths."""
-    asked = dict(scene.effects.enabled())
-    found = [f"effect {name}" for name in _DISTURBS if name in asked]
+    enabled = dict(scene.effects.enabled())
+    found = [f"effect {name}" for name in _DISTURBS if name in enabled]
     if cells_dead:
         found.append(f"{plural(cells_dead, 'cell')} died")
     return found

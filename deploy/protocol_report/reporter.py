@@ -13,11 +13,11 @@ from bus.state import StateFields
 from cell_firmware.errors import FirmwareError
 from deploy.protocol_report.report import (
     ProtocolReport,
-    course,
     dominant_residual,
     excluded_effects,
     link_load,
     ratio,
+    residual_history,
     verdict,
 )
 from deploy.protocol_report.residuals import CHANGE, Rate, Residuals, Snapshots, fit_rate
@@ -39,7 +39,7 @@ class Reporter:
     Args:
         scene: What runs.
         lattice: Its cells.
-        every: In every how many ticks to look.
+        every: Ticks from one sample to the next.
 
     Attributes:
         scene: Likewise.
@@ -51,7 +51,7 @@ class Reporter:
         snapshots: Of the field.
 
     Raises:
-        FirmwareError: The firmware raised when it was asked for its theory.
+        FirmwareError: The firmware raised in its theory.
     """
 
     state_fields: ClassVar[StateFields] = StateFields("notes", "_limit", "residuals", "snapshots")
@@ -95,7 +95,7 @@ class Reporter:
             self._take(shown.tick, field, shown.cells)
 
     def take_drive(self, tick: int, drive: NDArray[np.float64], live: NDArray[np.bool_]) -> None:
-        """Take what the cells drove in a tick, where that is what is looked at."""
+        """Take what the cells drove in a tick, where that is observed."""
         if self.observed == DRIVE and tick % self._every == 0:
             self._take(tick, drive.copy(), live)
 
@@ -113,12 +113,12 @@ class Reporter:
         residuals, theory = self.residuals, self.theory
         if not len(residuals.tick) and ticks:
             self.notes.append(f"no cell published {self.observed}: it is not a number, or has too many")
-        courses = {
+        histories = {
             name: found
             for name, rms in residuals.rms.items()
-            if (found := course(residuals.tick, rms, residuals.most[name])) is not None
+            if (found := residual_history(residuals.tick, rms, residuals.most[name])) is not None
         }
-        rate_of, rate = self._told(ticks, dead)
+        rate_of, rate = self._dominant_rate(ticks, dead)
         predicted = None if theory is None else theory.factor
         return ProtocolReport(
             observed=self.observed,
@@ -129,7 +129,7 @@ class Reporter:
             law=None if theory is None else theory.law,
             predicted_factor=predicted,
             predicted_ticks=None if theory is None else theory.ticks,
-            residuals=courses,
+            residuals=histories,
             rate_of=None if rate is None else rate_of,
             rate=rate,
             rate_ratio=ratio(rate, predicted),
@@ -147,8 +147,8 @@ class Reporter:
             else link_load(self.scene, self._message, counters, *self._lived(ticks, dead)),
         )
 
-    def _told(self, ticks: int, dead: Mapping[tuple[int, int], int]) -> tuple[str, Rate | None]:
-        """The residual that tells of a rate, and that rate."""
+    def _dominant_rate(self, ticks: int, dead: Mapping[tuple[int, int], int]) -> tuple[str, Rate | None]:
+        """The dominant residual, and its rate."""
         name = dominant_residual(self.residuals)
         if self.theory is not None and self.theory.ticks is not None:
             return name, None  # it is done at once, not ever closer

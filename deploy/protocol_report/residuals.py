@@ -68,10 +68,10 @@ def fit_rate(tick: Floats, residual: Floats, scale: Floats) -> Rate | None:
     Args:
         tick: ``(T,)``, rising.
         residual: ``(T,)``, at least 0; NaN where there is none.
-        scale: ``(T,)``, size of the field so far: tells what is rounding.
+        scale: ``(T,)``, size of the field so far: bounds what is rounding.
 
     Returns:
-        The rate; None if there are too few ticks to tell.
+        The rate; None if there are too few ticks.
     """
     there = np.isfinite(residual) & (residual > _ROUNDING * scale)
     gone = np.flatnonzero(np.isfinite(residual) & ~there)
@@ -228,13 +228,13 @@ class Snapshots:
     """Sampled fields of a run, dense at first and then ever sparser, so that memory doesn't grow with run length.
 
     Attributes:
-        kept: Tick, how far the field had moved by then (the sum of its changes' root mean squares), and the field.
+        retained: Tick, how far the field had moved by then (the sum of its changes' root mean squares), and the field.
     """
 
-    state_fields: ClassVar[StateFields] = StateFields("kept", "_next", "_moved", "_last")
+    state_fields: ClassVar[StateFields] = StateFields("retained", "_next", "_moved", "_last")
 
     def __init__(self) -> None:
-        self.kept: list[tuple[int, float, Floats]] = []
+        self.retained: list[tuple[int, float, Floats]] = []
         self._next = 0.0
         self._moved = 0.0
         self._last: tuple[int, float, Floats] | None = None
@@ -245,23 +245,23 @@ class Snapshots:
         shown = field if live.all() else np.where(live[:, None], field, np.nan)
         self._last = (tick, self._moved, shown)
         if tick >= self._next:
-            self.kept.append(self._last)
+            self.retained.append(self._last)
             self._next = max(tick + 1.0, tick * _SPREAD)
 
     def chosen(self, most: int) -> list[tuple[int, Floats]]:
         """At most so many, the first and the last among them, about as far apart as the field moved between them."""
-        kept = list(self.kept)
-        if self._last is not None and kept[-1][0] != self._last[0]:
-            kept.append(self._last)
-        if len(kept) <= most:
-            return [(tick, field) for tick, _, field in kept]
-        way = np.array([moved for _, moved, _ in kept])
-        places = [0, len(kept) - 1]
+        retained = list(self.retained)
+        if self._last is not None and retained[-1][0] != self._last[0]:
+            retained.append(self._last)
+        if len(retained) <= most:
+            return [(tick, field) for tick, _, field in retained]
+        distance = np.array([moved for _, moved, _ in retained])
+        places = [0, len(retained) - 1]
         for part in range(1, most - 1):
-            wanted = way[-1] * part / (most - 1) if way[-1] < np.inf else 0.0
-            free = [i for i in range(len(kept)) if i not in places]
-            places.append(min(free, key=lambda i, wanted=wanted: abs(way[i] - wanted)))
-        return [(kept[i][0], kept[i][2]) for i in sorted(places)]
+            wanted = distance[-1] * part / (most - 1) if distance[-1] < np.inf else 0.0
+            free = [i for i in range(len(retained)) if i not in places]
+            places.append(min(free, key=lambda i, wanted=wanted: abs(distance[i] - wanted)))
+        return [(retained[i][0], retained[i][2]) for i in sorted(places)]
 
 
 def _difference(one: Floats, other: Floats) -> Floats:

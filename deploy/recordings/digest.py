@@ -62,7 +62,7 @@ class Digest:
         """
         # Adding +0 turns minus zero into zero and nothing else.
         numbers = np.concatenate((drives.ravel(), parcels.ravel())).astype("<f8", copy=False) + 0.0
-        # A maximum is NaN if one number is: one cheap look a tick.
+        # A maximum is NaN if one number is: one cheap check a tick.
         if np.isnan(np.maximum.reduce(numbers, initial=-np.inf)):
             raise _found_nan(tick, drives, parcels)
         chain = sha256(self.value)

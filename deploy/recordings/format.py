@@ -117,4 +117,4 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         ["status", "ticks", "time_s", "digest"],
     ),
 }
-"""JSON Schema of every JSON topic; other keys are allowed and kept."""
+"""JSON Schema of every JSON topic; other keys are allowed and preserved."""

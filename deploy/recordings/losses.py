@@ -33,10 +33,10 @@ def lines(losses: Sequence[Loss], places: Places, period_ns: int) -> list[str]:
     for loss in losses:
         row, column = places[loss.cell]
         alike.setdefault((loss.tick, _why(loss)), []).append(f"{row},{column}")
-    told: list[str] = []
+    described: list[str] = []
     for (tick, why), names in alike.items():
-        told.append(f"{_cells(names)} lost in {_when(tick, period_ns)}: {why}")
-    return told
+        described.append(f"{_cells(names)} lost in {_when(tick, period_ns)}: {why}")
+    return described
 
 
 def unreported(cells: Sequence[int], places: Places) -> str:
@@ -57,9 +57,10 @@ def failure(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
 
 def nobody(losses: Sequence[Loss], places: Places, period_ns: int) -> str:
     """Explain from the losses why no cell is left at the end of a run."""
-    told = lines(losses, places, period_ns)
-    more = f"; and {len(told) - 3} more losses" if len(told) > 3 else ""
-    return f"no cell was alive at the end: {'; '.join(told[:3]) or 'faults injected during the run killed them'}{more}"
+    named = lines(losses, places, period_ns)
+    more = f"; and {len(named) - 3} more losses" if len(named) > 3 else ""
+    causes = "; ".join(named[:3]) or "faults injected during the run killed them"
+    return f"no cell was alive at the end: {causes}{more}"
 
 
 def _cells(names: Sequence[str]) -> str:

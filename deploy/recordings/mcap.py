@@ -21,7 +21,7 @@ class McapFile:
     Args:
         path: File to make or replace.
         header: Written and flushed at once, outside the chunks, so that it survives anything later.
-        chunk_bytes: Size at which a chunk is closed without being asked.
+        chunk_bytes: Size at which a chunk is closed without a request.
 
     Attributes:
         channels: Number of each topic's channel.

@@ -25,15 +25,15 @@ class Mishaps:
 
     def __init__(self, warn: Callable[[str], None]) -> None:
         self._warn = warn
-        self._told = 0
+        self._reported = 0
 
     def take(self, events: Iterable[Event]) -> None:
         """Warn of the mishaps among the plant's events."""
         for event in events:
-            if event.kind not in _WORDS or self._told > _MOST:
+            if event.kind not in _WORDS or self._reported > _MOST:
                 continue
-            self._told += 1
-            if self._told > _MOST:
+            self._reported += 1
+            if self._reported > _MOST:
                 self._warn(
                     "more parcels tipped or fell: see the summary for their number, and the recording for each event"
                 )

@@ -107,7 +107,7 @@ class Recording:
         held_presence: ``(n, sensors)`` bool per change: what the cells sensed at the instant.
         held_drives: ``(n, 2)`` per change: the drives acting from the instant on; the end repeats the last.
         held_wheel_speeds: ``(n, 2)`` per change: the wheels' surface speeds at the instant, m/s.
-        register_tick: ``(R,)`` int64, ticks after which the cells' registers were recorded; none unless asked for.
+        register_tick: ``(R,)`` int64, ticks after which the cells' registers were recorded; none unless requested.
         registers: Registers of all cells at these ticks, by name, ``(R, n, ...)``; zero for dead cells.
         events: Events of the plant.
         faults: Faults.

@@ -43,6 +43,6 @@ def copy_prefix(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[s
         raise InputError(f"there is no {path.name} in {path.parent} to resume") from None
     missing = {topic: number for topic, number in left.items() if number > 0}
     if missing:
-        told = ", ".join(f"{number} messages of {topic}" for topic, number in missing.items())
-        raise InputError(f"{path} ends before the checkpoint: {told} are missing")
+        listed = ", ".join(f"{number} messages of {topic}" for topic, number in missing.items())
+        raise InputError(f"{path} ends before the checkpoint: {listed} are missing")
     return last

@@ -44,7 +44,7 @@ class Recorder:
         folder: Output folder, made with its parents where absent; a recording in it is replaced.
         header: Header of the recording.
         flush_s: Wall time between two flushes.
-        kept: Number of messages to keep of the existing recording, by topic; None: a new recording.
+        continued_from: Number of messages to keep of the existing recording, by topic; None: a new recording.
 
     Attributes:
         path: The file.
@@ -60,21 +60,21 @@ class Recorder:
         header: Header,
         *,
         flush_s: float = FLUSH_S,
-        kept: Mapping[str, int] | None = None,
+        continued_from: Mapping[str, int] | None = None,
     ) -> None:
         self.path: Path = Path(folder) / FILE_NAME
         self._flush_s = flush_s
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._last: dict[str, bytes] = {}
-            if kept is None:
+            if continued_from is None:
                 self._file = McapFile(self.path, header, CHUNK_BYTES)
             else:
-                self._file = self._continued(header, kept)
+                self._file = self._continued(header, continued_from)
         except OSError as error:
             raise InputError(f"output {folder}: can't write {self.path.name} there: {_why(error)}") from error
         self._channels = self._file.channels
-        self._counts = Counter(kept or {})
+        self._counts = Counter(continued_from or {})
         self._ticks = 0
         self._time_ns = 0
         self._queue: deque[tuple[int, int, bytes]] = deque()
@@ -94,14 +94,14 @@ class Recorder:
         """Whether the file can no longer be written; every method raises then."""
         return self._error is not None
 
-    def _continued(self, header: Header, kept: Mapping[str, int]) -> McapFile:
+    def _continued(self, header: Header, continued_from: Mapping[str, int]) -> McapFile:
         """Replace the recording by a copy of its beginning; the old file stays until the copy is whole."""
         from deploy.recordings.truncate import copy_prefix
 
         draft = self.path.with_name(f".{self.path.name}.draft")
         file = McapFile(draft, header, CHUNK_BYTES)
         try:
-            self._last = copy_prefix(self.path, file, kept)
+            self._last = copy_prefix(self.path, file, continued_from)
             file.flush()  # a sync alone leaves the last chunk in this process
             file.sync()
             draft.replace(self.path)
@@ -155,10 +155,10 @@ class Recorder:
             time_ns: Simulated time of its start, ns.
             registers: Registers of all cells by name, ``(n, ...)``; zero for dead cells.
         """
-        told = {
+        values = {
             name: [array.dtype.str, list(array.shape), array.tobytes()] for name, array in registers.items()
         }
-        self._put(REGISTERS, time_ns, self._file.pack({"tick": tick, "registers": told}))
+        self._put(REGISTERS, time_ns, self._file.pack({"tick": tick, "registers": values}))
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Record an event of the plant: at least ``time_s`` and ``kind``."""
@@ -252,7 +252,7 @@ class Recorder:
                     )
 
     def _check(self) -> None:
-        """Raise if the recorder's thread ended before it was asked to."""
+        """Raise if the recorder's thread ended before a request."""
         if self._error is not None:
             raise self._error
         if self._ended and not self._closing:

@@ -143,7 +143,7 @@ class _DirectPort:
         self._index = {cell: i for i, cell in enumerate(shard.cells)}
 
     def publish(self, frame: SenseFrame) -> None:
-        """Keep the senses until the drives are asked for."""
+        """Store the senses until the drives are requested."""
         self._senses = frame
 
     def gather(self, tick: int) -> tuple[DriveFrame, Sequence[Loss]]:

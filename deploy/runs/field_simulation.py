@@ -107,10 +107,10 @@ def iterate_field_motion(
     fell: Callable[[int, Sequence[int]], None] | None = None,
     samples: int = SLICE,
 ) -> Iterator[Trajectory]:
-    """The course of a plant under the field, from the start to the end, a sample a control period.
+    """The trajectory of a plant under the field, from the start to the end, a sample a control period.
 
     What the scene lets happen to wheels and modules happens. Cells that crash do what the fault, or the stall policy
-    says; under ``abort`` the course ends there.
+    says; under ``abort`` the trajectory ends there.
 
     Args:
         scene: What to simulate.
@@ -122,7 +122,7 @@ def iterate_field_motion(
 
     Raises:
         PlantUnstable: The motion of a parcel can't be followed; the part that was reached has been given.
-        PlantStopped: Somebody asked for the end of a part; likewise.
+        PlantStopped: The end of a part was requested; likewise.
     """
     from plant.dead_cells import DeadCells
 
@@ -147,15 +147,15 @@ def iterate_field_motion(
         if now_ns >= end_ns:
             return
         dying = schedule.get(tick, ())
-        harm = None if faults is None or tick < faults.next_transition else faults.at_transition(tick)
-        if abort and harm is not None:
-            dying = tuple(sorted({*dying, *undriven.about_to_die(harm)}))
+        wheel_faults = None if faults is None or tick < faults.next_transition else faults.at_transition(tick)
+        if abort and wheel_faults is not None:
+            dying = tuple(sorted({*dying, *undriven.about_to_die(wheel_faults)}))
         if fell is not None:
             fell(tick, dying)
         if abort and dying:
             return
-        if harm is not None:
-            undriven.on_transition(harm, speeds)
+        if wheel_faults is not None:
+            undriven.on_transition(wheel_faults, speeds)
         undriven.mark_dead(dying, speeds)
 
 

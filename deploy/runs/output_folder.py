@@ -32,7 +32,7 @@ def output_folder(
 
     Args:
         scene: Gives the default its name: ``runs/SCENE-YYYYmmdd-HHMMSS``, numbered where that exists.
-        wanted: The folder asked for; may exist.
+        wanted: The requested folder; may exist.
         warn: Told, in one line, that the folder can't be locked.
         recorded: Whether the run replaces the recording itself; else that is removed, too.
 

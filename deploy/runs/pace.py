@@ -16,7 +16,7 @@ _CAUGHT_UP_S: Final = 0.05
 class Pace:
     """Waits, before a tick, until its simulated time has come on the wall clock.
 
-    A run that is late doesn't wait until it has caught up. Its lag is told once it matters, again whenever it has
+    A run that is late doesn't wait until it has caught up. Its lag is reported once it matters, again whenever it has
     doubled, and when it is made up for.
 
     Args:
@@ -51,17 +51,17 @@ class Pace:
         if lag_s < 0:
             self._sleep(-lag_s)
         if lag_s >= self._next_lag_s:
-            self._tell(start_s, lag_s, now - self._begun)
+            self._report(start_s, lag_s, now - self._begun)
         elif lag_s <= _CAUGHT_UP_S and self._next_lag_s > _LAG_S:
             self._warn(f"--realtime {self._factor:g}: in step with the clock again at {start_s:.3f} s")
             self._next_lag_s = _LAG_S
 
-    def _tell(self, start_s: float, lag_s: float, wall_s: float) -> None:
-        """Warn of the lag, with the pace of the run so far."""
+    def _report(self, start_s: float, lag_s: float, wall_s: float) -> None:
+        """Report the lag, and the pace of the run so far."""
         while self._next_lag_s <= lag_s:
             self._next_lag_s *= 2
-        kept = (start_s - self._from_s) / wall_s
+        rate = (start_s - self._from_s) / wall_s
         self._warn(
             f"--realtime {self._factor:g}: can't keep up: {lag_s:.1f} s behind the clock at {start_s:.3f} s "
-            f"({kept:.2g} × real time so far)"
+            f"({rate:.2g} × real time so far)"
         )

@@ -27,7 +27,7 @@ class RejectionMonitor:
     def __init__(self, watch: AccessLogMonitor | None, warn: Callable[[str], None]) -> None:
         self._watch = watch
         self._warn = warn
-        self._told: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
         self._read = 0
 
     def poll(self, counts: MessageCounters) -> None:
@@ -39,10 +39,10 @@ class RejectionMonitor:
         if len(counts.refused) != self._read:
             self._read = len(counts.refused)
             for whose, what in counts.refused:
-                self._tell(whose, f"{what} malformed", "refused")
+                self._report(whose, f"{what} malformed", "refused")
         if self._watch is not None and self._watch.fresh:
             for whose, what in self._watch.counted():
-                self._tell(whose, what, DENIED)
+                self._report(whose, what, DENIED)
 
     def summary_rows(self, counts: MessageCounters) -> list[Mapping[str, Any]]:
         """Return all rejections as rows of ``why``, ``whose``, ``what`` and ``number``.
@@ -55,9 +55,9 @@ class RejectionMonitor:
             found += [(DENIED, *key, number) for key, number in sorted(self._watch.counted().items())]
         return [dict(zip(("why", "whose", "what", "number"), row, strict=True)) for row in found]
 
-    def _tell(self, whose: str, what: str, done: str) -> None:
-        if (whose, what) not in self._told:
-            self._told.add((whose, what))
+    def _report(self, whose: str, what: str, done: str) -> None:
+        if (whose, what) not in self._reported:
+            self._reported.add((whose, what))
             self._warn(f"{done}: {whose}: {what} (the summary has the number)")
 
 

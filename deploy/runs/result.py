@@ -140,7 +140,7 @@ def summary_of(
     plan: Plan,
     ending: RunResult,
     plant: Plant,
-    ledger: RunLog,
+    run_log: RunLog,
     refused: RejectionMonitor,
     folder: Path,
     *,
@@ -155,7 +155,7 @@ def summary_of(
         plan: Plan of the run.
         ending: Result of the run.
         plant: Plant at the end.
-        ledger: Log of the run.
+        run_log: Log of the run.
         refused: Monitor of rejections.
         folder: Output folder.
         warnings: Warnings given before the start.
@@ -180,13 +180,13 @@ def summary_of(
         scene=scene.name,
         seed=scene.seed,
         duration_s=scene.duration_s,
-        simulated_s=ledger.time_ns * 1e-9,
+        simulated_s=run_log.time_ns * 1e-9,
         cells=len(plant.array),
         firmware=firmware,
         processes=plan.workers,
         transport=plan.transport,
         solver=scene.solver.accuracy(),
-        ticks=ledger.ticks,
+        ticks=run_log.ticks,
         wall_s=ending.wall_s,
         startup_s=ending.startup_s,
         parcels=parcel_outcomes(plant),
@@ -194,13 +194,13 @@ def summary_of(
         **validity(plant, scene),
         messages=messages,
         refused=rows,
-        faults=ledger.faults,
-        cells_lost=ledger.cells_lost,
+        faults=run_log.faults,
+        cells_lost=run_log.cells_lost,
         feeders=plant.traffic(),
         warnings=warnings,
         effects=_of_effects(counts.cell_counters),
         protocol=protocol,
-        digest=ledger.digest,
+        digest=run_log.digest,
         resumed=resumed,
         output=str(folder),
     )

@@ -68,9 +68,9 @@ def run(
     interruption = interruption or Interruption()
     with interruption.handling():
         with interruption.interruptible():
-            asked = prepare_run(scene, options or RunOptions(), resumed)
+            setup = prepare_run(scene, options or RunOptions(), resumed)
         with ExitStack() as locked:
-            return _Run(asked, interruption, begun, lock, locked, quiet=quiet).go()
+            return _Run(setup, interruption, begun, lock, locked, quiet=quiet).go()
 
 
 @final
@@ -79,7 +79,7 @@ class _Run:
 
     def __init__(
         self,
-        asked: RunSetup,
+        setup: RunSetup,
         interruption: Interruption,
         begun: float,
         lock: OutputLock | None,
@@ -87,7 +87,7 @@ class _Run:
         *,
         quiet: bool,
     ) -> None:
-        self.setup = asked
+        self.setup = setup
         self.interruption = interruption
         self.begun = begun
         self.lock = lock
@@ -98,37 +98,37 @@ class _Run:
 
     def go(self) -> Outcome:
         """Run, and write all outputs; see `run`."""
-        asked = self.setup
-        for line in asked.warnings:
+        setup = self.setup
+        for line in setup.warnings:
             self._warn(f"warning: {line}")
-        with System(asked.plan, asked.scene, asked.options) as system:
+        with System(setup.plan, setup.scene, setup.options) as system:
             with self.interruption.interruptible():
-                plant = load_plant(asked.scene, self._warn)
+                plant = load_plant(setup.scene, self._warn)
                 self.about = checkpoint_metadata(
-                    asked.scene,
-                    asked.plan,
-                    asked.options,
+                    setup.scene,
+                    setup.plan,
+                    setup.options,
                     plant,
-                    asked.resumed,
-                    live=asked.byte_accurate_links,
+                    setup.resumed,
+                    live=setup.byte_accurate_links,
                 )
             system.open()
-            if asked.options.listen is not None and system.locator:
+            if setup.options.listen is not None and system.locator:
                 self._warn(f"listeners and operators connect to {system.locator}")
             self.interruption.raise_if_requested()
             folder = self._folder()
-            ledger, refused = self._record(system, plant, folder)
-        self._compare(ledger.digest)
+            run_log, refused = self._record(system, plant, folder)
+        self._compare(run_log.digest)
         summary = summary_of(
-            asked.scene,
-            asked.plan,
+            setup.scene,
+            setup.plan,
             self.result,
             plant,
-            ledger,
+            run_log,
             refused,
             folder,
-            warnings=asked.warnings,
-            protocol=self._report(ledger),
+            warnings=setup.warnings,
+            protocol=self._report(run_log),
             resumed=() if self.about is None else self.about.resumed,
         )
         for leave in (self._write, self._write_report, self._illustrate):
@@ -153,14 +153,14 @@ class _Run:
             Recorder(
                 folder,
                 recording_header(run, scene, plant.array, plant.footprints_m),
-                kept=None if resumed is None else resumed.recorded,
+                continued_from=None if resumed is None else resumed.recorded,
             ) as recorder,
             Progress(scene.duration_ns, quiet=self.quiet) as progress,
         ):
             if resumed is not None:  # not before its recording is whole: a full disk is to cost nothing
                 remove_results(folder)
             warn = partial(self._warn, progress=progress)
-            ledger = RunLog(
+            run_log = RunLog(
                 plant.array.lattice.cells,
                 scene.tick_ns,
                 digest=Digest(scene.canonical()),
@@ -176,15 +176,15 @@ class _Run:
                 self.about,
                 system,
                 plant,
-                ledger,
+                run_log,
                 recorder,
                 refused,
                 self.interruption,
             )
             with advertise(run, system.locator, folder):
                 self.result = execution.run(self.begun)
-            self._close(recorder, ledger.digest)
-        return ledger, refused
+            self._close(recorder, run_log.digest)
+        return run_log, refused
 
     def _close(self, recorder: Recorder, digest: str) -> None:
         """End the recording; a write error fails the run."""
@@ -221,14 +221,14 @@ class _Run:
 
         return draw_run_overview(summary, lambda: load(folder), folder, self.interruption)
 
-    def _report(self, ledger: RunLog) -> ProtocolReport | None:
+    def _report(self, run_log: RunLog) -> ProtocolReport | None:
         """Return the protocol report; None without a reporter."""
         if self.setup.reporter is None:
             return None
         from deploy.protocol_report.reporter import deaths_of
 
         return self.setup.reporter.report(
-            ledger.ticks, deaths_of(ledger.faults), self.result.counters.cell_counters
+            run_log.ticks, deaths_of(run_log.faults), self.result.counters.cell_counters
         )
 
     def _write_report(self, summary: Summary, folder: Path) -> Summary:

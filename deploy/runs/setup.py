@@ -49,7 +49,7 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
     return (*scene_warnings(scene), *of_firmware, *_processor(scene, talks=firmware.message is not None))
 
 
-def report_warnings(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...]:
+def report_warnings(scene: Scene, warn: Callable[[str], None]) -> tuple[str, ...]:
     """Report each warning of a scene in a line, and return the warnings.
 
     Raises:
@@ -57,7 +57,7 @@ def report_warnings(scene: Scene, tell: Callable[[str], None]) -> tuple[str, ...
     """
     warnings = warnings_of(scene)
     for line in warnings:
-        tell(f"warning: {line}")
+        warn(f"warning: {line}")
     return warnings
 
 

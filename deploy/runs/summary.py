@@ -62,8 +62,8 @@ class ProtocolMessages:
 
     Attributes:
         sent: Messages that programs gave to a link with a neighbour at its end.
-        heard: Messages that programs were given. Messages that were lost or replaced, or are on their way as the run
-            ends, are sent and not heard.
+        heard: Messages that programs received. Messages that were lost or replaced, or are on their way as the run
+            ends, are sent and not received.
     """
 
     sent: int
@@ -106,7 +106,7 @@ class Summary:
         status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
         reason: Why not ``ok``: what failed and where, one line.
         scene: Name of the bundled scene, or the file.
-        duration_s: Simulated time asked for.
+        duration_s: Requested simulated time.
         simulated_s: Simulated time reached.
         cells: How many.
         firmware: The cells' program: ``name``, ``form`` (on arrays, or cell by cell), ``message_bytes`` (0: they don't
@@ -130,7 +130,7 @@ class Summary:
         warnings: What the firmware said before the run will go wrong, a line each.
         effects: What effects of the cells did to cells that lived, by ``effect.what``, of all processes that said so:
             one that is killed from outside does not.
-        protocol: What the cells' protocol did, held against theory; None unless asked for.
+        protocol: What the cells' protocol did, held against theory; None unless requested.
         digest: See ``deploy/recordings/digest.py``; None where there is none.
         resumed: Ticks before which the run was taken up again from a checkpoint, in order; what was done twice counts
             once, in ``wall_s`` too.

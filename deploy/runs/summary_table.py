@@ -73,8 +73,10 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
     ]
     messages = summary.messages
     if messages.protocol is not None:
-        told = messages.protocol
-        lines.append(("messages", f"{told.sent:,} sent by cells to neighbours, {told.heard:,} received"))
+        protocol = messages.protocol
+        lines.append(
+            ("messages", f"{protocol.sent:,} sent by cells to neighbours, {protocol.heard:,} received")
+        )
     if messages.sent or messages.lost:
         trouble = "".join(
             f", {number:,} {name}"
@@ -158,14 +160,14 @@ def _validity(summary: Summary) -> Iterator[tuple[str, str]]:
 def _refused(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     """Yield a line for each rejected peer, with kinds and numbers of rejections."""
     for whose, own in groupby(sorted(rows, key=itemgetter("whose")), itemgetter("whose")):
-        told = (f"{row['what']} {row['why']} {row['number']:,} ×" for row in own)
-        yield "refused", f"{whose}: {'; '.join(told)}"
+        listed = (f"{row['what']} {row['why']} {row['number']:,} ×" for row in own)
+        yield "refused", f"{whose}: {'; '.join(listed)}"
 
 
 def _faults(faults: Sequence[Mapping[str, Any]]) -> str:
-    told = lines_of(faults)
-    named = "; ".join(told[:_FAULTS])
-    return named if len(told) <= _FAULTS else f"{named}; and {len(told) - _FAULTS:,} more"
+    listed = lines_of(faults)
+    named = "; ".join(listed[:_FAULTS])
+    return named if len(listed) <= _FAULTS else f"{named}; and {len(listed) - _FAULTS:,} more"
 
 
 def _cell_names(cells: Sequence[tuple[int, int]]) -> str:
@@ -181,11 +183,11 @@ def _states(parcels: Sequence[ParcelOutcome]) -> str:
 def _effects(effects: Mapping[str, int]) -> Iterator[tuple[str, str]]:
     """Yield a line for each effect of the cells, with its counters."""
     for effect, counts in groupby(effects.items(), lambda item: item[0].partition(".")[0]):
-        told = [(name.partition(".")[2].replace("_", " ").replace(".", " "), n) for name, n in counts]
-        if effect == "faults":  # the faults are listed below; each counts its own events
-            yield "by faults", ", ".join(f"{what} {number:,}" for what, number in told)
+        listed = [(name.partition(".")[2].replace("_", " ").replace(".", " "), n) for name, n in counts]
+        if effect == "faults":  # the faults are listed below; each has its own counters
+            yield "by faults", ", ".join(f"{what} {number:,}" for what, number in listed)
         else:
-            yield effect, ", ".join(f"{number:,} {what}" for what, number in told)
+            yield effect, ", ".join(f"{number:,} {what}" for what, number in listed)
 
 
 def _traffic(count: TrafficCount) -> Iterator[tuple[str, str]]:

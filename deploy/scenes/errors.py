@@ -51,8 +51,8 @@ class Problem:
         if self.value is not ABSENT:
             where += f" = {shown(self.value)}"
         first, *more = self.rule.split("\n")  # a firmware that can't be loaded shows its traceback below
-        told = f" (from {self.option})" if self.option else ""
-        line = f"{where}: {first}{told}" if where else f"{first}{told}"
+        source = f" (from {self.option})" if self.option else ""
+        line = f"{where}: {first}{source}" if where else f"{first}{source}"
         return "\n".join([line, *more])
 
 

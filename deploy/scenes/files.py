@@ -125,7 +125,7 @@ def _validated(data: dict[str, Any], name: str, overrides: Sequence[Override]) -
 
 
 def _resolve_firmware(data: dict[str, Any], folder: Path) -> None:
-    """A firmware's file is looked for beside its scene."""
+    """A firmware's file is searched beside its scene."""
     cells: Any = data.get("cells")
     firmware: Any = cast("dict[str, Any]", cells).get("firmware") if isinstance(cells, dict) else None
     if isinstance(firmware, str) and firmware.partition(":")[0].endswith(".py"):

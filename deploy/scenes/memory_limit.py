@@ -12,7 +12,7 @@ PARCEL_BYTES: Final = 1_000
 WORKER_BYTES: Final = 4_000_000
 """Of a worker process, apart from what it shares with the others."""
 SAMPLE_BYTES: Final = 150
-"""Of a parcel at one instant, in a simulation that keeps its whole course: its state, and the copies made of it."""
+"""Of a parcel at one instant, in a simulation that stores its whole trajectory: its state, and copies of it."""
 
 _MEMINFO = Path("/proc/meminfo")
 _CGROUP = Path("/sys/fs/cgroup")
@@ -29,7 +29,7 @@ def shortage(needed: int) -> str:
     there = available_bytes()
     if there is None or needed <= there:
         return ""
-    return f"about {_told(needed)} of memory at least, and {_told(there)} are available"
+    return f"about {_format_size(needed)} of memory at least, and {_format_size(there)} are available"
 
 
 def too_many_cells(cells: int) -> str:
@@ -51,7 +51,7 @@ def too_many_workers(workers: int, cells: int) -> str:
 
 
 def too_many_samples(samples: int, parcels: int) -> str:
-    """The rule that a course of so many samples breaks on this machine; empty: none."""
+    """The rule that a trajectory of so many samples breaks on this machine; empty: none."""
     lack = shortage(samples * (parcels * SAMPLE_BYTES + 16))
     return (
         f"a simulation keeps its whole trajectory, and {samples:,} samples need {lack}: duration_s must be shorter"
@@ -60,7 +60,7 @@ def too_many_samples(samples: int, parcels: int) -> str:
     )
 
 
-def _told(size: int) -> str:
+def _format_size(size: int) -> str:
     for unit, name in ((10**12, "TB"), (10**9, "GB"), (10**6, "MB")):
         if size >= unit:
             return f"{size / unit:,.3g} {name}"

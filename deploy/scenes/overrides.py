@@ -90,7 +90,7 @@ def _apply(data: dict[str, Any], override: Override) -> None:
     value = deepcopy(override.value)  # a later override may reach into it, and this one be applied again
     for depth, part in enumerate(override.path):
         last = depth == len(override.path) - 1
-        # What a missing container becomes is told by the part that follows: a number makes a list.
+        # The type of a missing container follows from the next part: a number makes a list.
         default: Any = None if last else ([] if isinstance(override.path[depth + 1], int) else {})
         if isinstance(here, dict):
             table = cast("dict[str, Any]", here)

@@ -73,8 +73,8 @@ def _large_parcels(scene: Scene) -> Iterator[str]:
     for key, spec in named:
         size = _extent(spec)
         if any(one > other for one, other in zip(sorted(size), sorted(array), strict=True)):
-            told, cells = (" × ".join(f"{side:.4g}" for side in sides) for sides in (size, array))
-            yield f"{key}: {told} m, larger than the array, which is {cells} m"
+            footprint, cells = (" × ".join(f"{side:.4g}" for side in sides) for sides in (size, array))
+            yield f"{key}: {footprint} m, larger than the array, which is {cells} m"
 
 
 def _extent(spec: PolygonSpec) -> Sequence[float]:
@@ -92,5 +92,5 @@ def _late_faults(scene: Scene) -> Iterator[str]:
         if scene.tick_at(fault.at_s) >= scene.ticks
     ]
     if late:
-        told = ", ".join(f"faults.{number}.at_s = {at_s:g}" for number, at_s in late)
-        yield f"{told}: after the end of the run (duration_s = {scene.duration_s:g}): never active"
+        listed = ", ".join(f"faults.{number}.at_s = {at_s:g}" for number, at_s in late)
+        yield f"{listed}: after the end of the run (duration_s = {scene.duration_s:g}): never active"

@@ -90,8 +90,8 @@ class Keyring:
         about, roles = self.about, {role.name: role.cells for role in roles_of(cut)}
         if about.wire != cut.wire or about.roles != roles:
             raise InputError(
-                f"--keys {self._folder}: made for {_told(about.roles, about.wire)} (scene {about.scene}), "
-                f"not for these {_told(roles, cut.wire)}: mdms keys makes others"
+                f"--keys {self._folder}: made for {_layout_text(about.roles, about.wire)} (scene {about.scene}), "
+                f"not for these {_layout_text(roles, cut.wire)}: mdms keys makes others"
             )
         if about.kind == "certificate" and host not in (None, *about.hosts):
             raise InputError(
@@ -138,7 +138,7 @@ class Keyring:
         return access
 
 
-def _told(roles: dict[str, tuple[tuple[int, int], ...]], wire: str) -> str:
+def _layout_text(roles: dict[str, tuple[tuple[int, int], ...]], wire: str) -> str:
     """Describe the layout of cells in processes."""
     processes = [cells for role, cells in roles.items() if role not in (PLANT, OPERATOR)]
     cells = sum(map(len, processes))

@@ -106,13 +106,13 @@ def access_control(roles: Iterable[Role], kind: str | None) -> dict[str, Any]:
 
 def part_of(access: dict[str, Any], *, operators: bool) -> dict[str, Any]:
     """Return the part of an access control for the session of operators, or for the session that cells join."""
-    kept = {name for one in access["subjects"] if ((name := one["id"]) == OPERATOR) == operators}
+    retained = {name for one in access["subjects"] if ((name := one["id"]) == OPERATOR) == operators}
     policies = [
         {**one, "subjects": own}
         for one in access["policies"]
-        if (own := [s for s in one["subjects"] if s in kept])
+        if (own := [s for s in one["subjects"] if s in retained])
     ]
-    subjects = [one for one in access["subjects"] if one["id"] in kept]
+    subjects = [one for one in access["subjects"] if one["id"] in retained]
     return {**access, "subjects": subjects, "policies": policies}
 
 

@@ -97,7 +97,7 @@ _Keys = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
 
 def _packed(cut: ProcessLayout, shard: int) -> _Keys:
-    """Return the keys that a shard puts, hears and shows in wire format ``packed``."""
+    """Return the keys that a shard puts, receives and shows in wire format ``packed``."""
     puts = [shard_key(_ANY, shard, "drive")]
     puts += [shard_link_key(_ANY, shard, border.shard) for border in cut.partition.outgoing_borders(shard)]
     hears = [shard_key(_ANY, shard, "sense")]
@@ -106,7 +106,7 @@ def _packed(cut: ProcessLayout, shard: int) -> _Keys:
 
 
 def _by_cell(cut: ProcessLayout, shard: int) -> _Keys:
-    """Return the keys that a shard puts, hears and shows in wire format ``per_cell``."""
+    """Return the keys that a shard puts, receives and shows in wire format ``per_cell``."""
     partition, own = cut.partition, cut.cells(shard)
     cells = partition.lattice.cells
     outgoing, incoming = partition.outgoing(shard), partition.incoming(shard)

@@ -36,7 +36,7 @@ def check_certificate(identity: Certificate, role: str) -> None:
 def _shaken(identity: Certificate, *, as_server: bool) -> str | None:
     """Return the common name that one side has shown and the other has verified."""
     server, client = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    client.check_hostname = False  # under which name the plant is reached, its clients look at
+    client.check_hostname = False  # the name by which the plant is reached is checked by its clients
     client.verify_mode = ssl.CERT_REQUIRED if as_server else ssl.CERT_NONE
     server.verify_mode = ssl.CERT_NONE if as_server else ssl.CERT_REQUIRED
     for side in (server, client):

@@ -104,7 +104,7 @@ def locked_folder(wanted: Path | None, warn: Callable[[str], None]) -> Generator
     A folder that was made here and is empty when the work is cut short is removed.
 
     Args:
-        wanted: The folder; what is in it stays. None: none was asked for.
+        wanted: The folder; what is in it stays. None: none was requested.
         warn: Told, in one line, that the folder can't be locked.
 
     Raises:

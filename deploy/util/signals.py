@@ -18,7 +18,7 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 @final
 class Interrupted(BaseException):
-    """The run was asked to stop by SIGINT or SIGTERM.
+    """Stop request by SIGINT or SIGTERM.
 
     Not an Exception: nothing but the run itself may catch it.
     """

@@ -20,7 +20,7 @@ Indices = NDArray[np.intp]
 
 TURN = 2.0 * np.pi
 TOGETHER_RAD = 1e-9
-"""Crossings closer than this are one change of the cells below: rounding can't tell them apart, as when an edge passes
+"""Crossings closer than this are one change of the cells below: rounding can't separate them, as when an edge passes
 over cells of a row together, or a corner only touches one."""
 _TOUCHING = 1e-12
 """Of its distance: a cell that is beyond an edge by less, at the one angle at which it is nearest to it, is touched."""

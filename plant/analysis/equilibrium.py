@@ -49,7 +49,7 @@ def linear_field(positions_m: Floats, wheel_speed: Floats) -> LinearField | None
         wheel_speed: ``(n, 2)`` their speeds, m/s.
 
     Returns:
-        None where the field isn't linear, or the cells lie on a line and don't tell.
+        None where the field isn't linear, or the cells lie on a line.
     """
     centre = positions_m.mean(axis=0)
     rows = np.concatenate([positions_m - centre, np.ones((len(positions_m), 1))], axis=1)

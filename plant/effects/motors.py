@@ -151,11 +151,11 @@ class MotorsSpec(EffectSpec):
     @property
     def first_order(self) -> FirstOrder:
         """Response of the wheels without load, from first-order parameters or from ``dc``."""
-        told = self if self.dc is None else self.dc
-        assert told.time_constant_s is not None, "this is a bug: no time constant"
-        assert told.speed_per_volt_m_s is not None, "this is a bug: no speed per volt"
+        motor = self if self.dc is None else self.dc
+        assert motor.time_constant_s is not None, "this is a bug: no time constant"
+        assert motor.speed_per_volt_m_s is not None, "this is a bug: no speed per volt"
         return FirstOrder(
-            told.time_constant_s, told.speed_per_volt_m_s, told.coulomb_v or 0.0, told.static_v or 0.0
+            motor.time_constant_s, motor.speed_per_volt_m_s, motor.coulomb_v or 0.0, motor.static_v or 0.0
         )
 
     @classmethod
@@ -219,9 +219,9 @@ class Motors:
             steady = gain * volts
             return steady, speed - steady
         moves = np.abs(speed) > STILL_M_S
-        way = np.sign(np.where(moves, speed, volts))
+        direction = np.sign(np.where(moves, speed, volts))
         goes = moves | (np.abs(volts) > static)
-        steady = np.where(goes, gain * (volts - coulomb * way), 0.0)
+        steady = np.where(goes, gain * (volts - coulomb * direction), 0.0)
         return steady, np.where(goes, speed - steady, 0.0)
 
     def _stops(

@@ -71,12 +71,12 @@ class PlantFault(FaultSpec):
         return self
 
     @abstractmethod
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """Add the effect of this fault, while it is active, to the combined fault state.
 
         Args:
             cells: Indices of affected cells.
-            harm: Fault state, changed in place.
+            wheel_faults: Fault state, changed in place.
         """
 
 
@@ -87,5 +87,5 @@ class WheelFault(CellTarget, PlantFault):
     """Affected wheel of each cell: the wheel that moves parcels along x, the wheel along y, or both."""
 
     def wheels(self, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], slice]:
-        """Rows and columns of those that it strikes, in an array ``(n, 2)`` of all wheels."""
+        """Rows and columns of the affected wheels, in an array ``(n, 2)`` of all wheels."""
         return cells, {"x": slice(0, 1), "y": slice(1, 2), "both": slice(0, 2)}[self.wheel]

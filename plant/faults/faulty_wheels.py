@@ -33,13 +33,13 @@ class FaultyWheels:
     def __init__(self, wheels: Wheels, motors: MotorsSpec | None, cells: int) -> None:
         self._wheels = wheels
         self._motors = motors
-        self._harm = WheelFaults.healthy(cells)
+        self._wheel_faults = WheelFaults.healthy(cells)
         self._still: NDArray[np.bool_] = np.zeros((cells, 2), dtype=np.bool_)
 
-    def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
+    def apply_faults(self, wheel_faults: WheelFaults, drives: Floats) -> None:
         """Something else is the matter from now on, while ``drives`` ``(n, 2)`` go on until others take effect."""
-        self._harm = harm
-        self._still = harm.stuck | harm.gone[:, None]
+        self._wheel_faults = wheel_faults
+        self._still = wheel_faults.stuck | wheel_faults.gone[:, None]
         self._wheels.command(self._acting(drives), 0.0)
 
     def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
@@ -63,19 +63,19 @@ class FaultyWheels:
 
     def _acting(self, drives: Floats) -> Floats:
         """Return ``drives`` as the wheels receive them: m/s, or volts within the supply's limits."""
-        harm, supply, most = self._harm, np.inf, speed_limit(self._harm, self._motors)
+        wheel_faults, supply, most = self._wheel_faults, np.inf, speed_limit(self._wheel_faults, self._motors)
         if self._motors is not None:
             supply = self._motors.supply_v
-        asked = np.where(np.isnan(harm.runs_m_s), drives, harm.runs_m_s)
-        return np.clip(np.clip(asked, -supply, supply) * harm.factor, -most, most)
+        commanded = np.where(np.isnan(wheel_faults.runs_m_s), drives, wheel_faults.runs_m_s)
+        return np.clip(np.clip(commanded, -supply, supply) * wheel_faults.factor, -most, most)
 
 
-def speed_limit(harm: WheelFaults, motors: MotorsSpec | None) -> Floats:
+def speed_limit(wheel_faults: WheelFaults, motors: MotorsSpec | None) -> Floats:
     """The greatest drive ``(n, 2)`` that faults let through: a speed, or the voltage that leads to it without load."""
     if motors is None:
-        return harm.most_m_s
+        return wheel_faults.most_m_s
     motor = motors.first_order
-    return harm.most_m_s / motor.speed_per_volt_m_s + motor.coulomb_v
+    return wheel_faults.most_m_s / motor.speed_per_volt_m_s + motor.coulomb_v
 
 
 def _with_locked(run: WheelRun, still: NDArray[np.bool_]) -> WheelRun:

@@ -49,8 +49,8 @@ class FaultSchedule:
 
     def state_at(self, tick: int, *, live: bool = True) -> WheelFaults:
         """Return the fault state in a tick. ``live``: include faults injected at run time."""
-        harm = WheelFaults.healthy(self._cells)
+        wheel_faults = WheelFaults.healthy(self._cells)
         for injected in self._faults:
             if injected.active_at(tick) and (live or not injected.injected_at_runtime):
-                injected.fault.apply(injected.cells, harm)
-        return harm
+                injected.fault.apply(injected.cells, wheel_faults)
+        return wheel_faults

@@ -29,7 +29,7 @@ class Traction(NamedTuple):
         limit_per_load: dimensionless.
         free_speed: dimensionless: a wheel without load runs at this share of its surface speed.
         push_per_load: dimensionless.
-        set_valued: ``b`` is infinite; ``stiffness`` and ``stiffness_per_load`` are not looked at.
+        set_valued: ``b`` is infinite; ``stiffness`` and ``stiffness_per_load`` are not read.
         isotropic: the two axes of a cell share one limit: ``b r`` is projected on a disc of radius c.
     """
 

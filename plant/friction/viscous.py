@@ -34,7 +34,7 @@ def viscous_of(law: FrictionLaw, what: str) -> Viscous:
     """A scene's law, for what is defined for the viscous one alone.
 
     Raises:
-        PlantError: it is another; ``what`` says what was asked for.
+        PlantError: it is another; ``what`` names the request.
     """
     if not isinstance(law, Viscous):
         name = law.model_dump()["law"]

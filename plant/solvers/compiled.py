@@ -96,8 +96,8 @@ class CompiledSolver(ABC):
     def find_supports(self, index: int, grip: Floats) -> bool:
         """Compute a parcel's loads at its pose. False if the supports can't carry the parcel."""
         still = WheelMotion(self._still, self._still, 0.0)
-        news = self.advance(np.array([index]), Segment.through(still, grip, 0.0, len(self.parcels)))
-        return not news or news[0].termination == "moving"
+        results = self.advance(np.array([index]), Segment.through(still, grip, 0.0, len(self.parcels)))
+        return not results or results[0].termination == "moving"
 
     def _memory(self) -> Sequence[NDArray[Any]]:
         """Arrays with a row a parcel that moving it changes."""
@@ -109,31 +109,31 @@ class CompiledSolver(ABC):
         members = [parcel.mem[: int(parcel.ctl[layout.N_MEMBERS])].copy() for parcel in parcels]
         return SolverSnapshot(indices, [rows[indices] for rows in self._memory()], members)
 
-    def restore(self, kept: SolverSnapshot) -> None:
+    def restore(self, snapshot: SolverSnapshot) -> None:
         """Restore a snapshot bit for bit."""
-        for rows, before in zip(self._memory(), kept.rows, strict=True):
-            rows[kept.indices] = before
-        parcels = [self.parcels[int(i)] for i in kept.indices]
-        for parcel, before in zip(parcels, kept.members, strict=True):
+        for rows, before in zip(self._memory(), snapshot.rows, strict=True):
+            rows[snapshot.indices] = before
+        parcels = [self.parcels[int(i)] for i in snapshot.indices]
+        for parcel, before in zip(parcels, snapshot.members, strict=True):
             parcel.mem[: len(before)] = before
 
     def set_state(self, index: int, state: Floats) -> None:
         """Set a parcel's state ``(6,)``; cells under the parcel and loads are computed again."""
         parcel = self.parcels[index]
         parcel.y[:] = state
-        self._find_anew(parcel)
+        self._find_again(parcel)
 
     def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
         """Find supports again where cells were added or removed; see ``plant.solver_api.Solver``."""
-        news: list[AdvanceResult] = []
+        results: list[AdvanceResult] = []
         for i, parcel in enumerate(self.parcels):
             changes = cells_changed(parcel, members(parcel), cells, self._array)
             if changes:
-                self._find_anew(parcel)
-                news.append(AdvanceResult(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
-        return news
+                self._find_again(parcel)
+                results.append(AdvanceResult(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
+        return results
 
-    def _find_anew(self, parcel: Parcel) -> None:
+    def _find_again(self, parcel: Parcel) -> None:
         """Find the cells under a parcel, whatever was known of them."""
         parcel.ctl[[layout.N_GROUPS, layout.N_CROSSED]] = 0
         find_members(parcel, self._array)
@@ -206,13 +206,13 @@ class ThreadedSolver(CompiledSolver, Generic[Workspace]):
         rate: rate of the motors, 1/s; 0 without motors.
 
     Attributes:
-        crew: the thread pool.
+        thread_pool: the thread pool.
     """
 
     def __init__(self, array: CellArray, parcels: tuple[ParcelSpec, ...], rate: float) -> None:
         super().__init__(array, parcels, rate)
-        self.crew = ThreadPool()
-        self._desks: dict[int, ThreadWorkspace[Workspace]] = {}
+        self.thread_pool = ThreadPool()
+        self._workspaces: dict[int, ThreadWorkspace[Workspace]] = {}
 
     @abstractmethod
     def _make_workspace(self) -> Workspace:
@@ -220,31 +220,35 @@ class ThreadedSolver(CompiledSolver, Generic[Workspace]):
 
     @abstractmethod
     def _advance_block(
-        self, desk: ThreadWorkspace[Workspace], block: NDArray[np.int64], errand: AdvanceArgs
+        self, workspace: ThreadWorkspace[Workspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
-        """Move the parcels of a block, as many as ``desk.log`` is sure to have room for.
+        """Move the parcels of a block, as many as ``workspace.log`` is sure to have room for.
 
         Returns:
-            How many of the block were moved, and how many rows of ``desk.report`` were written.
+            How many of the block were moved, and how many rows of ``workspace.report`` were written.
         """
 
     def workspace(self, thread: int) -> ThreadWorkspace[Workspace]:
         """Return a thread's workspace, created on first use."""
-        if thread not in self._desks:
+        if thread not in self._workspaces:
             log, report = np.zeros((2 * LOG_CAPACITY, 4)), np.zeros((len(self.parcels), REPORT_SIZE))
-            self._desks[thread] = ThreadWorkspace(self._make_workspace(), log, report)
-        return self._desks[thread]
+            self._workspaces[thread] = ThreadWorkspace(self._make_workspace(), log, report)
+        return self._workspaces[thread]
 
     def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
         """Move some parcels; see ``plant.solver_api.Solver``."""
         errand = AdvanceArgs(self._surface(leg.motion, leg.grip), leg.span_s, leg.times_s, leg.out)
 
         def move(thread: int, share: slice) -> list[AdvanceResult]:
-            desk = self.workspace(thread)
-            return self._move(desk, indices[share], lambda block: self._advance_block(desk, block, errand))
+            workspace = self.workspace(thread)
+            return self._move(
+                workspace, indices[share], lambda block: self._advance_block(workspace, block, errand)
+            )
 
         least = max(1, round(MIN_WORK_PER_THREAD / (1.0 + MIN_WORK_PER_THREAD * leg.span_s)))
-        return [news for share in self.crew.map_ranges(len(indices), move, least) for news in share]
+        return [
+            result for share in self.thread_pool.map_ranges(len(indices), move, least) for result in share
+        ]
 
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under those parcels."""
@@ -252,34 +256,34 @@ class ThreadedSolver(CompiledSolver, Generic[Workspace]):
         def mark(_: int, share: slice) -> None:
             self._cover.mark(self.packed, indices[share], bits)
 
-        self.crew.map_ranges(len(indices), mark, SENSED_WORTH_WAKING)
+        self.thread_pool.map_ranges(len(indices), mark, SENSED_WORTH_WAKING)
 
     def _move(
         self,
-        desk: ThreadWorkspace[Workspace],
+        workspace: ThreadWorkspace[Workspace],
         block: NDArray[np.int64],
         advance: Callable[[NDArray[np.int64]], tuple[int, int]],
     ) -> list[AdvanceResult]:
         """Move a block, in as many calls as its events need. Returns the parcels to which something happened.
 
         Args:
-            desk: what the thread works with.
+            workspace: what the thread works with.
             block: which parcels.
             advance: moves the first of those given; see ``_advance_block``.
         """
-        news: list[AdvanceResult] = []
+        results: list[AdvanceResult] = []
         while len(block):
             moved, noted = advance(block)
             block = block[moved:]
-            report: list[list[float]] = desk.report[:noted].tolist()
-            log = desk.log[: int(sum(told[LOGGED] for told in report))].copy()
-            row = 0
-            for told in report:
-                begin, row = row, row + int(told[LOGGED])
-                events = LoggedEvents(log[begin:row])
-                done = self._done(int(told[WHICH]), told[MOVED], int(told[CHANGES]), events)
-                left_out = int(told[LEFT_OUT])
-                # The last event, by which a parcel tips, is told as the ending.
-                told_else = left_out > 0 and done.termination == "tipped"
-                news.append(done._replace(left_out=left_out - told_else))
-        return news
+            report: list[list[float]] = workspace.report[:noted].tolist()
+            log = workspace.log[: int(sum(row[LOGGED] for row in report))].copy()
+            first = 0
+            for row in report:
+                begin, first = first, first + int(row[LOGGED])
+                events = LoggedEvents(log[begin:first])
+                done = self._done(int(row[WHICH]), row[MOVED], int(row[CHANGES]), events)
+                left_out = int(row[LEFT_OUT])
+                # The last event, by which a parcel tips, is reported as the termination.
+                as_termination = left_out > 0 and done.termination == "tipped"
+                results.append(done._replace(left_out=left_out - as_termination))
+        return results

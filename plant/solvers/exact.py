@@ -40,10 +40,10 @@ class SegmentedCompiledSolver(ThreadedSolver[Workspace]):
     @abstractmethod
     def _segmented_block(
         self,
-        desk: ThreadWorkspace[Workspace],
+        workspace: ThreadWorkspace[Workspace],
         block: NDArray[np.int64],
         errand: AdvanceArgs,
-        way: CallSchedule,
+        schedule: CallSchedule,
         hand: SegmentWorkspace,
     ) -> tuple[int, int]:
         """Move the parcels of a block through their legs; see ``_advance_block``."""
@@ -54,18 +54,22 @@ class SegmentedCompiledSolver(ThreadedSolver[Workspace]):
         if changes is None:
             none = np.zeros((0, len(self._array), 2))
             changes = WheelChanges(none, none, none)
-        way = CallSchedule(*changes, outing.reads_s, outing.margin_m, self._array.sensors_m, outing.presence)
+        schedule = CallSchedule(
+            *changes, outing.reads_s, outing.margin_m, self._array.sensors_m, outing.presence
+        )
         surface = self._surface(motion, outing.grip)
         errand = AdvanceArgs(surface, outing.span_s, np.zeros(0), np.zeros((0, len(self.parcels), 6)))
 
         def move(thread: int, share: slice) -> list[AdvanceResult]:
-            desk, hand = self.workspace(thread), _hand(motion, changes)
+            workspace, hand = self.workspace(thread), _hand(motion, changes)
             return self._move(
-                desk, indices[share], lambda block: self._segmented_block(desk, block, errand, way, hand)
+                workspace,
+                indices[share],
+                lambda block: self._segmented_block(workspace, block, errand, schedule, hand),
             )
 
-        shares = self.crew.map_ranges(len(indices), move, MIN_WORK_PER_THREAD // LEGS)
-        return [news for share in shares for news in share]
+        shares = self.thread_pool.map_ranges(len(indices), move, MIN_WORK_PER_THREAD // LEGS)
+        return [result for share in shares for result in share]
 
 
 def _hand(motion: WheelMotion, changes: WheelChanges) -> SegmentWorkspace:
@@ -114,7 +118,7 @@ class ExactWorkspace(NamedTuple):
     cells: NDArray[np.int64]
     edges: NDArray[np.int64]
     signs: NDArray[np.int64]
-    kept: NDArray[np.int64]
+    saved: NDArray[np.int64]
     before: Floats
     last: NDArray[np.int64]
     earlier: Floats
@@ -145,7 +149,7 @@ def make_workspace(cells: int, capacity: int) -> ExactWorkspace:
         cells=np.zeros(found, dtype=np.int64),
         edges=np.zeros(found, dtype=np.int64),
         signs=np.zeros(found, dtype=np.int64),
-        kept=np.zeros((capacity, layout.MEM_COLUMNS), dtype=np.int64),
+        saved=np.zeros((capacity, layout.MEM_COLUMNS), dtype=np.int64),
         before=np.zeros(3),
         last=np.zeros((found, 3), dtype=np.int64),
         earlier=np.zeros(3),
@@ -198,43 +202,43 @@ class Exact(SegmentedCompiledSolver[ExactWorkspace]):
         return *super()._memory(), self._allowance
 
     def _advance_block(
-        self, desk: ThreadWorkspace[ExactWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
+        self, workspace: ThreadWorkspace[ExactWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
         return self._entry.advance_block(
             surface,
             self.packed,
-            desk.work,
+            workspace.work,
             self._stop,
             self._allowance,
             block,
             span_s,
             times_s,
             out,
-            desk.log,
-            desk.report,
+            workspace.log,
+            workspace.report,
         )
 
     def _segmented_block(
         self,
-        desk: ThreadWorkspace[ExactWorkspace],
+        workspace: ThreadWorkspace[ExactWorkspace],
         block: NDArray[np.int64],
         errand: AdvanceArgs,
-        way: CallSchedule,
+        schedule: CallSchedule,
         hand: SegmentWorkspace,
     ) -> tuple[int, int]:
         return self._entry.advance_segmented(
             errand.surface,
             self.packed,
-            desk.work,
+            workspace.work,
             self._stop,
             self._allowance,
             block,
             errand.span_s,
-            way,
+            schedule,
             hand,
-            desk.log,
-            desk.report,
+            workspace.log,
+            workspace.report,
         )
 
 

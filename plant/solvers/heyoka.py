@@ -2,7 +2,7 @@
 
 The one other integrator that loses no crossing: like ``exact`` it has the Taylor series of an event function on a step,
 and isolates the polynomial's roots. It is here to check with. The equations are its expressions, compiled once a
-parcel; a support set and the cells in reach are parameters, sums that a change of supports puts in anew.
+parcel; a support set and the cells in reach are parameters, sums that a change of supports replaces.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ SUMS = 7
 DECAYING = 3
 """Those of them that go with the wheels' velocities; motors have as many more, which decay."""
 COOLDOWN_S = 1e-10
-"""After an event its function is looked at again: heyoka's own choice grows as the function's rate vanishes, up to
+"""After an event its function is checked again: heyoka's own choice grows as the function's rate vanishes, up to
 microseconds at a graze, and whatever it finds twice changes nothing (``Course.reached``)."""
 MARGIN = 0.5
-"""How far, over the pitch, a parcel may go before cells are looked for that have come into reach."""
+"""How far, over the pitch, a parcel may go before cells are searched that have come into reach."""
 
 
 @final
@@ -52,8 +52,8 @@ class Heyoka(RestartingSolver):
         PlantError: heyoka is not installed.
     """
 
-    # Courses remember nothing: what heyoka's integrators know is theirs alone, and a run on them can't be kept.
-    state_fields: ClassVar[StateFields] = StateFields("_courses")
+    # Integrators save no state: what heyoka's objects hold can't be read, and a run on them has no checkpoints.
+    state_fields: ClassVar[StateFields] = StateFields("_integrators")
 
     def __init__(self, scene: PlantSpec, spec: HeyokaSpec, array: CellArray, rate: float) -> None:
         try:
@@ -64,16 +64,16 @@ class Heyoka(RestartingSolver):
                 "pip install 'mdms-emulator[accuracy]'"
             ) from None
         super().__init__(scene, array, spec.max_steps_per_s)
-        self._courses = [
+        self._integrators = [
             HeyokaIntegrator(self._hy, self, parcel, rate, spec.tolerance) for parcel in self._parcels
         ]
 
     def _integrate(self, parcel: ParcelState, leg: Segment, now_s: float) -> IntegrationStop:
         """See ``RestartingSolver``."""
-        (course,) = (course for course in self._courses if course.parcel is parcel)
-        if course.gone:
-            course.settle(now_s)
-        course.load(leg.motion, leg.grip)
+        (own,) = (own for own in self._integrators if own.parcel is parcel)
+        if own.gone:
+            own.settle(now_s)
+        own.load(leg.motion, leg.grip)
         until_s, times_s = leg.span_s, leg.times_s
         wanted = np.flatnonzero(times_s > now_s)
         self.spend(parcel, 0)
@@ -86,22 +86,22 @@ class Heyoka(RestartingSolver):
                 ended.append(error)
             return not ended
 
-        outcome, _, _, _, dense, _ = course.integrator.propagate_until(
+        outcome, _, _, _, dense, _ = own.integrator.propagate_until(
             until_s, c_output=len(wanted) > 0, callback=goes_on
         )
         kinds = self._hy.taylor_outcome
         if outcome == kinds.err_nf_state:
             raise EndedError("not_finite")
         event = -int(outcome) - 1
-        if outcome not in (kinds.time_limit, kinds.cb_stop) and not 0 <= event < course.events:
+        if outcome not in (kinds.time_limit, kinds.cb_stop) and not 0 <= event < own.events:
             raise EndedError("no_step")
-        at_s = until_s if outcome == kinds.time_limit else float(course.integrator.time)
+        at_s = until_s if outcome == kinds.time_limit else float(own.integrator.time)
         for k in wanted[times_s[wanted] <= at_s].tolist():
-            leg.out[k] = course.state(dense(times_s[k]))
-        parcel.shape.y[:] = course.state(course.integrator.state)
+            leg.out[k] = own.state(dense(times_s[k]))
+        parcel.shape.y[:] = own.state(own.integrator.state)
         if ended:
             raise EndedError(ended[0].ending, at_s)
-        return course.reached(at_s, None if outcome == kinds.time_limit else event)
+        return own.reached(at_s, None if outcome == kinds.time_limit else event)
 
 
 class HeyokaIntegrator:
@@ -234,12 +234,12 @@ class HeyokaIntegrator:
         sign = np.where(supports.carrying, 1.0, -1.0)
         margin: Floats = np.zeros((self._loads, 3))
         margin[:, 0] = 1.0
-        told = slice(0, len(sign))
-        margin[told] = sign[:, None] * plane
-        margin[told, 0] += 2.0 * NO_LOAD / len(sign)
+        used = slice(0, len(sign))
+        margin[used] = sign[:, None] * plane
+        margin[used, 0] += 2.0 * NO_LOAD / len(sign)
         if supports.rank < 2:
             # a plane on a line of supports may tilt about it
-            margin[told][~supports.carrying] = (1.0, 0.0, 0.0)
+            margin[used][~supports.carrying] = (1.0, 0.0, 0.0)
         pars[self._pars_at[2] : self._pars_at[3]] = margin.ravel()
         across = {2: np.zeros((2, 2)), 1: np.stack([supports.across, np.zeros(2)]), 0: np.eye(2)}
         off = across[supports.rank] / (1.5 * ON_LINE * self._solver.array.pitch_m)

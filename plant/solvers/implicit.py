@@ -54,7 +54,7 @@ class ImplicitWorkspace(NamedTuple):
     begun: Floats
     error: Floats
     table: Floats
-    kept: NDArray[np.int64]
+    saved: NDArray[np.int64]
     where: NDArray[np.int8]
     slowing: WheelLoadWorkspace | None = None
 
@@ -81,7 +81,7 @@ def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
         begun=np.zeros(4),
         error=np.zeros(6),
         table=np.zeros((4, 6)),
-        kept=np.zeros((capacity, 2), dtype=np.int64),
+        saved=np.zeros((capacity, 2), dtype=np.int64),
         where=np.zeros(cells, dtype=np.int8),
     )
 
@@ -159,16 +159,16 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
 
     def advance(self, indices: NDArray[np.int64], leg: Segment) -> list[AdvanceResult]:
         """Move some parcels; see ``plant.solver_api.Solver``."""
-        news = super().advance(indices, leg)
+        results = super().advance(indices, leg)
         self._handed.flush(leg.motion.slowing)
-        return news
+        return results
 
     def _memory(self) -> Sequence[NDArray[Any]]:
         passed = () if self._rollers is None else (self._rollers.passed,)
         return *super()._memory(), self._paces, *passed
 
     def _advance_block(
-        self, desk: ThreadWorkspace[ImplicitWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
+        self, workspace: ThreadWorkspace[ImplicitWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
         surface = surface._replace(springs=self._springs, edges=self._edges, rollers=self._rollers)
@@ -176,7 +176,7 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
         done = self._entry.advance_block(
             surface,
             self.packed,
-            desk.work,
+            workspace.work,
             self._stop,
             laws,
             paces,
@@ -184,9 +184,9 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
             span_s,
             times_s,
             out,
-            desk.log,
-            desk.report,
+            workspace.log,
+            workspace.report,
         )
-        if desk.work.slowing is not None:
-            self._handed.add(desk.work.slowing, int(block[0]))
+        if workspace.work.slowing is not None:
+            self._handed.add(workspace.work.slowing, int(block[0]))
         return done

@@ -169,14 +169,14 @@ class RestartingSolver(ABC):
 
     def on_array_changed(self, cells: NDArray[np.int64]) -> list[AdvanceResult]:
         """Find supports again where cells were added or removed; see ``plant.solver_api.Solver``."""
-        news: list[AdvanceResult] = []
+        results: list[AdvanceResult] = []
         for i, parcel in enumerate(self._parcels):
             changes = cells_changed(parcel.shape, parcel.under, cells, self.array)
             if changes:
                 find_members(parcel.shape, self.array)
                 parcel.under, parcel.supports = members(parcel.shape), None
-                news.append(AdvanceResult(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
-        return news
+                results.append(AdvanceResult(i, 0.0, "moving", (-1, -1), -1, len(changes), changes))
+        return results
 
     def presence(self, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under those parcels."""
@@ -203,7 +203,7 @@ class RestartingSolver(ABC):
         parcel.allowed = min(parcel.allowed, refill) + refill * leg.span_s
         if parcel.supports is None:
             self._find_supports(parcel)
-        with np.errstate(all="ignore"):  # what overflows is told by its state
+        with np.errstate(all="ignore"):  # what overflows shows in its state
             while now < leg.span_s:
                 before = now
                 ending, now = self._next(parcel, leg, now, events)
@@ -245,9 +245,9 @@ class RestartingSolver(ABC):
         stands = True
         if len(reached.crossed) or reached.loads:
             stands = self._find_supports(parcel)
-            told = self._changes(parcel, *before, reached.at_s)
-            events.extend(told)
-            parcel.allowed -= max(len(told), 1)
+            changes = self._changes(parcel, *before, reached.at_s)
+            events.extend(changes)
+            parcel.allowed -= max(len(changes), 1)
         ending: Ending = "moving" if stands else "tipped"
         return ("endless_changes" if parcel.allowed < 0.0 else ending), reached.at_s
 
@@ -279,15 +279,15 @@ class RestartingSolver(ABC):
     ) -> list[SolverEvent]:
         """Compare supports and loads with the previous ones and return the changes as events."""
         now = parcel.under
-        told = [SolverEvent(at_s, "support_lost", int(cell)) for cell in np.setdiff1d(under, now)]
-        told += [SolverEvent(at_s, "support_gained", int(cell)) for cell in np.setdiff1d(now, under)]
+        changes = [SolverEvent(at_s, "support_lost", int(cell)) for cell in np.setdiff1d(under, now)]
+        changes += [SolverEvent(at_s, "support_gained", int(cell)) for cell in np.setdiff1d(now, under)]
         if parcel.supports is None:
-            return told
+            return changes
         carried = dict(zip(under.tolist(), carrying.tolist(), strict=True))
         for cell, carries in zip(now.tolist(), parcel.supports.carrying.tolist(), strict=True):
             if carried.get(cell, carries) != carries:
-                told.append(SolverEvent(at_s, "load_returned" if carries else "load_vanished", cell))
-        return told
+                changes.append(SolverEvent(at_s, "load_returned" if carries else "load_vanished", cell))
+        return changes
 
     def _edge(self, parcel: ParcelState) -> tuple[int, int]:
         """The cells about which a parcel tips; -1 where nothing is under it, or it stands."""
@@ -299,7 +299,7 @@ class RestartingSolver(ABC):
 
 
 def _moving(spec: ParcelSpec, array: CellArray, state: Floats, effort: float) -> ParcelState:
-    """A parcel at its start, which is put into ``state`` ``(6,)`` and kept there."""
+    """A parcel at its start, which is stored in ``state`` ``(6,)``."""
     shape = make_parcel(spec, array)
     state[:] = shape.y
     shape = shape._replace(y=state)

@@ -227,9 +227,9 @@ class EventFunctions:
         def event(t: float, y: Floats) -> float:
             return self(t, y)[k]
 
-        told: Any = event
-        told.terminal, told.direction = True, -1.0
-        return told
+        function: Any = event
+        function.terminal, function.direction = True, -1.0
+        return function
 
     def reached(self, at_s: float, values: Floats, *fired: int) -> IntegrationStop:
         """Identify the events at given function values; ``fired``: functions that were located at zero.

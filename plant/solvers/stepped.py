@@ -27,7 +27,7 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         array: the surface.
         rate: of the motors, 1/s; 0 without.
         entry: the kernel's module; ``entry.advance_block`` is called as ``plant.kernels.implicit.block``'s is.
-        step_s: length of a step; 0 where the tolerance tells it.
+        step_s: length of a step; 0 where the tolerance sets it.
         tolerance: m at the footprint; 0 where steps are of one length.
         steps_per_s: that a parcel may take in a simulated second.
     """
@@ -61,7 +61,7 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         self._paces[:, [implicit_layout.STEPS_LEFT, implicit_layout.STEPS_PER_SECOND]] = steps_per_s
 
     def _advance_block(
-        self, desk: ThreadWorkspace[Workspace], block: NDArray[np.int64], errand: AdvanceArgs
+        self, workspace: ThreadWorkspace[Workspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
         surface = surface._replace(springs=self._springs, edges=self._edges)
@@ -69,7 +69,7 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         return self._entry.advance_block(
             surface,
             self.packed,
-            desk.work,
+            workspace.work,
             self._stop,
             laws,
             paces,
@@ -77,6 +77,6 @@ class SteppedSolver(ThreadedSolver[Workspace]):
             span_s,
             times_s,
             out,
-            desk.log,
-            desk.report,
+            workspace.log,
+            workspace.report,
         )

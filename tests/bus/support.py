@@ -163,7 +163,7 @@ class System:
         return self
 
     def sense(self, tick: int) -> SenseFrame:
-        """A frame whose every value tells its tick and cell."""
+        """A frame whose every value encodes its tick and cell."""
         n = len(self.partition.lattice)
         bits = (np.arange(n * SENSORS).reshape(n, SENSORS) * 7 + tick) % 3 == 0
         travel = (tick + np.arange(n * 2).reshape(n, 2) / 3.0) if self.readings.encoders else None
@@ -185,7 +185,7 @@ class System:
         return DriveFrame(tick, np.stack([cells + tick / 7.0, -1.0 / (cells + tick + 1.0)], axis=1))
 
     def links(self, shard: int, tick: int) -> LinkFrame | None:
-        """A message that tells its link, over two links of three."""
+        """A message that encodes its link, over two links of three."""
         if self.message is None:
             return None
         out = self.partition.outgoing(shard)

@@ -49,7 +49,7 @@ def test_the_barrier_names_who_left_again_and_counts_the_many(memory: Network) -
     assert len(caught.value.absent) == 20
 
 
-def test_a_member_that_nobody_hears_says_whom_it_waits_for(memory: Network) -> None:
+def test_a_participant_without_connections_names_the_expected_peers(memory: Network) -> None:
     clock = FakeClock()
     partition = Partition.each(grid(1, 2))
     system = System(memory, partition, "per_cell", clock=clock, message=MESSAGE)

@@ -1,4 +1,4 @@
-"""Who neighbours whom, on whatever cells there are."""
+"""Neighbours on any set of cells."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def test_every_cell_has_the_neighbours_that_exist(cells: set[tuple[int, int]]) -
 
 @given(CELLS, st.lists(st.tuples(st.integers(-3, 9), st.integers(-9, 15)), min_size=1, max_size=20))
 def test_cells_are_found_by_row_and_column_and_nothing_where_there_is_none(
-    cells: set[tuple[int, int]], asked: list[tuple[int, int]]
+    cells: set[tuple[int, int]], places: list[tuple[int, int]]
 ) -> None:
-    lattice, (rows, columns) = Lattice(cells), np.array(asked).T
+    lattice, (rows, columns) = Lattice(cells), np.array(places).T
     found = lattice.find(rows[:, None], columns[:, None])
-    assert found.shape == (len(asked), 1)
-    assert found[:, 0].tolist() == [lattice.index(cell) if cell in cells else -1 for cell in asked]
+    assert found.shape == (len(places), 1)
+    assert found[:, 0].tolist() == [lattice.index(cell) if cell in cells else -1 for cell in places]

@@ -78,7 +78,7 @@ def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form:
     assert losses == [Loss(1, 1, "timed_out")]
     assert drive.drive[1].tolist() == [0.0, 0.0]
     assert system.host.counters.lost == 1
-    # Its neighbours don't wait for it, and it is told when it comes back.
+    # Its neighbours don't wait for it, and it learns of that when it comes back.
     before = clock.now
     assert step(system, 2, [0, 2])[1] == []
     assert clock.now == before
@@ -99,7 +99,7 @@ def test_what_a_cell_sends_after_it_was_given_up_is_late(memory: Network, form: 
 
 
 @both_forms
-def test_neighbours_are_told_of_a_loss_while_they_wait(network: Network, form: WireFormat) -> None:
+def test_waiting_neighbours_receive_the_report_of_a_loss(network: Network, form: WireFormat) -> None:
     system = System(network, Partition.each(grid(1, 3)), form, message=MESSAGE).start()
     host, (left, middle, right) = system.host, system.members
     step(system, 0)
@@ -136,7 +136,7 @@ def test_a_loss_is_broadcast_by_name(memory: Network) -> None:
 
 
 @both_forms
-def test_a_shard_whose_cells_all_failed_stays_until_the_plant_has_told_so(
+def test_a_shard_whose_cells_all_failed_stays_until_the_plant_reports_it(
     memory: Network, form: WireFormat
 ) -> None:
     """Its token would overtake the report: the plant would take the process for dead, and name another cause."""
@@ -158,12 +158,12 @@ def test_a_shard_whose_cells_all_failed_stays_until_the_plant_has_told_so(
     shard = threading.Thread(target=stay)
     shard.start()
     time.sleep(0.1)
-    told = time.monotonic()
+    reported = time.monotonic()
     assert left == []
     _, losses = system.host.gather(1)
     shard.join()
     assert losses == [Loss(0, 1, "failed", "ZeroDivisionError")]
-    assert told <= left[0] < told + 0.8  # the answer, not the end of its ttl_periods
+    assert reported <= left[0] < reported + 0.8  # the answer, not the end of its ttl_periods
 
 
 @both_forms
@@ -182,7 +182,7 @@ def test_a_firmware_that_fails_loses_its_cells_alone(memory: Network, form: Wire
     whole[1] = 0.0
     assert drive.drive.tolist() == whole.tolist()
     assert system.members[0].live(1).tolist() == [True, False]
-    # Its neighbour in the other shard hears nothing from it, and everything from the others.
+    # Its neighbour in the other shard receives nothing from it, and everything from the others.
     system.host.publish(system.sense(2))
     _, links = gathered(system.members[1].gather(2))
     incoming = system.partition.incoming(1)
@@ -245,7 +245,7 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
 
 
 @both_forms
-def test_a_shard_whose_cells_all_die_by_schedule_has_told_its_counts_when_the_next_tick_begins(
+def test_a_shard_whose_cells_all_die_by_schedule_has_reported_its_counters_before_the_next_tick(
     network: Network, form: WireFormat
 ) -> None:
     """Its process may be killed then, without leaving."""
@@ -256,12 +256,12 @@ def test_a_shard_whose_cells_all_die_by_schedule_has_told_its_counts_when_the_ne
     step(system, 0)
     step(system, 1)
     assert system.host._reported.counters.keys() == {1}
-    told = system.host._reported.counters[1]
-    assert told.cell_counters == {"shards": 1, "numbers": 1, "nothing": 0}
-    assert told.sent == system.members[1].counters.sent
+    last_report = system.host._reported.counters[1]
+    assert last_report.cell_counters == {"shards": 1, "numbers": 1, "nothing": 0}
+    assert last_report.sent == system.members[1].counters.sent
 
 
-class Telling(FakeClock):
+class ReportingClock(FakeClock):
     """Calls ``waited`` whenever somebody has waited in vain."""
 
     def __init__(self) -> None:
@@ -288,7 +288,7 @@ def test_a_shard_that_keeps_saying_that_it_is_busy_gets_ten_deadlines_and_others
         lived.append((round(clock.now - before, 6), system.host.live(1).tolist()))
         system.members[1].busy(1)
 
-    clock = Telling()
+    clock = ReportingClock()
     stall = StallSpec(deadline_s=3.0)
     system = System(memory, Partition.each(grid(1, 3)), form, clock=clock, stall=stall).start()
     step(system, 0)
@@ -336,7 +336,7 @@ def test_a_shard_that_was_busy_and_answers_is_not_lost(memory: Network) -> None:
             gathered(system.members[1].gather(1))
             system.members[1].publish(system.drive(1, 1), None)
 
-    clock = Telling()
+    clock = ReportingClock()
     stall = StallSpec(deadline_s=3.0)
     system = System(memory, Partition.each(grid(1, 2)), "packed", clock=clock, stall=stall).start()
     step(system, 0)

@@ -17,8 +17,8 @@ watch.names = [{}.get, {"ab12": "cells-0"}.get]
 os.write(1, sys.stdin.buffer.read())
 print("between", flush=True)
 watch.close()
-told = [[*refusal, number] for refusal, number in watch.counted().items()]
-print(json.dumps([told, os.environ.get("RUST_LOG")]))
+counted = [[*refusal, number] for refusal, number in watch.counted().items()]
+print(json.dumps([counted, os.environ.get("RUST_LOG")]))
 """
 DROPPED = (
     "2026-01-01T00:00:00.000001Z TRACE  rx-1 ThreadId(10) demux{zid=fe src=south:0:client/ab12:1}: "
@@ -42,8 +42,8 @@ def watched(text: str, **environment: str) -> tuple[dict[tuple[str, str], int], 
         timeout=60,
     )
     *passed, last = done.stdout.splitlines()
-    told, log = json.loads(last)
-    return {(whose, what): number for whose, what, number in told}, passed, log, done.stderr
+    counted, log = json.loads(last)
+    return {(whose, what): number for whose, what, number in counted}, passed, log, done.stderr
 
 
 def test_refusals_are_counted_by_role_and_all_else_goes_where_it_went() -> None:

@@ -74,11 +74,11 @@ def test_a_router_that_dies_loses_all_cells_by_name_at_once_and_sessions_are_bac
     with _router(locator):
         cells.subscribe("again")
         put, deadline = plant.publisher("again").put, time.monotonic() + 20.0
-        heard = False
-        while not heard and time.monotonic() < deadline:
+        arrived = False
+        while not arrived and time.monotonic() < deadline:
             put(b"word")
-            heard = Received("again", b"word") in cells.receive_all(0.2)
-        assert heard
+            arrived = Received("again", b"word") in cells.receive_all(0.2)
+        assert arrived
         plant.close()
         cells.close()
     assert not host.live(1).any()

@@ -129,7 +129,7 @@ def test_an_array_of_objects_holds_values() -> None:
     [object(), lambda: 0, Pair(1, "r"), np.array(["text"]), {1, "a"}],
     ids=["an object", "a function", "a record", "an array of texts", "a set of several types"],
 )
-def test_what_is_no_value_is_refused_when_it_is_kept(value: Any) -> None:
+def test_an_unsupported_value_is_refused_when_it_is_saved(value: Any) -> None:
     with pytest.raises((StateError, TypeError)):
         encode(value, {})
 
@@ -143,7 +143,7 @@ def _driven() -> Car:
     return car
 
 
-def test_an_object_made_anew_remembers_what_another_did() -> None:
+def test_a_reinitialised_object_loads_the_state_of_another() -> None:
     car, other = _driven(), Car()
     load_state(other, save_state(car))
     assert save_state(other) == save_state(car)
@@ -177,7 +177,7 @@ def _changed(change: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "problem"),
     [
         ("an object too few", r"Car\.motors: must be"),
         ("another kind", r"Car\.motors\[0\]\.turns: must be a int, is a str"),
@@ -186,8 +186,8 @@ def _changed(change: str) -> bytes:
         ("another name", r"Car\.motors\[0\]: must be last, turns, volts, is last, turns, watts"),
     ],
 )
-def test_a_memory_of_something_else_is_refused_by_place(change: str, told: str) -> None:
-    with pytest.raises(StateError, match=told):
+def test_a_memory_of_something_else_is_refused_by_place(change: str, problem: str) -> None:
+    with pytest.raises(StateError, match=problem):
         load_state(Car(), _changed(change))
 
 
@@ -220,24 +220,24 @@ def _turned(turns: int) -> Wheel:
 
 def test_objects_in_maps_and_lists_remember_each_at_its_place() -> None:
     held = {"a": _turned(3), "b": [_turned(4), _turned(5)], "c": ()}
-    anew = {"a": Wheel(), "b": [Wheel(), Wheel()], "c": ()}
-    stay = anew["a"]
-    load_state(Holder(anew), save_state(Holder(held)))
-    assert anew["a"] is stay
-    assert [anew["a"].turns, *(wheel.turns for wheel in anew["b"])] == [3, 4, 5]
+    fresh = {"a": Wheel(), "b": [Wheel(), Wheel()], "c": ()}
+    stay = fresh["a"]
+    load_state(Holder(fresh), save_state(Holder(held)))
+    assert fresh["a"] is stay
+    assert [fresh["a"].turns, *(wheel.turns for wheel in fresh["b"])] == [3, 4, 5]
 
 
 @pytest.mark.parametrize(
-    ("held", "anew"), [(None, 3), (3, None), (0.5, 0), (np.float64(2.0), False), ({1: 2}, {})], ids=repr
+    ("held", "fresh"), [(None, 3), (3, None), (0.5, 0), (np.float64(2.0), False), ({1: 2}, {})], ids=repr
 )
-def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, anew: Any) -> None:
-    holder = Holder(anew)
+def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, fresh: Any) -> None:
+    holder = Holder(fresh)
     load_state(holder, save_state(Holder(held)))
     assert (type(holder.held), holder.held) == (type(held), held)
 
 
 @pytest.mark.parametrize(
-    ("held", "anew", "told"),
+    ("held", "fresh", "problem"),
     [
         (Wheel(), 3, "must be a int, which declares no state"),
         ({"a": Wheel()}, {"b": Wheel()}, "must be 1 objects"),
@@ -251,19 +251,21 @@ def test_a_value_may_come_to_be_nothing_or_another_kind_of_number(held: Any, ane
         (np.random.default_rng(1), 3, "must be a int, is a random generator's state"),
     ],
 )
-def test_what_an_object_made_anew_has_no_place_for_is_refused(held: Any, anew: Any, told: str) -> None:
-    with pytest.raises(StateError, match=told):
-        load_state(Holder(anew), save_state(Holder(held)))
+def test_state_that_does_not_fit_a_reinitialised_object_is_refused(
+    held: Any, fresh: Any, problem: str
+) -> None:
+    with pytest.raises(StateError, match=problem):
+        load_state(Holder(fresh), save_state(Holder(held)))
 
 
 @pytest.mark.parametrize(
-    ("held", "anew"), [({"a": 1}, {"b": 2}), ({1, 2}, {3}), ([1], [2, 3]), (None, None)], ids=repr
+    ("held", "fresh"), [({"a": 1}, {"b": 2}), ({1, 2}, {3}), ([1], [2, 3]), (None, None)], ids=repr
 )
-def test_maps_sets_and_lists_that_others_hold_are_filled_anew(held: Any, anew: Any) -> None:
-    shares = Shares(anew)
+def test_shared_maps_sets_and_lists_are_refilled_in_place(held: Any, fresh: Any) -> None:
+    shares = Shares(fresh)
     load_state(shares, save_state(Shares(held)))
-    assert shares.held is anew
-    assert anew == held
+    assert shares.held is fresh
+    assert fresh == held
 
 
 def test_what_is_shared_keeps_its_kind() -> None:
@@ -282,18 +284,18 @@ def test_a_path_that_breaks_off_leads_to_nothing_and_stays_so() -> None:
 
 
 @given(st.binary(max_size=64))
-def test_any_bytes_are_a_value_that_can_be_kept_or_are_refused(data: bytes) -> None:
+def test_any_bytes_are_a_value_that_can_be_saved_or_are_refused(data: bytes) -> None:
     try:
         value = decode(data, RECORDS)
     except StateError:
         return
-    kept = encode(value, RECORDS)
-    assert encode(decode(kept, RECORDS), RECORDS) == kept
+    saved = encode(value, RECORDS)
+    assert encode(decode(saved, RECORDS), RECORDS) == saved
 
 
 @settings(max_examples=60)
 @given(st.data())
-def test_changed_bytes_are_a_memory_that_can_be_kept_or_are_refused(data: st.DataObject) -> None:
+def test_changed_bytes_are_a_state_that_can_be_saved_or_are_refused(data: st.DataObject) -> None:
     whole = bytearray(save_state(_driven()))
     for _ in range(data.draw(st.integers(1, 4))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
@@ -302,15 +304,15 @@ def test_changed_bytes_are_a_memory_that_can_be_kept_or_are_refused(data: st.Dat
         load_state(car, bytes(whole))
     except StateError:
         return
-    kept = save_state(car)
-    load_state(other, kept)
-    assert save_state(other) == kept
+    saved = save_state(car)
+    load_state(other, saved)
+    assert save_state(other) == saved
 
 
 def test_an_array_that_says_it_is_larger_than_its_bytes_is_refused() -> None:
-    told = packed(["<f8", [2**40, 2**40], b""])
+    encoded = packed(["<f8", [2**40, 2**40], b""])
     with pytest.raises(StateError, match="0 bytes for an array"):
-        decode(packed(msgpack.ExtType(1, told)), {})
+        decode(packed(msgpack.ExtType(1, encoded)), {})
 
 
 def test_nesting_without_end_is_refused() -> None:
@@ -332,7 +334,7 @@ def test_values_lie_as_deep_as_they_may_and_as_many_side_by_side_as_they_like() 
 
 
 @pytest.mark.parametrize(
-    "told",
+    "encoded",
     [
         ["<f8", [-1], b""],
         ["<f8", [-1, -1], b"8 bytes!"],
@@ -344,9 +346,9 @@ def test_values_lie_as_deep_as_they_may_and_as_many_side_by_side_as_they_like() 
     ],
     ids=repr,
 )
-def test_an_array_that_no_array_is_written_as_is_refused(told: list[Any]) -> None:
+def test_an_array_that_no_array_is_written_as_is_refused(encoded: list[Any]) -> None:
     with pytest.raises(StateError, match="not a saved state: ValueError"):
-        decode(packed(msgpack.ExtType(1, packed(told))), {})
+        decode(packed(msgpack.ExtType(1, packed(encoded))), {})
 
 
 def test_an_array_has_as_many_objects_as_places() -> None:
@@ -356,8 +358,8 @@ def test_an_array_has_as_many_objects_as_places() -> None:
 
 @pytest.mark.parametrize(("fields", "read"), [(256, True), (257, False)])
 def test_an_array_has_so_many_fields_and_no_more(fields: int, read: bool) -> None:
-    told = [[[f"f{i}", "<u1", []] for i in range(fields)], [1], bytes(fields)]
-    data = packed(msgpack.ExtType(1, packed(told)))
+    encoded = [[[f"f{i}", "<u1", []] for i in range(fields)], [1], bytes(fields)]
+    data = packed(msgpack.ExtType(1, packed(encoded)))
     if read:
         assert len(decode(data, {}).dtype) == fields
         return

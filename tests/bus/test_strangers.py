@@ -79,7 +79,7 @@ def test_the_second_payload_of_a_tick_is_refused_and_the_first_stands(memory: Ne
     assert system.host.counters.malformed == {"drive: duplicate": 1}
 
 
-def test_what_any_side_refuses_is_known_by_whose_it_was_and_the_plant_hears_of_it(memory: Network) -> None:
+def test_refused_messages_are_counted_by_sender_and_reported_to_the_plant(memory: Network) -> None:
     system = System(memory, Partition.each(grid(1, 2)), "per_cell", message=MESSAGE).start()
     stranger = memory.endpoint()
     for key in ("cell/0/1/to/west", "cell/0/0/sense", "cell/0/1/drive", "cell/9/9/drive", "cell/8/8/drive"):

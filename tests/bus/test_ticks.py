@@ -143,7 +143,7 @@ def test_a_report_may_come_after_the_token_has_gone(memory: Network, reports: bo
 
 
 @both_forms
-def test_a_frame_that_comes_early_is_kept_until_its_tick(memory: Network, form: WireFormat) -> None:
+def test_an_early_frame_is_stored_until_its_tick(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.each(grid(1, 2)), form, message=MESSAGE).start()
     one, other = system.members
     for tick in range(2):

@@ -38,7 +38,7 @@ def test_puts_of_one_endpoint_arrive_in_order_over_all_its_keys_each_once(networ
     assert cell.receive(0.05) is None
 
 
-def test_clients_hear_each_other_through_the_plant(network: Network) -> None:
+def test_clients_receive_each_other_through_the_plant(network: Network) -> None:
     network.endpoint()
     one, other = network.endpoint(), network.endpoint()
     other.subscribe("t/a")
@@ -96,7 +96,7 @@ def test_overlapping_subscriptions_are_refused_and_equal_ones_are_one(network: N
     assert cell.receive(0.05) is None
 
 
-def test_a_watcher_is_told_of_tokens_that_are_there_come_and_go(network: Network) -> None:
+def test_a_watcher_receives_tokens_that_exist_appear_and_disappear(network: Network) -> None:
     plant, cell = network.endpoint(), network.endpoint()
     cell.declare_alive("t/1/alive")
     plant.watch_alive("t/*/alive")
@@ -117,7 +117,7 @@ def test_closing_an_endpoint_withdraws_its_tokens(network: Network) -> None:
     drain(plant, lambda events: ("t/a", False) in tokens(events))
 
 
-def test_what_was_put_arrives_before_the_news_that_the_token_went(network: Network) -> None:
+def test_what_was_put_arrives_before_the_loss_of_the_token(network: Network) -> None:
     plant, cell = network.endpoint(), network.endpoint()
     plant.subscribe("t/data")
     plant.watch_alive("t/alive")

@@ -266,9 +266,9 @@ def test_any_zenoh_tool_can_listen_to_the_drives() -> None:
     config.insert_json5("scouting/multicast/enabled", "false")
     with zenoh.open(config) as session:
         listener = session.declare_subscriber("mdms/*/cell/*/*/drive")
-        heard: dict[str, dict[str, object]] = {}
+        received: dict[str, dict[str, object]] = {}
         tick = 0
-        while len(heard) < 2:  # the subscription takes its time
+        while len(received) < 2:  # the subscription takes its time
             system.host.publish(system.sense(tick))
             for shard, member in enumerate(system.members):
                 member.gather(tick)
@@ -276,11 +276,11 @@ def test_any_zenoh_tool_can_listen_to_the_drives() -> None:
             system.host.gather(tick)
             tick += 1
             while (sample := listener.try_recv()) is not None:
-                heard[str(sample.key_expr)] = msgpack.unpackb(sample.payload.to_bytes())
+                received[str(sample.key_expr)] = msgpack.unpackb(sample.payload.to_bytes())
         listener.undeclare()
     network.close()
-    assert sorted(heard) == ["mdms/test/cell/0/0/drive", "mdms/test/cell/0/1/drive"]
-    for key, fields in heard.items():
+    assert sorted(received) == ["mdms/test/cell/0/0/drive", "mdms/test/cell/0/1/drive"]
+    for key, fields in received.items():
         shard = int(key.split("/")[4])
         expected = system.drive(shard, fields["tick"]).drive[0].tolist()  # type: ignore[arg-type]
         assert fields == {"v": 2, "tick": fields["tick"], "drive": expected}

@@ -37,7 +37,7 @@ RUN = "test"
 
 
 class Grumpy(CellFirmware):
-    """Adds up what it hears; the cells of row 1 give up in tick 3, those of column 9 never start."""
+    """Adds up what it receives; the cells of row 1 give up in tick 3, those of column 9 never start."""
 
     message = np.dtype([("n", "<f8")])
 
@@ -47,8 +47,8 @@ class Grumpy(CellFirmware):
     def step(self, state: dict[str, Any], inputs: CellInputs) -> tuple[dict[str, Any], CellOutputs]:
         if state["row"] == 1 and state["tick"] == 3:
             raise RuntimeError("had enough")
-        heard = [message["n"] for message in inputs.inbox.values() if message is not None]
-        total = state["sum"] + 0.1 * sum(heard)
+        received = [message["n"] for message in inputs.inbox.values() if message is not None]
+        total = state["sum"] + 0.1 * sum(received)
         after = {"row": state["row"], "sum": total, "tick": state["tick"] + 1}
         outbox = {side: {"n": total} for side in inputs.inbox}
         return after, CellOutputs((total, -total), outbox)
@@ -253,7 +253,7 @@ def test_when_the_plant_goes_away_the_run_says_so(
     assert [type(ended) for ended in running.ended] == [CoordinatorLostError] * 2
 
 
-def test_waking_the_endpoint_ends_a_run_that_nobody_tells_to_stop(
+def test_waking_the_endpoint_ends_a_run_without_a_stop_record(
     grid: Callable[..., Lattice], system: Callable[..., System]
 ):
     running = system(HEAT, Partition.even(grid(2, 2), 1))

@@ -195,7 +195,7 @@ def test_an_init_that_raises_for_one_cell_names_it(
     assert caught.value.trace.count("Traceback") == 1  # that of this cell alone
 
 
-def test_plain_firmware_that_forgets_to_return_is_told_what_a_step_returns(
+def test_plain_firmware_that_returns_nothing_fails_with_what_a_step_returns(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ):
     class Forgetful(Plain):
@@ -296,7 +296,7 @@ def test_plain_firmware_sees_plain_values(grid: Callable[..., Lattice], run: Cal
     assert above.presence[0] is True
 
 
-def test_a_failure_survives_the_way_between_processes():
+def test_a_failure_survives_pickling_between_processes():
     failure = FirmwareFailed((1, 2), 3, "ValueError: no", "Traceback ...")
     again = pickle.loads(pickle.dumps(failure))
     assert str(again) == str(failure)

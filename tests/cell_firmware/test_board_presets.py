@@ -15,7 +15,7 @@ def scene(*changes: str) -> Scene:
     return load_scene("motors", [Override.parse(change) for change in changes])
 
 
-def asked(found: Scene) -> dict[str, Any]:
+def enabled(found: Scene) -> dict[str, Any]:
     return {name: effect for name, effect in found.effects.enabled() if name != "motors"}
 
 
@@ -26,12 +26,12 @@ def test_a_board_is_effects_of_the_cells_that_are_valid(name: str) -> None:
 
 
 def test_a_board_asks_for_all_its_effects() -> None:
-    assert set(asked(scene('cells.board="hc11"'))) == set(BOARDS["hc11"])
+    assert set(enabled(scene('cells.board="hc11"'))) == set(BOARDS["hc11"])
     assert scene('cells.board="hc11"').effects.clock == CellEffects.model_validate(BOARDS["hc11"]).clock
 
 
-def test_what_a_board_is_short_of_is_not_asked_for() -> None:
-    found = asked(scene('cells.board={ name = "hc11", without = ["clock", "serial"] }'))
+def test_effects_that_a_board_lacks_are_not_enabled() -> None:
+    found = enabled(scene('cells.board={ name = "hc11", without = ["clock", "serial"] }'))
     assert set(found) == set(BOARDS["hc11"]) - {"clock", "serial"}
 
 
@@ -42,7 +42,7 @@ def test_an_effect_s_table_in_the_scene_stands_instead_of_the_board_s() -> None:
     assert found.effects.clock is not None
     assert found.effects.clock.error_ppm == 7.0
     assert found.effects.link_loss is not None
-    assert set(asked(found)) == {*BOARDS["hc11"], "link_loss"}
+    assert set(enabled(found)) == {*BOARDS["hc11"], "link_loss"}
 
 
 def test_a_scene_with_a_board_is_the_scene_that_names_its_effects() -> None:
@@ -76,7 +76,7 @@ def test_a_board_that_is_none_is_refused(changes: tuple[str, ...], line: str) ->
     assert line in str(refused.value)
 
 
-def test_what_a_board_s_effects_need_is_told_by_name() -> None:
+def test_requirements_of_a_board_s_effects_are_reported_by_name() -> None:
     with pytest.raises(
         SceneError, match=r"effects\.motors = None: must be set too: effects\.encoder needs it"
     ):

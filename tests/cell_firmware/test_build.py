@@ -35,7 +35,7 @@ def test_wheels_without_motors_have_no_loop() -> None:
     assert wheels(None) is None
 
 
-def test_the_arithmetic_is_the_one_asked_for() -> None:
+def test_the_arithmetic_is_the_requested_one() -> None:
     assert isinstance(wheels(), SpeedLoop)
     assert isinstance(wheels(encoder={}, pwm={}), SpeedLoop)
     assert isinstance(wheels(fixed_point={}), FixedPointLoop)
@@ -140,12 +140,12 @@ SERIAL: dict[str, Any] = {"serial": {}}
 def test_lines_go_byte_by_byte_exactly_where_something_can_happen_to_a_byte(
     effects: dict[str, Any], kind: type[LinkDriver]
 ) -> None:
-    asked, spec = CellEffects.model_validate(effects), CellsSpec(firmware="presence_field")
+    enabled, spec = CellEffects.model_validate(effects), CellsSpec(firmware="presence_field")
     lattice = Lattice((0, column) for column in range(200))
-    clocks = None if asked.clock is None else asked.clock.clocks(lattice, spec.period_ns, 1)
+    clocks = None if enabled.clock is None else enabled.clock.clocks(lattice, spec.period_ns, 1)
     field = {"kind": "uniform", "velocity_m_s": [0.1, 0.0]}
     firmware = PresenceField(PresenceFieldParameters.model_validate({"field": field}))
-    found: Any = build_controller(firmware, spec, asked, None, clocks)
+    found: Any = build_controller(firmware, spec, enabled, None, clocks)
     while isinstance(found, ControllerWrapper):
         found = found.controller
     assert type(found.links) is kind

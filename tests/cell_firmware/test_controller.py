@@ -33,7 +33,7 @@ def state(**arrays: NDArray[Any]) -> ControllerState:
     return ControllerState(CELLS, {"part": read_only(arrays)})
 
 
-def test_kept_rows_are_as_before_whichever_arrays_a_step_hands_back() -> None:
+def test_rolled_back_rows_are_as_before_whichever_arrays_a_step_returns() -> None:
     a, b = np.arange(N), np.arange(N) * 1.5
     wide = np.zeros((N, 2), dtype=[("x", "<f4"), ("y", "u1")])
     wide["x"], wide["y"] = a[:, None], 7
@@ -59,14 +59,14 @@ def test_kept_rows_are_as_before_whichever_arrays_a_step_hands_back() -> None:
     copies = {name: array.copy() for name, array in after.parts["part"].items()}
     rows = np.array([0, 3, 14])
     others = np.setdiff1d(np.arange(N), rows)
-    kept = after.rollback_rows(rows, before).parts["part"]
+    rolled_back = after.rollback_rows(rows, before).parts["part"]
     untouched = {name: array.copy() for name, array in old.items()}
-    for name, array in kept.items():
+    for name, array in rolled_back.items():
         np.testing.assert_array_equal(array[rows], old[name][rows], err_msg=name)
         np.testing.assert_array_equal(array[others], copies[name][others], err_msg=name)
         assert not array.flags.writeable
-    assert kept["b"] is b
-    assert kept["a"] is new  # written to, not copied
+    assert rolled_back["b"] is b
+    assert rolled_back["a"] is new  # written to, not copied
     for name, array in old.items():
         np.testing.assert_array_equal(array, untouched[name])
     np.testing.assert_array_equal(old["swapped"], a * 10)
@@ -78,17 +78,17 @@ def drives(effects: dict[str, Any], ticks: int) -> tuple[bytes, dict[str, NDArra
     from cell_firmware.effects.base import ShardContext
     from cell_firmware.loader import load
 
-    asked = CellEffects.model_validate(effects)
+    enabled = CellEffects.model_validate(effects)
     spec = CellsSpec(
         firmware="heat_diffusion", parameters={"held": [{"cell": [0, 0], "speed_m_s": [0.2, 0.1]}]}
     )
     firmware = load(spec)
-    assert asked.clock is not None
-    clocks: ArrayClocks = asked.clock.clocks(LATTICE, spec.period_ns, 3)
-    made = build_controller(firmware, spec, asked, MotorFacts(12.0, 1.2), clocks)
+    assert enabled.clock is not None
+    clocks: ArrayClocks = enabled.clock.clocks(LATTICE, spec.period_ns, 3)
+    made = build_controller(firmware, spec, enabled, MotorFacts(12.0, 1.2), clocks)
     partition = Partition.even(LATTICE, 1)
     site = ShardContext(partition.cells(0), 1, made.link_type, 3)
-    shard = Shard(made, CELLS, partition, 0, asked.input_filters(site))
+    shard = Shard(made, CELLS, partition, 0, enabled.input_filters(site))
     found = bytearray()
     for tick in range(ticks):
         travel = np.outer(np.arange(N) * 1e-4 * tick, [1.0, -1.0])
@@ -115,7 +115,7 @@ def test_stepping_all_and_undoing_some_is_stepping_the_others(
 
 
 class Raising(Firmware):
-    """Counts its steps; fails where it is told to."""
+    """Counts its steps; fails on request."""
 
     def __init__(self, bad: set[int]) -> None:
         super().__init__(NoParameters())

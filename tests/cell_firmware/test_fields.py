@@ -54,7 +54,7 @@ def test_a_sum_adds_its_fields_and_sums_nest():
     np.testing.assert_array_equal(at(nested, (0.5, 0.25)), [(-0.25, -0.5)])
 
 
-def test_two_squeezes_centre_both_ways():
+def test_two_squeezes_centre_along_both_axes():
     both = {
         "kind": "sum",
         "fields": [{"kind": "squeeze", "speed_m_s": 0.3, "axis": axis} for axis in ("x", "y")],

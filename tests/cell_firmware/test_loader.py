@@ -45,8 +45,8 @@ def test_an_importable_class_is_found_by_its_place():
 
 def test_a_file_is_found_relative_to_the_folder_and_plain_firmware_is_adapted(tmp_path: Path):
     name = write(tmp_path, PLAIN)
-    for asked in (name, f"{name}:Still", str(tmp_path / name)):
-        assert isinstance(load(CellsSpec(firmware=asked), tmp_path), PerCellAdapter)
+    for place in (name, f"{name}:Still", str(tmp_path / name)):
+        assert isinstance(load(CellsSpec(firmware=place), tmp_path), PerCellAdapter)
 
 
 def test_an_unknown_name_is_answered_with_the_nearest_and_all_known():
@@ -60,7 +60,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_all_known():
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("place", "message"),
     [
         ("no_such_package.module:Class", "there is no module 'no_such_package' to import"),
         ("cell_firmware.nothing:Class", "there is no module 'cell_firmware.nothing' to import"),
@@ -72,9 +72,9 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_all_known():
         ("absent.py", "there is no file"),
     ],
 )
-def test_a_place_without_firmware_is_refused_with_the_reason(asked: str, message: str, tmp_path: Path):
+def test_a_place_without_firmware_is_refused_with_the_reason(place: str, message: str, tmp_path: Path):
     with pytest.raises(FirmwareError, match=message):
-        find(asked, tmp_path)
+        find(place, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def problems(firmware: str, parameters: dict[str, Any]) -> list[str]:
     return [str(problem) for problem in caught.value.problems]
 
 
-def test_all_bad_parameters_are_told_at_once_with_their_paths():
+def test_all_bad_parameters_are_reported_at_once_with_their_paths():
     found = problems(
         "heat_diffusion",
         {"diffusion_number": -0.3, "held": [{"cell": [0, -1], "speed_m_s": [0.0, "x"]}], "hold": []},
@@ -217,7 +217,7 @@ def test_a_file_imports_what_lies_beside_it_and_same_names_of_two_folders_do_not
     assert str(tmp_path / "one") not in sys.path
 
 
-def test_what_lies_beside_is_read_anew_with_the_file(tmp_path: Path) -> None:
+def test_files_beside_firmware_are_imported_again_with_it(tmp_path: Path) -> None:
     path = helped(tmp_path / "one", 1.0)
     load(CellsSpec(firmware=str(path)))
     (path.parent / "helper.py").write_text("SPEED = 0.125\n", encoding="utf-8")
@@ -245,15 +245,15 @@ def test_a_module_beside_comes_before_an_installed_one_for_the_folders_files_alo
     assert random.random() < 1.0
 
 
-def test_an_import_of_what_is_nowhere_is_told_with_the_line_that_asked(tmp_path: Path) -> None:
+def test_a_failed_import_is_reported_with_the_line_that_imports(tmp_path: Path) -> None:
     path = helped(tmp_path, 1.0)
     (tmp_path / "helper.py").write_text("import nowhere_at_all\n", encoding="utf-8")
     with pytest.raises(FirmwareError) as caught:
         load(CellsSpec(firmware=str(path)))
-    told = str(caught.value)
-    assert "can't be loaded: ModuleNotFoundError: No module named 'nowhere_at_all'" in told
-    assert str(tmp_path / "helper.py") in told
-    assert "firmware_files" not in told
+    text = str(caught.value)
+    assert "can't be loaded: ModuleNotFoundError: No module named 'nowhere_at_all'" in text
+    assert str(tmp_path / "helper.py") in text
+    assert "firmware_files" not in text
     files = [str(getattr(module, "__file__", "")) for module in list(sys.modules.values())]
     assert not [file for file in files if file.startswith(str(tmp_path))]
 

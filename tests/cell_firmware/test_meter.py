@@ -61,7 +61,7 @@ def test_what_a_program_says_where_nobody_is_does_not_count() -> None:
     assert registers["messages.heard"].tolist() == [2, 3, 2, 2, 3, 2]
 
 
-def test_what_links_lose_was_sent_and_not_heard() -> None:
+def test_lost_messages_count_as_sent_and_not_as_received() -> None:
     counted = run(CellEffects.model_validate({"link_loss": {"probability": 0.3}})).counters()
     assert counted["messages.sent"] - counted["messages.heard"] == counted["link_loss.lost"] > 0
 
@@ -107,7 +107,7 @@ def test_a_reset_does_not_touch_the_counts() -> None:
     assert counted["messages.sent"] == 2 * counted["cop.hangs"]  # twice from each start to where it hangs
 
 
-def test_cells_that_nobody_asked_have_no_counts() -> None:
+def test_cells_that_were_not_counted_have_no_counters() -> None:
     controller = build_controller(Talks(NoParameters()), SPEC, CellEffects(), None)
     lattice = Lattice([(0, 0)])
     assert "messages.sent" not in controller.registers(controller.init(cells_of(lattice)))

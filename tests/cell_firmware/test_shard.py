@@ -36,9 +36,9 @@ class Gossip(Firmware):
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         assert inputs.inbox is not None
         u, n = state["u"], state["n"]
-        heard, message = inputs.inbox.received, inputs.inbox.message
+        received, message = inputs.inbox.received, inputs.inbox.message
         for side in range(4):
-            u = u + np.where(heard[:, side], message["u"][:, side] / (3.0 + side), 0.01)
+            u = u + np.where(received[:, side], message["u"][:, side] / (3.0 + side), 0.01)
             n = n + message["n"][:, side]
         u = np.sqrt(u * u + 0.5) - 0.3 * inputs.presence[:, 0]
         n = n % 1000
@@ -49,7 +49,7 @@ class Gossip(Firmware):
 
 
 class PlainGossip(CellFirmware):
-    """Passes on the largest number heard, as plain values."""
+    """Passes on the largest number received, as plain values."""
 
     message = np.dtype([("n", "<i4"), ("ok", "?")])
 
@@ -57,8 +57,10 @@ class PlainGossip(CellFirmware):
         return [cell.row * 10 + cell.column, cell.neighbours]
 
     def step(self, state: list[Any], inputs: CellInputs) -> tuple[list[Any], CellOutputs]:
-        heard = [message["n"] for message in inputs.inbox.values() if message is not None and message["ok"]]
-        largest = max([state[0], *heard])
+        received = [
+            message["n"] for message in inputs.inbox.values() if message is not None and message["ok"]
+        ]
+        largest = max([state[0], *received])
         outbox = {side: {"n": largest, "ok": inputs.presence[0]} for side in state[1]}
         return [largest, state[1]], CellOutputs((largest / 100, 0.0), outbox)
 
@@ -144,14 +146,14 @@ class Echo(Firmware):
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         assert inputs.inbox is not None
-        heard = np.where(inputs.inbox.received, inputs.inbox.message["who"], 0)
-        speed = np.zeros((len(heard), 2))
+        received = np.where(inputs.inbox.received, inputs.inbox.message["who"], 0)
+        speed = np.zeros((len(received), 2))
         for side in range(4):
-            speed[:, 0] += heard[:, side] * 10.0**side
+            speed[:, 0] += received[:, side] * 10.0**side
         speed[:, 1] = inputs.inbox.received @ np.array([1, 2, 4, 8])
-        message = np.empty((len(heard), 4), dtype=self.message)
+        message = np.empty((len(received), 4), dtype=self.message)
         message["who"] = state["me"][:, None]
-        return state, Outputs(speed, Outbox(np.ones((len(heard), 4), dtype=np.bool_), message))
+        return state, Outputs(speed, Outbox(np.ones((len(received), 4), dtype=np.bool_), message))
 
 
 @pytest.mark.parametrize("shards", [1, 2, 9])

@@ -95,7 +95,7 @@ class Bench:
     rate: float = 0.0
     decay: Floats | None = None
     grip: Floats | None = None
-    looks: int = 24
+    samples: int = 24
     longest_step: float = 0.02
     events: list[tuple[float, str, int]] = field(default_factory=list)
 
@@ -208,7 +208,7 @@ class Bench:
             solver.step()
             assert solver.status != "failed"
             dense = solver.dense_output()
-            times = np.linspace(begin_t, solver.t, self.looks + 1)[1:]
+            times = np.linspace(begin_t, solver.t, self.samples + 1)[1:]
             if first:
                 times = np.concatenate([begin_t + (times[0] - begin_t) * np.array([1e-3, 1e-2, 0.1]), times])
             first = False

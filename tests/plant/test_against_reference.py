@@ -162,7 +162,7 @@ def test_the_study_scene_passes_its_graze_as_in_the_plain_plant() -> None:
 
 
 def test_small_steps_of_a_plain_integrator_converge_to_it_at_first_order() -> None:
-    """RK4 with everything found anew at every call knows no events: its error is their jumps, first order in h."""
+    """RK4 with everything found again at every call knows no events: its error is their jumps, first order in h."""
     plant = study()
     reference, start = bench(plant, elliptic(plant)), plant.state[0]
     plant.advance(elliptic(plant), 300_000_000)

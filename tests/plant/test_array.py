@@ -53,7 +53,7 @@ def test_an_arbitrary_layout_keeps_its_place_in_the_whole_grid() -> None:
         (((3, 4), (3, 4)), (2.0, 1.5), False),  # nowhere
     ],
 )
-def test_cells_beyond_an_edge_are_told_from_the_arrays_rim(
+def test_cells_beyond_an_edge_are_distinguished_from_the_arrays_rim(
     edge: tuple[tuple[int, int], tuple[int, int]], towards: tuple[float, float], beyond: bool
 ) -> None:
     array = CellArray(ArraySpec(rows=4, columns=5, pitch_m=1.0))

@@ -47,7 +47,7 @@ def _edge(plant: Plant, nx: float) -> int:
     [(0.5e-6, 0.1, True), (-0.5e-6, 0.1, True), (2e-6, 0.1, False), (0.5e-6, -0.1, False)],
     ids=["just in", "all but in", "too deep", "on its way back"],
 )
-def test_a_cell_joins_the_next_crossing_within_capture_m_of_its_edge_and_still_on_its_way(
+def test_a_cell_joins_the_next_crossing_within_capture_m_of_its_edge_and_still_approaching(
     past_m: float, speed: float, joins: bool
 ) -> None:
     plant, surface = _square(past_m)
@@ -74,7 +74,7 @@ def test_of_two_edges_of_one_group_a_cell_on_the_opposite_one_is_under_the_parce
 
 
 @pytest.mark.parametrize(("bend", "enters"), [(0.0, True), (0.03, True), (0.1, False)])
-def test_a_cell_is_not_let_in_over_one_edge_where_a_bent_way_has_taken_it_out_over_the_next(
+def test_a_cell_is_not_let_in_over_one_edge_where_a_bent_path_has_taken_it_out_over_the_next(
     bend: float, enters: bool
 ) -> None:
     """At the start the next edge is 0.01 m away, and not moving: only its second rate tells."""

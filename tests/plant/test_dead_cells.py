@@ -18,7 +18,7 @@ DRIVES = np.arange(1.0, 9.0).reshape(4, 2)
 
 @dataclass
 class BookPlant:
-    """Notes what it is told."""
+    """Notes the calls that it receives."""
 
     log: list[Any] = field(default_factory=list)
 
@@ -28,11 +28,11 @@ class BookPlant:
     def engage_wheels(self, cells: Sequence[int]) -> None:
         self.log.append(("engage_wheels", tuple(cells)))
 
-    def apply_faults(self, harm: WheelFaults, drives: Floats) -> None:
+    def apply_faults(self, wheel_faults: WheelFaults, drives: Floats) -> None:
         self.log.append(("apply_faults", drives[:, 0].tolist()))
 
 
-def harm(*dead: int, gone: Sequence[int] = (), **rests: LossPolicy) -> WheelFaults:
+def faults_of(*dead: int, gone: Sequence[int] = (), **rests: LossPolicy) -> WheelFaults:
     made = WheelFaults.healthy(4)
     made.dead[list(dead)] = True
     made.gone[list(gone)] = True
@@ -57,7 +57,7 @@ def test_drives_are_the_cells_own_where_nobody_ever_went(plant: BookPlant) -> No
 
 def test_a_fault_s_own_word_on_dead_wheels_goes_before_the_policy(plant: BookPlant) -> None:
     undriven = DeadCells(plant, 4, "coast", {2: "hold"})
-    undriven.on_transition(harm(0, 1, c1="brake"), DRIVES)
+    undriven.on_transition(faults_of(0, 1, c1="brake"), DRIVES)
     assert undriven.mark_dead([2, 3], DRIVES) == (2, 3)
     assert [entry for entry in plant.log if entry[0] != "apply_faults"] == [
         ("brake", (1,)), ("coast", (0,)), ("coast", (3,)), ("hold", (2,)),
@@ -65,13 +65,13 @@ def test_a_fault_s_own_word_on_dead_wheels_goes_before_the_policy(plant: BookPla
     assert given(undriven) == [0.0, 0.0, 5.0, 0.0]
 
 
-def test_a_cell_struck_twice_does_what_the_fault_that_is_left_says(plant: BookPlant) -> None:
+def test_a_cell_with_two_faults_follows_the_remaining_one(plant: BookPlant) -> None:
     undriven = DeadCells(plant, 4, "coast")
-    undriven.on_transition(harm(1, c1="hold"), DRIVES)
+    undriven.on_transition(faults_of(1, c1="hold"), DRIVES)
     assert given(undriven) == [9.0, 3.0, 9.0, 9.0]
-    undriven.on_transition(harm(1, c1="brake"), DRIVES)
+    undriven.on_transition(faults_of(1, c1="brake"), DRIVES)
     assert given(undriven) == [9.0, 0.0, 9.0, 9.0]
-    undriven.on_transition(harm(), DRIVES)
+    undriven.on_transition(faults_of(), DRIVES)
     assert given(undriven) == [9.0] * 4
     assert [entry for entry in plant.log if entry[0] != "apply_faults"] == [
         ("hold", (1,)), ("engage_wheels", (1,)), ("brake", (1,)), ("engage_wheels", (1,)),
@@ -80,20 +80,20 @@ def test_a_cell_struck_twice_does_what_the_fault_that_is_left_says(plant: BookPl
 
 def test_cells_that_are_gone_get_no_drive_and_are_not_dead(plant: BookPlant) -> None:
     undriven = DeadCells(plant, 4, "hold")
-    assert undriven.on_transition(harm(gone=[0, 3]), DRIVES)
-    assert not undriven.on_transition(harm(gone=[0, 3]), DRIVES)
+    assert undriven.on_transition(faults_of(gone=[0, 3]), DRIVES)
+    assert not undriven.on_transition(faults_of(gone=[0, 3]), DRIVES)
     assert given(undriven) == [0.0, 9.0, 9.0, 0.0]
     assert not undriven.lost.any()
-    assert undriven.on_transition(harm(), DRIVES)
+    assert undriven.on_transition(faults_of(), DRIVES)
     assert given(undriven) == [9.0] * 4
     assert {entry[0] for entry in plant.log} == {"apply_faults"}
 
 
 def test_a_held_wheel_forgets_its_drive_when_its_cell_is_pulled(plant: BookPlant) -> None:
     undriven = DeadCells(plant, 4, "hold")
-    undriven.on_transition(harm(2), DRIVES)
-    undriven.on_transition(harm(2, gone=[2]), DRIVES)
-    undriven.on_transition(harm(2), DRIVES)
+    undriven.on_transition(faults_of(2), DRIVES)
+    undriven.on_transition(faults_of(2, gone=[2]), DRIVES)
+    undriven.on_transition(faults_of(2), DRIVES)
     assert given(undriven) == [9.0, 9.0, 0.0, 9.0]
     assert [entry[1] for entry in plant.log if entry[0] == "apply_faults"] == [
         [1.0, 3.0, 5.0, 7.0], [1.0, 3.0, 0.0, 7.0], [1.0, 3.0, 0.0, 7.0],
@@ -102,10 +102,10 @@ def test_a_held_wheel_forgets_its_drive_when_its_cell_is_pulled(plant: BookPlant
 
 def test_the_dead_for_good_stay_dead_whatever_faults_end(plant: BookPlant) -> None:
     undriven = DeadCells(plant, 4, "brake")
-    undriven.on_transition(harm(0), DRIVES)
+    undriven.on_transition(faults_of(0), DRIVES)
     undriven.mark_dead([0], DRIVES)
-    assert undriven.about_to_die(harm(0, 1)) == [1]
-    undriven.on_transition(harm(), DRIVES)
+    assert undriven.about_to_die(faults_of(0, 1)) == [1]
+    undriven.on_transition(faults_of(), DRIVES)
     assert given(undriven)[0] == 0.0
     assert ("engage_wheels", (0,)) not in plant.log
 
@@ -113,12 +113,12 @@ def test_the_dead_for_good_stay_dead_whatever_faults_end(plant: BookPlant) -> No
 def test_a_cell_that_comes_back_is_driven_again_unless_a_fault_kills_it(plant: BookPlant) -> None:
     undriven = DeadCells(plant, 4, "hold")
     undriven.mark_dead([0, 1], DRIVES)
-    undriven.on_transition(harm(1, gone=[2]), DRIVES)
+    undriven.on_transition(faults_of(1, gone=[2]), DRIVES)
     undriven.revive([0, 1])
     assert not undriven.lost.any()
     assert given(undriven) == [9.0, 3.0, 0.0, 9.0]
     assert plant.log[-1] == ("engage_wheels", (0,))
-    undriven.on_transition(harm(), DRIVES)
+    undriven.on_transition(faults_of(), DRIVES)
     assert given(undriven) == [9.0] * 4
 
 
@@ -128,9 +128,9 @@ def test_who_is_dead_already_does_not_die_again(plant: BookPlant) -> None:
     assert undriven.mask is None
     assert undriven.mark_dead([0], DRIVES) == (0,)
     assert undriven.mark_dead([0], DRIVES * 2.0) == ()
-    assert undriven.about_to_die(harm(0, 2)) == [2]
-    undriven.on_transition(harm(0, 1), DRIVES)
-    assert undriven.about_to_die(harm(0, 1, 2)) == [2]
+    assert undriven.about_to_die(faults_of(0, 2)) == [2]
+    undriven.on_transition(faults_of(0, 1), DRIVES)
+    assert undriven.about_to_die(faults_of(0, 1, 2)) == [2]
     assert [entry for entry in plant.log if entry[0] != "apply_faults"] == [("hold", (0,)), ("coast", (1,))]
     assert given(undriven) == [1.0, 0.0, 9.0, 9.0]
 
@@ -139,13 +139,13 @@ def test_a_cell_that_came_back_and_dies_again_holds_nothing_of_its_first_death(p
     undriven = DeadCells(plant, 4, "coast", {0: "hold"})
     undriven.mark_dead([0], DRIVES)
     undriven.revive([0])
-    undriven.on_transition(harm(0), DRIVES)
+    undriven.on_transition(faults_of(0), DRIVES)
     assert given(undriven)[0] == 0.0
 
 
 def test_a_cell_whose_fault_goes_on_knows_nothing_of_those_that_turn(plant: BookPlant) -> None:
     undriven = DeadCells(plant, 4, "hold")
-    undriven.on_transition(harm(0), DRIVES)
-    undriven.on_transition(harm(0, 1), DRIVES * 2.0)
+    undriven.on_transition(faults_of(0), DRIVES)
+    undriven.on_transition(faults_of(0, 1), DRIVES * 2.0)
     assert given(undriven) == [1.0, 6.0, 9.0, 9.0]
     assert [entry for entry in plant.log if entry[0] != "apply_faults"] == [("hold", (0,)), ("hold", (1,))]

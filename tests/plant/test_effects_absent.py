@@ -83,15 +83,15 @@ def _compiling(*effects: str) -> subprocess.Popen[str]:
 @pytest.mark.timeout(400)
 def test_kernels_without_effects_are_the_same_whether_or_not_effects_exist() -> None:
     processes = [_compiling(), _compiling(*EFFECTS)]
-    told = [process.communicate()[0] for process in processes]
+    outputs = [process.communicate()[0] for process in processes]
     assert [process.returncode for process in processes] == [0, 0]
-    without, known = ([json.loads(line) for line in text.splitlines()] for text in told)
+    without, known = ([json.loads(line) for line in text.splitlines()] for text in outputs)
     assert [solver for solver, _, _ in without] == list(COMPARED)
     assert min(length for _, length, _ in without) > 1_000_000
     assert without == known
 
 
-def test_every_kernel_module_of_an_effect_is_looked_at() -> None:
+def test_every_kernel_module_of_an_effect_is_checked() -> None:
     """Those that answer for surfaces with something of their own."""
     answering = {
         path.stem for path in (ROOT / "plant" / "kernels").rglob("*.py") if "own=True" in path.read_text()

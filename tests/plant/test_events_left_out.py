@@ -33,7 +33,7 @@ def _gone(plant: Plant, calls: int, *, timed: bool = False) -> list[Event]:
     cells = len(plant.array)
     _, events = plant.advance(_drives(plant), SECOND // 1000)  # the wheels run from here on
     for call in range(1, calls + 1):
-        # Wheels that are set anew in the middle: the call goes in legs.
+        # Wheels that are set again in the middle: the call goes in legs.
         timing = Timing(np.full(cells, DURATION_NS // 2), np.full(cells, DURATION_NS))
         _, happened = plant.advance(_drives(plant), DURATION_NS * call // calls, timing if timed else None)
         events = [*events, *happened]

@@ -136,7 +136,7 @@ def test_drives_that_change_every_tick_and_coasting_wheels_are_followed(name: st
     y = plant.state[0]
     for tick in range(1, 25):
         drives = 0.5 * draw.normal(size=(400, 2)) - plant.array.positions_m
-        # short steps: SciPy is not told where wheels change branch
+        # short steps: SciPy does not know where wheels change branch
         y = plain(plant, name, drives, grip=grip, longest_step=2e-4).run(y, TICK_NS * 1e-9)
         plant.advance(drives, tick * TICK_NS)
         assert plant.state[0] == pytest.approx(y, abs=1e-10)
@@ -150,9 +150,11 @@ def test_full_sliding_on_a_belt_is_a_parabola_through_all_support_changes() -> N
     body = {"position_m": (-0.4, 0.3), "angle_rad": 0.4, "angular_velocity_rad_s": 1.0}
     plant = exact(SLIDING, body=body)
     plant.advance(np.tile((4.0, -2.0), (400, 1)), SECOND // 4)
-    way, speed = 0.5 * MU * G * 0.25**2, MU * G * 0.25
+    distance, speed = 0.5 * MU * G * 0.25**2, MU * G * 0.25
     assert plant.support_changes >= 10
-    assert plant.state[0] == pytest.approx([-0.4 + way, 0.3 - way, 0.65, speed, -speed, 1.0], abs=1e-12)
+    assert plant.state[0] == pytest.approx(
+        [-0.4 + distance, 0.3 - distance, 0.65, speed, -speed, 1.0], abs=1e-12
+    )
 
 
 def test_being_outrun_is_reported_again_once_the_wheels_have_been_faster_in_between() -> None:

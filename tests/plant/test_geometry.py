@@ -104,12 +104,12 @@ def test_convex_polygons_are_accepted(vertices: list[tuple[float, float]]) -> No
 
 
 @given(convex(), st.floats(0.0, 6.0), st.floats(0.0, 4.0))
-def test_edges_tell_how_far_inside_a_point_lies(
-    vertices: list[tuple[float, float]], angle: float, way: float
+def test_edges_measure_how_far_inside_a_point_lies(
+    vertices: list[tuple[float, float]], angle: float, distance: float
 ) -> None:
     corners = geometry.counter_clockwise(vertices)
     centre = corners.mean(axis=0)
-    point = centre + way * np.array([np.cos(angle), np.sin(angle)])
+    point = centre + distance * np.array([np.cos(angle), np.sin(angle)])
     normal, offset = geometry.edges(corners)
     assert np.hypot(normal[:, 0], normal[:, 1]) == pytest.approx(1.0, rel=1e-14)
     following = np.roll(corners, -1, axis=0)

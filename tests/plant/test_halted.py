@@ -56,12 +56,12 @@ def test_every_solver_ends_a_call_that_is_to_end_and_leaves_parcels_where_they_w
     assert plant.time_ns == 0
 
 
-def test_a_kernel_under_way_ends_soon_after_it_is_asked_to() -> None:
+def test_a_running_kernel_ends_soon_after_the_request() -> None:
     plant = Plant(_spec({"name": "exact", "max_steps_per_s": 1e12}, parcel(**STIFF)))
-    drives, asked = elliptic(plant), []
+    drives, requested_at = elliptic(plant), []
 
     def ask() -> None:
-        asked.append(time.process_time())
+        requested_at.append(time.process_time())
         stop.request()
 
     timer = threading.Timer(0.2, ask)
@@ -69,7 +69,7 @@ def test_a_kernel_under_way_ends_soon_after_it_is_asked_to() -> None:
     try:
         with pytest.raises(PlantStopped) as caught:
             plant.advance(drives, 1000 * SECOND)
-        assert time.process_time() - asked[0] < 0.5
+        assert time.process_time() - requested_at[0] < 0.5
         assert 0.0 < caught.value.time_s < 1000.0
     finally:
         timer.join()
@@ -131,8 +131,8 @@ def test_a_stiff_motion_is_given_up_and_says_what_is_stiff_and_what_to_take(
 def test_only_solvers_that_know_the_effects_are_advised() -> None:
     effects = PlantEffects(parcel_contact=ParcelContactSpec())
     scene = PlantSpec.model_validate(dict(spec(parcel(**STIFF))) | {"effects": effects})
-    told = beyond_steps(scene, 0, np.array([[0.1, 0.1], [-0.1, -0.1]]))
-    assert told.endswith('take solver.name = "implicit"')
+    advice = beyond_steps(scene, 0, np.array([[0.1, 0.1], [-0.1, -0.1]]))
+    assert advice.endswith('take solver.name = "implicit"')
 
 
 def _until_given_up(plant: Plant, span_ns: int) -> float:
@@ -170,7 +170,7 @@ def test_time_constants_are_those_of_the_equations() -> None:
 # --- what is kept -----------------------------------------------------------------------------------
 
 
-def test_what_all_parcels_reached_is_kept_to_the_bit() -> None:
+def test_the_state_that_all_parcels_reached_is_retained_to_the_bit() -> None:
     calm = parcel(position_m=(-0.5, -0.4), angle_rad=0.3)
     budget = 4e4
     plant = Plant(_spec({"name": "exact", "max_steps_per_s": budget}, calm, parcel(**STIFF)))

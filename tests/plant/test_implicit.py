@@ -81,21 +81,21 @@ def test_motors_and_coasting_cells_are_those_of_the_exact_solver() -> None:
 def test_what_the_cells_sense_is_what_they_sense_with_the_exact_solver() -> None:
     exact, plant = study(), lawful(VISCOUS, tolerance=1e-9)
     for tick in range(1, 60):
-        told, seen = (
+        expected, seen = (
             exact.advance(elliptic(exact), tick * SECOND // 20)[0],
             plant.advance(elliptic(exact), tick * SECOND // 20)[0],
         )
-        assert np.array_equal(told.presence, seen.presence)
+        assert np.array_equal(expected.presence, seen.presence)
 
 
 @pytest.mark.parametrize("steps", [{"step_s": 1e-3}, {"tolerance": 1e-8}], ids=["fixed", "controlled"])
 def test_a_trajectory_passes_through_the_states_of_ticks(steps: dict[str, float]) -> None:
     law = ALL["cone"]
     whole, ticks = lawful(law, BODY, **steps), lawful(law, BODY, **steps)
-    course = whole.trajectory(elliptic(whole), 100 * TICK_NS, TICK_NS)
+    trajectory = whole.trajectory(elliptic(whole), 100 * TICK_NS, TICK_NS)
     for tick in range(1, 101):
         ticks.advance(elliptic(ticks), tick * TICK_NS)
-        assert course.state[tick, 0] == pytest.approx(ticks.state[0], abs=1e-6)
+        assert trajectory.state[tick, 0] == pytest.approx(ticks.state[0], abs=1e-6)
 
 
 def test_the_same_scene_gives_the_same_bytes() -> None:
@@ -287,11 +287,11 @@ def test_a_step_is_solved_where_the_least_potential_is_nearer_to_a_kink_than_rou
 def test_a_parcel_tips_where_and_when_it_does_with_the_exact_solver(steps: dict[str, float]) -> None:
     body = parcel(position_m=(0.6, 0.0), angle_rad=0.0, velocity_m_s=(1.0, 0.0))
     gap = [(row, column) for row in range(20) for column in (18, 19)]
-    told = []
+    outcomes = []
     for plant in (Plant(spec(body, missing=gap)), lawful(VISCOUS, body, missing=gap, **steps)):
         plant.advance(drive(plant, 1.0), 2 * SECOND)
-        told.append((plant.status[0], plant.state[0]))
-    (known, place), (status, ended) = told
+        outcomes.append((plant.status[0], plant.state[0]))
+    (known, place), (status, ended) = outcomes
     assert (status.state, status.detail) == (known.state, known.detail)
     assert known.state == "off_array"
     assert status.time_s == pytest.approx(known.time_s, abs=2e-3 if "step_s" in steps else 1e-7)

@@ -131,11 +131,11 @@ def test_a_second_process_loads_what_the_first_compiled() -> None:
     before = _files()
     assert before
     assert cache.is_warm()
-    told = _fresh(SECOND_PROCESS)
-    assert told["warm"] is True
-    assert told["hits"] == [1, 1]
-    assert told["misses"] == [0, 0]
-    assert told["present"] == int(sense.presence.sum())
+    found = _fresh(SECOND_PROCESS)
+    assert found["warm"] is True
+    assert found["hits"] == [1, 1]
+    assert found["misses"] == [0, 0]
+    assert found["present"] == int(sense.presence.sum())
     assert _files().items() >= before.items()  # tests that run beside this one may compile more
 
 
@@ -151,23 +151,23 @@ def test_a_cache_that_cannot_be_written_is_replaced_for_the_process_and_removed_
     tmp_path: Path,
 ) -> None:
     (tmp_path / "file").write_text("no folder")
-    told = _fresh(FOLDER, NUMBA_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path))
-    assert told["lasting"] is False
-    assert told["exists"] is True
-    assert told["warm"] is False
-    assert Path(str(told["path"])).parent == tmp_path
-    assert not Path(str(told["path"])).exists()
+    found = _fresh(FOLDER, NUMBA_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path))
+    assert found["lasting"] is False
+    assert found["exists"] is True
+    assert found["warm"] is False
+    assert Path(str(found["path"])).parent == tmp_path
+    assert not Path(str(found["path"])).exists()
 
 
 def test_the_cache_goes_where_the_environment_says(tmp_path: Path) -> None:
-    told = _fresh(FOLDER, NUMBA_CACHE_DIR=str(tmp_path / "numba"), XDG_CACHE_HOME=str(tmp_path / "xdg"))
-    assert str(told["path"]).startswith(str(tmp_path / "numba" / "mdms" / "kernels"))
-    assert told["lasting"] is True
+    found = _fresh(FOLDER, NUMBA_CACHE_DIR=str(tmp_path / "numba"), XDG_CACHE_HOME=str(tmp_path / "xdg"))
+    assert str(found["path"]).startswith(str(tmp_path / "numba" / "mdms" / "kernels"))
+    assert found["lasting"] is True
     environment = {"NUMBA_CACHE_DIR": "", "XDG_CACHE_HOME": str(tmp_path / "xdg")}
     assert str(_fresh(FOLDER, **environment)["path"]).startswith(str(tmp_path / "xdg" / "mdms" / "kernels"))
 
 
-def test_only_the_latest_of_the_old_folders_are_kept(
+def test_only_the_latest_of_the_old_folders_are_retained(
     copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
@@ -179,5 +179,5 @@ def test_only_the_latest_of_the_old_folders_are_kept(
         os.utime(old, (1e9 - age, 1e9 - age))
     module = _module(copied)
     path, _ = module.folder()
-    kept = sorted(folder.name for folder in kernels.iterdir() if folder != path)
-    assert kept == [f"old{age:02}" for age in range(module.KEPT)]
+    retained = sorted(folder.name for folder in kernels.iterdir() if folder != path)
+    assert retained == [f"old{age:02}" for age in range(module.RETAINED)]

@@ -41,7 +41,7 @@ def test_near_circles_are_not_overlap() -> None:
     assert len(list(_watch(2).pairs(_state((0, 0, 0), (0, 0.21, np.pi / 2)), _all(2)))) == 1
 
 
-def test_in_the_way_is_the_first_of_those_that_are_there_that_would_be_overlapped() -> None:
+def test_the_first_blocker_is_the_first_present_parcel_that_would_be_overlapped() -> None:
     watch = _watch(4)
     # at the end of its length but not of its circle; across; a little aside; far
     state = _state((0, 0, 0), (0.399, 0, 0), (0.19, 0.09, 0), (3, 0, 0))
@@ -54,7 +54,7 @@ def test_in_the_way_is_the_first_of_those_that_are_there_that_would_be_overlappe
     assert watch.first_blocker(0, touching, np.array([1, 2, 3])) == 3
 
 
-def test_an_overlap_is_told_when_it_begins_and_when_it_ends() -> None:
+def test_an_overlap_is_reported_when_it_begins_and_when_it_ends() -> None:
     watch = _watch(2)
     apart, close = _state((0, 0, 0), (1, 0, 0)), _state((0, 0, 0), (0.3, 0, 0))
     kinds = [
@@ -68,9 +68,9 @@ def test_close_calls_cover_every_instant_of_an_overlap_and_the_one_after() -> No
     watch = _watch(2)
     distance = [1.0, 0.6, 0.3, 0.1, 0.3, 0.6, 1.0, 1.0]
     states = np.array([_state((0, 0, 0), (d, 0, 0)) for d in distance])
-    looked = set(watch.candidate_instants(states))
+    candidates = set(watch.candidate_instants(states))
     overlapping = {k for k, d in enumerate(distance) if d < 0.4}
-    assert overlapping | {max(overlapping) + 1} <= looked
+    assert overlapping | {max(overlapping) + 1} <= candidates
 
 
 def test_one_parcel_alone_meets_nobody() -> None:

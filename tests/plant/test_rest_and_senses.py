@@ -119,7 +119,7 @@ def test_presence_bits_are_the_points_inside_the_footprints(count: int) -> None:
         assert np.array_equal(sense.presence, _covered(plant, np.array(SENSORS[:count])))
 
 
-def test_sensors_out_of_their_own_cell_are_looked_at_where_they_are() -> None:
+def test_sensors_out_of_their_own_cell_are_sampled_where_they_are() -> None:
     far = ((0.35, 0.0), (0.0, -0.72))
     plant = Plant(spec(parcel(position_m=(0.1, 0.0)), sensors_m=far))
     assert np.array_equal(plant.sense().presence, _covered(plant, np.array(far)))
@@ -176,7 +176,7 @@ def test_a_step_of_voltage_turns_the_wheel_by_the_textbook_response() -> None:
     assert sense.encoder_m == pytest.approx(1.2 * (0.3 + 0.06 * np.expm1(-5.0)), rel=1e-13)
 
 
-def test_ideal_wheels_run_as_they_are_told() -> None:
+def test_ideal_wheels_run_as_commanded() -> None:
     plant = study()
     drives = np.random.default_rng(1).normal(size=(400, 2))
     plant.advance(drives, TICK_NS)

@@ -111,15 +111,15 @@ def _shallow(g: Coefficients, start: float, stop: float) -> bool:
 
 def _distinct(g: Coefficients, end: float) -> list[tuple[float, int]]:
     """The crossings of ``g`` without those before which, or the pairs between which, it is zero to rounding."""
-    kept: list[tuple[float, int]] = []
+    found: list[tuple[float, int]] = []
     for t, direction in crossings(g, end):
-        if kept and (t - kept[-1][0] < 2.0**-33 or _shallow(g, kept[-1][0], t)):
-            kept.pop()
-        elif not kept and _shallow(g, 0.0, t):
+        if found and (t - found[-1][0] < 2.0**-33 or _shallow(g, found[-1][0], t)):
+            found.pop()
+        elif not found and _shallow(g, 0.0, t):
             continue  # no sign to change: rounding so far
         else:
-            kept.append((t, direction))
-    return kept
+            found.append((t, direction))
+    return found
 
 
 def _check(g: Coefficients, upward: bool, end: float = 1.0) -> None:
@@ -139,7 +139,7 @@ def test_the_oracle_itself_finds_known_roots() -> None:
 
 
 @pytest.mark.parametrize("upward", [True, False])
-def test_the_first_of_several_roots_in_the_direction_asked_is_found(upward: bool) -> None:
+def test_the_first_of_several_roots_in_the_requested_direction_is_found(upward: bool) -> None:
     g = _product([[-0.25, 1.0], [-0.5, 1.0], [-0.75, 1.0]])
     assert first(g, upward) == pytest.approx(0.25 if upward else 0.5, abs=1e-15)
 
@@ -166,7 +166,7 @@ def test_a_triple_root_is_a_crossing() -> None:
     assert first(g, True) == pytest.approx(0.3, abs=1e-4)
 
 
-def test_nothing_is_found_past_the_end_asked_for() -> None:
+def test_nothing_is_found_past_the_requested_end() -> None:
     g = [-0.5, 1.0]
     assert first(g, True, 0.4999) == roots.NONE
     assert first(g, True, 0.5001) == pytest.approx(0.5, abs=1e-15)

@@ -50,12 +50,12 @@ def test_acting_from_the_start_and_reading_at_the_end_is_no_timing_at_all(
         drives, now, until = draw.normal(size=(400, 2)), (tick - 1) * TICK_NS, tick * TICK_NS
         start = now if tick % 2 else -1
         sense, events = plain.advance(drives, until)
-        same, told = timed.advance(drives, until, everyone(400, start, until))
+        same, other_events = timed.advance(drives, until, everyone(400, start, until))
         assert plain.state.tobytes() == timed.state.tobytes()
         assert plain.wheel_speed.tobytes() == timed.wheel_speed.tobytes()
         assert np.array_equal(sense.presence, same.presence)
         assert sense.presence.any()
-        assert events == told
+        assert events == other_events
         if sense.encoder_m is not None and same.encoder_m is not None:
             assert sense.encoder_m.tobytes() == same.encoder_m.tobytes()
 
@@ -146,17 +146,17 @@ def test_who_reads_as_a_call_begins_sees_what_has_come_since_it_last_read() -> N
     plant = Plant(spec(parcel(velocity_m_s=(1.0, -0.5)), motors=MOTORS))
     n, still = 400, elliptic(plant)
     first, _ = plant.advance(still, TICK_NS, everyone(n, -1, 0))
-    kept = first
+    held = first
     for tick in range(2, 40):
-        kept, _ = plant.advance(still, tick * TICK_NS, everyone(n, -1, -1))
+        held, _ = plant.advance(still, tick * TICK_NS, everyone(n, -1, -1))
     now = plant.sense()
-    told, _ = plant.advance(still, 40 * TICK_NS, everyone(n, -1, 39 * TICK_NS))
-    assert np.array_equal(kept.presence, first.presence)
-    assert np.array_equal(told.presence, now.presence)
-    assert not np.array_equal(told.presence, kept.presence)
-    assert told.encoder_m is not None
+    later, _ = plant.advance(still, 40 * TICK_NS, everyone(n, -1, 39 * TICK_NS))
+    assert np.array_equal(held.presence, first.presence)
+    assert np.array_equal(later.presence, now.presence)
+    assert not np.array_equal(later.presence, held.presence)
+    assert later.encoder_m is not None
     assert now.encoder_m is not None
-    assert told.encoder_m.tobytes() == now.encoder_m.tobytes()
+    assert later.encoder_m.tobytes() == now.encoder_m.tobytes()
 
 
 def test_levels_are_those_of_each_cell_s_own_instant() -> None:
@@ -185,7 +185,7 @@ def test_levels_are_those_of_each_cell_s_own_instant() -> None:
     assert ((read > 0.0) & (read < 1.0)).sum() > 10
 
 
-def test_a_parcel_on_wheels_that_change_on_the_way_moves_as_in_the_plain_plant() -> None:
+def test_a_parcel_on_wheels_that_change_within_the_call_moves_as_in_the_plain_plant() -> None:
     """DOP853 with every support change located, restarted at every instant at which a wheel below changes."""
     plant = Plant(spec(parcel()))
     draw, first = np.random.default_rng(8), elliptic(plant)
@@ -248,7 +248,7 @@ def test_timing_goes_with_effects_that_act_on_all_parcels_at_once(loaded: bool) 
     cells = np.arange(n)
     acts, reads = 8_000_000 * (cells % 2), np.where(cells % 3, 17_000_000, until)
     sense, events = timed.advance(drives, until, Timing(acts, reads))
-    told = divided.advance(np.where(acts[:, None] > 0, 0.0, drives), 8_000_000)[1]
+    other_events = divided.advance(np.where(acts[:, None] > 0, 0.0, drives), 8_000_000)[1]
     middle, more = divided.advance(drives, 17_000_000)
     end, most = divided.advance(drives, until)
     assert timed.state == pytest.approx(divided.state, abs=1e-9)
@@ -256,11 +256,11 @@ def test_timing_goes_with_effects_that_act_on_all_parcels_at_once(loaded: bool) 
     expected = np.where((cells % 3 > 0)[:, None], middle.encoder_m, end.encoder_m)
     assert sense.encoder_m == pytest.approx(expected, abs=1e-10)
     # overlaps are looked for at the ends of calls only
-    told, by_hand = (
+    other_events, by_hand = (
         [(event.kind, event.parcel) for event in listed if event.kind != "overlap"]
-        for listed in (events, told + more + most)
+        for listed in (events, other_events + more + most)
     )
-    assert told == by_hand
+    assert other_events == by_hand
     assert by_hand
 
 
@@ -294,8 +294,8 @@ def test_drives_that_stay_what_they_are_divide_nothing() -> None:
     assert plain.effort == timed.effort
 
 
-def test_a_parcel_that_tips_on_the_way_is_read_where_it_tipped() -> None:
-    """Carried off the right edge, told once: who reads later, in this call or the next, sees it where it lies."""
+def test_a_parcel_that_tips_within_the_call_is_read_where_it_tipped() -> None:
+    """Carried off the right edge, reported once: who reads later, in this call or the next, sees it where it lies."""
     body = parcel(size_m=(0.54, 0.32), position_m=(0.9, 0.0), angle_rad=0.0, velocity_m_s=(1.0, 0.0))
     timed, divided = (Plant(spec(body)) for _ in range(2))
     n, until, draw = 400, 200_000_000, np.random.default_rng(1)
@@ -304,8 +304,8 @@ def test_a_parcel_that_tips_on_the_way_is_read_where_it_tipped() -> None:
     sense, events = timed.advance(drives, until, Timing(acts, np.full(n, until - 1)))
     tips = []
     for instant in [*np.unique(acts[acts > 0]).tolist(), until]:
-        seen, told = divided.advance(np.where((acts < instant)[:, None], drives, 0.0), instant)
-        tips += [event for event in told if event.kind == "off_array"]
+        seen, other_events = divided.advance(np.where((acts < instant)[:, None], drives, 0.0), instant)
+        tips += [event for event in other_events if event.kind == "off_array"]
     (tip,) = (event for event in events if event.kind == "off_array")
     assert tip.time_s == pytest.approx(tips[0].time_s, abs=1e-11)
     assert 0.01 < tip.time_s < 0.19

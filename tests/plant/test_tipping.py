@@ -19,8 +19,8 @@ def carried(distance: float, speed: float, start: float = 0.0) -> float:
     low, high = 0.0, 1e4
     for _ in range(200):
         middle = 0.5 * (low + high)
-        way = speed * middle + (start - speed) * -np.expm1(-KAPPA * middle) / KAPPA
-        low, high = (middle, high) if way < distance else (low, middle)
+        travelled = speed * middle + (start - speed) * -np.expm1(-KAPPA * middle) / KAPPA
+        low, high = (middle, high) if travelled < distance else (low, middle)
     return low
 
 
@@ -127,7 +127,7 @@ def test_a_slanting_row_of_supports_is_left_sideways() -> None:
 
 
 @pytest.mark.parametrize("missing_above", [True, False])
-def test_tipping_sideways_off_a_row_looks_to_the_side_it_tips_to(missing_above: bool) -> None:
+def test_tipping_sideways_off_a_row_tests_the_side_it_tips_to(missing_above: bool) -> None:
     """Supports on one row, other rows on one side only: where the parcel falls decides its state."""
     rows = (0, 1) if missing_above else (1, 2)
     cells = tuple((r, c) for r in rows for c in range(5))

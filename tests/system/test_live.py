@@ -135,7 +135,7 @@ def test_bad_requests_are_refused_in_words_and_change_nothing(tmp_path: Path) ->
 
 
 def test_requests_are_read_or_refused_whatever_they_are() -> None:
-    assert read_request(b'{"op": "list"}').do == "list"
+    assert read_request(b'{"op": "list"}').op == "list"
     for payload in (None, b"{" * 100_000, b'{"op": ["list"]}', b'{"op": "inject"}', b"\x00"):
         with pytest.raises(RequestError):
             read_request(payload)

@@ -50,7 +50,7 @@ class Mailbox(LinkDriver):
         }
 
     def reset(self, cells: Cells, state: State) -> State:
-        """Empty the mailboxes; counters belong to the observer and are kept."""
+        """Empty the mailboxes; counters belong to the observer and are retained."""
         return {**self.init(cells), "overwritten": state["overwritten"]}
 
     def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
@@ -62,10 +62,10 @@ class Mailbox(LinkDriver):
             message[name] = lines.message[name]
         in_time = came & steps & (lines.message[self._stamp] <= into_ns)
         received = in_time | (waits & steps)
-        stays, kept = came & ~in_time, waits & ~steps
+        stays, waiting = came & ~in_time, waits & ~steps
         after = {
-            "waits": stays | kept,
-            "message": _either(stays, message, kept, state["message"]),
+            "waits": stays | waiting,
+            "message": _either(stays, message, waiting, state["message"]),
             "overwritten": state["overwritten"] + (came & waits & (in_time | ~steps)),
         }
         return after, Inbox(received, _either(in_time, message, received, state["message"]))

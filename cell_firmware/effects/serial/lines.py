@@ -68,9 +68,9 @@ class SerialLines(LinkDriver):
         return state
 
     def reset(self, cells: Cells, state: State) -> State:
-        """Empty the lines; counters, which belong to the observer, and the position of the switch are kept."""
-        kept = _COUNTERS if self._scan is None else (*_COUNTERS, *PLACE)
-        return {**self.init(cells), **{name: state[name] for name in kept}}
+        """Empty the lines; counters, which belong to the observer, and the position of the switch are retained."""
+        retained = _COUNTERS if self._scan is None else (*_COUNTERS, *PLACE)
+        return {**self.init(cells), **{name: state[name] for name in retained}}
 
     def idle(self, now: StepTime, state: State) -> State:
         """Advance the switch; bytes that are not sent yet wait."""
@@ -79,10 +79,10 @@ class SerialLines(LinkDriver):
     def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
         """Return messages received since the cells' last step; of two on a side the later one."""
         at_ns = now.at_ns[..., None]
-        state = self._receiver.hear(self._window(now), state, lines)
+        state = self._receiver.queue(self._window(now), state, lines)
         if self._scan is None:
-            return self._receiver.look(at_ns, state)
-        return self._receiver.look(at_ns, state, *self._scan.selected(state))
+            return self._receiver.read(at_ns, state)
+        return self._receiver.read(at_ns, state, *self._scan.selected(state))
 
     def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
         """Send the bytes that start before the cells' next step."""

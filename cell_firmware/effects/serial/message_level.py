@@ -23,7 +23,7 @@ _BILLION: Final = 1_000_000_000
 def is_exact_for(settings: LineSettings, window_ns: int, worst_ppb: int) -> bool:
     """Whether every byte that is sent comes, and is read as it was sent.
 
-    That is so where interrupts fill a ring that holds all that can come between two looks, every side has a UART, and
+    That is so where interrupts fill a ring that holds all that can come between two reads, every side has a UART, and
     no two clocks are so far apart that a sample misses its bit. Links must lose and delay nothing either.
 
     Args:
@@ -34,13 +34,13 @@ def is_exact_for(settings: LineSettings, window_ns: int, worst_ppb: int) -> bool
     fast, slow = _BILLION - worst_ppb, _BILLION + worst_ppb
     # the last sample, of the stop bit, is 9.5 of the receiver's bits after the start
     in_bit = 18 * slow <= 19 * fast and 19 * slow < 20 * fast
-    between_looks = settings.period_ns * slow // (settings.byte_ns * fast) + 2
+    between_reads = settings.period_ns * slow // (settings.byte_ns * fast) + 2
     return (
         settings.period_ns <= LONGEST_PERIOD_NS
         and not settings.polled
         and settings.dwell_periods is None
         and in_bit
-        and between_looks <= settings.buffer_bytes
+        and between_reads <= settings.buffer_bytes
         and _windows(settings, window_ns) <= _MOST_WINDOWS
     )
 
@@ -112,8 +112,8 @@ class MessageLevelLines(LinkDriver):
         return state
 
     def reset(self, cells: Cells, state: State) -> State:
-        """Empty the lines, including messages in transmission; counters belong to the observer and are kept."""
-        since = np.full_like(state["since"], -1)  # until the next exchange tells when that is
+        """Empty the lines, including messages in transmission; counters belong to the observer and are retained."""
+        since = np.full_like(state["since"], -1)  # until the next exchange sets it
         return {**self.init(cells), "since": since, **{name: state[name] for name in _COUNTED}}
 
     def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:
@@ -121,17 +121,17 @@ class MessageLevelLines(LinkDriver):
         sent_in = now.tick - 1
         since = np.where(state["since"] < 0, sent_in, state["since"])
         began = sent_in - lines.message[self._began].astype(np.int64)
-        heard = lines.received & (began >= since)
+        accepted = lines.received & (began >= since)
         there_ns = sent_in * self._window_ns + lines.message[self._last].astype(np.int64) + state["whole_ns"]
         new = now.tick % self._slots
         after = {
             **state,
             "since": since,
-            f"there_{new}_ns": np.where(heard, there_ns, _NEVER),
+            f"there_{new}_ns": np.where(accepted, there_ns, _NEVER),
             f"message_{new}": lines.message,
         }
-        whole = np.zeros(heard.shape, dtype=np.bool_)
-        message = np.zeros(heard.shape, dtype=self._message)
+        whole = np.zeros(accepted.shape, dtype=np.bool_)
+        message = np.zeros(accepted.shape, dtype=self._message)
         at_ns = now.at_ns[..., None]
         for slot in range(new + 1, new + 1 + self._slots):  # the oldest first
             self._take(after, slot % self._slots, at_ns, whole, message)

@@ -15,7 +15,7 @@ from cell_firmware.effects.serial.timing import Ints, LineSettings, LineTimes, s
 from cell_firmware.firmware import Bools, Cells, Inbox, State
 
 COUNTERS: Final = ("received", "overruns", "framing", "damaged", "unheard")
-"""What a look counts, of each line."""
+"""Counters of a read, of each line."""
 
 
 @final
@@ -51,7 +51,7 @@ class UartReader:
         self._skewed: Bools | None = times.skewed
         self._room = np.full(shape, settings.buffer_bytes)
         self._silent: Bools = np.broadcast_to(at_ns >= 0, shape)
-        self.after: dict[str, Any] = {**state, "heard": state["heard"].copy()}
+        self.after: dict[str, Any] = {**state, "buffer": state["buffer"].copy()}
         self.whole = np.zeros(shape, dtype=np.bool_)
         self.message = np.zeros(shape, dtype=frame.message)
 
@@ -104,18 +104,18 @@ class UartReader:
     def _take_all(self, run: int, came: Ints) -> None:
         """Buffer bytes that are read as sent, as far as there is room."""
         after = self.after
-        kept = np.minimum(came, self._room)
-        self._room = self._room - kept
-        after["overruns"] = after["overruns"] + (came - kept)
-        after["received"] = after["received"] + kept
+        stored = np.minimum(came, self._room)
+        self._room = self._room - stored
+        after["overruns"] = after["overruns"] + (came - stored)
+        after["received"] = after["received"] + stored
         copy_bytes(
             _lines(after[f"data_{run // 2}"]),
             after[f"place_{run}"].reshape(-1),
-            _lines(after["heard"]),
+            _lines(after["buffer"]),
             after["length"].reshape(-1),
-            kept.reshape(-1),
+            stored.reshape(-1),
         )
-        after["length"] = np.minimum(after["length"] + kept, self._frame.length + 1)
+        after["length"] = np.minimum(after["length"] + stored, self._frame.length + 1)
 
     def _take_one_by_one(self, run: int, line: Ints, came: Ints) -> None:
         """Read bytes on lines with clocks so far apart that samples miss bits."""
@@ -155,11 +155,11 @@ class UartReader:
         self._count("overruns", line[full])
         self._count("framing", line[fails & ~full])
         room[line[takes_room & ~full]] -= 1
-        kept = ~fails & ~full
-        line, value = line[kept], value[kept]
+        stored = ~fails & ~full
+        line, value = line[stored], value[stored]
         self._count("received", line)
         length = self.after["length"].reshape(-1)
-        _lines(self.after["heard"])[line, length[line]] = value
+        _lines(self.after["buffer"])[line, length[line]] = value
         length[line] = np.minimum(length[line] + 1, self._frame.length + 1)
 
     def end(self) -> None:
@@ -182,7 +182,7 @@ class UartReader:
             return
         length = self.after["length"].reshape(-1)
         good = length[line] == self._frame.length
-        checked, message = self._frame.unpack(_lines(self.after["heard"])[line[good]])
+        checked, message = self._frame.unpack(_lines(self.after["buffer"])[line[good]])
         whole = line[good][checked]
         self.whole.reshape(-1)[whole] = True
         self.message.reshape(-1)[whole] = message[checked]
@@ -209,7 +209,7 @@ _STEPS: Final = np.array(STEPS)
 _TOGETHER: Final = 2
 """Bursts under way on a line where all is equal: that which comes, and the end of the last."""
 _BY_OWN_CLOCKS: Final = 7
-"""Most that are kept where clocks are their own: where all may be empty but these, only those with bytes move on."""
+"""Most bursts stored where clocks are their own: where all may be empty but these, only those with bytes move on."""
 
 
 @final
@@ -217,7 +217,7 @@ class Receiver:
     """Receiver of four lines, which assembles messages from bytes.
 
     A byte is there once its stop bit has been sampled, 9.5 bits after its start. It waits in the ring, or in the
-    register, until the firmware looks: one that finds no room is lost. A message is what comes between two idle
+    register, until the firmware reads it: one that finds no room is lost. A message is what comes between two idle
     characters; a driver that polls takes a period without a byte for one.
 
     The state keeps the runs of bytes that are under way: of each how many are left, when the next of them starts and
@@ -228,8 +228,8 @@ class Receiver:
         frame: Of the messages.
         burst: Of what a line carries in a window.
         window_ns: How long a window of the exchange is.
-        errors_of: Clocks' errors; None where all are equal. With clocks of their own a cell hears of a window when it
-            is over: all bytes come by ``window_ns`` and a bit later, so that none has come before it was heard of, and
+        errors_of: Clocks' errors; None where all are equal. With clocks of their own a cell learns of a window when it
+            is over: all bytes come by ``window_ns`` and a bit later, so none comes before the cell learns of it, and
             what follows it on the line is known.
     """
 
@@ -260,7 +260,7 @@ class Receiver:
         runs = [f"{what}_{i}" for i in range(2 * self._bursts) for what in ("left", "place")]
         runs += [f"start_{i}_ns" for i in range(2 * self._bursts)]
         state: State = {
-            "heard": np.zeros((*lines, self._frame.length + 1 + width), dtype=np.uint8),
+            "buffer": np.zeros((*lines, self._frame.length + 1 + width), dtype=np.uint8),
             **{f"data_{i}": np.zeros((*lines, width + WORD), dtype=np.uint8) for i in range(self._bursts)},
             **{name: np.zeros(lines, dtype=np.int64) for name in (*runs, "length", "last_ns", *COUNTERS)},
         }
@@ -269,7 +269,7 @@ class Receiver:
         own, sender = neighbours_errors(self._errors_of, cells)
         return {**state, **LineTimes.of(self._settings, self._late_ns, own, sender).state()}
 
-    def hear(self, window: int, state: State, lines: Inbox) -> State:
+    def queue(self, window: int, state: State, lines: Inbox) -> State:
         """Queue the bursts that lines carried in the previous window.
 
         Args:
@@ -279,7 +279,7 @@ class Receiver:
         """
         bursts = self._burst.from_wire(lines.message)
         begins, most = (window - 1) * self._window_ns, self._burst.width
-        # of more bytes than a window has room for nobody hears, whatever a sender claims
+        # bytes beyond a window's room are dropped, whatever a sender claims
         first = np.minimum(bursts["bytes_1"].astype(np.int64), most)
         data = np.zeros((*first.shape, self._burst.width + WORD), dtype=np.uint8)
         data[..., :-WORD] = bursts["byte"]
@@ -289,7 +289,7 @@ class Receiver:
             new[f"start_{run}_ns"] = begins + bursts[f"start_{run + 1}_ns"].astype(np.int64)
         return _queued(state, new, self._bursts, None if self._keep_step else lines.received)
 
-    def look(
+    def read(
         self, at_ns: Ints, state: State, connected: Bools | None = None, since_ns: Ints | None = None
     ) -> tuple[State, Inbox]:
         """Read the lines at the firmware's step.
@@ -297,18 +297,18 @@ class Receiver:
         Args:
             at_ns: ``(n, 1)`` or ``(1,)``, when; negative for a cell that doesn't.
             state: Of n cells.
-            connected: ``(n, 4)``, sides whose bytes got through since the last look; None: all.
+            connected: ``(n, 4)``, sides whose bytes got through since the last read; None: all.
             since_ns: ``(n, 1)``, since when they have.
 
         Returns:
             The next state, and whole messages.
         """
         times = self._times if self._errors_of is None else LineTimes.from_state(self._late_ns, state)
-        look = UartReader(self._settings, self._frame, times, 2 * self._bursts, state, at_ns)
+        reader = UartReader(self._settings, self._frame, times, 2 * self._bursts, state, at_ns)
         for run in range(2 * self._bursts):
-            look.take(run, connected, since_ns)
-        look.end()
-        return look.after, Inbox(look.whole, look.message)
+            reader.take(run, connected, since_ns)
+        reader.end()
+        return reader.after, Inbox(reader.whole, reader.message)
 
 
 def _windows(settings: LineSettings, window_ns: int) -> int:

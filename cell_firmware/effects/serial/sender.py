@@ -167,7 +167,7 @@ class _Going:
         gone, there = after["gone"].reshape(-1), there.reshape(-1)
         copy_bytes(
             frames, gone, data, there, count.reshape(-1), clean=True
-        )  # a line tells nothing ahead of time
+        )  # a line gives nothing ahead of time
         free = np.where(count > 0, start + count * self._byte_ns, after["free_ns"])
         ended = (count > 0) & (count == rest)
         after["free_ns"] = np.where(ended, self._quiet(free), free)

@@ -69,17 +69,17 @@ class _Noise(MessageFault):
         rows = np.flatnonzero(self._number[place] >= 0)
         if not len(rows):
             return outbox, np.zeros(len(place), dtype=np.int64)
-        told = Outbox.empty(len(place), self._line)
+        outgoing = Outbox.empty(len(place), self._line)
         if outbox is not None:
-            told = Outbox(outbox.sent.copy(), np.array(outbox.message))
+            outgoing = Outbox(outbox.sent.copy(), np.array(outbox.message))
         sides = len(SIDES)
         data = random_bytes(self._draws, tick, sides * len(self.injected.cells), self._width)
         data = data.reshape(-1, sides, self._width)[self._number[place[rows]]]
-        told.sent[rows] = self._sides[place[rows]]
-        told.message[rows] = self._carried(now.select(rows), data)
+        outgoing.sent[rows] = self._sides[place[rows]]
+        outgoing.message[rows] = self._carried(now.select(rows), data)
         noise = np.zeros(len(place), dtype=np.int64)
-        noise[rows] = told.sent[rows].sum(axis=1)
-        return told, noise
+        noise[rows] = outgoing.sent[rows].sum(axis=1)
+        return outgoing, noise
 
     def _carried(self, now: StepTime, data: NDArray[np.uint8]) -> Messages:
         """Return link payloads that contain these bytes; a time stamp of 0 is the start of the window."""

@@ -64,8 +64,8 @@ class LieFault(CellTarget, CellFault):
             return  # which is another problem
         named = [] if message is None else _numbers(message)
         if self.field is not None and self.field not in named:
-            told = ", ".join(named) or "none"
-            yield ("field",), self.field, f"must be a numeric field of {cells.firmware}'s messages: {told}"
+            listed = ", ".join(named) or "none"
+            yield ("field",), self.field, f"must be a numeric field of {cells.firmware}'s messages: {listed}"
 
     def message_faults(self, talk: MessageContext, injected: FaultInstance[CellFault]) -> MessageFault:
         """Return the changes to messages, applied at their receivers."""
@@ -81,15 +81,15 @@ class _Lies(MessageFault):
         self._mode, self._by = fault.mode, 0.0 if fault.by is None else fault.by
         self._fields = [name for name in _numbers(talk.message) if fault.field in (None, name)]
         lattice = talk.lattice
-        heard = links_of(lattice, injected.cells, heard=False, told=True)
+        affected = links_of(lattice, injected.cells, incoming=False, outgoing=True)
         self._message = talk.message
         self._affected = np.zeros((len(lattice), len(SIDES)), dtype=np.bool_)
-        self._affected[heard[:, 0], heard[:, 1]] = True
+        self._affected[affected[:, 0], affected[:, 1]] = True
         self._draws: CounterStream | None = None
-        if fault.mode == "random" and len(heard):
-            self._links = heard
+        if fault.mode == "random" and len(affected):
+            self._links = affected
             self._draws = CounterStream(
-                talk.seed, stream_name(injected), len(SIDES) * heard[:, 0] + heard[:, 1]
+                talk.seed, stream_name(injected), len(SIDES) * affected[:, 0] + affected[:, 1]
             )
         self._cells = len(lattice)
 
@@ -117,13 +117,13 @@ class _Lies(MessageFault):
         return own, Inbox(inbox.received, message), lies.sum(axis=1)
 
     def _instead(
-        self, name: str, own: State, told: Values, lies: Bools, chance: NDArray[np.float64]
+        self, name: str, own: State, original: Values, lies: Bools, chance: NDArray[np.float64]
     ) -> Values:
         """Return the false values of a field."""
         if self._mode == "offset":
-            return _shifted(told, self._by)
+            return _shifted(original, self._by)
         if self._mode == "factor":
-            return _times(told, self._by)
+            return _times(original, self._by)
         if self._mode == "stuck":
             return own["least"][name][lies]
         return _between(own["least"][name][lies], own["greatest"][name][lies], chance)
@@ -154,26 +154,26 @@ def _numbers(message: np.dtype[Any]) -> list[str]:
     return [name for name in message.names or () if message[name].kind in "iuf"]
 
 
-def _shifted(told: Values, by: float) -> Values:
-    if told.dtype.kind == "f":
-        return (told + by).astype(told.dtype)
-    return _kept([value + round(by) for value in told.tolist()], told.dtype)
+def _shifted(original: Values, by: float) -> Values:
+    if original.dtype.kind == "f":
+        return (original + by).astype(original.dtype)
+    return _clipped([value + round(by) for value in original.tolist()], original.dtype)
 
 
-def _times(told: Values, by: float) -> Values:
-    if told.dtype.kind == "f":
-        return (told * by).astype(told.dtype)
-    return _kept([round(value * by) for value in told.tolist()], told.dtype)
+def _times(original: Values, by: float) -> Values:
+    if original.dtype.kind == "f":
+        return (original * by).astype(original.dtype)
+    return _clipped([round(value * by) for value in original.tolist()], original.dtype)
 
 
 def _between(least: Values, greatest: Values, chance: NDArray[np.float64]) -> Values:
     if least.dtype.kind == "f":
         return (least + chance * (greatest - least)).astype(least.dtype)
     pairs = zip(least.tolist(), greatest.tolist(), chance.tolist(), strict=True)
-    return _kept([low + int(share * (high - low + 1)) for low, high, share in pairs], least.dtype)
+    return _clipped([low + int(share * (high - low + 1)) for low, high, share in pairs], least.dtype)
 
 
-def _kept(values: list[int], dtype: np.dtype[Any]) -> Values:
+def _clipped(values: list[int], dtype: np.dtype[Any]) -> Values:
     """Clip whole numbers to a type's range."""
     lowest, highest = np.iinfo(dtype).min, np.iinfo(dtype).max
     return np.array([min(max(value, lowest), highest) for value in values], dtype=dtype)

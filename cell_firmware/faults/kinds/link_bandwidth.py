@@ -75,12 +75,12 @@ class _Bucket(LinkFilter):
         self._queue[waiting[came], np.flatnonzero(came)] = words[came]
         self._tokens = np.minimum(self._tokens + self._gain, self._most)
         length = waiting + came
-        heard = (length > 0) & (self._tokens >= self._token)
-        self._tokens = self._tokens - self._token * heard
+        delivered = (length > 0) & (self._tokens >= self._token)
+        self._tokens = self._tokens - self._token * delivered
         first = self._queue[0].copy()
-        length = length - heard
+        length = length - delivered
         lost = length == len(self._queue)
-        moves = heard | lost
+        moves = delivered | lost
         self._queue[:-1, moves] = self._queue[1:, moves]
         self._length = length - lost
-        return heard, first, {"waited": heard & (waiting > 0), "lost": lost}
+        return delivered, first, {"waited": delivered & (waiting > 0), "lost": lost}

@@ -72,12 +72,12 @@ class _Delayed(FaultFilter):
         waits = replace(inputs, inbox=Inbox(delayed, inbox.message.copy()))
         due = self._waiting.apply(tick, waits, alive).inbox
         assert due is not None
-        overtaken, heard = due.received & direct, due.received & ~direct
+        overtaken, late = due.received & direct, due.received & ~direct
         self.count("delayed", delayed, alive)
         self.count("overtaken", overtaken, alive)
         self.counters[self._named("overtaken")] += self._waiting.counters.pop("overtaken", 0)
-        message = np.zeros(heard.shape, dtype=inbox.message.dtype)
+        message = np.zeros(late.shape, dtype=inbox.message.dtype)
         whole = opaque_view(message)
         whole[direct] = opaque_view(np.ascontiguousarray(inbox.message))[direct]
-        whole[heard] = opaque_view(np.ascontiguousarray(due.message))[heard]
-        return replace(inputs, inbox=Inbox(direct | heard, message))
+        whole[late] = opaque_view(np.ascontiguousarray(due.message))[late]
+        return replace(inputs, inbox=Inbox(direct | late, message))

@@ -46,8 +46,8 @@ class _Duplicate(LinkFilter):
     def transform(self, tick: int, came: Bools, words: Messages) -> Changed:
         """Return new messages, and repeat messages of the tick before where no new one arrives."""
         again, overtaken = self._again & ~came, self._again & came
-        heard = words.copy()
-        heard[again] = self._words[again]
+        payload = words.copy()
+        payload[again] = self._words[again]
         if self.active_at(tick):
             self._again, self._words = came & (self._draws.uniform(tick) < self._probability), words
-        return came | again, heard, {"duplicated": again, "overtaken": overtaken}
+        return came | again, payload, {"duplicated": again, "overtaken": overtaken}

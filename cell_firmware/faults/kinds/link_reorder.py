@@ -58,5 +58,5 @@ class _Reorder(LinkFilter):
             held = came & (self._draws.uniform(tick) < self._probability)
         self._held[slot], self._words[slot] = held, words
         direct = came & ~held
-        heard = np.where(due, late, words)
-        return direct | due, heard, {"reordered": held, "replaced": direct & due}
+        payload = np.where(due, late, words)
+        return direct | due, payload, {"reordered": held, "replaced": direct & due}

@@ -54,7 +54,7 @@ class PartitionFault(LinkFault):
         del seed, number
         side = "north" if self.column is None else "east"
         near = lattice.rows == self.row if self.column is None else lattice.columns == self.column
-        return links_of(lattice, np.flatnonzero(near), (SIDES.index(side),), heard=True, told=True)
+        return links_of(lattice, np.flatnonzero(near), (SIDES.index(side),), incoming=True, outgoing=True)
 
     def make_filter(self, links: AffectedLinks, injected: FaultInstance[CellFault]) -> LinkFilter:
         """Return a filter that drops all messages."""

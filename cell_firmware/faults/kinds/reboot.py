@@ -32,7 +32,7 @@ class RebootFault(CellTarget, CellFault):
         return tick_at(self.at_s), tick_at(float(starts_s))
 
     def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """Halt the affected programs, and reset them at the start and at the end, so that no message is kept."""
+        """Halt the affected programs, and reset them at the start and at the end, so that no message is retained."""
         if injected.active_at(tick):
             pause.halted[injected.cells] = True
         pause.reset[injected.cells] |= tick in (injected.start_tick, injected.end_tick)

@@ -59,7 +59,7 @@ class EventErrors:
     """Agreement of a trace's events with a reference.
 
     Attributes:
-        found: events of the reference that the course has.
+        found: events of the reference that the trace has.
         missed: those that it has not.
         invented: its own that the reference has not.
         time_error_s: largest error in time of those found; None where there are none.

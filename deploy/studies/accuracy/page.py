@@ -91,7 +91,7 @@ def facts(packages: Sequence[str]) -> str:
 
 
 def _processor() -> str:
-    """The model's name, where the system tells it."""
+    """The model's name, where the system gives it."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

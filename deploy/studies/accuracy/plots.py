@@ -1,4 +1,4 @@
-"""The pictures of a study: work against precision, tolerance asked against error got, the price of sampling."""
+"""The pictures of a study: work against precision, requested tolerance against error, the cost of sampling."""
 
 # pyright: reportUnknownMemberType=false
 
@@ -35,7 +35,7 @@ def draw_work_precision(report: AccuracyReport, path: Path) -> None:
 
 
 def draw_tolerance(report: AccuracyReport, path: Path) -> None:
-    """Error got against tolerance asked, both logarithmic; the line of slope 1 is what was asked for."""
+    """Error against requested tolerance, both logarithmic, with the line of slope 1."""
     write_picture(lambda: _tolerance(report), path)
 
 
@@ -66,7 +66,7 @@ def _errors(rows: Sequence[AccuracyRow]) -> list[float]:
     return [max(row.error_max or 0.0, _FLOOR_M) for row in rows]
 
 
-def _look(report: AccuracyReport, line: str) -> dict[str, Any]:
+def _style(report: AccuracyReport, line: str) -> dict[str, Any]:
     """Colour by solver, stroke and mark by line, the same in every picture."""
     names = report.lines
     solvers = list(dict.fromkeys(row.solver for row in report.rows))
@@ -100,7 +100,7 @@ def _work_precision(report: AccuracyReport) -> Figure:
         low = [(row.wall_s or 0.0) - (row.wall_low_s or 0.0) for row in rows]
         high = [(row.wall_high_s or 0.0) - (row.wall_s or 0.0) for row in rows]
         axes.errorbar(
-            walls, _errors(rows), xerr=[low, high], label=line, elinewidth=0.7, **_look(report, line)
+            walls, _errors(rows), xerr=[low, high], label=line, elinewidth=0.7, **_style(report, line)
         )
     axes.set_xlabel("wall time (s), median; bars: shortest to longest")
     axes.set_ylabel("largest displacement of a corner over the run (m)")
@@ -114,16 +114,16 @@ def _tolerance(report: AccuracyReport) -> Figure:
         "Tolerance asked, error got",
         [f"{report.duration_s:g} s", "on the dashed line a solver gives what was asked"],
     )
-    asked: list[float] = []
+    all_tolerances: list[float] = []
     for line in report.lines:
         rows = [row for row in _of(report, line) if row.key == "tolerance"]
         if not rows:
             continue
         tolerances = [row.value or 0.0 for row in rows]
-        asked += tolerances
-        axes.plot(tolerances, _errors(rows), label=line, **_look(report, line))
-    if asked:
-        ends = [min(asked), max(asked)]
+        all_tolerances += tolerances
+        axes.plot(tolerances, _errors(rows), label=line, **_style(report, line))
+    if all_tolerances:
+        ends = [min(all_tolerances), max(all_tolerances)]
         axes.plot(ends, ends, ls="--", color=_GUIDE, lw=1.2, zorder=2, label="error = tolerance")
     axes.invert_xaxis()
     axes.set_xlabel("tolerance asked (m; with scipy and heyoka of a step)")

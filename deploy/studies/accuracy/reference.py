@@ -63,7 +63,7 @@ class Reference:
     Attributes:
         method: in words.
         solver: name of the solver that computed the reference.
-        course: its states and events.
+        trace: its states and events.
         second: name and trace of the reference for rows of ``solver`` itself; None: no second reference.
         agreement: differences from every check.
         chatter_s: time before which no chatter is captured, s; None without chatter.
@@ -72,7 +72,7 @@ class Reference:
 
     method: str
     solver: str
-    course: AccuracyTrace
+    trace: AccuracyTrace
     second: tuple[str, AccuracyTrace] | None
     agreement: Sequence[Agreement]
     chatter_s: float | None
@@ -82,12 +82,12 @@ class Reference:
         """Return name and trace of the reference that a solver is compared with."""
         if solver == self.solver and self.second is not None:
             return self.second
-        return self.solver, self.course
+        return self.solver, self.trace
 
     @property
     def duration_s(self) -> float:
         """Up to when events are compared."""
-        return float(self.course.time_s[-1]) if self.chatter_s is None else self.chatter_s
+        return float(self.trace.time_s[-1]) if self.chatter_s is None else self.chatter_s
 
 
 def describe_method(settings: Settings) -> str:
@@ -102,10 +102,10 @@ class ReferenceSolver:
 
     Args:
         scene: with ideal wheels.
-        limit_s: processor time that one course may take.
+        limit_s: processor time that one run may take.
         budget_s: processor time that all of them may take.
         thorough: whether to ask a further method where a closed form has answered.
-        look: called now and then; may raise.
+        poll: called now and then; may raise.
         methods: what to try, in order.
     """
 
@@ -116,10 +116,10 @@ class ReferenceSolver:
         limit_s: float,
         budget_s: float = np.inf,
         thorough: bool = True,
-        look: Callable[[], None] = lambda: None,
+        poll: Callable[[], None] = lambda: None,
         methods: Sequence[Settings] = METHODS,
     ) -> None:
-        self._scene, self._limit_s, self._thorough, self._look = scene, limit_s, thorough, look
+        self._scene, self._limit_s, self._thorough, self._poll = scene, limit_s, thorough, poll
         self._methods = list(methods)
         self._notes: list[str] = []
         self._exact: AccuracyTrace | None = None
@@ -142,14 +142,14 @@ class ReferenceSolver:
             self._located = self._try({**FINEST, "capture_m": LOCATED_M})
         first, others = self._first(onset)
         if first is None:
-            course = self._located or self._exact
-            if course is None:
+            trace = self._located or self._exact
+            if trace is None:
                 raise InputError(f"scene {self._scene.name}: no reference: {' '.join(self._notes)}")
             self._notes.append("No other method gets through: exact is judged against itself, finer.")
-            return self._checked(FINEST, course, [], onset)
+            return self._checked(FINEST, trace, [], onset)
         return self._checked(*first, others, onset)
 
-    # --- courses --------------------------------------------------------------------------------------------------
+    # --- traces ---------------------------------------------------------------------------------------------------
 
     def _try(self, settings: Settings, until_s: float | None = None) -> AccuracyTrace | None:
         """Run a method and return its trace, or None and a note if that fails."""
@@ -159,13 +159,13 @@ class ReferenceSolver:
             why = "not begun, for lack of time"
         if why is None:
             try:
-                course = run_trace(with_solver(self._scene, settings, until_s), left_s, self._look)
+                trace = run_trace(with_solver(self._scene, settings, until_s), left_s, self._poll)
             except PlantError as error:
                 why = str(error)
             else:
-                if course.status == "ok":
-                    return course
-                why = course.reason
+                if trace.status == "ok":
+                    return trace
+                why = trace.reason
         self._notes.append(f"{describe_method(settings)}: {(why or 'no reason is known').rstrip('.')}.")
         return None
 
@@ -184,16 +184,16 @@ class ReferenceSolver:
         left = list(self._methods)
         while left:
             settings = left.pop(0)
-            course = self._try(settings)
-            if course is None and onset_s:
+            trace = self._try(settings)
+            if trace is None and onset_s:
                 before = self._try(settings, onset_s)
-                course = None if before is None else self._through_chatter(settings, before, onset_s)
-            if course is not None:
-                return (settings, course), left
+                trace = None if before is None else self._through_chatter(settings, before, onset_s)
+            if trace is not None:
+                return (settings, trace), left
         return None, left
 
-    def _through_chatter(self, settings: Settings, course: AccuracyTrace, onset_s: float) -> AccuracyTrace:
-        """A course up to the onset of chatter, and from there on that of ``exact``, every crossing located."""
+    def _through_chatter(self, settings: Settings, trace: AccuracyTrace, onset_s: float) -> AccuracyTrace:
+        """A trace up to the onset of chatter, and from there on that of ``exact``, every crossing located."""
         after = self._located or self._exact
         assert after is not None, "this is a bug: chatter without a course of exact"
         how = f"every crossing located down to {LOCATED_M:g} m" if self._located else "chatter captured"
@@ -201,69 +201,67 @@ class ReferenceSolver:
             f"From {onset_s:.6g} s on the reference is not {settings['name']} but exact at 1e-14, {how}."
         )
         return replace(
-            course,
+            trace,
             time_s=after.time_s,
-            state=np.concatenate([course.state, after.state[len(course.time_s) :]]),
-            events=[*course.events, *(event for event in after.events if event.time_s > onset_s)],
+            state=np.concatenate([trace.state, after.state[len(trace.time_s) :]]),
+            events=[*trace.events, *(event for event in after.events if event.time_s > onset_s)],
         )
 
     # --- checks ---------------------------------------------------------------------------------------------------
 
     def _checked(
-        self, settings: Settings, course: AccuracyTrace, others: Sequence[Settings], onset: float | None
+        self, settings: Settings, trace: AccuracyTrace, others: Sequence[Settings], onset: float | None
     ) -> Reference:
-        until = float(course.time_s[-1]) if onset is None else onset
-        agreement: list[Agreement] = [*self._closed(course)]
+        until = float(trace.time_s[-1]) if onset is None else onset
+        agreement: list[Agreement] = [*self._closed(trace)]
         second: tuple[str, AccuracyTrace] | None = None
         finest = self._located or self._exact
         if finest is not None and settings["name"] != "exact":
             second = "exact", finest
-            agreement.append(_apart(describe_method(FINEST), course, finest, until))
+            agreement.append(_apart(describe_method(FINEST), trace, finest, until))
             if self._located is not None:
                 located = describe_method({**FINEST, "capture_m": LOCATED_M})
-                agreement.append(_apart(located, course, finest, float(course.time_s[-1])))
+                agreement.append(_apart(located, trace, finest, float(trace.time_s[-1])))
         if others and (self._thorough or not agreement or second is None):
             third = next(
                 ((one, found) for one in others if (found := self._try(one, onset)) is not None), None
             )
             if third is not None:
-                agreement.append(_apart(describe_method(third[0]), course, third[1], until))
+                agreement.append(_apart(describe_method(third[0]), trace, third[1], until))
                 if second is None:
                     second = str(third[0]["name"]), third[1]
         if not agreement:
             crude = self._try(CRUDE, onset)
             if crude is not None:
-                agreement.append(_apart(describe_method(CRUDE), course, crude, until))
+                agreement.append(_apart(describe_method(CRUDE), trace, crude, until))
         name = str(settings["name"])
         if second is None and name != "exact":
             self._notes.append(
                 f"No other method of its digits solves the scene: {name} is judged against itself, finer."
             )
-        return Reference(
-            describe_method(settings), name, course, second, agreement, onset, tuple(self._notes)
-        )
+        return Reference(describe_method(settings), name, trace, second, agreement, onset, tuple(self._notes))
 
-    def _closed(self, course: AccuracyTrace) -> Sequence[Agreement]:
+    def _closed(self, trace: AccuracyTrace) -> Sequence[Agreement]:
         """How far centres of mass are from the closed form, where there is one and every parcel stands to the end."""
         fallen = min(
-            (event.time_s for event in course.events if event.kind in ("tipped", "off_array")), default=np.inf
+            (event.time_s for event in trace.events if event.kind in ("tipped", "off_array")), default=np.inf
         )
-        upright = course.time_s < fallen
+        upright = trace.time_s < fallen
         from plant.array import CellArray
 
         speeds = field_speeds(self._scene, CellArray(self._scene.array).positions_m)
-        times = course.time_s[upright]
-        known = closed_form(self._scene, speeds, course.state[0], times)
+        times = trace.time_s[upright]
+        known = closed_form(self._scene, speeds, trace.state[0], times)
         if known is None or not np.isfinite(known).all():
             return ()
-        off = course.state[upright, :, :2] - known
+        off = trace.state[upright, :, :2] - known
         apart = float(np.hypot(off[..., 0], off[..., 1]).max(initial=0.0))
         return (Agreement("closed form", "centre of mass", apart, float(times[-1])),)
 
 
-def _apart(method: str, course: AccuracyTrace, other: AccuracyTrace, until_s: float) -> Agreement:
-    count = min(course.samples_until(until_s), other.samples_until(until_s))
-    off = displacement_m(course.state[:count], other.state[:count], course.footprints_m)
+def _apart(method: str, trace: AccuracyTrace, other: AccuracyTrace, until_s: float) -> Agreement:
+    count = min(trace.samples_until(until_s), other.samples_until(until_s))
+    off = displacement_m(trace.state[:count], other.state[:count], trace.footprints_m)
     return Agreement(method, "corners", float(off.max(initial=0.0)), until_s)
 
 

@@ -31,7 +31,7 @@ class AccuracyRow:
         status: ``ok``; ``unstable``, ``failed``, ``stopped`` (took longer than it may); ``omitted``.
         reason: why it is not ``ok``.
         note: what a reader of its error must know.
-        judged_by: the solver whose course is the reference of this row.
+        judged_by: the solver whose trace is the reference of this row.
         error_max: largest displacement of any corner of a footprint over the run, m.
         error_end: at the end, m.
         error_before: over the time before events differ in kind or order, and before chatter, m.
@@ -126,7 +126,7 @@ class AccuracyReport:
         quick: whether only some settings were tried.
         reference: what solvers were judged by.
         rows: line by line, coarse to fine.
-        sampling: the price of sampling; none where it was not asked for.
+        sampling: the price of sampling; none where it was not requested.
     """
 
     scene: str

@@ -36,7 +36,7 @@ FEW_HALVINGS = 3
 
 
 def sampling_cost(
-    scene: Scene, reference: AccuracyTrace, *, quick: bool, limit_s: float, look: Callable[[], None]
+    scene: Scene, reference: AccuracyTrace, *, quick: bool, limit_s: float, poll: Callable[[], None]
 ) -> list[Sampling]:
     """Run the whole system in this process, over the memory transport, at periods that halve.
 
@@ -51,7 +51,7 @@ def sampling_cost(
         reference: the field without cells.
         quick: whether to spare the short periods.
         limit_s: no shorter period is tried after a run longer than this.
-        look: called before every run; may raise.
+        poll: called before every run; may raise.
 
     Raises:
         Interrupted: a signal came during a run.
@@ -61,7 +61,7 @@ def sampling_cost(
         scene = scene.model_copy(update={"effects": together})
     with_motors = scene.effects.motors is not None
     wheels = "motors" if with_motors else "ideal wheels"
-    found = [_series(scene, wheels, reference, quick=quick, limit_s=limit_s, look=look)]
+    found = [_series(scene, wheels, reference, quick=quick, limit_s=limit_s, poll=poll)]
     if not with_motors and not quick:
         effects = scene.effects.model_copy(update={"motors": MotorsSpec()})
         try:
@@ -69,7 +69,7 @@ def sampling_cost(
         except ValidationError:  # its law, an effect or its solver doesn't go with them
             return found
         found.append(
-            _series(driven, "motors at their defaults", reference, quick=quick, limit_s=limit_s, look=look)
+            _series(driven, "motors at their defaults", reference, quick=quick, limit_s=limit_s, poll=poll)
         )
     return found
 
@@ -81,7 +81,7 @@ def _series(
     *,
     quick: bool,
     limit_s: float,
-    look: Callable[[], None],
+    poll: Callable[[], None],
 ) -> Sampling:
     """All periods, the longest first."""
     periods = [COARSEST * scene.cells.period_ns]
@@ -90,7 +90,7 @@ def _series(
             periods.append(periods[-1] // 2)
     found: list[tuple[Sampled, Floats | None]] = []
     for period_ns in periods:
-        look()
+        poll()
         slow = next((row for row, _ in found if (row.wall_s or 0.0) > limit_s), None)
         if slow is not None:
             why = f"the run at {slow.period_s:g} s took {slow.wall_s:.3g} s"
@@ -117,10 +117,10 @@ def _judged(row: Sampled, states: Floats | None, known: Floats, reference: Accur
     return replace(row, error_max=float(off.max()))
 
 
-def _common(course: AccuracyTrace, every_ns: int) -> Floats:
+def _common(trace: AccuracyTrace, every_ns: int) -> Floats:
     """States at the instants that are whole multiples of the longest period."""
-    time_ns = np.rint(course.time_s * 1e9).astype(np.int64)
-    return course.state[time_ns % every_ns == 0]
+    time_ns = np.rint(trace.time_s * 1e9).astype(np.int64)
+    return trace.state[time_ns % every_ns == 0]
 
 
 def _whole(scene: Scene, period_ns: int, every_ns: int) -> tuple[Sampled, Floats | None]:

@@ -68,7 +68,7 @@ class StudyPlan:
 
     @classmethod
     def of(cls, *, quick: bool, repeats: int | None = None) -> StudyPlan:
-        """The usual ones; where repeats are asked for, all of them are made."""
+        """The usual ones; where repeats are requested, all of them are made."""
         if quick:
             return cls(True, repeats or 3, limit_s=3.0, timing_s=np.inf if repeats else 1.0)
         return cls(repeats=repeats or 5, timing_s=np.inf if repeats else 10.0)
@@ -79,20 +79,20 @@ def study(
     plan: StudyPlan | None = None,
     *,
     say: Callable[[str], None] | None = None,
-    look: Callable[[], None] = lambda: None,
+    poll: Callable[[], None] = lambda: None,
 ) -> AccuracyReport:
     """Run every solver on a scene and judge it.
 
     Args:
         scene: its firmware must be ``velocity_field``; motors are left out, as ``mdms simulate`` does.
         plan: how.
-        say: told what comes next.
-        look: called now and then; may raise.
+        say: receives a line before each step.
+        poll: called now and then; may raise.
 
     Raises:
         InputError: The scene has no field or no parcels, the plant refuses it, or nobody gets through it.
     """
-    return _Study(scene, plan or StudyPlan(), say or (lambda _: None), look).report()
+    return _Study(scene, plan or StudyPlan(), say or (lambda _: None), poll).report()
 
 
 @final
@@ -100,9 +100,9 @@ class _Study:
     """One study."""
 
     def __init__(
-        self, scene: Scene, plan: StudyPlan, say: Callable[[str], None], look: Callable[[], None]
+        self, scene: Scene, plan: StudyPlan, say: Callable[[str], None], poll: Callable[[], None]
     ) -> None:
-        self._named, self._plan, self._say, self._look = scene, plan, say, look
+        self._named, self._plan, self._say, self._poll = scene, plan, say, poll
         self._scene = without_cells(scene)
         self._over_s = np.inf
 
@@ -124,7 +124,7 @@ class _Study:
             limit_s=2.0 * plan.limit_s,
             budget_s=QUICK_REFERENCE_S if plan.quick else np.inf,
             thorough=not plan.quick,
-            look=self._look,
+            poll=self._poll,
             methods=[one for one in METHODS if not (many and one["name"] in ("heyoka", "scipy"))],
         )
         reference = referee.solve()
@@ -134,10 +134,10 @@ class _Study:
             self._say("the whole system, at several control periods ...")
             sampling += sampling_cost(
                 self._named,
-                reference.course,
+                reference.trace,
                 quick=plan.quick,
                 limit_s=QUICK_SAMPLING_S if plan.quick else plan.limit_s,
-                look=self._look,
+                poll=self._poll,
             )
         return AccuracyReport(
             scene=self._named.name,
@@ -187,7 +187,7 @@ class _Study:
         from plant.plant import Plant
 
         try:
-            # what a solver needs is looked for where its plant is built
+            # what a solver needs is checked where its plant is built
             Plant(with_solver(self._scene, trial.settings).plant_spec())
         except PlantError as error:
             return str(error)
@@ -200,17 +200,17 @@ class _Study:
         self._say(f"{trial.solver} {trial.setting}")
         scene = with_solver(self._scene, trial.settings)
         judge, known = reference.judge(trial.solver)
-        course = run_trace(scene, self._plan.limit_s, self._look)
-        row = replace(_bare(trial, course.status, course.reason), judged_by=judge, effort=course.effort)
-        if course.status != "ok":
-            return replace(row, **_before(course, known, reference))
-        walls = [course.wall_s] if course.wall_s > LONG_S else []
+        trace = run_trace(scene, self._plan.limit_s, self._poll)
+        row = replace(_bare(trial, trace.status, trace.reason), judged_by=judge, effort=trace.effort)
+        if trace.status != "ok":
+            return replace(row, **_before(trace, known, reference))
+        walls = [trace.wall_s] if trace.wall_s > LONG_S else []
         while len(walls) < self._plan.repeats and sum(walls) < self._plan.timing_s:
-            walls.append(time_run(scene, self._look))
+            walls.append(time_run(scene, self._poll))
         median = statistics.median(walls)
         return replace(
             row,
-            **_judged(course, known, reference),
+            **_judged(trace, known, reference),
             wall_s=median,
             wall_low_s=min(walls),
             wall_high_s=max(walls),
@@ -233,10 +233,10 @@ def _bare(trial: Trial, status: str, reason: str | None, *, whole: bool = False)
     )
 
 
-def _judged(course: AccuracyTrace, known: AccuracyTrace, reference: Reference) -> dict[str, Any]:
-    """Errors of a whole course."""
-    off = displacement_m(course.state, known.state, known.footprints_m)
-    events = compare_events(course.events, known.events, reference.duration_s)
+def _judged(trace: AccuracyTrace, known: AccuracyTrace, reference: Reference) -> dict[str, Any]:
+    """Errors of a whole trace."""
+    off = displacement_m(trace.state, known.state, known.footprints_m)
+    events = compare_events(trace.events, known.events, reference.duration_s)
     found: dict[str, Any] = {
         "error_max": float(off.max()),
         "error_end": float(off[-1]),
@@ -248,20 +248,20 @@ def _judged(course: AccuracyTrace, known: AccuracyTrace, reference: Reference) -
     }
     until = reference.chatter_s if events.order_until_s is None else events.order_until_s
     if until is not None:
-        count = max(course.samples_until(until), 1)
+        count = max(trace.samples_until(until), 1)
         found["error_before"] = float(off[:count].max())
         if len(off) - count >= FEWEST:
             found["speed_distance"] = distribution_distance(
-                corner_speeds(course.state[count:], known.footprints_m),
+                corner_speeds(trace.state[count:], known.footprints_m),
                 corner_speeds(known.state[count:], known.footprints_m),
             )
     return found
 
 
-def _before(course: AccuracyTrace, known: AccuracyTrace, reference: Reference) -> dict[str, Any]:
-    """Error before chatter of a course that got that far, and no farther than into it."""
-    if reference.chatter_s is None or course.time_s[-1] < reference.chatter_s:
+def _before(trace: AccuracyTrace, known: AccuracyTrace, reference: Reference) -> dict[str, Any]:
+    """Error before chatter of a trace that got that far, and no farther than into it."""
+    if reference.chatter_s is None or trace.time_s[-1] < reference.chatter_s:
         return {}
-    count = course.samples_until(reference.chatter_s)
-    off = displacement_m(course.state[:count], known.state[:count], known.footprints_m)
+    count = trace.samples_until(reference.chatter_s)
+    off = displacement_m(trace.state[:count], known.state[:count], known.footprints_m)
     return {"error_before": float(off.max(initial=0.0))}

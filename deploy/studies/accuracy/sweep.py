@@ -79,8 +79,8 @@ def _own(scene: Scene, name: str) -> dict[str, Any]:
     """Return the scene's solver settings, except for accuracy; empty for another solver."""
     if scene.solver.name != name:
         return {}
-    kept = scene.solver.model_dump(exclude_defaults=True, exclude_none=True)
-    return {key: value for key, value in kept.items() if key not in ("tolerance", "step_s", "method")}
+    retained = scene.solver.model_dump(exclude_defaults=True, exclude_none=True)
+    return {key: value for key, value in retained.items() if key not in ("tolerance", "step_s", "method")}
 
 
 def with_solver(scene: Scene, settings: Settings, duration_s: float | None = None) -> Scene:
@@ -94,10 +94,10 @@ def with_solver(scene: Scene, settings: Settings, duration_s: float | None = Non
     Raises:
         ValidationError: the solver doesn't claim the scene.
     """
-    told = dict(scene) | {"solver": dict(settings)}
+    table = dict(scene) | {"solver": dict(settings)}
     if duration_s is not None:
-        told["duration_s"] = duration_s
-    return Scene.model_validate(told).named(scene.name)
+        table["duration_s"] = duration_s
+    return Scene.model_validate(table).named(scene.name)
 
 
 def refusal(scene: Scene, settings: Settings) -> str | None:

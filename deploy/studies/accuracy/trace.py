@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SAMPLES = 250
-"""Samples a call of the plant: between two calls the time that a run may take is looked at."""
+"""Samples a call of the plant: between two calls the time that a run may take is checked."""
 
 
 class _OutOfTimeError(Exception):
@@ -59,13 +59,13 @@ class AccuracyTrace:
         return int(np.searchsorted(self.time_s, until_s + 1e-12, side="right"))
 
 
-def run_trace(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | None = None) -> AccuracyTrace:
+def run_trace(scene: Scene, limit_s: float = np.inf, poll: Callable[[], None] | None = None) -> AccuracyTrace:
     """Simulate a scene as ``mdms simulate`` does, from a plant built for it.
 
     Args:
         scene: With ideal wheels, and the solver to use.
         limit_s: Processor time after which it is given up.
-        look: Called now and then; may raise.
+        poll: Called now and then; may raise.
 
     Raises:
         PlantError: The plant refuses the scene, or a package is not installed.
@@ -80,8 +80,8 @@ def run_trace(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | 
     begun, worked = time.perf_counter(), time.process_time()
 
     def check() -> None:
-        if look is not None:
-            look()
+        if poll is not None:
+            poll()
         if time.process_time() - worked > limit_s:
             raise _OutOfTimeError
 
@@ -111,17 +111,17 @@ def run_trace(scene: Scene, limit_s: float = np.inf, look: Callable[[], None] | 
     )
 
 
-def time_run(scene: Scene, look: Callable[[], None] | None = None) -> float:
+def time_run(scene: Scene, poll: Callable[[], None] | None = None) -> float:
     """Measure the wall time of another run, s: the same calls of the plant, without storing results."""
     from plant.plant import Plant
 
     plant = Plant(scene.plant_spec())
     speeds = field_speeds(scene, plant.array.positions_m)
-    return _spent(scene, plant, speeds, look or (lambda: None))
+    return _spent(scene, plant, speeds, poll or (lambda: None))
 
 
-def _spent(scene: Scene, plant: Plant, speeds: Floats, look: Callable[[], None]) -> float:
+def _spent(scene: Scene, plant: Plant, speeds: Floats, poll: Callable[[], None]) -> float:
     begun = time.perf_counter()
-    for _ in iterate_field_motion(scene, plant, speeds, check=look, samples=SAMPLES):
+    for _ in iterate_field_motion(scene, plant, speeds, check=poll, samples=SAMPLES):
         pass
     return time.perf_counter() - begun

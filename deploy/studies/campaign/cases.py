@@ -162,7 +162,7 @@ def check_size(axes: Sequence[Axis], seeds: Sequence[int], most: int) -> None:
 
 
 _TARGETS = CellTarget.model_fields.keys() - FaultSpec.model_fields.keys()
-"""Keys by which a fault that strikes cells says which."""
+"""Keys by which a fault selects its affected cells."""
 
 _MOST_RUNS = 1_000_000
 """Runs of a campaign."""
@@ -228,28 +228,28 @@ def with_seed(scene: Scene, seed: int) -> Scene:
     return scene.model_copy(update={"seed": seed})
 
 
-def cases_of(asked: CampaignSpec, text: str) -> Cases:
+def cases_of(spec: CampaignSpec, text: str) -> Cases:
     """Make and validate the scenes of all cases.
 
     Args:
-        asked: The campaign.
+        spec: The campaign.
         text: TOML of its scene.
 
     Raises:
-        InputError: What was asked makes no sense, or not with this scene; nothing was started.
+        InputError: The options make no sense, or not with this scene; nothing was started.
     """
-    everywhere, of_fault = _sets(asked)
-    folder = None if asked.folder is None else Path(asked.folder)
+    everywhere, of_fault = _sets(spec)
+    folder = None if spec.folder is None else Path(spec.folder)
 
     def scene_with(overrides: Sequence[Override]) -> Scene:
-        return parse_scene(text, asked.scene, [*everywhere, *overrides], folder)
+        return parse_scene(text, spec.scene, [*everywhere, *overrides], folder)
 
     plain = scene_with(())
-    axes = _axes(asked)
-    seeds = seeds_of(asked.seeds, plain.seed)
+    axes = _axes(spec)
+    seeds = seeds_of(spec.seeds, plain.seed)
     check_size(axes, seeds, _MOST_RUNS)
-    against = [Override.parse(one, f"--against {one}") for one in asked.against]
-    fault = _fault(asked, of_fault, axes)
+    against = [Override.parse(one, f"--against {one}") for one in spec.against]
+    fault = _fault(spec, of_fault, axes)
     place = len(plain.faults)
 
     def case(number: int, values: tuple[Any, ...]) -> Case:
@@ -263,63 +263,63 @@ def cases_of(asked: CampaignSpec, text: str) -> Cases:
             {axis.key: value for axis, value in zip(axes, values, strict=True)},
             scene,
             undisturbed,
-            criterion_of(asked, scene, compared=undisturbed is not None),
+            criterion_of(spec, scene, compared=undisturbed is not None),
             "" if undisturbed is None else sha256(undisturbed.canonical()).hexdigest()[:16],
         )
 
     return Cases(plain, axes, seeds, tuple(case(*one) for one in enumerate(combinations(axes))))
 
 
-def _sets(asked: CampaignSpec) -> tuple[list[Override], list[Override]]:
+def _sets(spec: CampaignSpec) -> tuple[list[Override], list[Override]]:
     """Split ``--set`` options into overrides of the scene and of the campaign's fault."""
-    sets = [Override.parse(text) for text in asked.set]
-    if asked.duration_s is not None:
-        sets.append(Override(("duration_s",), asked.duration_s, f"--duration {asked.duration_s:g}"))
+    sets = [Override.parse(text) for text in spec.set]
+    if spec.duration_s is not None:
+        sets.append(Override(("duration_s",), spec.duration_s, f"--duration {spec.duration_s:g}"))
     everywhere = [one for one in sets if one.path[0] != FAULT]
     of_fault = [one for one in sets if one.path[0] == FAULT]
     for one in of_fault:
-        _check_fault(asked, one.path, one.option)
+        _check_fault(spec, one.path, one.option)
     return everywhere, of_fault
 
 
-def _axes(asked: CampaignSpec) -> tuple[Axis, ...]:
-    options = [] if asked.share is None else [(f"{FAULT}.share={asked.share}", f"--share {asked.share}")]
-    options += [(one, f"--vary {one}") for one in asked.vary]
+def _axes(spec: CampaignSpec) -> tuple[Axis, ...]:
+    options = [] if spec.share is None else [(f"{FAULT}.share={spec.share}", f"--share {spec.share}")]
+    options += [(one, f"--vary {one}") for one in spec.vary]
     axes = tuple(Axis.parse(text, option) for text, option in options)
     for number, axis in enumerate(axes):
-        _check_fault(asked, axis.path, axis.option)
+        _check_fault(spec, axis.path, axis.option)
         if axis.path in [other.path for other in axes[:number]]:
             raise InputError(f"{axis.option}: {axis.key} is varied twice")
     return axes
 
 
-def _check_fault(asked: CampaignSpec, path: Sequence[str | int], option: str) -> None:
+def _check_fault(spec: CampaignSpec, path: Sequence[str | int], option: str) -> None:
     if path[0] != FAULT:
         return
     if len(path) < 2:
         raise InputError(f"{option}: must name a key of the fault: {FAULT}.KEY")
-    if asked.fault is None:
+    if spec.fault is None:
         raise InputError(f"{option}: needs a fault: --fault KIND adds one")
 
 
-def _fault(asked: CampaignSpec, more: Sequence[Override], axes: Sequence[Axis]) -> list[Override]:
+def _fault(spec: CampaignSpec, more: Sequence[Override], axes: Sequence[Axis]) -> list[Override]:
     """The campaign's fault, without what is varied of it; empty where there is none.
 
-    One that strikes cells, and of which nothing says which, strikes all of them.
+    A fault of cells without a target affects all of them.
     """
-    if asked.fault is None:
-        for option, given_s in (("--at", asked.at_s or None), ("--until", asked.until_s)):
+    if spec.fault is None:
+        for option, given_s in (("--at", spec.at_s or None), ("--until", spec.until_s)):
             if given_s is not None:
                 raise InputError(f"{option} {given_s:g}: needs a fault: --fault KIND adds one")
         return []
-    table: dict[str, Any] = {"kind": asked.fault, "at_s": asked.at_s}
-    if asked.until_s is not None:
-        table["until_s"] = asked.until_s
+    table: dict[str, Any] = {"kind": spec.fault, "at_s": spec.at_s}
+    if spec.until_s is not None:
+        table["until_s"] = spec.until_s
     said = {one.path[1] for one in (*more, *axes) if one.path[0] == FAULT}
-    kind = KINDS.get(asked.fault)
+    kind = KINDS.get(spec.fault)
     if kind is not None and issubclass(kind, CellTarget) and not said & _TARGETS:
         table["share"] = 1.0
-    return [Override((FAULT,), table, f"--fault {asked.fault}"), *more]
+    return [Override((FAULT,), table, f"--fault {spec.fault}"), *more]
 
 
 def _placed(override: Override, place: int) -> Override:

@@ -104,14 +104,14 @@ def print_report(report: CampaignReport) -> None:
 
 def heading(report: CampaignReport) -> str:
     """Format the campaign's heading: scene, fault and number of runs."""
-    asked, cases = report.asked, report.cases
-    facts = [f"scene {asked.scene}"]
-    if asked.fault:
-        until = "" if asked.until_s is None else f" to {asked.until_s:g} s"
-        facts.append(f"fault {asked.fault} from {asked.at_s:g} s{until}")
+    spec, cases = report.spec, report.cases
+    facts = [f"scene {spec.scene}"]
+    if spec.fault:
+        until = "" if spec.until_s is None else f" to {spec.until_s:g} s"
+        facts.append(f"fault {spec.fault} from {spec.at_s:g} s{until}")
     beside = f" and {cases.baseline_runs:,} undisturbed" if cases.baseline_runs else ""
     facts += [plural(len(cases.seeds), "seed"), plural(len(report.outcomes), "run") + beside]
-    return f"{', '.join(facts)}; in brackets {100 * asked.confidence:g} % confidence intervals"
+    return f"{', '.join(facts)}; in brackets {100 * spec.confidence:g} % confidence intervals"
 
 
 def _table(report: CampaignReport) -> Table:
@@ -133,7 +133,7 @@ def _table(report: CampaignReport) -> Table:
 
 
 def _heading(axis: Axis, report: CampaignReport) -> str:
-    """The last part of a key, where that tells which it is."""
+    """The last part of a key, where that is unique."""
     name = str(axis.path[-1])
     alike = [other for other in report.cases.axes if other.path[-1] == axis.path[-1]]
     return axis.key if len(alike) > 1 or name.isdigit() else name

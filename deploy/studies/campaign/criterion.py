@@ -53,11 +53,11 @@ class Criterion:
         return f"{format_point(self.place_m)} m"
 
 
-def criterion_of(asked: CampaignSpec, scene: Scene, *, compared: bool) -> Criterion:
+def criterion_of(spec: CampaignSpec, scene: Scene, *, compared: bool) -> Criterion:
     """Return the criterion for the runs of a scene.
 
     Args:
-        asked: The campaign.
+        spec: The campaign.
         scene: The scene of a case.
         compared: Whether there is an undisturbed run.
 
@@ -66,23 +66,23 @@ def criterion_of(asked: CampaignSpec, scene: Scene, *, compared: bool) -> Criter
     """
     goal = scene.goal
     measured = compared or (goal is not None and goal.place_m is not None)
-    if asked.within_m is not None and not measured:
+    if spec.within_m is not None and not measured:
         raise InputError(
-            f"--within {asked.within_m:g}: no reference for errors: without --fault and --against there is no "
-            f"undisturbed run to compare with, and scene {asked.scene} has no goal.place_m; give one of them"
+            f"--within {spec.within_m:g}: no reference for errors: without --fault and --against there is no "
+            f"undisturbed run to compare with, and scene {spec.scene} has no goal.place_m; give one of them"
         )
     if goal is None:
-        if asked.within_m is None:
-            raise InputError(_nothing_demanded(asked, compared=compared))
-        return Criterion(within_m=asked.within_m, compared=compared)
+        if spec.within_m is None:
+            raise InputError(_nothing_demanded(spec, compared=compared))
+        return Criterion(within_m=spec.within_m, compared=compared)
     demands = goal.at_rest or goal.delivered
-    if asked.within_m is None and not measured and not demands:
-        raise InputError(_nothing_demanded(asked, compared=compared))
+    if spec.within_m is None and not measured and not demands:
+        raise InputError(_nothing_demanded(spec, compared=compared))
     by = "the scene's goal"
-    if asked.within_m is not None:
+    if spec.within_m is not None:
         by = f"--within and {by}" if demands else "--within"
     return Criterion(
-        within_m=(asked.within_m or goal.within_m) if measured else None,
+        within_m=(spec.within_m or goal.within_m) if measured else None,
         place_m=goal.place_m,
         at_rest=goal.at_rest,
         delivered=goal.delivered,
@@ -91,14 +91,14 @@ def criterion_of(asked: CampaignSpec, scene: Scene, *, compared: bool) -> Criter
     )
 
 
-def _nothing_demanded(asked: CampaignSpec, *, compared: bool) -> str:
+def _nothing_demanded(spec: CampaignSpec, *, compared: bool) -> str:
     if compared:
         return (
-            f"campaign: no criterion of success for {asked.scene}: give --within METRES, the largest "
+            f"campaign: no criterion of success for {spec.scene}: give --within METRES, the largest "
             "distance of a parcel from where the undisturbed run ends, or give the scene a [goal]"
         )
     return (
-        f"campaign: no criterion of success for {asked.scene}: without --fault and --against there is no "
+        f"campaign: no criterion of success for {spec.scene}: without --fault and --against there is no "
         "undisturbed run to compare with; give the scene a [goal], such as "
         "--set 'goal={ place_m = [0.0, 0.0], within_m = 0.05 }' or --set goal.at_rest=true"
     )

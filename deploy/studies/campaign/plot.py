@@ -36,7 +36,7 @@ _BAR = 0.75
 _WORDS = 0.6
 """Room beside a map for values that are words, inches."""
 _LABELS = 12
-"""Values along an axis that are told; of more, every second or third is."""
+"""Values along an axis that are labelled; of more, every second or third is."""
 _NONE = "#e3e7ec"
 """Where there is nothing to show."""
 
@@ -111,21 +111,21 @@ def _figure(report: CampaignReport) -> Figure:
             _draw_map(panel, figure.add_axes(place), axes, measure)
         else:
             _draw_curve(panel, axes[0], measure)
-    draw_heading(figure, report.cases.scene.title or report.asked.scene, _facts(report, measures), 0.35)
+    draw_heading(figure, report.cases.scene.title or report.spec.scene, _facts(report, measures), 0.35)
     return figure
 
 
 def _facts(report: CampaignReport, measures: Sequence[_Measure]) -> str:
-    asked = report.asked
-    facts = [asked.scene, plural(len(report.cases.seeds), "seed"), plural(len(report.outcomes), "run")]
-    if asked.fault:
-        facts.insert(1, f"fault {asked.fault}")
+    spec = report.spec
+    facts = [spec.scene, plural(len(report.cases.seeds), "seed"), plural(len(report.outcomes), "run")]
+    if spec.fault:
+        facts.insert(1, f"fault {spec.fault}")
     failed = sum(row.failed for row in report.rows)
     if failed:
         facts.append(f"{failed:,} failed")
     if len(_varied(report)) == 1:
         if len(report.cases.seeds) > 1:
-            facts.append(f"bands: {100 * asked.confidence:g} % confidence")
+            facts.append(f"bands: {100 * spec.confidence:g} % confidence")
         if any(np.any(one.partly & np.isfinite(one.middle)) for one in measures):
             facts.append("rings: of some of the runs")
     return "  ·  ".join(facts)

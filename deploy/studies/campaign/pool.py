@@ -60,17 +60,17 @@ class WorkerLoop:
         """Run scenes; ``worker`` is this one's number."""
         line = socket.socket(socket.AF_UNIX)
         line.connect(self.address)
-        with Connection(line.detach()) as desk:
-            desk.send(worker)
+        with Connection(line.detach()) as connection:
+            connection.send(worker)
             while True:
                 try:
-                    scene: Scene = desk.recv()
+                    scene: Scene = connection.recv()
                 except (EOFError, ConnectionResetError):
                     return
                 ending = _run(scene)
                 # A firmware that never returns would slow down what runs here next: another process does that.
                 spent = any(thread.name == _CELLS for thread in threading.enumerate())
-                desk.send((ending, spent))
+                connection.send((ending, spent))
                 if spent:
                     return
 
@@ -83,10 +83,10 @@ def _run(scene: Scene) -> CaseEnd:
         return CaseEnd(status="failed", reason=f"{error!r} ({where.filename}, line {where.lineno})")
 
 
-_LOOK_S = 0.02
-"""How often the limit, signals and workers that never came are looked for."""
+_POLL_S = 0.02
+"""Interval at which the limit, signals and workers that never came are checked."""
 
-_STILLBORN = 3
+_MOST_FAILED_STARTS = 3
 """Workers that may end before they come, one after another."""
 
 _REPORT_S = 2.0
@@ -147,25 +147,25 @@ class ExecutorPool:
     Args:
         jobs: Runs at a time.
         limit_s: Wall time of a run, after which it is ended.
-        look: Called many times a second; may raise.
+        poll: Called many times a second; may raise.
     """
 
-    def __init__(self, jobs: int, limit_s: float, look: Callable[[], None]) -> None:
+    def __init__(self, jobs: int, limit_s: float, poll: Callable[[], None]) -> None:
         self._jobs = jobs
         self._limit_s = limit_s
-        self._look = look
-        self._desks: list[_WorkerSlot] = []
+        self._poll = poll
+        self._slots: list[_WorkerSlot] = []
         self._coming: set[int] = set()
         """Workers that were started and have not come yet."""
-        self._stillborn = 0
+        self._failed_starts = 0
         """Workers that ended before they came, since the last that did come."""
         with contextlib.ExitStack() as stack:
-            address = str(stack.enter_context(SocketFolder()).path / "desk")
-            self._door = stack.enter_context(socket.socket(socket.AF_UNIX))
-            self._door.bind(address)
-            self._door.listen(jobs)
-            self._crew = stack.enter_context(WorkerPool(PRELOAD))
-            self._crew.start(WorkerLoop(address), ())
+            address = str(stack.enter_context(SocketFolder()).path / "workers")
+            self._listener = stack.enter_context(socket.socket(socket.AF_UNIX))
+            self._listener.bind(address)
+            self._listener.listen(jobs)
+            self._workers = stack.enter_context(WorkerPool(PRELOAD))
+            self._workers.start(WorkerLoop(address), ())
             stack.callback(self._dismiss)
             self._stack = stack.pop_all()
 
@@ -179,8 +179,8 @@ class ExecutorPool:
 
     def _dismiss(self) -> None:
         """Workers that wait for a scene end by themselves."""
-        for desk in self._desks:
-            desk.connection.close()
+        for slot in self._slots:
+            slot.connection.close()
 
     def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
         """Run scenes; see `Executor`.
@@ -190,72 +190,72 @@ class ExecutorPool:
         """
         more = (_Job(place, scene) for place, scene in enumerate(scenes))
         todo = deque(itertools.islice(more, self._jobs))
-        while todo or any(desk.job for desk in self._desks):
-            self._look()
+        while todo or any(slot.job for slot in self._slots):
+            self._poll()
             self._scale_up(len(todo))
             self._hand_out(todo)
-            ready = wait([self._door, *(desk.connection for desk in self._desks)], _LOOK_S)
-            if self._door in ready:
+            ready = wait([self._listener, *(slot.connection for slot in self._slots)], _POLL_S)
+            if self._listener in ready:
                 self._accept()
-            for desk in [desk for desk in self._desks if desk.connection in ready]:
-                yield from self._receive(desk, todo)
+            for slot in [slot for slot in self._slots if slot.connection in ready]:
+                yield from self._receive(slot, todo)
             yield from self._overdue()
             todo.extend(itertools.islice(more, max(0, self._jobs - len(todo))))
 
     def _scale_up(self, todo: int) -> None:
         """Start workers up to the number of queued runs, at most the requested number."""
-        while self._crew.poll():
+        while self._workers.poll():
             pass
-        if self._crew.pipe_closed:
+        if self._workers.pipe_closed:
             raise WorkerError("the process that starts workers has ended")
-        for worker in [worker for worker in self._coming if worker in self._crew.ended]:
+        for worker in [worker for worker in self._coming if worker in self._workers.ended]:
             self._coming.discard(worker)
-            self._stillborn += 1
-            if self._stillborn > _STILLBORN:
-                why = next((one.error for one in self._crew.failures if one.worker == worker), "")
+            self._failed_starts += 1
+            if self._failed_starts > _MOST_FAILED_STARTS:
+                why = next((one.error for one in self._workers.failures if one.worker == worker), "")
                 raise WorkerError(
                     "worker processes end before their first run: "
-                    f"{why or describe_exit(self._crew.ended[worker])}"
+                    f"{why or describe_exit(self._workers.ended[worker])}"
                 )
-        busy = sum(desk.job is not None for desk in self._desks)
-        wanted = min(self._jobs, busy + todo) - len(self._desks) - len(self._coming)
+        busy = sum(slot.job is not None for slot in self._slots)
+        wanted = min(self._jobs, busy + todo) - len(self._slots) - len(self._coming)
         for _ in range(wanted):
-            self._coming.add(self._crew.add("mdms campaign"))
+            self._coming.add(self._workers.add("mdms campaign"))
 
     def _accept(self) -> None:
-        line = Connection(self._door.accept()[0].detach())
+        line = Connection(self._listener.accept()[0].detach())
         try:
             worker: int = line.recv()
         except (EOFError, ConnectionResetError):
             line.close()  # its end is reported, too
             return
         self._coming.discard(worker)
-        self._stillborn = 0
-        self._desks.append(_WorkerSlot(worker, line))
+        self._failed_starts = 0
+        self._slots.append(_WorkerSlot(worker, line))
 
     def _hand_out(self, todo: deque[_Job]) -> None:
-        for desk in self._desks:
-            if desk.job is None and todo:
-                desk.job = todo.popleft()
-                desk.job.since = time.monotonic()
-                # One that has gone is heard of in the next turn.
+        for slot in self._slots:
+            if slot.job is None and todo:
+                slot.job = todo.popleft()
+                slot.job.since = time.monotonic()
+                # A worker that has gone is noticed in the next turn.
                 with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-                    desk.connection.send(desk.job.scene)
+                    slot.connection.send(slot.job.scene)
 
-    def _receive(self, desk: _WorkerSlot, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
+    def _receive(self, slot: _WorkerSlot, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
         """Receive a worker's result, or handle the loss of the worker."""
-        job, desk.job = desk.job, None
+        job, slot.job = slot.job, None
         try:
-            told: tuple[CaseEnd, bool] = desk.connection.recv()
+            reply: tuple[CaseEnd, bool] = slot.connection.recv()
         except (EOFError, ConnectionResetError):
-            self._release(desk)
+            self._release(slot)
             if job is not None:
-                yield from self._lost(desk.worker, job, todo)
+                yield from self._lost(slot.worker, job, todo)
             return
         assert job is not None
-        ending, spent = told
+        ending, spent = reply
         if spent:
-            self._release(desk)
+            self._release(slot)
         yield job.place, ending
 
     def _lost(self, worker: int, job: _Job, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
@@ -267,28 +267,30 @@ class ExecutorPool:
             job.tried = True
             todo.appendleft(job)
 
-    def _release(self, desk: _WorkerSlot) -> None:
+    def _release(self, slot: _WorkerSlot) -> None:
         """Nothing more is handed to a worker, which ends by itself."""
-        self._desks.remove(desk)
-        desk.connection.close()
+        self._slots.remove(slot)
+        slot.connection.close()
 
     def _how(self, worker: int) -> str:
         """Describe how a worker ended."""
         deadline = time.monotonic() + _REPORT_S
-        while worker not in self._crew.ended and (left := deadline - time.monotonic()) > 0.0:
-            self._crew.poll(left)
+        while worker not in self._workers.ended and (left := deadline - time.monotonic()) > 0.0:
+            self._workers.poll(left)
         return (
-            describe_exit(self._crew.ended[worker]) if worker in self._crew.ended else "for an unknown reason"
+            describe_exit(self._workers.ended[worker])
+            if worker in self._workers.ended
+            else "for an unknown reason"
         )
 
     def _overdue(self) -> Iterator[tuple[int, CaseEnd]]:
         """End what takes longer than it may."""
         now = time.monotonic()
-        for desk in list(self._desks):
-            if desk.job is not None and now - desk.job.since > self._limit_s:
-                self._crew.signal(signal.SIGKILL, [desk.worker])
-                self._release(desk)
+        for slot in list(self._slots):
+            if slot.job is not None and now - slot.job.since > self._limit_s:
+                self._workers.signal(signal.SIGKILL, [slot.worker])
+                self._release(slot)
                 yield (
-                    desk.job.place,
+                    slot.job.place,
                     CaseEnd(status="failed", reason=f"not over after {self._limit_s:g} s (--limit)"),
                 )

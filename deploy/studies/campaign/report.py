@@ -103,7 +103,7 @@ class CampaignRow:
         values: What is varied, by key.
         runs: That are over.
         failed: Runs whose status isn't ``ok``.
-        cells_lost: In all runs together, though no fault struck them.
+        cells_lost: In all runs together, of cells without a fault.
         succeeded: See ``deploy.studies.campaign.result.judged``.
         success: Share of the runs.
         time_s: Mean over the runs that have one.
@@ -165,7 +165,7 @@ class CampaignReport:
     Attributes:
         status: ``ok``, ``failed`` (no run came to its end) or ``interrupted``.
         reason: Why not ``ok``; empty where it is.
-        asked: What was asked for.
+        spec: Specification of the campaign.
         cases: What was run.
         outcomes: Of the runs that are over, by the case's number and the seed.
         rows: Of these, in the order of the grid.
@@ -174,7 +174,7 @@ class CampaignReport:
 
     status: str
     reason: str
-    asked: CampaignSpec
+    spec: CampaignSpec
     cases: Cases
     outcomes: dict[tuple[int, int], CaseOutcome]
     rows: Sequence[CampaignRow]
@@ -197,14 +197,14 @@ class CampaignReport:
         content = {
             "status": self.status,
             "reason": self.reason or None,
-            "scene": self.asked.scene,
-            "fault": self.asked.fault,
+            "scene": self.spec.scene,
+            "fault": self.spec.fault,
             "varied": {axis.key: axis.values for axis in self.cases.axes},
             "seeds": self.cases.seeds,
-            "against": _against(self.asked),
+            "against": _against(self.spec),
             "criterion": criterion_words(self.cases),
             "within_m": self.cases.cases[0].criterion.within_m,
-            "confidence": self.asked.confidence,
+            "confidence": self.spec.confidence,
             "runs": len(self.outcomes),
             "failed": failed,
             "rows": [row.as_json() for row in self.rows],
@@ -246,12 +246,12 @@ class CampaignReport:
 
 def criterion_words(cases: Cases) -> str:
     """Demands on a success, in one line; those of the first case where a varied value changes them."""
-    told = [case.criterion.words() for case in cases.cases]
-    return told[0] if len(set(told)) == 1 else f"{told[0]}; varied from case to case"
+    descriptions = [case.criterion.words() for case in cases.cases]
+    return descriptions[0] if len(set(descriptions)) == 1 else f"{descriptions[0]}; varied from case to case"
 
 
-def _against(asked: CampaignSpec) -> str | None:
+def _against(spec: CampaignSpec) -> str | None:
     """Describe the baseline that runs are compared with; None without a baseline."""
-    parts = ["without the fault"] if asked.fault else []
-    parts += [f"with {one}" for one in asked.against]
+    parts = ["without the fault"] if spec.fault else []
+    parts += [f"with {one}" for one in spec.against]
     return ", ".join(parts) or None

@@ -56,7 +56,7 @@ class CaseEnd:
         reason: Why it isn't ``ok``; empty where it is.
         parcels: All of them, in the scene's order; none where the run did not come to its end.
         misrouted: How many left by another exit than theirs.
-        cells_lost: Cells that were lost though no fault struck them: their program raised, or they did not answer in
+        cells_lost: Cells that were lost without a fault of their own: their program raised, or they did not answer in
             time. What follows from the latter is not repeatable.
         digest: Of all ticks, as ``mdms run`` has it; None where the run did not come to its end.
         wall_s: Of the run itself, without start-up.
@@ -79,35 +79,35 @@ def run_case(scene: Scene) -> CaseEnd:
 
     digest = Digest(scene.canonical())
     try:
-        course = run_headless(scene, cells=True, digest=digest)
+        result = run_headless(scene, cells=True, digest=digest)
     except (DeployError, PlantError, FirmwareError) as error:
         return CaseEnd(status="failed", reason=str(error))
-    if course.status != "ok":
+    if result.status != "ok":
         return CaseEnd(
-            status=course.status, reason=course.reason, cells_lost=course.cells_lost, wall_s=course.wall_s
+            status=result.status, reason=result.reason, cells_lost=result.cells_lost, wall_s=result.wall_s
         )
     return CaseEnd(
         status="ok",
-        parcels=_parcels(course),
-        misrouted=course.misrouted,
-        cells_lost=course.cells_lost,
+        parcels=_parcels(result),
+        misrouted=result.misrouted,
+        cells_lost=result.cells_lost,
         digest=digest.hexdigest,
-        wall_s=course.wall_s,
+        wall_s=result.wall_s,
     )
 
 
-def _parcels(course: RunResult) -> tuple[ParcelEnd, ...]:
+def _parcels(result: RunResult) -> tuple[ParcelEnd, ...]:
     from plant.geometry import placed
 
     return tuple(
         ParcelEnd(
             fate.state,
             fate.time_s,
-            (float(course.state[number, 0]), float(course.state[number, 1])),
-            tuple((float(x), float(y)) for x, y in placed(footprint, course.state[number])),
+            (float(result.state[number, 0]), float(result.state[number, 1])),
+            tuple((float(x), float(y)) for x, y in placed(footprint, result.state[number])),
         )
         for number, (fate, footprint) in enumerate(
-            zip(course.parcel_status, course.footprints_m, strict=True)
+            zip(result.parcel_status, result.footprints_m, strict=True)
         )
     )
 

@@ -125,13 +125,13 @@ class Campaign:
     """A campaign: its cases, and the folder of its results.
 
     Attributes:
-        asked: Specification of the campaign.
+        spec: Specification of the campaign.
         cases: Cases that the specification expands to.
         folder: Folder of results, including those of earlier runs; locked by the caller (``deploy.util.output_lock``).
         quiet: Show no progress and no warnings on stderr.
     """
 
-    asked: CampaignSpec
+    spec: CampaignSpec
     cases: Cases
     folder: Path
     quiet: bool = False
@@ -141,7 +141,7 @@ class Campaign:
 
         Args:
             jobs: Runs at a time.
-            interruption: Ends the campaign early; what is over by then is kept.
+            interruption: Ends the campaign early; what is over by then is retained.
 
         Returns:
             The report, of all runs that are over.
@@ -165,7 +165,7 @@ class Campaign:
 
     def _run_parallel(self, journal: Journal, jobs: int, interruption: Interruption) -> None:
         # Workers import what they need while this process compiles kernels, or finds them compiled.
-        with ExecutorPool(jobs, self.asked.limit_s, interruption.raise_if_requested) as pool:
+        with ExecutorPool(jobs, self.spec.limit_s, interruption.raise_if_requested) as pool:
             with interruption.interruptible():
                 self._warm_up()
             self.execute(pool, journal)
@@ -230,11 +230,11 @@ class Campaign:
         if status == "ok" and all(one.status != "ok" for one in outcomes.values()):
             first = outcomes[min(outcomes)]
             status, reason = "failed", f"no run completed; the first: {first.status}: {first.reason}"
-        rows = tuple(aggregate(self.cases, outcomes, self.asked.confidence))
+        rows = tuple(aggregate(self.cases, outcomes, self.spec.confidence))
         return CampaignReport(
             status=status,
             reason=reason,
-            asked=self.asked,
+            spec=self.spec,
             cases=self.cases,
             outcomes=outcomes,
             rows=rows,

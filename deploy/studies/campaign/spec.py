@@ -22,7 +22,7 @@ SCENE_NAME = "scene.toml"
 class CampaignSpec(Spec):
     """Arguments of ``mdms campaign`` that determine the campaign's runs and their evaluation.
 
-    Strings are kept as they were typed.
+    Strings are stored as they were typed.
     """
 
     scene: str
@@ -72,14 +72,14 @@ def read_options(given: dict[str, Any]) -> CampaignSpec:
         raise InputError("\n".join(lines)) from None
 
 
-def write(asked: CampaignSpec, scene: str, versions: dict[str, str], folder: Path) -> None:
+def write(spec: CampaignSpec, scene: str, versions: dict[str, str], folder: Path) -> None:
     """Write the specification and the scene's text to the campaign's folder.
 
     Raises:
         DeployError: It can't be written.
     """
     write_text(folder / SCENE_NAME, scene)
-    said = {name: value for name, value in asked.model_dump(mode="json").items() if value is not None}
+    said = {name: value for name, value in spec.model_dump(mode="json").items() if value is not None}
     lines = ["# What was asked of `mdms campaign`; `mdms campaign --resume` reads it.", ""]
     lines += [f"{name} = {_toml(value)}" for name, value in said.items()]
     lines += ["", "[versions]", *(f"{name} = {_toml(value)}" for name, value in versions.items())]
@@ -107,18 +107,18 @@ def read(folder: Path) -> tuple[CampaignSpec, str, dict[str, str]]:
         raise InputError("\n".join(lines)) from None
 
 
-def check_same(kept: CampaignSpec, given: dict[str, Any], folder: Path) -> None:
+def check_same(stored: CampaignSpec, given: dict[str, Any], folder: Path) -> None:
     """Refuse to go on with a campaign under other arguments than it was begun with.
 
     Args:
-        kept: What it was begun with.
+        stored: What it was begun with.
         given: By field; None where nothing was said.
         folder: The campaign's.
 
     Raises:
         InputError: Names what differs, one line each.
     """
-    data = kept.model_dump()
+    data = stored.model_dump()
     lines = [
         f"--resume {folder}: {_option(name)} {_typed(value)}: the campaign has {_typed(data[name])}"
         for name, value in given.items()
@@ -128,15 +128,17 @@ def check_same(kept: CampaignSpec, given: dict[str, Any], folder: Path) -> None:
         raise InputError("\n".join(lines))
 
 
-def check_versions(kept: dict[str, str], now: dict[str, str], folder: Path) -> None:
+def check_versions(stored: dict[str, str], now: dict[str, str], folder: Path) -> None:
     """Refuse to mix runs of several versions of anything that decides a run's bits.
 
     Raises:
         InputError: Names what differs.
     """
-    names = sorted(kept.keys() | now.keys())
+    names = sorted(stored.keys() | now.keys())
     changed = [
-        f"{name} {kept.get(name)}, now {now.get(name)}" for name in names if kept.get(name) != now.get(name)
+        f"{name} {stored.get(name)}, now {now.get(name)}"
+        for name in names
+        if stored.get(name) != now.get(name)
     ]
     if changed:
         raise InputError(

@@ -43,16 +43,16 @@ def advise(study: EffectStudy, rows: Sequence[AblationRow], tolerance_m: float) 
         rows: Its rows.
         tolerance_m: Greater than 0.
     """
-    told = [row for row in rows if row.influence is not None]
-    unclear = {row.name for row in told if _off(row.error) >= tolerance_m}
-    clear = [row for row in told if row.name not in unclear]
+    measured = [row for row in rows if row.influence is not None]
+    unclear = {row.name for row in measured if _off(row.error) >= tolerance_m}
+    clear = [row for row in measured if row.name not in unclear]
     can_go = tuple(row.name for row in clear if row.on and _off(row.influence) < tolerance_m)
     return Advice(
         tolerance_m=tolerance_m,
         can_go=can_go,
         together=_together(study, can_go) if can_go else None,
         missing=tuple(row.name for row in clear if not row.on and _off(row.influence) >= tolerance_m),
-        unclear=tuple(row.name for row in told if row.name in unclear),
+        unclear=tuple(row.name for row in measured if row.name in unclear),
     )
 
 
@@ -76,5 +76,5 @@ def _together(study: EffectStudy, names: Sequence[str]) -> Sensitivity | None:
     except VariantRejected:
         return None
     cells = needs_cells(scene) or needs_cells(without)
-    courses = [study.course(one, cells=cells) for one in (scene, without)]
-    return compare(*courses) if all(course.status == "ok" for course in courses) else None
+    results = [study.result(one, cells=cells) for one in (scene, without)]
+    return compare(*results) if all(result.status == "ok" for result in results) else None

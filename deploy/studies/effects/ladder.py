@@ -92,45 +92,45 @@ def rungs(scene: Scene) -> list[Rung]:
     Args:
         scene: With or without effects; its law's coefficients serve where they can.
     """
-    kept = {
+    present = {
         name: table for name, table in tables(scene).items() if effect_types()[name].fidelity_rank is None
     }
     viscous, stick_slip = _law(scene, VISCOUS), _law(scene, STICK_SLIP)
     above = _solver(scene)
     found = [
-        _rung("quasi_static", "viscous friction, no inertia", scene, kept, viscous, QUASI_STATIC),
-        _rung("viscous", "inertia", scene, kept, viscous, above),
-        _rung("stick_slip", "rolling wheels, traction that runs out", scene, kept, stick_slip, above),
+        _rung("quasi_static", "viscous friction, no inertia", scene, present, viscous, QUASI_STATIC),
+        _rung("viscous", "inertia", scene, present, viscous, above),
+        _rung("stick_slip", "rolling wheels, traction that runs out", scene, present, stick_slip, above),
     ]
     for name, kind in effect_types().items():
         if kind.fidelity_rank is not None:
-            found.append(rung := _next(scene, kept, name))
+            found.append(rung := _next(scene, present, name))
             if rung.scene is not None and not rung.instead:
-                kept = tables(rung.scene)
+                present = tables(rung.scene)
     return found
 
 
-def _next(scene: Scene, kept: Mapping[str, Table], name: str) -> Rung:
-    """An effect on what is ``kept`` from below."""
+def _next(scene: Scene, present: Mapping[str, Table], name: str) -> Rung:
+    """An effect on what is ``present`` from below."""
     own = tables(scene)
-    gone = _in_its_way(name, kept)
-    instead = tuple(other for other in kept if other in gone)
+    gone = _obstacles(name, present)
+    instead = tuple(other for other in present if other in gone)
     try:
         settings = own[name] if name in own else typical(name, scene)
     except VariantRejected as why:
         return Rung(name, summary(name), None, str(why))
-    effects = {**{other: table for other, table in kept.items() if other not in gone}, name: settings}
+    effects = {**{other: table for other, table in present.items() if other not in gone}, name: settings}
     law = _law(scene, STICK_SLIP)
     if "motors" in effects:
         law = {"law": "coulomb", "coefficient": law["coefficient"]}
     return replace(_rung(name, summary(name), scene, effects, law, _solver(scene)), instead=instead)
 
 
-def _in_its_way(name: str, kept: Mapping[str, Table]) -> set[str]:
+def _obstacles(name: str, present: Mapping[str, Table]) -> set[str]:
     """Effects with which one doesn't go, and those that build on them; none where the scene itself can't do without."""
     types = effect_types()
-    against = [other for other in kept if other in types[name].excludes or name in types[other].excludes]
-    found = {other for one in against for other in dependents(one, kept)}
+    against = [other for other in present if other in types[name].excludes or name in types[other].excludes]
+    found = {other for one in against for other in dependents(one, present)}
     return set() if any(types[other].fidelity_rank is None for other in found) else found
 
 
@@ -152,7 +152,7 @@ def _rung(name: str, adds: str, scene: Scene, effects: Mapping[str, Any], law: T
         return Rung(name, adds, None, str(why))
 
 
-def run_ladder(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]) -> list[RungResult]:
+def run_ladder(ladder: Sequence[Rung], repeats: int, notify: Callable[[str], None]) -> list[RungResult]:
     """Run every rung in the same mode: with cells if any rung needs cells.
 
     Args:
@@ -160,31 +160,31 @@ def run_ladder(ladder: Sequence[Rung], repeats: int, tell: Callable[[str], None]
             ladder.
         repeats: Timed runs of each rung, at least 1, after one untimed run. The rungs take turns, so that a slower
             machine affects all rungs alike.
-        tell: Called with one line at the start of each run.
+        notify: Called with one line at the start of each run.
     """
     there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
     cells = any(needs_cells(scene) for scene in there.values())
-    courses: dict[str, RunResult] = {}
+    results: dict[str, RunResult] = {}
     reasons = {rung.name: rung.reason for rung in ladder}
     for name, scene in there.items():
-        tell(f"{name} ...")
+        notify(f"{name} ...")
         try:
-            course = run_headless(scene, cells=cells)
+            result = run_headless(scene, cells=cells)
         except InputError as why:  # a scene may be valid, and its plant still refuse it
             reasons[name] = str(why)
             continue
-        reasons[name] = course.reason
-        if course.status == "ok":
-            courses[name] = course
-    walls: dict[str, list[float]] = {name: [] for name in courses}
+        reasons[name] = result.reason
+        if result.status == "ok":
+            results[name] = result
+    walls: dict[str, list[float]] = {name: [] for name in results}
     for turn in range(repeats):
-        tell(f"times, {turn + 1} of {repeats} ...")
+        notify(f"times, {turn + 1} of {repeats} ...")
         for name, spans in walls.items():
             spans.append(run_headless(there[name], cells=cells).wall_s)
-    tops = [rung.name for rung in ladder if rung.name in courses and not rung.instead]
+    tops = [rung.name for rung in ladder if rung.name in results and not rung.instead]
     return [
-        RungResult(rung, median(walls[rung.name]), compare(courses[rung.name], courses[tops[-1]]))
-        if rung.name in courses and tops
+        RungResult(rung, median(walls[rung.name]), compare(results[rung.name], results[tops[-1]]))
+        if rung.name in results and tops
         else RungResult(rung, reason=reasons[rung.name])
         for rung in ladder
     ]

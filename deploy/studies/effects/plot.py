@@ -77,8 +77,8 @@ def _draw_points(axes: Axes, points: Sequence[Point]) -> None:
     far = [mm for _, _, mm, _ in points if mm > 0.0]
     foot = 0.2 * min(far, default=1.0)
     places = [(number, wall, mm if mm > 0.0 else foot, beside) for number, wall, mm, beside in points]
-    way = [(wall, mm) for _, wall, mm, beside in places if not beside]
-    axes.plot([wall for wall, _ in way], [mm for _, mm in way], color=_LINE, lw=1.3, zorder=2)
+    line = [(wall, mm) for _, wall, mm, beside in places if not beside]
+    axes.plot([wall for wall, _ in line], [mm for _, mm in line], color=_LINE, lw=1.3, zorder=2)
     for number, wall, mm, beside in places:
         shade = _BESIDE if beside else _TOP if mm == foot else _DOT
         axes.plot(wall, mm, "o", ms=15, color=shade, mec="white", mew=1.2, zorder=3)

@@ -186,8 +186,8 @@ def _notes(row: AblationRow, solver: str) -> Iterable[str]:
         return
     if row.settings is not None and not row.on:
         given = [(key, value) for key, value in row.settings.items() if value not in (None, [])]
-        told = ", ".join(f"{key} = {_plain(value)}" for key, value in given)
-        yield f"tried with {told or 'default settings'}"
+        listed = ", ".join(f"{key} = {_plain(value)}" for key, value in given)
+        yield f"tried with {listed or 'default settings'}"
     if row.solver != solver:
         yield f"both under {row.solver}, since {solver} doesn't support the effect"
     if row.beside:

@@ -72,25 +72,25 @@ def compare(one: RunResult, other: RunResult) -> Sensitivity:
     )
 
 
-def _there(course: RunResult) -> set[int]:
+def _there(result: RunResult) -> set[int]:
     """Return the indices of parcels on the array, tipped parcels included."""
-    return {n for n, fate in enumerate(course.parcel_status) if fate.state not in ("waiting", "delivered")}
+    return {n for n, fate in enumerate(result.parcel_status) if fate.state not in ("waiting", "delivered")}
 
 
 def _displacement(one: RunResult, other: RunResult, number: int) -> float:
     """Of the farthest corner of a parcel, m."""
-    corners = [_corners(course, number) for course in (one, other)]
+    corners = [_corners(result, number) for result in (one, other)]
     return float(np.max(np.hypot(*(corners[0] - corners[1]).T)))
 
 
-def _corners(course: RunResult, number: int) -> Floats:
+def _corners(result: RunResult, number: int) -> Floats:
     """``(v, 2)`` in world coordinates."""
-    return geometry.placed(course.footprints_m[number], course.state[number, :3])
+    return geometry.placed(result.footprints_m[number], result.state[number, :3])
 
 
-def _settled_s(course: RunResult) -> float | None:
+def _settled_s(result: RunResult) -> float | None:
     """Since when every parcel that is there rests, or lies tipped; None where one moves, or none is there."""
-    fates = [course.parcel_status[number] for number in _there(course)]
+    fates = [result.parcel_status[number] for number in _there(result)]
     if not fates or any(fate.state == "moving" for fate in fates):
         return None
     return max(fate.time_s for fate in fates)

@@ -24,7 +24,7 @@ from deploy.studies.effects.sensitivity import Sensitivity, compare
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
 
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 @final
@@ -73,12 +73,12 @@ class EffectStudy:
     Args:
         scene: What is studied.
         repeats: Timed runs of each side, at least 1, after one that is not timed.
-        tell: Told what begins, one line.
+        notify: Told what begins, one line.
     """
 
     scene: Scene
     repeats: int
-    tell: Tell
+    notify: Notify
     _known: dict[tuple[bytes, bool], RunResult] = field(default_factory=dict[tuple[bytes, bool], RunResult])
 
     def rows(self, names: Sequence[str] | None = None) -> list[AblationRow]:
@@ -92,15 +92,15 @@ class EffectStudy:
     def row(self, name: str) -> AblationRow:
         """One effect's."""
         on = name in tables(self.scene)
-        self.tell(f"{name} ...")
+        self.notify(f"{name} ...")
         try:
             return self._measured(name, on, ablate(self.scene, name))
         except (VariantRejected, InputError) as why:  # a scene may be valid, and its plant still refuse it
             return AblationRow(name=name, on=on, reason=str(why))
 
     def _measured(self, name: str, on: bool, pair: AblationPair) -> AblationRow:
-        with_it, without = (self.course(scene, cells=pair.cells) for scene in (pair.on, pair.off))
-        ended = [course for course in (with_it, without) if course.status != "ok"]
+        with_it, without = (self.result(scene, cells=pair.cells) for scene in (pair.on, pair.off))
+        ended = [result for result in (with_it, without) if result.status != "ok"]
         whole = not ended
         return AblationRow(
             name=name,
@@ -116,7 +116,7 @@ class EffectStudy:
             reason="" if whole else f"{'with' if with_it in ended else 'without'} it: {ended[0].reason}",
         )
 
-    def course(self, scene: Scene, *, cells: bool) -> RunResult:
+    def result(self, scene: Scene, *, cells: bool) -> RunResult:
         """The run of a scene; once for all that is the same."""
         key = (scene.canonical(), cells)
         if key not in self._known:
@@ -141,5 +141,5 @@ class EffectStudy:
         finer = refined(scene)
         if finer is None:
             return None
-        course = self.course(finer, cells=cells)
-        return compare(self.course(scene, cells=cells), course) if course.status == "ok" else None
+        result = self.result(finer, cells=cells)
+        return compare(self.result(scene, cells=cells), result) if result.status == "ok" else None

@@ -122,7 +122,7 @@ class SizeMap:
 
 
 def size_map(study: OrientationStudy, lengths_m: Floats, widths_m: Floats) -> SizeMap:
-    """Turn a rectangle of every size, at the study's point and of its parcel's mass; tells how far it is on stderr.
+    """Turn a rectangle of every size, at the study's point and of its parcel's mass; reports its progress on stderr.
 
     Args:
         study: Of a parcel whose footprint is a rectangle.

@@ -1,4 +1,4 @@
-"""Effect ``analogue_sensors``: a presence sensor sees a round spot, and tells how much of it is covered."""
+"""Effect ``analogue_sensors``: a presence sensor sees a round spot, and measures how much of it is covered."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Camera:
     """
 
     state_fields: ClassVar[StateFields] = StateFields(
-        "_draw", "_next_ns", "_under_way", records=(CameraFrame,)
+        "_draw", "_next_ns", "_in_flight", records=(CameraFrame,)
     )
 
     def __init__(self, spec: CameraSpec, tick_ns: int, seed: int, later: int = 0) -> None:
@@ -43,9 +43,9 @@ class Camera:
         self._spread = np.array([spec.position_noise_m, spec.position_noise_m, spec.angle_noise_rad])
         self._draw = rng(seed, "camera.noise")
         self._next_ns = Fraction(0)
-        self._under_way: deque[tuple[int, CameraFrame]] = deque()
+        self._in_flight: deque[tuple[int, CameraFrame]] = deque()
 
-    def look(self, tick: int, state: Floats, there: NDArray[np.int64]) -> CameraFrame | None:
+    def capture(self, tick: int, state: Floats, there: NDArray[np.int64]) -> CameraFrame | None:
         """Take a frame if due and return the frame that cells receive in this tick; call in every tick, in order.
 
         Args:
@@ -57,9 +57,9 @@ class Camera:
         if now_ns >= self._next_ns:
             taken = now_ns // self._period_ns
             self._next_ns = (taken + 1) * self._period_ns
-            self._under_way.append((tick + self._delay, self._picture(state, there)))
-        if self._under_way and self._under_way[0][0] == tick:
-            return self._under_way.popleft()[1]
+            self._in_flight.append((tick + self._delay, self._picture(state, there)))
+        if self._in_flight and self._in_flight[0][0] == tick:
+            return self._in_flight.popleft()[1]
         return None
 
     def _picture(self, state: Floats, there: NDArray[np.int64]) -> CameraFrame:

@@ -53,7 +53,7 @@ class FeedSpec(ParcelSpec):
 
     @model_validator(mode="after")
     def _schedule(self) -> FeedSpec:
-        if sum(way is not None for way in (self.times_s, self.every_s, self.mean_s)) != 1:
+        if sum(timing is not None for timing in (self.times_s, self.every_s, self.mean_s)) != 1:
             raise ValueError("give times_s, every_s or mean_s, one of the three")
         if self.times_s is None:
             if self.count is None:

@@ -25,7 +25,7 @@ class _Queue:
     Attributes:
         due_ns: When each is due.
         clear_m: How near no other's centre of mass may be.
-        called_ns: When each was first due at a look, of those that were.
+        called_ns: When each was first due at an update, of those that were.
         fed: How many have been fed.
         held_back: How many found no room when they were due.
         longest_ns: The longest that one had to wait.

@@ -46,7 +46,7 @@ class ContactSearch:
     """Search for contacts of a group along its free motion.
 
     Args:
-        course: free motion of the group.
+        free_motion: free motion of the group.
         group: bodies of the group.
         wheels: speed of the fastest wheel, m/s.
         times: known instants, ``(T,)``, s, the first being 0.
@@ -58,12 +58,12 @@ class ContactSearch:
     """
 
     def __init__(
-        self, course: FreeMotion, group: Group, wheels: float, times: Floats, states: Floats
+        self, free_motion: FreeMotion, group: Group, wheels: float, times: Floats, states: Floats
     ) -> None:
         from plant.kernels.contact import entry as contact_entry
 
         self._entry: Any = contact_entry
-        self._course, self._group, self._wheels = course, group, wheels
+        self._free_motion, self._group, self._wheels = free_motion, group, wheels
         self.times, self.states = times, states
 
     def gap(self, index: int, pair: int) -> float:
@@ -110,16 +110,16 @@ class ContactSearch:
         a, b = self.times[index], self.times[index + 1]
         inner = a + (b - a) * np.arange(1, PARTS) / PARTS
         self.times = np.insert(self.times, index + 1, inner)
-        self.states = np.insert(self.states, index + 1, self._course.sample(inner), axis=0)
+        self.states = np.insert(self.states, index + 1, self._free_motion.sample(inner), axis=0)
 
 
 def detect_contacts(
-    course: FreeMotion, group: Group, wheels: float, known: tuple[Floats, Floats], met: bool
+    free_motion: FreeMotion, group: Group, wheels: float, known: tuple[Floats, Floats], met: bool
 ) -> tuple[Sequence[ContactEvent], bool]:
     """Detect the contacts of one pair in its free motion.
 
     Args:
-        course: free motion of the group.
+        free_motion: free motion of the group.
         group: group that holds the pair alone.
         wheels: speed of the fastest wheel, m/s.
         known: instants ``(T,)`` and states ``(T, b, 6)``.
@@ -132,8 +132,8 @@ def detect_contacts(
 
     kernels: Any = contact_entry
 
-    search = ContactSearch(course, group, wheels, *known)
-    told: list[ContactEvent] = []
+    search = ContactSearch(free_motion, group, wheels, *known)
+    reported: list[ContactEvent] = []
     work, only = make_workspace(group), np.zeros(1, dtype=np.int64)
     index = 0
     while True:
@@ -142,10 +142,10 @@ def detect_contacts(
         else:
             contact = search.parting(0, index) if met else search.contact(only, index)
             if contact is None:
-                return told, met
+                return reported, met
             found = contact.known
         index, met = found, not met
         states, kind = search.states[index], "contact" if met else "apart"
         count = kernels.build_rows(group, work.marks, to.EVERY, states, to.BEYOND, work.rows, work.ends)
         rows, ends = work.rows[:count], work.ends[:count]
-        told.append(contact_event(group, float(search.times[index]), kind, rows, ends, states[:, 3:]))
+        reported.append(contact_event(group, float(search.times[index]), kind, rows, ends, states[:, 3:]))

@@ -60,16 +60,16 @@ def contact_event(
     return ContactEvent(after_s, kind, (first, second), (x, y), detail)
 
 
-def events(told: Sequence[ContactEvent], parcels: int, start_s: float) -> list[Event]:
+def events(contacts: Sequence[ContactEvent], parcels: int, start_s: float) -> list[Event]:
     """The plant's events, ordered by time.
 
     Args:
-        told: what began or ended.
+        contacts: what began or ended.
         parcels: how many there are; rails are numbered after them.
         start_s: when the call began.
     """
     listed: list[Event] = []
-    for one in sorted(told, key=lambda one: (one.after_s, one.bodies)):
+    for one in sorted(contacts, key=lambda one: (one.after_s, one.bodies)):
         first, second = one.bodies
         other = f"with parcel {second}" if second < parcels else f"with rail {second - parcels}"
         listed.append(Event(start_s + one.after_s, one.kind, first, (), one.place_m, other + one.detail))

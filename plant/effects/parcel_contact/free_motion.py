@@ -54,7 +54,7 @@ class FreeMotion:
     def __init__(self, solver: Rewindable, group: Group, motion: WheelMotion, grip: Floats) -> None:
         self._solver, self._group = solver, group
         self._motion, self._grip = motion, grip
-        self._kept = solver.snapshot(group.parcels)
+        self._snapshot = solver.snapshot(group.parcels)
         self.start: Floats = group.still.copy()
         self.start[group.moving] = solver.state[group.parcels]
 
@@ -66,13 +66,13 @@ class FreeMotion:
         """
         group = self._group
         out = np.empty((len(times), len(self._solver.state), 6))
-        self._solver.restore(self._kept)
+        self._solver.restore(self._snapshot)
         leg = Segment(self._motion, self._grip, float(times[-1]), times, out)
-        news = self._solver.advance(group.parcels, leg)
+        results = self._solver.advance(group.parcels, leg)
         states = np.empty((len(times), len(group.names), 6))
         states[:] = group.still
         states[:, group.moving] = out[:, group.parcels]
-        for one in news:
+        for one in results:
             if one.termination not in STILL_THERE:
                 raise FreeMotionEnded(one)
             if one.termination != "moving":
@@ -81,11 +81,11 @@ class FreeMotion:
 
     def rewind(self) -> None:
         """Put the parcels back to the start."""
-        self._solver.restore(self._kept)
+        self._solver.restore(self._snapshot)
 
     def advance(self, span_s: float) -> list[AdvanceResult]:
         """Move the parcels on by ``span_s`` for good. Returns those to which something happened."""
-        self._solver.restore(self._kept)
+        self._solver.restore(self._snapshot)
         return self._solver.advance(
             self._group.parcels, Segment.through(self._motion, self._grip, span_s, len(self._solver.state))
         )

@@ -94,9 +94,9 @@ class ContactMover:
                 )
 
     def events(self) -> list[Event]:
-        """Contacts that began or ended since this was asked last."""
-        told, self._events = self._events, []
-        return told
+        """Contacts that began or ended since the last call."""
+        drained, self._events = self._events, []
+        return drained
 
     def advance(self, live: Integers, fixed: Integers, leg: Segment, start_s: float) -> list[AdvanceResult]:
         """Move parcels, as ``Solver.advance`` does.
@@ -104,14 +104,14 @@ class ContactMover:
         Args:
             live: ``(b,)`` parcels to move, ascending.
             fixed: those that stand in the way.
-            leg: how far, and on which wheels; no states are asked for on it where contacts are resolved.
+            leg: how far, and on which wheels; no states are requested on it where contacts are resolved.
             start_s: when it begins.
         """
         drive = ContactDrive(leg.motion, leg.grip, fastest(leg.motion), start_s)
         move = self._resolve if self.resolves else self._watch
-        news, told = move(live, fixed, drive, leg)
-        self._events += events(told, self._bodies.parcels, start_s)
-        return news
+        results, contacts = move(live, fixed, drive, leg)
+        self._events += events(contacts, self._bodies.parcels, start_s)
+        return results
 
     # --- both ---------------------------------------------------------------------------------------
 
@@ -172,28 +172,28 @@ class ContactMover:
     ) -> tuple[list[AdvanceResult], list[ContactEvent]]:
         span_s, times_s, out = leg.span_s, leg.times_s, leg.out
         present = np.union1d(live, fixed)
-        told = self._forget(present)
+        contacts = self._forget(present)
         pairs = self._near(live, present, self._strides(drive.wheels, span_s))
         mask, states = self._mask(live), self._states()
         involved = np.intersect1d(live, pairs)
         start = self._solver.snapshot(involved)
-        news = self._solver.advance(live, leg)
-        if any(one.termination not in STILL_THERE for one in news):
-            return news, told
+        results = self._solver.advance(live, leg)
+        if any(one.termination not in STILL_THERE for one in results):
+            return results, contacts
         end = self._solver.snapshot(involved)
         if len(times_s):
             pairs = self._crossing(pairs, drive.wheels, times_s, out, states, mask)
         self._solver.restore(start)
         for pair in pairs.tolist():
             group = self._bodies.group(np.array([pair]), mask, states)
-            course = FreeMotion(self._solver, group, drive.motion, drive.grip)
-            known = _known(course, span_s, times_s)
-            new, met = detect_contacts(course, group, drive.wheels, known, tuple(pair) in self._met)
-            course.rewind()
-            told += new
+            free_motion = FreeMotion(self._solver, group, drive.motion, drive.grip)
+            known = _known(free_motion, span_s, times_s)
+            new, met = detect_contacts(free_motion, group, drive.wheels, known, tuple(pair) in self._met)
+            free_motion.rewind()
+            contacts += new
             (self._met.add if met else self._met.discard)((pair[0], pair[1]))
         self._solver.restore(end)
-        return news, told
+        return results, contacts
 
     def _crossing(
         self,
@@ -224,7 +224,7 @@ class ContactMover:
     ) -> tuple[list[AdvanceResult], list[ContactEvent]]:
         span_s = leg.span_s
         present = np.union1d(live, fixed)
-        told = self._forget(present)
+        contacts = self._forget(present)
         mask, states = self._mask(live), self._states()
         strides = self._strides(drive.wheels, span_s)
         while True:
@@ -238,19 +238,19 @@ class ContactMover:
             far = came > strides
             if not far.any():
                 break
-            # struck by something faster: it may have come to others than were thought of
+            # hit by something faster: it may have come to others than were thought of
             strides[far] = 2.0 * came[far]
             self._solver.restore(start)
         others = np.setdiff1d(live, involved)
-        news = self._solver.advance(others, Segment.through(drive.motion, drive.grip, span_s, len(states)))
+        results = self._solver.advance(others, Segment.through(drive.motion, drive.grip, span_s, len(states)))
         for one in done:
-            news += one.news
-            told += one.told
+            results += one.results
+            contacts += one.contacts
             names = _named(one.group)
             self._met.difference_update(names)
             self._met.update(names[k] for k in one.met)
-        news.sort(key=lambda one: one.parcel)
-        return news, told
+        results.sort(key=lambda one: one.parcel)
+        return results, contacts
 
     def _groups(self, pairs: Integers, mask: NDArray[np.bool_], states: Floats) -> Iterator[Group]:
         """Group pairs that are connected through moving parcels."""
@@ -278,7 +278,7 @@ def _named(group: Group) -> list[Pair]:
     return [(first, second) for first, second in group.names[group.pairs].tolist()]
 
 
-def _known(course: FreeMotion, span_s: float, times_s: Floats) -> tuple[Floats, Floats]:
-    """Instants of a course that are looked at in any case, and states there."""
+def _known(free_motion: FreeMotion, span_s: float, times_s: Floats) -> tuple[Floats, Floats]:
+    """Instants of a free motion that are sampled in any case, and states there."""
     times = times_s if len(times_s) and times_s[-1] == span_s else np.append(times_s, span_s)
-    return np.insert(times, 0, 0.0), np.concatenate([course.start[None], course.sample(times)])
+    return np.insert(times, 0, 0.0), np.concatenate([free_motion.start[None], free_motion.sample(times)])

@@ -1,6 +1,6 @@
 """Contact resolution of one group of bodies over a span.
 
-Parcels that are apart move freely up to the instant at which a pair touches. There all points that touch are struck at
+Parcels that are apart move freely up to the instant at which a pair touches. There all touching points get an impact at
 once (``plant.kernels.contact.impact``). Pairs that stay together go on in steps of at most ``step_s``: all move
 freely, then
 velocities lose what would take bodies into each other, with friction; what pushed them acts on their places as a force
@@ -70,8 +70,8 @@ class Resolution:
     Attributes:
         group: bodies of the group; tipped bodies are stopped.
         met: touching pairs now.
-        news: results of parcels with events, times from the start of the call.
-        told: contacts that began or ended.
+        results: results of parcels with events, times from the start of the call.
+        contacts: contacts that began or ended.
         displacement_m: length of each body's path, ``(b,)``, m.
     """
 
@@ -86,8 +86,8 @@ class Resolution:
         self._impacts = 0
         self.group = group
         self.met = met
-        self.news: list[AdvanceResult] = []
-        self.told: list[ContactEvent] = []
+        self.results: list[AdvanceResult] = []
+        self.contacts: list[ContactEvent] = []
         self.displacement_m: Floats = np.zeros(len(group.names))
 
     def run(self, span_s: float) -> None:
@@ -95,7 +95,7 @@ class Resolution:
 
         Raises:
             PlantUnstable: contacts follow each other without end, or can't be solved.
-            PlantStopped: somebody asked for the end of the call.
+            PlantStopped: the end of the call was requested.
         """
         now, steps = 0.0, MANY * len(self.group.pairs) + math.ceil(span_s / self._rules.step_s)
         while now < span_s:
@@ -182,15 +182,15 @@ class Resolution:
         if not len(self.group.moving):
             return span
         drive = self._drive
-        course = FreeMotion(self._solver, self.group, later(drive.motion, now), drive.grip)
+        free_motion = FreeMotion(self._solver, self.group, later(drive.motion, now), drive.grip)
         step = span
         if len(apart):
             times = np.array([0.0, span])
-            states = np.stack([course.start, course.sample(times[1:])[0]])
-            search = ContactSearch(course, self.group, drive.wheels, times, states)
+            states = np.stack([free_motion.start, free_motion.sample(times[1:])[0]])
+            search = ContactSearch(free_motion, self.group, drive.wheels, times, states)
             found = search.contact(apart)
             step = span if found is None else float(search.times[found.known])
-        for one in course.advance(step):
+        for one in free_motion.advance(step):
             self._take(one, now)
             if one.termination not in STILL_THERE:
                 return span
@@ -199,7 +199,7 @@ class Resolution:
     def _take(self, one: AdvanceResult, now: float) -> None:
         """Note what happened to a parcel in a step that began at ``now``."""
         events = [event._replace(after_s=now + event.after_s) for event in one.events]
-        self.news.append(one._replace(moved_s=now + one.moved_s, events=events))
+        self.results.append(one._replace(moved_s=now + one.moved_s, events=events))
         if one.termination == "tipped":
             state = self._solver.state[one.parcel]
             state[3:] = 0.0
@@ -212,19 +212,19 @@ class Resolution:
         self._settled(outcome, now + step)
         self._put(states)
 
-    # --- what is told --------------------------------------------------------------------------------
+    # --- events --------------------------------------------------------------------------------------
 
-    def _tell(self, now: float, kind: str, pair: int, count: int, states: Floats) -> None:
+    def _record(self, now: float, kind: str, pair: int, count: int, states: Floats) -> None:
         mine = np.flatnonzero(self._work.ends[:count, to.PAIR] == pair)
         rows, ends = self._work.rows[mine], self._work.ends[mine]
-        self.told.append(contact_event(self.group, now, kind, rows, ends, states[:, 3:]))
+        self.contacts.append(contact_event(self.group, now, kind, rows, ends, states[:, 3:]))
 
     def _note_begun(self, now: float, count: int, states: Floats) -> None:
         """Pairs that touch, the rows being in ``work``, and didn't."""
         for pair in np.unique(self._work.ends[:count, to.PAIR]).tolist():
             if pair not in self.met:
                 self.met.add(pair)
-                self._tell(now, "contact", pair, count, states)
+                self._record(now, "contact", pair, count, states)
 
     def _note_bounced(self, now: float, count: int, states: Floats) -> None:
         """Pairs that touch, and open faster than what stays together."""
@@ -232,7 +232,7 @@ class Resolution:
         for pair in sorted(self.met):
             if self._work.opens[pair] > self.group.slow:
                 self.met.remove(pair)
-                self._tell(now, "apart", pair, count, states)
+                self._record(now, "apart", pair, count, states)
 
     def _note_apart(self, now: float) -> None:
         """Pairs that touched and are apart."""
@@ -256,4 +256,4 @@ class Resolution:
             if nearest[pair] > to.NEAR_M:
                 self.met.remove(pair)
                 if np.isfinite(nearest[pair]):
-                    self._tell(now, "apart", pair, count, states)
+                    self._record(now, "apart", pair, count, states)

@@ -1,4 +1,4 @@
-"""Effect ``scanners``: some cells have a reader that tells where the parcel over them is to go."""
+"""Effect ``scanners``: some cells have a reader that reads where the parcel over them is to go."""
 
 from __future__ import annotations
 

@@ -17,6 +17,6 @@ class WheelReversedFault(WheelFault):
     kind_name: ClassVar[str] = "wheel_reversed"
     kind: Literal["wheel_reversed"]
 
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """Drives act the other way."""
-        harm.factor[self.wheels(cells)] *= -1.0
+        wheel_faults.factor[self.wheels(cells)] *= -1.0

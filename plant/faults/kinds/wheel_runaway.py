@@ -1,4 +1,4 @@
-"""A wheel runs away: its output stage is stuck, whatever it is told."""
+"""A wheel runs away: its output stage is stuck, whatever the drive."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class WheelRunawayFault(WheelFault):
         volts = max(motors.supply_v - motor.coulomb_v, 0.0)
         return self.model_copy(update={"speed_m_s": volts * motor.speed_per_volt_m_s})
 
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """Drives aren't heeded; of several that run away with a wheel the scene's last does."""
         speed_m_s = np.inf if self.speed_m_s is None else self.speed_m_s
-        harm.runs_m_s[self.wheels(cells)] = speed_m_s if self.way == "positive" else -speed_m_s
+        wheel_faults.runs_m_s[self.wheels(cells)] = speed_m_s if self.way == "positive" else -speed_m_s

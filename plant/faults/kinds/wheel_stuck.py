@@ -27,6 +27,6 @@ class WheelStuckFault(WheelFault):
         if effects.wheel_load is not None:
             yield ("kind",), self.kind, "does not go with effects.wheel_load, in which no wheel can jam"
 
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """They don't turn."""
-        harm.stuck[self.wheels(cells)] = True
+        wheel_faults.stuck[self.wheels(cells)] = True

@@ -30,10 +30,10 @@ class WheelWeakFault(WheelFault):
             raise ValueError("give strength, most_m_s, or both")
         return self
 
-    def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
+    def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """Less of the drive acts; where several faults say so, each takes its share."""
         wheels = self.wheels(cells)
         if self.strength is not None:
-            harm.factor[wheels] *= self.strength
+            wheel_faults.factor[wheels] *= self.strength
         if self.most_m_s is not None:
-            harm.most_m_s[wheels] = np.minimum(harm.most_m_s[wheels], self.most_m_s)
+            wheel_faults.most_m_s[wheels] = np.minimum(wheel_faults.most_m_s[wheels], self.most_m_s)

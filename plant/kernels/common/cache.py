@@ -24,7 +24,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-KEPT = 8
+RETAINED = 8
 """Folders of other versions that stay; the oldest beyond that are removed."""
 
 
@@ -87,7 +87,7 @@ def _prune(current: Path) -> None:
     others = [path for path in current.parent.iterdir() if path != current and path.is_dir()]
     with contextlib.suppress(OSError):
         others.sort(key=lambda path: path.stat().st_mtime, reverse=True)
-        for path in others[KEPT:]:
+        for path in others[RETAINED:]:
             shutil.rmtree(path, ignore_errors=True)
 
 
@@ -97,7 +97,7 @@ def is_warm() -> bool:
 
 
 @contextlib.contextmanager
-def kept_here() -> Iterator[None]:
+def disk_cached() -> Iterator[None]:
     """Functions compiled with ``cache=True`` inside this block are kept in ``folder()``."""
     from numba.core import config
 

@@ -142,7 +142,7 @@ def keep(parcel, work):
     """Remember the members, to be able to go back."""
     for i in range(parcel.ctl[at.N_MEMBERS]):
         for k in range(at.MEM_COLUMNS):
-            work.kept[i, k] = parcel.mem[i, k]
+            work.saved[i, k] = parcel.mem[i, k]
     return parcel.ctl[at.N_MEMBERS], parcel.ctl[at.N_GROUPS]
 
 
@@ -151,7 +151,7 @@ def restore(parcel, work, members, groups):
     """Go back to the members remembered."""
     for i in range(members):
         for k in range(at.MEM_COLUMNS):
-            parcel.mem[i, k] = work.kept[i, k]
+            parcel.mem[i, k] = work.saved[i, k]
     parcel.ctl[at.N_MEMBERS], parcel.ctl[at.N_GROUPS] = members, groups
 
 

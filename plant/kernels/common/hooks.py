@@ -30,8 +30,8 @@ def implements(question, part, own):
     def register(implementation):
         # not strict: the names of arguments that an implementation has no use for need not agree
         @overload(question, jit_options=COMPILED, strict=False)
-        def resolve(asked, *_):
-            found = dict(zip(asked.fields, asked.types, strict=True))[part]
+        def resolve(record, *_):
+            found = dict(zip(record.fields, record.types, strict=True))[part]
             return None if isinstance(found, types.NoneType) == own else implementation
 
         return implementation

@@ -24,7 +24,7 @@ def parcel_view(parcels, i):
 
 
 @kernel
-def note_news(ctl, i, moved, changes, report, noted):
+def note_result(ctl, i, moved, changes, report, noted):
     """Report parcel ``i`` if anything happened to it; ``changes`` is how many there had been before the call.
 
     Returns (rows of the report in use, rows of the log that it took).

@@ -7,7 +7,7 @@ from numba import njit
 from plant.kernels.common import cache
 from plant.kernels.contact import ccd, impact, manifold, polygons, resting
 
-with cache.kept_here():
+with cache.disk_cached():
     gap = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(polygons.gap.py_func)
     first_uncertain = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(
         ccd.first_uncertain.py_func

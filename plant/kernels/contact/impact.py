@@ -57,12 +57,12 @@ def meet(group, states, work):
         if not part(group, states, states, work):
             return 0, to.NOT_PARTED
         count = build_rows(group, work.marks, to.EVERY, states, to.TOUCH_M, rows, ends)
-    kept = at.ZERO
+    stored = at.ZERO
     for n in range(count):
         if rows[n, to.SPACE] <= to.TOUCH_M:
-            move_row(rows, ends, n, kept)
-            kept += 1
-    return kept, to.DONE
+            move_row(rows, ends, n, stored)
+            stored += 1
+    return stored, to.DONE
 
 
 @kernel

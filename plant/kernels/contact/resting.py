@@ -58,7 +58,7 @@ def pressed(group, before, states, step, friction, work):
     What closes faster than pressing can have made it is an impact to come, and what doesn't reach is left alone.
     """
     rows, ends = work.rows, work.ends
-    count, kept = build_rows(group, work.marks, to.TOGETHER, states, to.BEYOND, rows, ends), at.ZERO
+    count, pressing = build_rows(group, work.marks, to.TOGETHER, states, to.BEYOND, rows, ends), at.ZERO
     for n in range(count):
         i, j, row = ends[n, 0], ends[n, 1], rows[n]
         closing = -leaving(row, states[i, 3:], states[j, 3:])
@@ -67,9 +67,9 @@ def pressed(group, before, states, step, friction, work):
         if closing <= most and closing * step >= row[to.SPACE] - to.NEAR_M:
             row[to.WANTED] = 0.0 if row[to.SPACE] <= to.NEAR_M else -row[to.SPACE] / step
             row[to.FRICTION] = friction
-            move_row(rows, ends, n, kept)
-            kept += 1
-    return kept
+            move_row(rows, ends, n, pressing)
+            pressing += 1
+    return pressing
 
 
 @kernel

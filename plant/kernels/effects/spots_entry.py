@@ -7,5 +7,5 @@ from numba import njit
 from plant.kernels.common import cache
 from plant.kernels.effects import spots
 
-with cache.kept_here():
+with cache.disk_cached():
     cover_spots = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(spots.cover_spots.py_func)

@@ -8,7 +8,7 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.advance import advance
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.parcels import LOG_CAPACITY
-from plant.kernels.common.select import note_news, parcel_view
+from plant.kernels.common.select import note_result, parcel_view
 from plant.kernels.exact.segments import (
     change,
     collect_changes,
@@ -74,13 +74,13 @@ def advance_block(surface, parcels, work, stop, allowance, block, span, times, o
         changes = parcel.ctl[at.N_EVENTS]
         log = events[used : used + LOG_CAPACITY]
         moved = advance_one(surface, parcel, work, stop, allowance, i, span, times, out[:, i], log)
-        noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
+        noted, logged = note_result(parcel.ctl, i, moved, changes, report, noted)
         used += logged
     return block.shape[0], noted
 
 
 @kernel
-def advance_segmented(surface, parcels, work, stop, allowance, block, span, way, hand, events, report):
+def advance_segmented(surface, parcels, work, stop, allowance, block, span, schedule, hand, events, report):
     """Move the parcels of ``block`` by ``span`` seconds on wheels that change on the way, each through its own legs.
 
     Args:
@@ -91,7 +91,7 @@ def advance_segmented(surface, parcels, work, stop, allowance, block, span, way,
         allowance: likewise.
         block: likewise.
         span: likewise.
-        way: ``plant.kernels.exact.segments.CallSchedule``: what happens on it.
+        schedule: ``plant.kernels.exact.segments.CallSchedule``: what happens on it.
         hand: ``plant.kernels.exact.segments.SegmentWorkspace``: scratch.
         events: as for `advance_block`.
         report: likewise.
@@ -107,12 +107,12 @@ def advance_segmented(surface, parcels, work, stop, allowance, block, span, way,
         parcel = parcel_view(parcels, i)
         events_before = parcel.ctl[at.N_EVENTS]
         log = events[used : used + LOG_CAPACITY]
-        near = within(surface, way, parcel, i)
-        changes, reads = collect_changes(surface, way, hand, near)
+        near = within(surface, schedule, parcel, i)
+        changes, reads = collect_changes(surface, schedule, hand, near)
         here = local_surface(surface, hand)
         now, moved, logged, done, seen = 0.0, 0.0, at.ZERO, at.ZERO, at.ZERO
         while now < span and parcel.ctl[at.STATUS] == at.MOVING:
-            done = change(way, hand, now, done, changes)
+            done = change(schedule, hand, now, done, changes)
             end, before = hand.when[done] if done < changes else span, seen
             seen = until(hand, now, end, seen, reads)
             times, out, rest = hand.times[before:seen], hand.poses[before:seen, 0], log[logged:]
@@ -121,8 +121,8 @@ def advance_segmented(surface, parcels, work, stop, allowance, block, span, way,
             decay_wheels(surface, hand, near, parcel.par[at.RATE], end - now)
             now = end
         parcel.ctl[at.N_LOGGED] = logged
-        sample_sensors(surface, way, hand, parcel, reads, seen)
+        sample_sensors(surface, schedule, hand, parcel, reads, seen)
         restore_wheels(surface, hand, near)
-        noted, listed = note_news(parcel.ctl, i, moved, events_before, report, noted)
+        noted, listed = note_result(parcel.ctl, i, moved, events_before, report, noted)
         used += listed
     return block.shape[0], noted

@@ -7,7 +7,7 @@ from numba import njit
 from plant.kernels.common import cache, footprint
 from plant.kernels.exact import block
 
-with cache.kept_here():
+with cache.disk_cached():
     advance_block = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(block.advance_block.py_func)
     advance_segmented = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(
         block.advance_segmented.py_func

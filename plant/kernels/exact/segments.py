@@ -80,7 +80,7 @@ def sort(when, which, count):
 
 
 @kernel
-def collect_changes(surface, way, hand, near):
+def collect_changes(surface, schedule, hand, near):
     """Collect what happens in the rows and columns ``near``. Returns (how many changes, how many reads)."""
     changes, reads = at.ZERO, at.ZERO
     first_row, last_row, first_column, last_column = near
@@ -90,14 +90,14 @@ def collect_changes(surface, way, hand, near):
             cell = surface.grid[row, column]
             if cell < 0:
                 continue
-            for k in range(way.after.shape[0]):
+            for k in range(schedule.after.shape[0]):
                 for axis in range(2):
-                    if way.after[k, cell, axis] < inf:
-                        hand.when[changes] = way.after[k, cell, axis]
+                    if schedule.after[k, cell, axis] < inf:
+                        hand.when[changes] = schedule.after[k, cell, axis]
                         hand.which[changes] = 2 * (k * cells + cell) + axis
                         changes += 1
-            if way.reads[cell] < inf:
-                hand.times[reads], hand.cells[reads] = way.reads[cell], cell
+            if schedule.reads[cell] < inf:
+                hand.times[reads], hand.cells[reads] = schedule.reads[cell], cell
                 reads += 1
     sort(hand.when, hand.which, changes)
     sort(hand.times, hand.cells, reads)
@@ -105,14 +105,14 @@ def collect_changes(surface, way, hand, near):
 
 
 @kernel
-def change(way, hand, now, done, changes):
+def change(schedule, hand, now, done, changes):
     """Apply the wheel changes due up to ``now``. Returns the number of changes applied so far."""
     cells = hand.steady.shape[0]
     while done < changes and hand.when[done] <= now:
         wheel = hand.which[done]
         k, cell, axis = wheel // (2 * cells), wheel // 2 % cells, wheel % 2
-        hand.steady[cell, axis] = way.steady[k, cell, axis]
-        hand.decay[cell, axis] = way.decay[k, cell, axis]
+        hand.steady[cell, axis] = schedule.steady[k, cell, axis]
+        hand.decay[cell, axis] = schedule.decay[k, cell, axis]
         done += 1
     return done
 
@@ -182,20 +182,23 @@ def shift_log(log, ctl, logged, now):
 
 
 @kernel
-def sample_sensors(surface, way, hand, parcel, reads, seen):
+def sample_sensors(surface, schedule, hand, parcel, reads, seen):
     """Set the bits of the sensors that the parcel covers when their cells read; it stood from the ``seen`` first on."""
     slack = EDGE_SLACK * parcel.par[at.ON_SURFACE]
     for n in range(reads):
         y = hand.poses[n, 0] if n < seen else parcel.y
         c, s = cos(y[at.THETA]), sin(y[at.THETA])
         cell = hand.cells[n]
-        for k in range(way.sensors.shape[0]):
-            px, py = surface.pos[cell, 0] + way.sensors[k, 0], surface.pos[cell, 1] + way.sensors[k, 1]
+        for k in range(schedule.sensors.shape[0]):
+            px, py = (
+                surface.pos[cell, 0] + schedule.sensors[k, 0],
+                surface.pos[cell, 1] + schedule.sensors[k, 1],
+            )
             if inside(px, py, parcel.normal, parcel.offset, y, c, s, slack):
-                way.bits[cell, k] = True
+                schedule.bits[cell, k] = True
 
 
 @kernel
-def within(surface, way, parcel, i):
+def within(surface, schedule, parcel, i):
     """Rows and columns of the cells that the parcel can matter to on the way."""
-    return box(parcel.vertices, parcel.y, parcel.par, surface.grid, way.margin[i])
+    return box(parcel.vertices, parcel.y, parcel.par, surface.grid, schedule.margin[i])

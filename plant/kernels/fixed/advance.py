@@ -1,6 +1,6 @@
 """The explicit solver's loop of one parcel: forces at a pose, and Runge-Kutta steps of one length.
 
-Every stage of a step looks for its supports anew, so the right-hand side is the one of the equations wherever it is
+Every stage of a step looks for its supports again, so the right-hand side is the one of the equations wherever it is
 asked for. Nothing is located and no error is estimated.
 """
 
@@ -55,7 +55,7 @@ def rate(surface, parcel, work, e, slope):
 
 
 @kernel
-def look(surface, parcel, work):
+def checked_loads(surface, parcel, work):
     """Loads where the parcel is; one that is nowhere is not looked for. Returns the status."""
     if not finite(parcel.y):
         return at.NOT_FINITE
@@ -77,7 +77,7 @@ def step(surface, parcel, work, scheme, now, h):
         if s > 0:
             for k in range(6):
                 y[k] = begin[k] + ahead * slopes[s - 1, k]
-            status = look(surface, parcel, work)
+            status = checked_loads(surface, parcel, work)
             if status != at.MOVING:
                 break
         rate(surface, parcel, work, decay(parcel.par, now + ahead), slopes[s])
@@ -87,7 +87,7 @@ def step(surface, parcel, work, scheme, now, h):
             for s in range(stages):
                 change += scheme.weights[s] * slopes[s, k]
             y[k] = begin[k] + h * change
-        status = look(surface, parcel, work)
+        status = checked_loads(surface, parcel, work)
     if status == at.NOT_FINITE:
         for k in range(6):
             y[k] = begin[k]
@@ -116,7 +116,7 @@ def advance(surface, parcel, work, scheme, stop, span, times, out, events):
     y, ctl, longest = parcel.y, parcel.ctl, work.pace[im.FIXED]
     now, sampled = 0.0, 0
     ctl[at.N_LOGGED] = 0
-    ctl[at.STATUS] = look(surface, parcel, work)
+    ctl[at.STATUS] = checked_loads(surface, parcel, work)
     while now < span and ctl[at.STATUS] == at.MOVING:
         if stop[0] != 0:
             ctl[at.STATUS] = at.STOPPED

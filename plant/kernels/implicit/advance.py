@@ -100,7 +100,7 @@ def branches(law):
 
 
 @kernel
-def look(surface, parcel, work, now):
+def note_branches(surface, parcel, work, now):
     """Keep which branch of the law each wheel is on now, and the acceleration, in ``work.begun``; the state stays."""
     y, end = parcel.y, work.end
     for k in range(6):
@@ -169,7 +169,7 @@ def unseen(surface, parcel, work, now, h, before):
 
     A change of supports, or of the branch of the law at some wheel. The last part had no look at its end; one in the
     first part looks like one at the start, to every way of cutting the step. Estimated by the change of velocity in the
-    first part, against that in one more part after the step's end, and against the acceleration that ``look`` found.
+    first part, against that in one more part after the step's end, and against the acceleration of ``note_branches``.
     """
     y, part, error, first = parcel.y, h / PARTS, work.error, work.first
     status = find_loads(surface, parcel, work)
@@ -198,7 +198,7 @@ def controlled(surface, parcel, work, now, h, before):
     """One step of at most ``h`` that is right to the tolerance. Returns (status, seconds, attempts)."""
     pace, attempts = work.pace, at.ZERO
     if branches(work.law):
-        look(surface, parcel, work, now)
+        note_branches(surface, parcel, work, now)
     while True:
         attempts += 1
         status, error = extrapolated(surface, parcel, work, now, h)

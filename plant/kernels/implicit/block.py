@@ -5,7 +5,7 @@ from __future__ import annotations
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.parcels import LOG_CAPACITY
-from plant.kernels.common.select import load_state, note_news, parcel_view, store_state
+from plant.kernels.common.select import load_state, note_result, parcel_view, store_state
 from plant.kernels.common.springs import surface_under
 from plant.kernels.implicit.advance import advance
 from plant.kernels.implicit.hooks import full, hand_over
@@ -44,6 +44,6 @@ def advance_block(surface, parcels, work, stop, laws, paces, block, span, times,
         moved = advance(surface_under(surface, i), parcel, work, stop, span, times, out[:, i], log)
         hand_over(work, parcel, span - moved)
         store_state(work, paces, i)
-        noted, logged = note_news(parcel.ctl, i, moved, changes, report, noted)
+        noted, logged = note_result(parcel.ctl, i, moved, changes, report, noted)
         used += logged
     return block.shape[0], noted

@@ -102,7 +102,7 @@ def _roomy(_work):
 
 
 @implements(hand_over, "slowing", own=False)
-def _nothing_to_tell(_work, _parcel, _left):
+def _no_events(_work, _parcel, _left):
     return
 
 

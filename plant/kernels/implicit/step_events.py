@@ -13,31 +13,31 @@ from plant.kernels.implicit.hooks import speed
 def remember(parcel, work):
     """Keep which cells are under the parcel, and which of them carry load."""
     for i in range(parcel.ctl[at.N_MEMBERS]):
-        work.kept[i, 0], work.kept[i, 1] = parcel.mem[i, at.CELL], parcel.mem[i, at.MARK]
+        work.saved[i, 0], work.saved[i, 1] = parcel.mem[i, at.CELL], parcel.mem[i, at.MARK]
     return parcel.ctl[at.N_MEMBERS]
 
 
 @kernel
 def same(parcel, work, before):
-    """Whether the cells under the parcel, and those that carry load, are as ``remember`` kept them."""
+    """Whether the cells under the parcel, and those that carry load, are as ``remember`` saved them."""
     if parcel.ctl[at.N_MEMBERS] != before:
         return False
     for i in range(before):
-        if parcel.mem[i, at.CELL] != work.kept[i, 0] or parcel.mem[i, at.MARK] != work.kept[i, 1]:
+        if parcel.mem[i, at.CELL] != work.saved[i, 0] or parcel.mem[i, at.MARK] != work.saved[i, 1]:
             return False
     return True
 
 
 @kernel
 def note_changes(parcel, work, before, now, events):
-    """Log what is not as ``remember`` kept it. Returns how many changes."""
-    mem, ctl, kept, where = parcel.mem, parcel.ctl, work.kept, work.where
+    """Log what is not as ``remember`` saved it. Returns how many changes."""
+    mem, ctl, saved, where = parcel.mem, parcel.ctl, work.saved, work.where
     changes = at.ZERO
     for i in range(ctl[at.N_MEMBERS]):
         where[mem[i, at.CELL]] = 1 + mem[i, at.MARK]
     for i in range(before):
-        cell, mark = kept[i, 0], where[kept[i, 0]] - 1
-        if mark != kept[i, 1]:
+        cell, mark = saved[i, 0], where[saved[i, 0]] - 1
+        if mark != saved[i, 1]:
             kind = at.LEAVE if mark < 0 else (at.UNLOAD if mark == at.LIFTED else at.TOUCH)
             log(events, ctl, now, kind, cell, at.NO_CELL)
             changes += 1

@@ -123,7 +123,7 @@ def place(y, begin, slopes, h, one, two, three):
 
 
 @kernel
-def look(surface, parcel, work, time, found):
+def checked_velocity(surface, parcel, work, time, found):
     """``velocity`` where the parcel is, if it is anywhere. Returns the status."""
     y = parcel.y
     for k in range(3):
@@ -145,13 +145,13 @@ def attempt(surface, parcel, work, now, h):
     for k in range(3):
         slopes[0, k], slopes[1, k], slopes[2, k] = begin[at.UX + k], 0.0, 0.0
     place(y, begin, slopes, h, 0.5, 0.0, 0.0)
-    status = look(surface, parcel, work, now + 0.5 * h, slopes[1])
+    status = checked_velocity(surface, parcel, work, now + 0.5 * h, slopes[1])
     if status == at.MOVING:
         place(y, begin, slopes, h, 0.0, 0.75, 0.0)
-        status = look(surface, parcel, work, now + 0.75 * h, slopes[2])
+        status = checked_velocity(surface, parcel, work, now + 0.75 * h, slopes[2])
     if status == at.MOVING:
         place(y, begin, slopes, h, 2.0 / 9.0, 1.0 / 3.0, 4.0 / 9.0)
-        status = look(surface, parcel, work, now + h, slopes[3])
+        status = checked_velocity(surface, parcel, work, now + h, slopes[3])
     if status != at.MOVING:
         return status, 1e300
     for k in range(3):
@@ -166,7 +166,7 @@ def plain(surface, parcel, work, now, h):
     y, begin, slopes = parcel.y, work.begin, work.table
     for k in range(3):
         y[k] = begin[k] + h * begin[at.UX + k]
-    status = look(surface, parcel, work, now + h, slopes[3])
+    status = checked_velocity(surface, parcel, work, now + h, slopes[3])
     if status == at.MOVING:
         for k in range(3):
             y[at.UX + k] = slopes[3, k]
@@ -249,7 +249,7 @@ def advance(surface, parcel, work, stop, span, times, out, events):
     for k in range(6):
         work.begin[k] = y[k]
     # the wheels' speeds are new: so is the parcel's
-    ctl[at.STATUS] = look(surface, parcel, work, now, found)
+    ctl[at.STATUS] = checked_velocity(surface, parcel, work, now, found)
     if span > 0.0 and ctl[at.STATUS] == at.MOVING:
         for k in range(3):
             y[at.UX + k] = found[k]

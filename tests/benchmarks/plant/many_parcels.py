@@ -153,11 +153,11 @@ class Side:
 
     def run_kernel(self, block: NDArray[np.int64]) -> int:
         """Move a block by a tick in one call of the kernel, and parcels that it names again by as many ticks."""
-        solver, desk = self.solver, self.solver.workspace(0)
+        solver, workspace = self.solver, self.solver.workspace(0)
         surface = solver._surface(self.motion, self.grip)
         moved, _ = solver._entry.advance_block(
-            surface, solver.packed, desk.work, solver._allowance, block, PERIOD_NS * 1e-9, self._none, self._out,
-            desk.log, desk.report,
+            surface, solver.packed, workspace.work, solver._allowance, block, PERIOD_NS * 1e-9, self._none, self._out,
+            workspace.log, workspace.report,
         )  # fmt: skip
         return moved
 
@@ -174,7 +174,7 @@ def cost_us(side: Side, move: Move) -> tuple[float, float]:
 def measure(turns: int) -> tuple[list[Row], int]:
     """Rows of medians, and how many threads there were."""
     many, single = Side(PARCELS), Side(1)
-    threads = many.solver.crew.threads
+    threads = many.solver.thread_pool.threads
     sample = many.everyone[:: PARCELS // SAMPLE]
     tick_s = PERIOD_NS * 1e-9
 

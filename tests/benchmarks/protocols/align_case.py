@@ -107,7 +107,7 @@ def run(case: Case) -> tuple[Floats, Floats]:
     for tick in range(ticks + 1):
         if tick % every == 0 or tick == ticks:
             seen.append(plant.state)
-        shown = None if camera is None else camera.look(tick, plant.state, plant.on_surface)
+        shown = None if camera is None else camera.capture(tick, plant.state, plant.on_surface)
         for group, shard in zip(groups, shards, strict=True):
             own = None if shown is None else _own(shown, group[0], middle[group[0]])
             drives[shard.indices] = shard.step(tick, sense.presence[shard.indices], camera=own).drive

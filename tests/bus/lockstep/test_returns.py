@@ -29,7 +29,7 @@ from tests.bus.support import (
 )
 
 
-def _anew(system: System, shard: int) -> Participant:
+def _restarted(system: System, shard: int) -> Participant:
     """A new process for a shard, not yet ready."""
     endpoint = system.network.endpoint()
     system.member_endpoints[shard] = endpoint
@@ -57,7 +57,7 @@ def _admitted(system: System, tick: int, shards: list[int]) -> tuple[int, list[i
 
 
 @both_forms
-def test_a_new_process_takes_part_from_a_boundary_on_and_hears_nothing_that_was_said_before(
+def test_a_new_process_joins_at_a_tick_boundary_and_receives_no_earlier_messages(
     network: Network, form: WireFormat
 ) -> None:
     system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
@@ -65,30 +65,30 @@ def test_a_new_process_takes_part_from_a_boundary_on_and_hears_nothing_that_was_
     system.member_endpoints[1].close()
     assert {loss.cell for loss in step(system, 1, [0, 2])[1]} == {2, 3}
     assert system.host.admit(2) == []
-    member = _anew(system, 1)
+    member = _restarted(system, 1)
     member.ready(10.0)
     first, cells = _admitted(system, 2, [0, 2])
     assert cells == [2, 3]
     assert member.join(10.0) == first
 
-    heard = {}
+    received = {}
     for tick in (first, first + 1):
         system.host.publish(system.sense(tick))
         for shard in range(3):
-            heard[shard, tick] = gathered(system.members[shard].gather(tick)).links
+            received[shard, tick] = gathered(system.members[shard].gather(tick)).links
             system.members[shard].publish(system.drive(shard, tick), system.links(shard, tick))
         drive, losses = system.host.gather(tick)
         assert losses == []
         assert drive.drive.tolist() == expected_drive(system, tick).tolist()
-    assert not heard[1, first].sent.any()
+    assert not received[1, first].sent.any()
     incoming = system.partition.incoming(0)
     others = np.isin(incoming.source, [2, 3])
     assert others.any()
-    assert not heard[0, first].sent[others].any()
+    assert not received[0, first].sent[others].any()
     for shard in range(3):
         links = system.partition.incoming(shard)
         said = (links.source + links.source_side + first) % 3 != 0
-        assert heard[shard, first + 1].sent.tolist() == said.tolist()
+        assert received[shard, first + 1].sent.tolist() == said.tolist()
 
 
 @both_forms
@@ -110,26 +110,24 @@ def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
     system.members[0].publish(system.drive(0, 1), system.links(0, 1))
     assert system.host.gather(1)[1] == [Loss(1, 1, "disconnected")]
     system.host.publish(system.sense(2))
-    heard = gathered(system.members[0].gather(2)).links
-    assert heard is not None
-    assert not heard.sent.any()
+    received = gathered(system.members[0].gather(2)).links
+    assert received is not None
+    assert not received.sent.any()
 
 
 @both_forms
-def test_one_that_goes_again_before_it_was_admitted_is_asked_about_again(
-    memory: Network, form: WireFormat
-) -> None:
+def test_a_process_lost_before_it_is_admitted_is_prepared_again(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.even(grid(1, 3), 3), form, message=MESSAGE).start()
     step(system, 0)
     system.member_endpoints[1].close()
     step(system, 1, [0, 2])
-    _anew(system, 1).ready(10.0)
+    _restarted(system, 1).ready(10.0)
     assert system.host.admit(2) == []  # asked
     system.member_endpoints[1].close()
     step(system, 2, [0, 2])
     step(system, 3, [0, 2])
     assert system.host.admit(4) == []
-    member = _anew(system, 1)
+    member = _restarted(system, 1)
     member.ready(10.0)
     first, cells = _admitted(system, 4, [0, 2])
     assert cells == [1]
@@ -142,7 +140,7 @@ def test_who_is_not_let_in_or_whose_plant_goes_says_so(memory: Network) -> None:
     step(system, 0)
     system.member_endpoints[1].close()
     step(system, 1, [0])
-    member = _anew(system, 1)
+    member = _restarted(system, 1)
     member.ready(10.0)
     with pytest.raises(BarrierError, match="shard 1 was not readmitted"):
         member.join(0.01)
@@ -152,33 +150,33 @@ def test_who_is_not_let_in_or_whose_plant_goes_says_so(memory: Network) -> None:
 
 
 def test_cells_that_come_back_still_die_when_they_were_to_die() -> None:
-    lives = Membership(3)
-    lives.schedule_death([0], 50)
-    lives.mark_dead([0, 1], 10)
-    lives.admit([0, 1], 20)
-    assert [lives.live(tick).tolist() for tick in (19, 20, 50)] == [
+    membership = Membership(3)
+    membership.schedule_death([0], 50)
+    membership.mark_dead([0, 1], 10)
+    membership.admit([0, 1], 20)
+    assert [membership.live(tick).tolist() for tick in (19, 20, 50)] == [
         [False, False, True],
         [True, True, True],
         [False, True, True],
     ]
-    assert lives.start_by_group([np.array([0, 1]), np.array([2])]) == [20, 0]
-    assert lives.end_by_group([np.array([0]), np.array([1, 2])]) == [50, NO_TICK_LIMIT]
+    assert membership.start_by_group([np.array([0, 1]), np.array([2])]) == [20, 0]
+    assert membership.end_by_group([np.array([0]), np.array([1, 2])]) == [50, NO_TICK_LIMIT]
 
 
 def test_a_group_is_there_from_when_the_first_of_those_came_who_stay_longest() -> None:
-    lives = Membership(4)
-    assert lives.unchanged
-    lives.schedule_death([0], 50)
-    assert not lives.unchanged
-    assert lives.live(50).tolist() == [False, True, True, True]
-    lives.mark_dead([1, 2], 10)
-    lives.admit([2], 20)
-    lives.mark_dead([1], 40)
-    lives.admit([1], 45)
-    lives.mark_dead([3], 30)
+    membership = Membership(4)
+    assert membership.unchanged
+    membership.schedule_death([0], 50)
+    assert not membership.unchanged
+    assert membership.live(50).tolist() == [False, True, True, True]
+    membership.mark_dead([1, 2], 10)
+    membership.admit([2], 20)
+    membership.mark_dead([1], 40)
+    membership.admit([1], 45)
+    membership.mark_dead([3], 30)
     group = np.arange(4)
-    assert lives.start_by_group([group, np.array([0, 3])]) == [20, 0]
-    assert lives.end_by_group([group, np.array([0, 3])]) == [NO_TICK_LIMIT, 50]
+    assert membership.start_by_group([group, np.array([0, 3])]) == [20, 0]
+    assert membership.end_by_group([group, np.array([0, 3])]) == [NO_TICK_LIMIT, 50]
 
 
 def test_parts_are_waited_for_from_their_tick_on_and_earlier_ones_are_late() -> None:
@@ -200,7 +198,7 @@ def _collector(counts: MessageCounters) -> FrameAssembler:
     return FrameAssembler("drive", [0, 0], lambda _, payload: (payload[0], payload[1]), counts)
 
 
-def test_what_comes_from_who_is_gone_is_kept_only_where_it_is_expected_back() -> None:
+def test_frames_of_lost_senders_are_stored_only_where_a_rejoin_is_expected() -> None:
     counts = MessageCounters()
     collector = _collector(counts)
     collector.start_at(7)
@@ -286,7 +284,7 @@ class Absent:
         for signs in (self.roll.ever_left, self.roll.alive, self.roll.ready):
             signs.update(units)
 
-    def asked(self) -> list[list[int]]:
+    def requested(self) -> list[list[int]]:
         return [absence.cells for absence in self.returns.to_prepare()]
 
 
@@ -298,17 +296,17 @@ def test_a_process_is_back_when_all_its_units_went_came_are_ready_and_can_be_sen
         absent.matched if sign == "matched" else getattr(absent.roll, {"left": "ever_left"}.get(sign, sign))
     )
     signs.discard(2)
-    assert absent.asked() == []
+    assert absent.requested() == []
     assert absent.returns.ready_to_commit([]) == []
     signs.add(2)
-    assert absent.asked() == [[3, 2]]
-    assert absent.asked() == []
+    assert absent.requested() == [[3, 2]]
+    assert absent.requested() == []
 
 
 def test_cells_are_admitted_when_all_who_live_can_send_to_them_and_not_to_others() -> None:
     absent = Absent()
     absent.seen(2, 3, 4)
-    assert absent.asked() == [[4], [3, 2]]
+    assert absent.requested() == [[4], [3, 2]]
     absent.returns.on_ready(0, [2])
     absent.returns.on_ready(0, [4])
     absent.returns.on_ready(5, [2, 3])
@@ -319,20 +317,20 @@ def test_cells_are_admitted_when_all_who_live_can_send_to_them_and_not_to_others
     assert not absent.returns
 
 
-def test_whoever_could_send_to_a_process_that_went_again_is_asked_about_the_next() -> None:
+def test_matched_senders_are_reset_when_a_process_is_lost_again() -> None:
     absent = Absent()
     absent.seen(4)
-    assert absent.asked() == [[4]]
+    assert absent.requested() == [[4]]
     absent.returns.on_ready(0, [4])
     absent.roll.alive.discard(4)
-    assert absent.asked() == []
+    assert absent.requested() == []
     absent.roll.alive.add(4)
-    assert absent.asked() == [[4]]
+    assert absent.requested() == [[4]]
     assert absent.returns.ready_to_commit([0]) == []
 
 
-def test_shards_that_come_back_together_are_told_by_their_cells_in_order() -> None:
+def test_shards_that_rejoin_together_are_listed_by_their_cells_in_order() -> None:
     absent = Absent()
     absent.seen(2, 3, 4)
-    absent.asked()
+    absent.requested()
     assert absent.returns.ready_to_commit([]) == [2, 3, 4]

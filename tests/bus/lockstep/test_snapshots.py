@@ -9,20 +9,20 @@ from bus.lockstep.counters import MessageCounters
 from bus.lockstep.snapshots import ShardSnapshot, SnapshotCollector, decode_snapshot, encode_snapshot
 from bus.wire.frames import Control, decode_control, encode_control
 
-KEPT = ShardSnapshot(7, (4, 3, 2, 1), b"state")
+SNAPSHOT = ShardSnapshot(7, (4, 3, 2, 1), b"state")
 
 
 def test_it_comes_over_as_it_was() -> None:
-    assert decode_snapshot(encode_snapshot(KEPT), 1) == KEPT
+    assert decode_snapshot(encode_snapshot(SNAPSHOT), 1) == SNAPSHOT
 
 
-def test_that_it_is_asked_for_comes_over() -> None:
-    asked = Control("snapshot", 7)
-    assert decode_control(encode_control(asked), 1) == asked
+def test_a_snapshot_request_is_encoded_and_decoded() -> None:
+    control = Control("snapshot", 7)
+    assert decode_control(encode_control(control), 1) == control
 
 
 def test_a_state_beyond_what_cells_can_have_is_refused() -> None:
-    large = encode_snapshot(KEPT._replace(state=bytes(200_000)))
+    large = encode_snapshot(SNAPSHOT._replace(state=bytes(200_000)))
     assert len(decode_snapshot(large, 3).state) == 200_000
     with pytest.raises(WireError, match="must be at most"):
         decode_snapshot(large, 1)
@@ -31,21 +31,21 @@ def test_a_state_beyond_what_cells_can_have_is_refused() -> None:
 @pytest.mark.parametrize("counts", [(1, 2, 3), (1, 2, 3, -1), (1, 2, 3, "four"), 4])
 def test_counts_that_are_none_are_refused(counts: object) -> None:
     with pytest.raises(WireError, match="counts must be four integers"):
-        decode_snapshot(encode_snapshot(KEPT._replace(counts=counts)), 1)  # type: ignore[arg-type]
+        decode_snapshot(encode_snapshot(SNAPSHOT._replace(counts=counts)), 1)  # type: ignore[arg-type]
 
 
 def test_a_state_that_is_no_bytes_is_refused() -> None:
     with pytest.raises(WireError, match="state must be bytes"):
-        decode_snapshot(encode_snapshot(KEPT._replace(state="text")), 1)  # type: ignore[arg-type]
+        decode_snapshot(encode_snapshot(SNAPSHOT._replace(state="text")), 1)  # type: ignore[arg-type]
 
 
-def test_all_of_it_is_there_when_everybody_asked_has_answered() -> None:
+def test_the_snapshot_is_complete_once_every_shard_has_responded() -> None:
     keeping = SnapshotCollector(7, [0, 2])
-    keeping.handle(2, KEPT)
+    keeping.handle(2, SNAPSHOT)
     keeping.record_counters(MessageCounters(10, 10))
     assert keeping.missing == [0]
     assert keeping.combined({}) is None
-    keeping.handle(0, KEPT._replace(state=b"other"))
+    keeping.handle(0, SNAPSHOT._replace(state=b"other"))
     together = keeping.combined({1: MessageCounters(100, 0), 2: MessageCounters(1_000, 0)})
     assert together is not None
     assert together.states == {0: b"other", 2: b"state"}
@@ -54,6 +54,6 @@ def test_all_of_it_is_there_when_everybody_asked_has_answered() -> None:
 
 
 @pytest.mark.parametrize(("shard", "tick"), [(1, 7), (0, 8)])
-def test_what_was_not_asked_for_is_refused(shard: int, tick: int) -> None:
+def test_an_unrequested_snapshot_is_refused(shard: int, tick: int) -> None:
     with pytest.raises(WireError, match="was not requested"):
-        SnapshotCollector(7, [0]).handle(shard, KEPT._replace(tick=tick))
+        SnapshotCollector(7, [0]).handle(shard, SNAPSHOT._replace(tick=tick))

@@ -58,7 +58,7 @@ PICTURE = CameraFrame(np.array([0, 2]), np.array([[0.1, -0.2, 3.0], [-0.0, 1e-30
 def over_the_wire(
     form: WireFormat, sense: SenseFrame, drives: list[DriveFrame], links: list[LinkFrame]
 ) -> tuple[list[Any], Any, list[Any]]:
-    """What each member senses, what the host gathers, and what each member hears, after encoding and decoding."""
+    """What each member senses, what the host gathers, and what each member receives, after encoding and decoding."""
     host, members = sides(
         form,
         encoders=sense.encoder_m is not None,
@@ -79,11 +79,11 @@ def over_the_wire(
     said: dict[str, bytes] = {}
     for member, frame in zip(members, links, strict=True):
         said.update(zip(member.out_keys, member.link_payloads(frame), strict=True))
-    heard: list[Any] = []
+    received: list[Any] = []
     for member in members:
         values = [member.decode_link(part, said[key])[1] for key, part in member.in_parts.items()]
-        heard.append(member.join_links(values))
-    return sensed, host.join_drives(driven), heard
+        received.append(member.join_links(values))
+    return sensed, host.join_drives(driven), received
 
 
 @settings(max_examples=60)
@@ -101,7 +101,7 @@ def test_both_forms_give_back_what_was_put_in_to_the_bit(
 ) -> None:
     expected = np.where(sent, message, np.zeros((), MESSAGE))
     for form in FORM_NAMES:
-        sensed, driven, heard = over_the_wire(
+        sensed, driven, received = over_the_wire(
             form,
             SenseFrame(tick, bits, travel, level),
             [DriveFrame(tick, drive[:3]), DriveFrame(tick, drive[3:])],
@@ -114,8 +114,8 @@ def test_both_forms_give_back_what_was_put_in_to_the_bit(
         else:
             assert b"".join(one.level.tobytes() for one in sensed) == level.tobytes()
         assert driven.tobytes() == drive.tobytes()
-        # What shard 0 says, shard 1 hears, and the other way round; NaN payloads are compared as bytes.
-        for shard, (there, values) in enumerate(heard):
+        # What shard 0 sends, shard 1 receives, and vice versa; NaN payloads are compared as bytes.
+        for shard, (there, values) in enumerate(received):
             theirs = slice(3, 6) if shard == 0 else slice(0, 3)
             assert there.tolist() == sent[theirs].tolist()
             assert _canonical(values) == _canonical(expected[theirs])
@@ -187,29 +187,29 @@ def test_labels_and_pictures_survive_the_wire_whatever_else_there_is(
             assert sensed.picture.pose.tobytes() == picture.pose.tobytes()
 
 
-def test_a_cell_is_told_its_label_and_the_picture_as_plain_numbers() -> None:
+def test_a_cell_receives_its_label_and_the_camera_frame_as_plain_numbers() -> None:
     host, _ = sides("per_cell", encoders=False, labels=4, camera=3)
     bits, label = np.eye(6, 3, dtype=np.bool_), np.arange(6) % 5
-    told = {"v": 2, "tick": 0, "presence": [False, True, False], "encoder_m": None, "label": 1}
+    record = {"v": 2, "tick": 0, "presence": [False, True, False], "encoder_m": None, "label": 1}
     assert msgpack.unpackb(host.sense_payloads(SenseFrame(0, bits, None, None, label))[1]) == {
-        **told,
+        **record,
         "picture": None,
     }
     assert msgpack.unpackb(host.sense_payloads(SenseFrame(0, bits, None, None, label, PICTURE))[1]) == {
-        **told,
+        **record,
         "picture": [[0, 0.1, -0.2, 3.0], [2, -0.0, 1e-300, -7.5]],
     }
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
 def test_joined_arrays_may_be_written(form: WireFormat) -> None:
-    sensed, driven, heard = over_the_wire(
+    sensed, driven, received = over_the_wire(
         form,
         SenseFrame(0, np.zeros((6, 3), np.bool_), np.zeros((6, 2)), np.zeros((6, 3)), np.zeros(6, np.int64)),
         [DriveFrame(0, np.zeros((3, 2)))] * 2,
         [LinkFrame(0, np.ones(3, np.bool_), np.zeros(3, MESSAGE))] * 2,
     )
-    for array in (*sensed[0][:-1], driven, *heard[0]):
+    for array in (*sensed[0][:-1], driven, *received[0]):
         assert array.flags.writeable
 
 

@@ -1,4 +1,4 @@
-"""A firmware that tells when each message was sent, and what its cells heard."""
+"""A firmware that sends the time of each message, and what its cells received."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Stamper(Firmware):
     """Sends the tick on all sides, in every ``every``-th tick.
 
     Attributes:
-        heard: By tick, row and column, the tick of what was heard on each side; −1 for nothing.
+        received: By tick, row and column, the tick of what was received on each side; −1 for nothing.
     """
 
     message = np.dtype([("said", "<i8")])
@@ -33,7 +33,7 @@ class Stamper(Firmware):
     def __init__(self, every: int = 1) -> None:
         super().__init__(NoParameters())
         self.every = every
-        self.heard: dict[tuple[int, int, int], list[int]] = {}
+        self.received: dict[tuple[int, int, int], list[int]] = {}
 
     def init(self, cells: Cells) -> State:
         return {"tick": np.zeros(len(cells), dtype=np.int64), "row": cells.row, "column": cells.column}
@@ -42,9 +42,9 @@ class Stamper(Firmware):
         inbox = inputs.inbox
         assert inbox is not None
         assert not inbox.message["said"][~inbox.received].any(), "a slot without a message reads zero"
-        heard = np.where(inbox.received, inbox.message["said"], -1).tolist()
+        received = np.where(inbox.received, inbox.message["said"], -1).tolist()
         names = zip(*(state[name].tolist() for name in ("tick", "row", "column")), strict=True)
-        self.heard.update(zip(names, heard, strict=True))
+        self.received.update(zip(names, received, strict=True))
         tick = state["tick"]
         message = np.zeros((len(tick), 4), dtype=self.message)
         message["said"] = tick[:, None]
@@ -52,7 +52,7 @@ class Stamper(Firmware):
         return {**state, "tick": tick + 1}, Outputs(np.zeros((len(tick), 2)), Outbox(sent, message))
 
 
-def heard_on(
+def received_on(
     lattice: Lattice,
     run: Any,
     ticks: int,
@@ -66,5 +66,5 @@ def heard_on(
     firmware = Stamper(every)
     partition = Partition.even(lattice, shards)
     counted = run(firmware, partition, ticks, effects=effects, seed=seed, faults=faults).counted
-    heard = [[firmware.heard[tick, *cell] for cell in lattice.cells] for tick in range(ticks)]
-    return np.array(heard)[:, lattice.neighbours >= 0], counted
+    received = [[firmware.received[tick, *cell] for cell in lattice.cells] for tick in range(ticks)]
+    return np.array(received)[:, lattice.neighbours >= 0], counted

@@ -36,7 +36,7 @@ def test_a_code_is_the_level_in_256ths_rounded_down_and_at_most_255() -> None:
     assert codes.tolist() == [[0.0, 1.0], [0.0, 128.0], [255.0, 255.0], [255.0, 76.0]]
 
 
-def test_noise_has_the_rms_asked_for_and_the_distribution_of_four_uniforms() -> None:
+def test_noise_has_the_requested_rms_and_the_distribution_of_four_uniforms() -> None:
     spec, noise = AdcSpec(noise_codes=8.0), []
     for tick in range(10):
         # a level in the middle of a code: rounding down adds a uniform half a code either way

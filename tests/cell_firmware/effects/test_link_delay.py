@@ -17,7 +17,7 @@ from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
-from tests.cell_firmware.effects.links import Stamper, heard_on
+from tests.cell_firmware.effects.links import Stamper, received_on
 
 Grid, Run = Callable[..., Lattice], Callable[..., Any]
 
@@ -30,23 +30,23 @@ def delay(**settings: Any) -> CellEffects:
 def test_a_message_of_tick_k_is_read_in_tick_k_plus_one_plus_the_delay_each_of_them(
     ticks: int, grid: Grid, run: Run
 ) -> None:
-    heard, counted = heard_on(grid(3, 4), run, 20, delay(ticks=ticks))
+    received, counted = received_on(grid(3, 4), run, 20, delay(ticks=ticks))
     expected = np.maximum(np.arange(20) - 1 - ticks, -1)
-    assert (heard == expected[:, None]).all()
+    assert (received == expected[:, None]).all()
     assert not counted["link_delay.overtaken"]
 
 
 def queues(
     lattice: Lattice, ticks: int, bounds: tuple[int, int], ordered: bool, loss: float
 ) -> tuple[Any, dict[str, int]]:
-    """What is heard when, and what is counted: a queue a link. Delays and losses are the effects' own draws."""
+    """What is received when, and what is counted: a queue a link. Delays and losses are the effects' own draws."""
     low, high = bounds
     links = np.flatnonzero((lattice.neighbours >= 0).ravel())
     delays, losses = CounterStream(9, "link_delay", links), CounterStream(9, "link_loss", links)
     # tick k's numbers are those of the messages that were sent in tick k - 1
     delay_of = [(low + (delays.uniform(k) * (high - low + 1)).astype(int)).tolist() for k in range(ticks)]
     is_lost = [(losses.uniform(k) < loss).tolist() for k in range(ticks)]
-    heard = np.full((ticks, len(links)), -1)
+    received = np.full((ticks, len(links)), -1)
     overtaken = 0
     for link in range(len(links)):
         due: dict[int, int] = {}
@@ -56,8 +56,8 @@ def queues(
             overtaken += arrival in due.values()
             due[sent] = arrival
         for tick in range(ticks):
-            heard[tick, link] = max((sent for sent, when in due.items() if when == tick), default=-1)
-    return heard, {"link_delay.overtaken": overtaken, "link_loss.lost": sum(map(sum, is_lost[1:]))}
+            received[tick, link] = max((sent for sent, when in due.items() if when == tick), default=-1)
+    return received, {"link_delay.overtaken": overtaken, "link_loss.lost": sum(map(sum, is_lost[1:]))}
 
 
 @pytest.mark.parametrize("ordered", [True, False])
@@ -71,17 +71,17 @@ def test_random_delays_act_as_a_queue_a_link_does_and_what_is_lost_holds_nothing
         link_delay=LinkDelaySpec(between_ticks=bounds, ordered=ordered),
         link_loss=LinkLossSpec(probability=loss),
     )
-    heard, counted = heard_on(lattice, run, 60, effects, seed=9)
+    received, counted = received_on(lattice, run, 60, effects, seed=9)
     expected, numbers = queues(lattice, 60, bounds, ordered, loss)
-    assert (heard == expected).all()
+    assert (received == expected).all()
     assert {"link_loss.lost": 0, **counted} == numbers
 
 
-def test_only_where_order_is_not_kept_does_news_come_after_newer_news(grid: Grid, run: Run) -> None:
+def test_messages_overtake_each_other_only_where_order_is_not_preserved(grid: Grid, run: Run) -> None:
     for ordered in (True, False):
-        heard, _ = heard_on(grid(4, 4), run, 60, delay(between_ticks=(0, 8), ordered=ordered))
+        received, _ = received_on(grid(4, 4), run, 60, delay(between_ticks=(0, 8), ordered=ordered))
         backwards = False
-        for link in heard.T:
+        for link in received.T:
             came = link[link >= 0]
             assert ordered <= bool((np.diff(came) > 0).all())
             backwards = backwards or bool((np.diff(came) < 0).any())
@@ -90,9 +90,9 @@ def test_only_where_order_is_not_kept_does_news_come_after_newer_news(grid: Grid
 
 def test_every_delay_between_the_bounds_is_as_likely(grid: Grid, run: Run) -> None:
     """Messages so far apart that none meets another."""
-    heard, counted = heard_on(grid(10, 10), run, 12 * 40, delay(between_ticks=(2, 6)), every=12)
-    tick, link = np.nonzero(heard >= 0)
-    lag = tick - heard[tick, link] - 1
+    received, counted = received_on(grid(10, 10), run, 12 * 40, delay(between_ticks=(2, 6)), every=12)
+    tick, link = np.nonzero(received >= 0)
+    lag = tick - received[tick, link] - 1
     assert counted["link_delay.overtaken"] == 0
     assert len(lag) == 40 * 360
     assert set(lag.tolist()) == {2, 3, 4, 5, 6}
@@ -107,7 +107,7 @@ def test_what_a_cell_sent_before_it_died_still_arrives_when_it_is_due(
     firmware = Stamper()
     partition = Partition.even(grid(1, 2), shards)
     run(firmware, partition, 12, dead={4: [(0, 0)]}, effects=delay(ticks=3))
-    west = [firmware.heard[tick, 0, 1][3] for tick in range(12)]
+    west = [firmware.received[tick, 0, 1][3] for tick in range(12)]
     assert west == [-1, -1, -1, -1, 0, 1, 2, 3, -1, -1, -1, -1]
 
 

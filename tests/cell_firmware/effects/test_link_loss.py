@@ -14,7 +14,7 @@ from bus.lattice import Lattice
 from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
-from tests.cell_firmware.effects.links import heard_on
+from tests.cell_firmware.effects.links import received_on
 
 Grid, Run = Callable[..., Lattice], Callable[..., Any]
 
@@ -23,28 +23,28 @@ def loss(probability: float) -> CellEffects:
     return CellEffects(link_loss=LinkLossSpec(probability=probability))
 
 
-def test_messages_are_lost_as_often_as_asked_and_each_is_counted(grid: Grid, run: Run) -> None:
-    heard, counted = heard_on(grid(20, 20), run, 50, loss(0.07))
-    lost = int((heard[1:] < 0).sum())
-    of = heard[1:].size
+def test_messages_are_lost_at_the_requested_rate_and_each_is_counted(grid: Grid, run: Run) -> None:
+    received, counted = received_on(grid(20, 20), run, 50, loss(0.07))
+    lost = int((received[1:] < 0).sum())
+    of = received[1:].size
     assert binom.ppf(1e-4, of, 0.07) <= lost <= binom.ppf(1 - 1e-4, of, 0.07)
     assert counted == {"link_loss.lost": lost}
     assert (
-        heard[1:][heard[1:] >= 0] == np.nonzero(heard[1:] >= 0)[0]
+        received[1:][received[1:] >= 0] == np.nonzero(received[1:] >= 0)[0]
     ).all()  # what comes is of the tick before
 
 
 def test_the_two_directions_of_a_link_and_neighbouring_ticks_lose_by_themselves(grid: Grid, run: Run) -> None:
-    heard, _ = heard_on(grid(1, 2), run, 4001, loss(0.5))
-    lost = heard[1:] < 0
+    received, _ = received_on(grid(1, 2), run, 4001, loss(0.5))
+    lost = received[1:] < 0
     for one, other in ((lost[:, 0], lost[:, 1]), (lost[1:, 0], lost[:-1, 0])):
         both = int((one & other).sum())
         assert binom.ppf(1e-4, len(one), 0.25) <= both <= binom.ppf(1 - 1e-4, len(one), 0.25)
 
 
-def test_at_probability_one_nothing_is_heard(grid: Grid, run: Run) -> None:
-    heard, counted = heard_on(grid(3, 3), run, 9, loss(1.0))
-    assert (heard == -1).all()
+def test_at_probability_one_nothing_is_received(grid: Grid, run: Run) -> None:
+    received, counted = received_on(grid(3, 3), run, 9, loss(1.0))
+    assert (received == -1).all()
     assert counted["link_loss.lost"] == 8 * 24
 
 
@@ -54,7 +54,7 @@ def test_with_nothing_to_lose_there_is_no_stage(probability: float, message: str
     assert loss(probability).input_filters(site) == {"link_loss": ()}
 
 
-def test_a_probability_is_asked_for_and_at_most_one() -> None:
+def test_a_probability_is_required_and_at_most_one() -> None:
     for settings in ({}, {"probability": 1.01}):
         with pytest.raises(ValidationError, match="probability"):
             LinkLossSpec.model_validate(settings)

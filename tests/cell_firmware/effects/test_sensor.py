@@ -64,7 +64,7 @@ def within(count: int, of: int, probability: float) -> bool:
     return bool(binom.ppf(1e-4, of, probability) <= count <= binom.ppf(1 - 1e-4, of, probability))
 
 
-def test_sensors_err_as_often_as_asked_either_way_and_that_is_counted(there: Bools) -> None:
+def test_sensors_err_at_the_requested_rates_and_errors_are_counted(there: Bools) -> None:
     (errors,) = stages_of(SensorSpec(false_positive=0.01, false_negative=0.2))
     wrong = seen([errors], there) ^ there
     positives, negatives = int((wrong & ~there).sum()), int((wrong & there).sum())
@@ -115,10 +115,10 @@ def test_debouncing_counts_each_reading_of_a_cells_own_period_once(exchanges: in
         due = np.flatnonzero(instants != NOT_IN_WINDOW)
         pins[due, 0] = chance.random(len(due)) < 0.5
         (stage,) = stages
-        told = stage.apply(tick, Inputs(pins.copy()), ALL).presence
+        filtered = stage.apply(tick, Inputs(pins.copy()), ALL).presence
         for cell in due.tolist():
             read[cell].append(bool(pins[cell, 0]))
-            believed[cell].append(bool(told[cell, 0]))
+            believed[cell].append(bool(filtered[cell, 0]))
     bounces = 0
     for theirs, found in zip(read, believed, strict=True):
         bit, row = False, 0
@@ -238,9 +238,9 @@ def test_firmware_that_writes_to_what_it_sees_changes_no_sensor() -> None:
     ones = np.ones((CELLS, SENSORS))
     for stage in (threshold, debounce):
         for tick, level in enumerate((1.0, 1.0, 0.5, 0.5)):
-            told = stage.apply(tick, Inputs(ones > 0.0, None, None, level * ones), ALL).presence
-            assert told.all() or (stage is debounce and tick == 0)
-            told[:] = False
+            filtered = stage.apply(tick, Inputs(ones > 0.0, None, None, level * ones), ALL).presence
+            assert filtered.all() or (stage is debounce and tick == 0)
+            filtered[:] = False
 
 
 def test_a_threshold_needs_levels_and_nothing_else_of_a_sensor_does() -> None:

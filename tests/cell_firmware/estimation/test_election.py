@@ -12,7 +12,7 @@ HALO, HOLD = 2, 8
 
 
 class Cells:
-    """All cells of a lattice, which tell their neighbours what they found in the round before."""
+    """All cells of a lattice, which send their neighbours what they found in the round before."""
 
     def __init__(self, lattice: Lattice) -> None:
         n = len(lattice)
@@ -31,13 +31,13 @@ class Cells:
             said[name] = getattr(self.place, name)
         there = self.lattice.neighbours
         alive = np.array([i not in self.dead for i in range(len(self.lattice))])
-        heard = (there >= 0) & alive[there]
-        told = said[there]
+        valid = (there >= 0) & alive[there]
+        neighbour = said[there]
         leads = (self.place.parent == group.ROOT) & (self.place.leader != group.NOBODY)
         own = group.keys(self.lattice.rows, self.lattice.columns, leads)
-        level = group.levels(over, told, heard, HALO)
-        self.place = group.elect(own, over, level, told, heard, self.place, HOLD)
-        self.kids = group.children(self.place, told, heard)
+        level = group.levels(over, neighbour, valid, HALO)
+        self.place = group.elect(own, over, level, neighbour, valid, self.place, HOLD)
+        self.kids = group.children(self.place, neighbour, valid)
         return self.place
 
     def leaders(self) -> list[tuple[int, int]]:

@@ -29,11 +29,11 @@ HERE = {"cell": (0, 0)}
 MESSAGE = np.dtype([("real", "<f8"), ("small", "i1"), ("flag", "?")])
 
 
-class Teller(Firmware):
-    """Tells numbers that go up by the tick, and keeps all that it hears.
+class Talker(Firmware):
+    """Sends numbers that go up by the tick, and stores all that it receives.
 
     Attributes:
-        heard: By tick and cell, the four sides' ``(real, small, flag)``, None for nothing.
+        received: By tick and cell, the four sides' ``(real, small, flag)``, None for nothing.
     """
 
     message = MESSAGE
@@ -41,7 +41,7 @@ class Teller(Firmware):
 
     def __init__(self) -> None:
         super().__init__(NoParameters())
-        self.heard: dict[tuple[int, int, int], list[Any]] = {}
+        self.received: dict[tuple[int, int, int], list[Any]] = {}
 
     def init(self, cells: Cells) -> State:
         return {"tick": np.zeros(len(cells), dtype=np.int64), "row": cells.row, "column": cells.column}
@@ -52,14 +52,14 @@ class Teller(Firmware):
         for i, name in enumerate(
             zip(*(state[key].tolist() for key in ("tick", "row", "column")), strict=True)
         ):
-            self.heard[name] = [
+            self.received[name] = [
                 inbox.message[i, side].item() if inbox.received[i, side] else None for side in range(4)
             ]
         outbox = Outbox.to_all(self.message, real=tick / 8.0, small=tick % 100, flag=tick % 2 == 1)
         return {**state, "tick": tick + 1}, Outputs(np.zeros((len(tick), 2)), outbox)
 
 
-def told(
+def run_faults(
     grid: Grid,
     lockstep: Any,
     ticks: int,
@@ -70,7 +70,7 @@ def told(
     size: tuple[int, int] = (1, 2),
     **times: int,
 ) -> tuple[dict[tuple[int, int, int], list[Any]], Counter[str]]:
-    """What cells heard, and what was counted."""
+    """What cells received, and what was counted."""
     lattice, clocks = grid(*size), None
     if windows:
         own = np.array([3_000, -4_000, 0, 1_000] * len(lattice))[: len(lattice)]
@@ -81,18 +81,18 @@ def told(
     here = instances(
         lattice, *({**HERE, **fault} if "share" not in fault else fault for fault in faults), **times
     )
-    firmware = Teller()
+    firmware = Talker()
     steps = lockstep(firmware, Partition.even(lattice, shards), None, effects, 0, clocks, here)
     for _ in range(ticks):
         steps.step()
     assert not steps.failures
-    return firmware.heard, sum((shard.counters() for shard in steps.shards), Counter[str]())
+    return firmware.received, sum((shard.counters() for shard in steps.shards), Counter[str]())
 
 
-def field(heard: dict[tuple[int, int, int], list[Any]], name: str, ticks: range) -> list[Any]:
-    """Of what 0,1 heard of 0,0, in these ticks."""
+def field(received: dict[tuple[int, int, int], list[Any]], name: str, ticks: range) -> list[Any]:
+    """Of what 0,1 received of 0,0, in these ticks."""
     number = MESSAGE.names.index(name) if MESSAGE.names else 0
-    return [heard[tick, 0, 1][3][number] for tick in ticks]
+    return [received[tick, 0, 1][3][number] for tick in ticks]
 
 
 @pytest.mark.parametrize("shards", [1, 2])
@@ -105,25 +105,25 @@ def field(heard: dict[tuple[int, int, int], list[Any]], name: str, ticks: range)
         ({"mode": "factor", "by": 2.0, "field": "small"}, lambda sent: sent / 8, lambda sent: 2 * sent),
     ],
 )
-def test_a_lie_changes_the_numbers_that_neighbours_hear_and_no_other_cell_s(
+def test_a_lie_changes_the_numbers_that_neighbours_receive_and_no_other_cell_s(
     lie: dict[str, Any], real: Any, small: Any, shards: int, grid: Grid, lockstep: Any
 ) -> None:
-    heard, counted = told(grid, lockstep, 14, {"kind": "lie", **lie}, shards=shards, first=5, end=12)
+    received, counted = run_faults(grid, lockstep, 14, {"kind": "lie", **lie}, shards=shards, first=5, end=12)
     sent = range(4, 11)
-    assert field(heard, "real", range(5, 12)) == [real(one) for one in sent]
-    assert field(heard, "small", range(5, 12)) == [small(one) for one in sent]
-    assert field(heard, "flag", range(5, 12)) == [one % 2 == 1 for one in sent], "booleans are no numbers"
+    assert field(received, "real", range(5, 12)) == [real(one) for one in sent]
+    assert field(received, "small", range(5, 12)) == [small(one) for one in sent]
+    assert field(received, "flag", range(5, 12)) == [one % 2 == 1 for one in sent], "booleans are no numbers"
     for tick in (1, 4, 12, 13):
-        assert heard[tick, 0, 1][3] == ((tick - 1) / 8, tick - 1, tick % 2 == 0)
-    assert heard[9, 0, 0][1] == (1.0, 8, False), "the other direction is as it was"
+        assert received[tick, 0, 1][3] == ((tick - 1) / 8, tick - 1, tick % 2 == 0)
+    assert received[9, 0, 0][1] == (1.0, 8, False), "the other direction is as it was"
     assert counted["faults.lie.messages"] == 7
 
 
 def test_a_random_lie_is_between_the_least_and_the_greatest_that_the_link_has_brought(
     grid: Grid, lockstep: Any
 ) -> None:
-    heard, _ = told(grid, lockstep, 90, {"kind": "lie", "mode": "random"}, first=11)
-    real, small = (np.array(field(heard, name, range(11, 90))) for name in ("real", "small"))
+    received, _ = run_faults(grid, lockstep, 90, {"kind": "lie", "mode": "random"}, first=11)
+    real, small = (np.array(field(received, name, range(11, 90))) for name in ("real", "small"))
     most = np.arange(10, 89)
     assert (real >= 10 / 8).all()
     assert (real <= most / 8).all()
@@ -136,35 +136,35 @@ def test_a_random_lie_is_between_the_least_and_the_greatest_that_the_link_has_br
 
 def test_what_sticks_stays_stuck_when_the_link_was_silent_for_a_while(grid: Grid, lockstep: Any) -> None:
     silence = {"kind": "link_down", "first": 7, "end": 9}
-    heard, _ = told(grid, lockstep, 14, {"kind": "lie", "mode": "stuck"}, silence, first=5, end=12)
-    assert [heard[tick, 0, 1][3] for tick in (7, 8)] == [None, None]
-    assert field(heard, "real", range(5, 7)) == [0.5] * 2
-    assert field(heard, "real", range(9, 12)) == [0.5] * 3
+    received, _ = run_faults(grid, lockstep, 14, {"kind": "lie", "mode": "stuck"}, silence, first=5, end=12)
+    assert [received[tick, 0, 1][3] for tick in (7, 8)] == [None, None]
+    assert field(received, "real", range(5, 7)) == [0.5] * 2
+    assert field(received, "real", range(9, 12)) == [0.5] * 3
 
 
-def test_a_random_lie_keeps_to_what_was_heard_where_all_of_that_is_negative(
-    grid: Grid, lockstep: Any
-) -> None:
+def test_a_random_lie_stays_within_received_values_where_all_are_negative(grid: Grid, lockstep: Any) -> None:
     lies = ({"kind": "lie", "mode": "offset", "by": -100}, {"kind": "lie", "mode": "random"})
     silence = {"kind": "link_down", "first": 7, "end": 9}
-    heard, _ = told(grid, lockstep, 30, *lies, silence, first=5)
-    assert max(field(heard, "real", range(9, 30))) <= 28 / 8 - 100
-    assert max(field(heard, "small", range(9, 30))) <= 28 - 100
+    received, _ = run_faults(grid, lockstep, 30, *lies, silence, first=5)
+    assert max(field(received, "real", range(9, 30))) <= 28 / 8 - 100
+    assert max(field(received, "small", range(9, 30))) <= 28 - 100
 
 
 def test_every_link_has_lies_of_its_own(grid: Grid, lockstep: Any) -> None:
-    heard, _ = told(grid, lockstep, 12, {"kind": "lie", "mode": "random", "share": 1.0}, size=(2, 2), first=2)
+    received, _ = run_faults(
+        grid, lockstep, 12, {"kind": "lie", "mode": "random", "share": 1.0}, size=(2, 2), first=2
+    )
     links = [(row, column, side) for row in (0, 1) for column in (0, 1) for side in range(4)]
-    said = [[heard[tick, row, column][side] for tick in range(4, 12)] for row, column, side in links]
+    said = [[received[tick, row, column][side] for tick in range(4, 12)] for row, column, side in links]
     known = [tuple(one[0] for one in words) for words in said if None not in words]
     assert len(known) == len(set(known)) == 8
 
 
-def test_a_cell_that_begins_anew_hears_nothing_of_what_came_before(grid: Grid, lockstep: Any) -> None:
-    heard, counted = told(grid, lockstep, 6, {"kind": "reboot"}, first=3, end=3)
+def test_a_restarted_cell_receives_no_messages_sent_before_its_restart(grid: Grid, lockstep: Any) -> None:
+    received, counted = run_faults(grid, lockstep, 6, {"kind": "reboot"}, first=3, end=3)
     assert counted["faults.begun_anew"] == 1
-    assert heard[0, 0, 0] == [None] * 4, "its first period after the reset, which it counts from 0 again"
-    assert heard[1, 0, 0][1] == (3 / 8, 3, True)
+    assert received[0, 0, 0] == [None] * 4, "its first period after the reset, which it counts from 0 again"
+    assert received[1, 0, 0][1] == (3 / 8, 3, True)
 
 
 @pytest.mark.parametrize(
@@ -173,9 +173,9 @@ def test_a_cell_that_begins_anew_hears_nothing_of_what_came_before(grid: Grid, l
 def test_with_clocks_of_their_own_words_are_changed_in_periods_that_begin_a_tick_before_they_act(
     fault: dict[str, Any], first: int, grid: Grid, lockstep: Any
 ) -> None:
-    heard, counted = told(grid, lockstep, 20, fault, windows=1, first=10, end=13)
-    plain, _ = told(grid, lockstep, 20, windows=1)
-    other = [tick for tick in range(19) if heard[tick, 0, 1][3] != plain[tick, 0, 1][3]]
+    received, counted = run_faults(grid, lockstep, 20, fault, windows=1, first=10, end=13)
+    plain, _ = run_faults(grid, lockstep, 20, windows=1)
+    other = [tick for tick in range(19) if received[tick, 0, 1][3] != plain[tick, 0, 1][3]]
     assert other == [first, first + 1, first + 2], "what is babbled is heard a period after it was said"
     assert counted[f"faults.{fault['kind']}.messages"] == 3
 
@@ -192,14 +192,14 @@ def test_a_lie_says_by_how_much_where_that_is_to_be_said(settings: dict[str, Any
         LieFault.model_validate({**HERE, **settings})
 
 
-def test_a_lie_about_a_field_that_nobody_tells_does_not_fit_the_cells() -> None:
+def test_a_lie_about_an_unknown_field_does_not_fit_the_cells() -> None:
     lie = LieFault.model_validate({**HERE, "mode": "stuck", "field": "temperature"})
     ((path, _, rule),) = lie.fit_problems(CellsSpec(firmware="heat_diffusion"), 1)
     assert path == ("field",)
     assert rule.endswith("vx_m_s, vy_m_s")
 
 
-def test_as_many_different_bits_are_flipped_as_asked_each_as_often_as_the_others() -> None:
+def test_the_requested_number_of_different_bits_is_flipped_each_equally_often() -> None:
     chance = np.random.default_rng(1).random((3_000, 5))
     count = np.full(3_000, 3)
     data = np.zeros((3_000, 4), dtype=np.uint8)
@@ -218,9 +218,9 @@ def test_corrupted_messages_differ_in_one_bit_and_a_float_that_is_none_is_refuse
     grid: Grid, lockstep: Any
 ) -> None:
     fault = {"kind": "link_corrupt", "probability": 0.5, "share": 1.0}
-    heard, counted = told(grid, lockstep, 60, fault, size=(4, 4))
+    received, counted = run_faults(grid, lockstep, 60, fault, size=(4, 4))
     changed = refused = 0
-    for (tick, _row, _column), sides in heard.items():
+    for (tick, _row, _column), sides in received.items():
         for word in filter(None, sides):
             sent = np.array(((tick - 1) / 8, tick - 1, tick % 2 == 0), dtype=MESSAGE)
             got = np.array(word, dtype=MESSAGE)
@@ -231,7 +231,7 @@ def test_corrupted_messages_differ_in_one_bit_and_a_float_that_is_none_is_refuse
             assert int(np.unpackbits(bits).sum()) <= 1
             changed += bits.any()
     came = 59 * 48
-    refused = came - sum(word is not None for sides in heard.values() for word in sides)
+    refused = came - sum(word is not None for sides in received.values() for word in sides)
     hits = counted["faults.link_corrupt.corrupted"]
     assert binom.ppf(1e-4, came, 0.5) <= hits <= binom.ppf(1 - 1e-4, came, 0.5)
     assert refused == counted["faults.words.refused"]
@@ -239,13 +239,13 @@ def test_corrupted_messages_differ_in_one_bit_and_a_float_that_is_none_is_refuse
     assert hits - refused - changed <= hits * 0.1
 
 
-def test_what_no_cell_of_the_program_ever_tells_is_refused(
+def test_messages_that_no_cell_of_the_program_sends_are_refused(
     grid: Grid, lockstep: Any, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr(Teller, "value_ranges", lambda _self: {"small": (0, 9)})
+    monkeypatch.setattr(Talker, "value_ranges", lambda _self: {"small": (0, 9)})
     lie = {"kind": "lie", "mode": "offset", "by": 3}
-    heard, counted = told(grid, lockstep, 10, lie)
-    assert [heard[tick, 0, 1][3] is None for tick in range(1, 10)] == [False] * 7 + [True] * 2
+    received, counted = run_faults(grid, lockstep, 10, lie)
+    assert [received[tick, 0, 1][3] is None for tick in range(1, 10)] == [False] * 7 + [True] * 2
     assert counted["faults.words.refused"] == 2
 
 
@@ -257,16 +257,16 @@ SERIAL = CellEffects(serial=SerialSpec(baud=9615))
 def test_a_babbling_cell_sends_noise_whatever_its_program_says_and_the_lockstep_goes_on(
     effects: CellEffects, windows: int, grid: Grid, lockstep: Any
 ) -> None:
-    ways: list[Any] = []
+    outcomes: list[Any] = []
     for shards in (1, 2):
-        heard, counted = told(
+        received, counted = run_faults(
             grid, lockstep, 80, {"kind": "babble"}, effects=effects, windows=windows, shards=shards, end=60
         )
-        ways.append((heard, counted))
+        outcomes.append((received, counted))
         assert counted["faults.babble.messages"] >= 60 // max(windows, 1) - 2
         of_babbler = [
             sides[3]
-            for (tick, _, column), sides in heard.items()
+            for (tick, _, column), sides in received.items()
             if column == 1 and tick < 50 // max(windows, 1)
         ]
         words = [word for word in of_babbler if word is not None]
@@ -276,26 +276,28 @@ def test_a_babbling_cell_sends_noise_whatever_its_program_says_and_the_lockstep_
         else:
             assert len(words) > len(of_babbler) // 2
             assert np.std([word[1] for word in words]) > 40, "all of a byte's values"
-        last = max(tick for tick, _, column in heard if column == 1)
-        assert any(heard[tick, 0, 1][3] for tick in range(last - 8, last + 1)), "it is heard again"
-    assert ways[0] == ways[1]
+        last = max(tick for tick, _, column in received if column == 1)
+        assert any(received[tick, 0, 1][3] for tick in range(last - 8, last + 1)), "it is heard again"
+    assert outcomes[0] == outcomes[1]
 
 
 @pytest.mark.parametrize("windows", [0, 2])
 def test_serial_lines_find_what_was_corrupted_on_them(windows: int, grid: Grid, lockstep: Any) -> None:
-    clean, _ = told(grid, lockstep, 200, effects=SERIAL, windows=windows)
+    clean, _ = run_faults(grid, lockstep, 200, effects=SERIAL, windows=windows)
     fault = {"kind": "link_corrupt", "probability": 0.1, "share": 1.0}
-    heard, counted = told(grid, lockstep, 200, fault, effects=SERIAL, windows=windows)
-    words, all_words = ([side for one in told_.values() for side in one if side] for told_ in (heard, clean))
+    received, counted = run_faults(grid, lockstep, 200, fault, effects=SERIAL, windows=windows)
+    words, all_words = (
+        [side for one in one_run.values() for side in one if side] for one_run in (received, clean)
+    )
     assert counted["serial.damaged"] >= counted["faults.link_corrupt.corrupted"] // 2 > 0
-    # one flipped bit a message is always found: what is heard was said
+    # one flipped bit a message is always found: what is received was sent
     assert set(words) < set(all_words)
     assert len(words) < len(all_words)
 
 
 def test_a_sender_s_claim_of_more_bytes_than_a_window_holds_is_cut(grid: Grid, lockstep: Any) -> None:
     lattice = grid(1, 2)
-    steps = lockstep(Teller(), Partition.even(lattice, 2), None, SERIAL)
+    steps = lockstep(Talker(), Partition.even(lattice, 2), None, SERIAL)
     for _ in range(12):
         steps.step()
         for links in steps.links:
@@ -305,7 +307,7 @@ def test_a_sender_s_claim_of_more_bytes_than_a_window_holds_is_cut(grid: Grid, l
     assert not steps.failures
 
 
-def test_noise_has_as_many_bytes_as_asked_and_all_values() -> None:
+def test_noise_has_the_requested_number_of_bytes_and_all_values() -> None:
     class Half:
         def uniform(self, tick: int) -> NDArray[np.float64]:
             return np.random.default_rng(tick).random(1_200)

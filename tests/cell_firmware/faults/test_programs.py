@@ -29,7 +29,7 @@ NOTHING = 0.0
 
 
 class Counting(Firmware):
-    """Drives how often it has run since it began, along x, and what its western neighbour told last, along y."""
+    """Drives how often it has run since it began, along x, and what its western neighbour sent last, along y."""
 
     message = np.dtype([("count", "<i8")])
 
@@ -56,7 +56,7 @@ def driven(
     clocks: ArrayClocks | None = None,
     **times: int,
 ) -> tuple[NDArray[np.float64], dict[str, int]]:
-    """Drives of 0,0 and 0,1, ``(ticks, 2, 2)``; faults strike 0,0. And what was counted."""
+    """Drives of 0,0 and 0,1, ``(ticks, 2, 2)``; faults affect 0,0. And what was counted."""
     lattice = grid(1, 2)
     here = instances(lattice, *({"cell": (0, 0), **fault} for fault in faults), **times)
     steps = lockstep(Counting(), Partition.even(lattice, shards), None, effects, 0, clocks, here)
@@ -66,7 +66,7 @@ def driven(
 
 
 @pytest.mark.parametrize("shards", [1, 2])
-def test_a_program_that_hangs_keeps_its_pins_and_says_nothing_until_it_is_repaired_and_begins_anew(
+def test_a_program_that_hangs_holds_its_pins_and_sends_nothing_until_it_is_repaired_and_restarts(
     shards: int, grid: Grid, lockstep: Any
 ) -> None:
     found, counted = driven(grid, lockstep, 10, {"kind": "hang"}, first=3, end=6, shards=shards)
@@ -94,7 +94,9 @@ def test_a_watchdog_resets_a_program_that_hangs_which_hangs_again_while_the_faul
     assert running == 49, "the second reset's 20 ms, to the boundary"
 
 
-def test_a_rebooted_cell_forgets_stands_and_begins_anew_after_its_delay(grid: Grid, lockstep: Any) -> None:
+def test_a_rebooted_cell_loses_its_state_stands_and_restarts_after_its_delay(
+    grid: Grid, lockstep: Any
+) -> None:
     found, counted = driven(grid, lockstep, 9, {"kind": "reboot"}, first=3, end=6)
     assert found[:, 0, 0].tolist() == [1, 2, 3, 0, 0, 0, 1, 2, 3]
     assert found[:, 1, 1].tolist() == [0, 1, 2, 3, 0, 0, 0, 1, 2]
@@ -140,10 +142,10 @@ def test_a_repair_reaches_a_cell_that_has_no_instant_in_its_window(
     found, counted = driven(grid, lockstep, 60, {"kind": "hang"}, first=10, end=end, clocks=own)
     assert counted["faults.begun_anew"] == 1
     after = found[end:, 0, 0]
-    told = after[np.flatnonzero(np.diff(after, prepend=-1.0))].tolist()
-    begins = told.index(1.0)
+    numbers = after[np.flatnonzero(np.diff(after, prepend=-1.0))].tolist()
+    begins = numbers.index(1.0)
     assert begins <= 1, "what it had holds until its next instant"
-    assert told[begins:] == list(range(1, len(told) - begins + 1))
+    assert numbers[begins:] == list(range(1, len(numbers) - begins + 1))
 
 
 def test_the_watchdog_of_a_slow_cell_is_as_slow(grid: Grid, lockstep: Any) -> None:

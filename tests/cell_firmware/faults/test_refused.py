@@ -56,7 +56,7 @@ def test_a_sensor_is_one_of_the_cell_s(sensor: int | None, refused: bool) -> Non
     assert found == ([(("sensor",), sensor, "each cell has sensors 0..1")] if refused else [])
 
 
-def test_what_a_fault_may_count_is_told_where_nothing_happened(grid: Grid) -> None:
+def test_counters_of_a_fault_are_reported_where_nothing_happened(grid: Grid) -> None:
     lattice, fault = grid(1, 2), LinkDownFault(cell=(0, 0))
     site = ShardContext(np.arange(2), 1, np.dtype([("u", "<f8")]), 0)
     (stage,) = fault.input_filters(site, lattice, FaultInstance(0, fault, np.array([0]), 0))

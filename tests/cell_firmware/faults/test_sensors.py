@@ -27,7 +27,7 @@ def readings(
     levels: bool = True,
     **times: int,
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64], int]:
-    """Bits and levels ``(ticks, n, sensors)`` as they are and as they are told; and how many bits are counted wrong."""
+    """Bits and levels ``(ticks, n, sensors)`` as they are and as they are read; and how many bits are counted wrong."""
     chance = np.random.default_rng(5)
     own = np.arange(6) if cells is None else cells
     level = chance.random((ticks, 6, SENSORS))[:, own]
@@ -35,12 +35,14 @@ def readings(
     site = ShardContext(own, SENSORS, None, 3, levels=levels)
     (one,) = instances(LATTICE, fault, seed=3, **times)
     stages = list(one.fault.input_filters(site, LATTICE, one))
-    told = [Inputs(bits[tick].copy(), level=level[tick].copy() if levels else None) for tick in range(ticks)]
+    filtered = [
+        Inputs(bits[tick].copy(), level=level[tick].copy() if levels else None) for tick in range(ticks)
+    ]
     for tick in range(ticks):
         for stage in stages:
-            told[tick] = stage.apply(tick, told[tick], EVERY)
-    said = np.array([one.presence for one in told])
-    levels_said = np.array([one.level for one in told]) if levels else np.zeros(0)
+            filtered[tick] = stage.apply(tick, filtered[tick], EVERY)
+    said = np.array([one.presence for one in filtered])
+    levels_said = np.array([one.level for one in filtered]) if levels else np.zeros(0)
     wrong = sum(stage.counters[f"faults.{fault['kind']}.wrong".removeprefix("faults.")] for stage in stages)
     return bits, level, said, levels_said, wrong
 
@@ -56,7 +58,7 @@ def test_a_stuck_sensor_says_one_thing_and_its_cell_s_others_what_is_so(value: i
     assert wrong == (said ^ bits).sum() > 0
 
 
-def test_flipped_readings_are_as_many_as_asked_and_the_same_however_the_array_is_cut() -> None:
+def test_readings_are_flipped_at_the_requested_rate_and_the_same_for_every_partition() -> None:
     fault = {"kind": "sensor_flip", "rate": 0.2, "share": 1.0}
     bits, level, said, levels, wrong = readings(400, fault)
     flipped = said ^ bits

@@ -107,7 +107,7 @@ def test_parcels_come_home_by_sensors_alone_and_then_everything_stands() -> None
     assert np.abs(states[-1, :, 3:]).max() < 1e-6  # m/s, rad/s: wheels stand, friction does the rest
 
 
-def test_sides_that_are_nearly_alike_are_told_apart() -> None:
+def test_sides_that_are_nearly_alike_are_distinguished() -> None:
     """It is taken to lie across at first."""
     start = Start((0.42, 0.38), (0.109, -0.031), 0.934)
     _, states = run(Case([start], "align", HOME, 5, 12.0))
@@ -121,7 +121,7 @@ def test_without_a_target_a_parcel_is_turned_where_it_is() -> None:
     assert np.hypot(states[-1, 0, 0] - 0.1, states[-1, 0, 1] + 0.05) < 0.02
 
 
-def test_too_large_a_gain_is_told_of_and_the_parcel_swings_as_far_as_was_said() -> None:
+def test_too_large_a_gain_is_warned_of_and_the_parcel_swings_as_far_as_predicted() -> None:
     lattice = Lattice([(0, 0)])
     assert firmware().warnings(lattice) == ()
     parameters = {**SEES, "gain_per_s": 2.0, "speed_m_s": 10.0}

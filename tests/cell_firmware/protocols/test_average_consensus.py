@@ -87,12 +87,12 @@ def test_above_its_limit_a_constant_weight_grows_as_the_warning_says(
     ],
 )
 @pytest.mark.parametrize("weight", ["metropolis", 0.25])
-def test_the_mean_is_kept_whatever_links_lose_or_delay(
+def test_the_mean_is_preserved_whatever_links_lose_or_delay(
     effects: dict[str, Any], weight: Any, grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
     lattice = grid(4, 6, missing=[(1, 1)])
-    asked = CellEffects.model_validate(effects)
-    seen = watch(averaging(weight=weight, ttl_periods=40), lattice, 2500, effects=asked, seed=3)
+    enabled = CellEffects.model_validate(effects)
+    seen = watch(averaging(weight=weight, ttl_periods=40), lattice, 2500, effects=enabled, seed=3)
     np.testing.assert_allclose(seen[-1], given(lattice).mean(), rtol=0, atol=1e-9)
     assert abs(seen[20].sum() - given(lattice).sum()) > 1e-3  # on the way it is not
 
@@ -107,7 +107,7 @@ def silenced(
     faults: list[FaultInstance[Any]],
     seed: int = 0,
 ) -> Callable[[int], NDArray[np.float64]]:
-    """Steps cells whose links these faults strike; each call gives the estimates of so many ticks, ``(ticks, n)``."""
+    """Steps cells whose links these faults affect; each call gives the estimates of so many ticks, ``(ticks, n)``."""
     steps = lockstep(firmware, Partition.even(lattice, 1), seed=seed, faults=faults)
 
     def go(ticks: int) -> NDArray[np.float64]:
@@ -170,7 +170,7 @@ def test_a_neighbour_counts_as_gone_after_four_times_the_longest_silence_that_en
     np.testing.assert_allclose(seen[200 + 4 * 30 - 1], alone, rtol=0, atol=1e-9)
 
 
-def test_cells_that_hear_their_first_word_late_have_known_no_silence(lockstep: Any) -> None:
+def test_cells_that_receive_their_first_message_late_count_no_silence_before(lockstep: Any) -> None:
     """Words that take long to come are no silence: nothing was lent before the first."""
     lattice, firmware = Lattice([(0, 0), (0, 1)]), averaging(ttl_periods=5)
     down = LinkDownFault.model_validate(ALL_LINKS)
@@ -221,15 +221,15 @@ def test_averages_are_the_same_to_the_last_bit_however_the_array_is_cut(
     lattice = grid(4, 6, missing=[(1, 1), (3, 4)])
     firmware = averaging(velocity_m_s=[0.1, -0.2], ttl_periods=3)
     bursts = LinkLossFault.model_validate({"probability": 0.2, "burst_ticks": 6.0, **ALL_LINKS})
-    asked: dict[str, Any] = {
+    options: dict[str, Any] = {
         "effects": CellEffects.model_validate({"link_loss": {"probability": 0.2}}),
         "faults": [instance(lattice, bursts, 0, 10_000)],
         "dead": {30: [(2, 2)]},
     }
-    whole = run(firmware, Partition.even(lattice, 1), 60, **asked).drives
-    assert run(firmware, Partition.even(lattice, shards), 60, **asked).drives.tobytes() == whole.tobytes()
+    whole = run(firmware, Partition.even(lattice, 1), 60, **options).drives
+    assert run(firmware, Partition.even(lattice, shards), 60, **options).drives.tobytes() == whole.tobytes()
 
 
-def test_places_that_do_not_exist_are_told(grid: Callable[..., Lattice]) -> None:
+def test_places_that_do_not_exist_are_reported(grid: Callable[..., Lattice]) -> None:
     with pytest.raises(ParametersError, match=r"values\[1\]\.cell: the array has no cell \[2, 3\]"):
         averaging().check(grid(2, 2))

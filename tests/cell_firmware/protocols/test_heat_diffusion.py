@@ -198,7 +198,7 @@ def test_cells_that_do_not_exist_are_all_named(grid: Callable[..., Lattice]):
 
 
 @pytest.mark.parametrize("ticks", [1, 4])
-def test_over_slow_links_the_flat_end_weighs_a_cell_by_one_plus_what_it_has_under_way(
+def test_over_slow_links_the_flat_end_weighs_a_cell_by_one_plus_what_it_has_in_flight(
     ticks: int, grid: Callable[..., Lattice], run: Callable[..., Any]
 ):
     """What is kept is the sum of all speeds and, for each link, of ``r`` times the last ``d`` speeds of its source."""

@@ -104,7 +104,7 @@ def test_a_count_to_infinity_takes_no_longer_than_the_limit(
     assert np.array_equal(distances(steps)[4:], [limit] * 4)
 
 
-def test_wheels_drive_towards_the_nearest_neighbour_and_stand_at_goals_and_where_no_way_leads(
+def test_wheels_drive_towards_the_nearest_neighbour_and_stand_at_goals_and_without_a_path(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:
     lattice = grid(3, 4, missing=[(0, 1), (1, 1), (2, 1)])  # the left column is cut off
@@ -174,7 +174,7 @@ def test_counting_up_ends_at_the_greatest_limit_and_does_not_begin_again_at_0(
     settle(steps, 10)
     shard = steps.shards[0]
     program = dict(shard._memory["firmware"])
-    for name in ("told", "distance"):
+    for name in ("neighbour", "distance"):
         program[name] = np.full_like(program[name], 65_528)
     shard._memory = {"firmware": program}
     shard._outgoing["distance"] = 65_528

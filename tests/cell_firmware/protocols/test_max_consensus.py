@@ -70,7 +70,7 @@ def test_a_leader_that_dies_is_forgotten_and_the_next_one_is_known_within_the_st
     assert agreed(leader, (3, 5))[dies - 1]
 
 
-def test_a_leader_is_kept_where_messages_get_lost(
+def test_a_leader_remains_where_messages_get_lost(
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
     effects = CellEffects.model_validate({"link_loss": {"probability": 0.4}})
@@ -80,7 +80,7 @@ def test_a_leader_is_kept_where_messages_get_lost(
     assert not known[7]
 
 
-def test_a_lifetime_shorter_than_the_way_is_warned_of_and_the_far_cells_follow_others(
+def test_a_lifetime_shorter_than_the_path_is_warned_of_and_the_far_cells_follow_others(
     grid: Callable[..., Lattice], watch: Callable[..., Any]
 ) -> None:
     lattice, firmware = grid(1, 9), election(lifetime=5, ranks=[{"cell": [0, 0], "rank": 1}])
@@ -125,6 +125,6 @@ def test_the_leaders_wheels_run_and_no_others_however_the_array_is_cut(
     assert run(firmware, Partition.each(lattice), 8).drives.tobytes() == drives.tobytes()
 
 
-def test_places_that_do_not_exist_are_told(grid: Callable[..., Lattice]) -> None:
+def test_places_that_do_not_exist_are_reported(grid: Callable[..., Lattice]) -> None:
     with pytest.raises(ParametersError, match=r"ranks\[0\]\.cell: the array has no cell \[5, 5\]"):
         election(ranks=[{"cell": [5, 5], "rank": 1}]).check(grid(2, 2))

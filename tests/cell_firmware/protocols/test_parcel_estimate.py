@@ -68,24 +68,27 @@ class Denied:
 def test_nothing_is_read_but_sensors_and_messages(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ) -> None:
-    lattice, asked = grid(9, 9), firmware()
+    lattice, program = grid(9, 9), firmware()
     place = np.stack((lattice.columns, lattice.rows), axis=1).astype(np.float64) * PITCH_M
     whole = Cells.of(lattice, place, PERIOD_S, pitch_m=PITCH_M)
     denied: Any = Denied()
-    state = asked.init(replace(whole, has_neighbour=denied))
+    state = program.init(replace(whole, has_neighbour=denied))
     neighbours, opposite = lattice.neighbours, np.array(OPPOSITE)
-    sent, said = np.zeros((len(lattice), 4), dtype=np.bool_), np.zeros((len(lattice), 4), dtype=asked.message)
+    sent, said = (
+        np.zeros((len(lattice), 4), dtype=np.bool_),
+        np.zeros((len(lattice), 4), dtype=program.message),
+    )
     drives: list[NDArray[np.float64]] = []
     presence = np.array([over(lattice, pose) for pose in path(60)])
     for bits in presence:
         inbox = Inbox((neighbours >= 0) & sent[neighbours, opposite], said[neighbours, opposite])
-        inbox.message[~inbox.received] = np.zeros((), dtype=asked.message)
-        state, outputs = asked.step(state, Inputs(bits, denied, inbox, denied, denied, denied))
+        inbox.message[~inbox.received] = np.zeros((), dtype=program.message)
+        state, outputs = program.step(state, Inputs(bits, denied, inbox, denied, denied, denied))
         assert outputs.outbox is not None
         sent, said = outputs.outbox.sent, outputs.outbox.message
         drives.append(outputs.speed_m_s)
     assert np.array_equal(
-        np.array(drives), run(asked, Partition.even(lattice, 1), 60, presence=presence).drives
+        np.array(drives), run(program, Partition.even(lattice, 1), 60, presence=presence).drives
     )
 
 
@@ -144,11 +147,11 @@ def test_cells_without_a_parcel_are_silent_and_stand_still(
 
 @pytest.mark.parametrize(("dead_percent", "most_m"), [(0, 1e-3), (20, 0.03)])
 def test_a_parcel_comes_to_rest_where_it_is_wanted(dead_percent: int, most_m: float) -> None:
-    course = run_case(
+    result = run_case(
         Case(SIZE_M, dead_percent=dead_percent, seeds=2, seconds=12.0, period_ns=16_384_000, sample_s=1.0)
     )
-    assert np.hypot(course.truth[-1, :, 0], course.truth[-1, :, 1]).max() < most_m
-    assert np.hypot(course.truth[0, :, 0], course.truth[0, :, 1]).min() > 0.2
+    assert np.hypot(result.truth[-1, :, 0], result.truth[-1, :, 1]).max() < most_m
+    assert np.hypot(result.truth[0, :, 0], result.truth[0, :, 1]).min() > 0.2
 
 
 def test_parcels_too_large_for_the_map_are_refused(grid: Callable[..., Lattice]) -> None:

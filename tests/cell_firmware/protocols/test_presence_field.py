@@ -66,7 +66,7 @@ def test_any_of_a_cell_s_sensors_wakes_it() -> None:
 
 def test_a_word_counts_for_as_many_periods_as_the_cell_has_patience(grid: Callable[..., Lattice]) -> None:
     def awake(ttl_periods: int) -> list[bool]:
-        """Of a cell that is told once, and then nothing more."""
+        """Of a cell that receives one message, and then none."""
         field = {"kind": "uniform", "velocity_m_s": [1.0, 0.0]}
         firmware = PresenceField(
             PresenceFieldParameters.model_validate({"field": field, "ttl_periods": ttl_periods})

@@ -92,7 +92,7 @@ WRAP = 1 << 16
 def near_the_wrap(world: World, versions: bool, rounds: bool) -> World:
     """Tiles' versions or their leaders' rounds as after days: each tile's a few short of 65,536.
 
-    It is done in the tick in which leaders take over: nothing else has been told by then.
+    It is done in the tick in which leaders take over: nothing else has been sent by then.
     """
     while not (world.shard.registers()[1]["firmware.pulse"] > 0).any():
         world.run(1)
@@ -143,7 +143,7 @@ def test_tiles_do_the_same_to_the_last_bit_where_versions_and_rounds_wrap(
     assert ((there >> bits & WRAP - 1) < 1000).any(), "no number has wrapped"
 
 
-def test_parcels_are_centred_for_as_long_as_asked_however_long_that_is() -> None:
+def test_parcels_are_centred_for_the_requested_time_however_long_that_is() -> None:
     """65,536 ticks and more: the leader's count of them ends where it is long enough, not before."""
     firmware = firmware_of(ReservePath, ["e ."], [(0, 1)], settle_s=66_000 * 0.016)
     world = World(firmware, {(0, 0): [1]})
@@ -187,7 +187,7 @@ def test_distances_run_along_the_lanes_and_theory_knows_them() -> None:
     assert (found[(world.lattice.columns >= 12) & (world.lattice.rows < 4), 1] == 250).all()
 
 
-def test_ways_heal_round_a_tile_of_which_too_many_cells_die() -> None:
+def test_paths_are_rerouted_around_a_tile_of_which_too_many_cells_die() -> None:
     """Both ways to the northern exit are open at first; the nearer one's tile dies with a parcel on its way."""
     firmware = sorter(2, "nn")
     world = World(firmware, {(0, 0): [2, 2, 2, 1]})
@@ -235,7 +235,7 @@ def test_a_tile_that_pushed_into_one_that_died_takes_nothing_back_that_has_gone(
     assert sorted(world.left) == [(1, 1), (2, 2)]
 
 
-def test_a_parcel_without_a_way_is_held_and_others_go_round_it() -> None:
+def test_a_parcel_without_a_path_is_held_and_others_go_round_it() -> None:
     """Tile [1, 1] has the only lane to exit 2: once it is dead the parcel for it waits, and takes up one tile."""
     firmware = sorter(2, "n")
     world = World(firmware, {(0, 0): [2], (1, 0): [2]})

@@ -100,8 +100,8 @@ def test_lost_and_late_messages_cost_time_alone(
     lattice, firmware = grid(3, 9, missing=[(1, 4)]), stream(relaxation=relaxation)
     whole = Partition.even(lattice, 1)
     still = run(firmware, whole, 2000).drives[-1]
-    asked = CellEffects.model_validate(effects)
-    np.testing.assert_allclose(run(firmware, whole, 2000, effects=asked).drives[-1], still, atol=1e-7)
+    enabled = CellEffects.model_validate(effects)
+    np.testing.assert_allclose(run(firmware, whole, 2000, effects=enabled).drives[-1], still, atol=1e-7)
 
 
 def test_sources_that_are_not_even_are_warned_of_and_every_cell_takes_its_share(

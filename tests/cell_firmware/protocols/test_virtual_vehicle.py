@@ -63,13 +63,13 @@ def test_cells_belong_to_it_while_they_are_in_its_circle_and_one_record_is_hande
         on.step(10)
         own = members(on)
         away = np.hypot(*(on.cells.position_m - reference(on)).T)
-        edge = 6 * 0.2 * PERIOD_S  # of the periods that the news takes to the rim
+        edge = 6 * 0.2 * PERIOD_S  # of the periods that a message takes to the rim
         assert own[away <= 0.3 - edge].all()
         assert not own[away > 0.3 + edge].any()
         assert np.ptp(on.state["periods"][own]) <= 5  # hops across half of it
 
 
-def test_wheels_turn_where_the_parcel_is_sensed_and_as_many_cells_ahead_as_asked():
+def test_wheels_turn_where_the_parcel_is_sensed_and_the_requested_number_of_cells_ahead():
     for ahead in (1, 2):
         on = floor(EAST, ahead=ahead)
         on.step(100)
@@ -146,7 +146,7 @@ def test_lost_messages_cost_time_and_nothing_else(loss: float):
     np.testing.assert_allclose(on.discs[0].place, [1.2, 0.5], atol=2e-3)
 
 
-def test_dead_cells_on_the_way_are_passed_as_long_as_some_live():
+def test_dead_cells_on_the_path_are_passed_as_long_as_some_are_alive():
     on = floor(EAST)
     chance = np.random.default_rng(11)
     on.dead = chance.uniform(size=len(on.lattice)) < 0.2
@@ -177,15 +177,15 @@ ACROSS = {"start_m": [0.2, 0.7], "radius_m": 0.2, "speed_m_s": 0.2, "legs": [{"t
 
 
 @pytest.mark.parametrize(("first", "second"), [(ACROSS, NORTH), (NORTH, ACROSS)])
-def test_where_two_ways_cross_the_later_named_gives_way_and_both_arrive(first: Any, second: Any):
+def test_where_two_paths_cross_the_later_named_yields_and_both_arrive(first: Any, second: Any):
     on = floor(first, second, rows=16, columns=17, ahead=2)
-    nearest, gave_way = 9.0, [False, False]
+    nearest, yielded = 9.0, [False, False]
     for _ in range(200):
         on.step(5)
         nearest = min(nearest, float(np.hypot(*(reference(on, 0) - reference(on, 1)))))
         for v in (0, 1):
-            gave_way[v] |= bool((on.state["state"][members(on, v)] == GIVES_WAY).any())
-    assert gave_way == [False, True]
+            yielded[v] |= bool((on.state["state"][members(on, v)] == GIVES_WAY).any())
+    assert yielded == [False, True]
     assert nearest > 0.4
     for v, vehicle in enumerate((first, second)):
         assert set(on.state["state"][members(on, v)]) == {ARRIVED}

@@ -23,10 +23,10 @@ def test_the_integral_becomes_what_the_reference_that_just_saturates_makes_of_it
     spec = SpeedLoopSpec(kp_v_per_m_s=kp, ki_v_per_m=ki, feed_forward_v_per_m_s=ahead)
     loop = SpeedLoop(spec, PERIOD_S, SUPPLY_V)
 
-    def step(asked: float) -> tuple[float, float]:
+    def step(requested: float) -> tuple[float, float]:
         state, _ = loop.step(loop.init(cells(1)), np.zeros((1, 2)), np.zeros((1, 2)))
         state = {**state, "integral_v": np.full((1, 2), integral)}
-        after, volts = loop.step(state, np.full((1, 2), asked), np.full((1, 2), measured * PERIOD_S))
+        after, volts = loop.step(state, np.full((1, 2), requested), np.full((1, 2), measured * PERIOD_S))
         return float(after["integral_v"][0, 0]), float(volts[0, 0])
 
     after, volts = step(reference)

@@ -89,9 +89,9 @@ def test_a_step_is_within_its_stated_rounding_of_exact_arithmetic(
         return  # whether it saturates is a matter of rounding
     if abs(wanted) > limit:
         ahead = exactly(made.feed_forward) * measured
-        way = max(-limit, min(limit, output - ahead)) - integral
-        assert abs(after - (integral + exactly(made.share) * way)) < Fraction(3, 2)
-        assert min(0, way) - Fraction(1, 2) <= after - integral <= max(0, way) + Fraction(1, 2)
+        change = max(-limit, min(limit, output - ahead)) - integral
+        assert abs(after - (integral + exactly(made.share) * change)) < Fraction(3, 2)
+        assert min(0, change) - Fraction(1, 2) <= after - integral <= max(0, change) + Fraction(1, 2)
     else:
         assert abs(after - max(-limit, min(limit, grown))) <= Fraction(1, 2)
 
@@ -134,7 +134,7 @@ def test_a_reading_of_128_counts_back_does_not_wrap_what_holds_the_limit() -> No
 
 
 @pytest.mark.parametrize(("supply", "error"), [(1, 20_000), (-1, -20_000)])
-def test_rounding_leaves_nothing_of_the_way_to_the_supply(supply: int, error: int) -> None:
+def test_rounding_leaves_no_gap_to_the_supply(supply: int, error: int) -> None:
     """By the nearest, a share of 1 in 2,930 would stop 1,464 steps before."""
     one = loop(2000, 0, 12.0, 1.0, 0.0)
     assert exactly(one.scaling.share) == pytest.approx(Fraction(1, 2930), rel=1e-3)

@@ -28,9 +28,7 @@ def test_all_of_a_period_is_the_supply() -> None:
 
 
 @given(st.floats(-1.0, 1.0), st.integers(1, 65_535), st.floats(0.1, 1000.0))
-def test_what_acts_is_within_half_a_level_of_what_was_asked_for(
-    share: float, levels: int, supply: float
-) -> None:
+def test_the_output_is_within_half_a_level_of_the_request(share: float, levels: int, supply: float) -> None:
     pwm, volts = Pwm(levels, supply), np.array([[share * supply]])
     acting = float(pwm.volts(pwm.duty(volts))[0, 0])
     assert abs(acting - volts[0, 0]) <= supply / levels * (0.5 + 1e-9)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cell_firmware.errors import SettingError
 from cell_firmware.specs import SpeedLoopSpec
-from cell_firmware.speed_loop.scaling import LARGEST_WAY, Gain, Scaling
+from cell_firmware.speed_loop.scaling import LARGEST_SWING, Gain, Scaling
 from cell_firmware.speed_loop.sensing import Encoder, FixedPointTachometer
 from tests.cell_firmware.speed_loop.wheels import PERIOD_S, SUPPLY_V, TURN_M
 
@@ -44,9 +44,9 @@ def test_a_product_is_the_exact_one_rounded_to_the_nearest_and_keeps_its_sign(
     assert product * value >= 0
 
 
-@given(st.floats(1e-12, 1.0), st.integers(-LARGEST_WAY, LARGEST_WAY))
-@example(1.0, -LARGEST_WAY)
-@example(1.0 - 2.0**-15, LARGEST_WAY)
+@given(st.floats(1e-12, 1.0), st.integers(-LARGEST_SWING, LARGEST_SWING))
+@example(1.0, -LARGEST_SWING)
+@example(1.0 - 2.0**-15, LARGEST_SWING)
 def test_a_share_is_the_exact_one_rounded_away_from_zero_and_no_more_than_all(
     factor: float, value: int
 ) -> None:
@@ -72,7 +72,7 @@ def test_gains_mean_in_integers_what_they_mean_in_volts() -> None:
     assert made.kp.factor == pytest.approx(256 * 12.0 * per_count / 0.006, rel=2e-5)
     assert made.ki.factor == pytest.approx(256 * 200.0 * per_count * PERIOD_S / 0.006, rel=2e-5)
     kp, ki, ahead = made.realised()
-    assert (kp.asked, ki.asked, ahead.asked) == (12.0, 200.0, 0.0)
+    assert (kp.requested, ki.requested, ahead.requested) == (12.0, 200.0, 0.0)
     assert kp.realised == pytest.approx(12.0, rel=2.0**-15)
     assert ki.realised == pytest.approx(200.0, rel=2.0**-15)
     assert ahead.realised == 0.0
@@ -155,5 +155,5 @@ def test_no_sum_of_a_loop_that_is_not_refused_exceeds_32_bits(
         + made.output_limit
         <= LARGEST
     )
-    assert 2 * made.output_limit <= LARGEST_WAY
+    assert 2 * made.output_limit <= LARGEST_SWING
     assert 0.0 <= made.share.factor <= 1.0

@@ -56,8 +56,8 @@ def gains(kp: float, ki: float, ahead: float = 0.0) -> SpeedLoopSpec:
 
 def recovery_s(speeds: NDArray[np.float64]) -> float:
     """How long until the wheel stays within 5 % of the way."""
-    way = np.abs(speeds - AFTER)
-    return float(np.flatnonzero(way > 0.05 * way[0])[-1] + 1) * PERIOD_S
+    error = np.abs(speeds - AFTER)
+    return float(np.flatnonzero(error > 0.05 * error[0])[-1] + 1) * PERIOD_S
 
 
 @pytest.mark.parametrize("name", LOOPS)
@@ -74,7 +74,7 @@ def test_recovery_after_a_second_of_saturation_takes_as_long_as_the_linear_loop_
 
 @pytest.mark.parametrize("name", LOOPS)
 @pytest.mark.parametrize(
-    ("kp", "ki", "ahead", "way", "after"),
+    ("kp", "ki", "ahead", "sign", "after"),
     [
         (12.0, 200.0, 0.0, -1.0, 0.2),
         (6.0, 100.0, 0.0, 1.0, -0.5),
@@ -83,12 +83,12 @@ def test_recovery_after_a_second_of_saturation_takes_as_long_as_the_linear_loop_
         (12.0, 400.0, 15.0, 1.0, 0.5),  # steady only with one of the other sign
     ],
 )
-def test_either_way_and_with_feed_forward_the_response_is_the_linear_loop_s(
-    kp: float, ki: float, ahead: float, way: float, after: float, name: str
+def test_in_both_directions_and_with_feed_forward_the_response_is_the_linear_loop_s(
+    kp: float, ki: float, ahead: float, sign: float, after: float, name: str
 ) -> None:
-    expected = linear(kp, ki, ahead, way * TOP, after)
+    expected = linear(kp, ki, ahead, sign * TOP, after)
     for before in (1.25, 2.0, 5.0):
-        found = response(drive(gains(kp, ki, ahead), **LOOPS[name]), way * before, after)
+        found = response(drive(gains(kp, ki, ahead), **LOOPS[name]), sign * before, after)
         np.testing.assert_allclose(found, expected, rtol=0, atol=APART[name])
 
 

@@ -52,10 +52,10 @@ class Wheel:
     def advance(self, volts: float) -> None:
         left = PERIOD_S
         while left > 0.0:
-            way = self.speed or (volts if abs(volts) > self.static_v else 0.0)
-            if way == 0.0:
+            direction = self.speed or (volts if abs(volts) > self.static_v else 0.0)
+            if direction == 0.0:
                 return
-            target = GAIN * (volts - math.copysign(self.coulomb_v, way))
+            target = GAIN * (volts - math.copysign(self.coulomb_v, direction))
             span = left
             if self.speed * target < 0.0:
                 span = min(left, TAU_S * math.log(1.0 - self.speed / target))

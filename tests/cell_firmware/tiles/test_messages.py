@@ -8,7 +8,7 @@ from cell_firmware.tiles.messages import TALK, ahead_by, gathered, is_word, newe
 WRAP = 1 << 16
 
 
-def told(versions: list[int], fresh: list[int]) -> np.ndarray:
+def tile_words(versions: list[int], fresh: list[int]) -> np.ndarray:
     pairs = zip(versions, fresh, strict=True)
     return np.array([[word(np.array(number), one, 4, 1, number) if one else 0 for number, one in pairs]])
 
@@ -18,14 +18,16 @@ def told(versions: list[int], fresh: list[int]) -> np.ndarray:
     st.integers(0, WRAP - 1),
     st.randoms(use_true_random=False),
 )
-def test_the_newest_word_is_the_same_wherever_versions_begin_and_whoever_tells_it(
+def test_the_newest_word_is_the_same_wherever_versions_begin_and_whoever_sends_it(
     words: list[tuple[int, int]], first: int, chance: object
 ) -> None:
     """Versions are what they were plus ``first``, modulo 65,536; the right answer is found without a wrap."""
     known = [(number, fresh) for number, fresh in words if fresh]
     best = max(known, default=(0, 0))
     chance.shuffle(words)  # type: ignore[attr-defined]
-    found = newest(told([(number + first) % WRAP for number, _ in words], [fresh for _, fresh in words]))
+    found = newest(
+        tile_words([(number + first) % WRAP for number, _ in words], [fresh for _, fresh in words])
+    )
     assert int(found[0] >> 32 & 255) == best[1]
     assert not known or int(version(found)[0]) == (best[0] + first) % WRAP
 
@@ -38,7 +40,7 @@ def test_a_version_is_newer_by_less_than_half_of_all_as_in_rfc_1982() -> None:
         (0, 32_769, False),
     ]:
         other = (own + ahead) % WRAP
-        (found,) = version(newest(told([own, other], [9, 9]))).tolist()
+        (found,) = version(newest(tile_words([own, other], [9, 9]))).tolist()
         assert found == (other if newer else own)
 
 
@@ -51,8 +53,8 @@ def test_a_word_goes_on_from_65535_with_0_and_keeps_all_else() -> None:
 
 
 def test_what_is_not_fresh_any_more_is_no_word_whatever_its_version() -> None:
-    assert newest(older(told([65_535, 3], [1, 1]))).tolist() == [0]
-    assert newest(older(told([65_535, 3], [2, 1]))).tolist() == told([65_535], [1])[0].tolist()
+    assert newest(older(tile_words([65_535, 3], [1, 1]))).tolist() == [0]
+    assert newest(older(tile_words([65_535, 3], [2, 1]))).tolist() == tile_words([65_535], [1])[0].tolist()
 
 
 def test_bits_outside_a_word_are_no_word() -> None:

@@ -38,7 +38,7 @@ def test_what_is_neither_a_cell_nor_a_block_is_refused(given: dict[str, Any], ru
         Region.model_validate(given)
 
 
-def test_places_without_cells_and_cells_with_two_places_are_all_told() -> None:
+def test_places_without_cells_and_cells_with_two_places_are_all_reported() -> None:
     named = [
         RegionValue.model_validate(item)
         for item in (

@@ -9,7 +9,7 @@ import numpy as np
 
 OURS = ("bus.", "cell_firmware.", "deploy.", "plant.", "tests.")
 SCRATCH = {
-    ("ThreadedSolver", "_desks"): "what threads work with: written before it is read",
+    ("ThreadedSolver", "_workspaces"): "what threads work with: written before it is read",
     ("CounterStream", "_counter"): "set before every draw",
     ("CounterStream", "_state"): "likewise",
     ("PlantProcess", "_coordinator"): "the cells are looked at by themselves",

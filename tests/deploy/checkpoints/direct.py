@@ -38,7 +38,7 @@ class DirectRun:
         return (*self.simulation.save_state(), self.digest.value)
 
     def recall(self, memory: tuple[bytes, bytes, bytes]) -> DirectRun:
-        """Go back, in a run made anew."""
+        """Go back, in a new run."""
         self.simulation.load_state(memory[:2])
         self.digest.value = memory[2]
         return self

@@ -19,10 +19,10 @@ from tests.deploy.checkpoints.direct import DirectRun
 
 
 class Books:
-    """Of a run: what the keeper asks of host, ledger and recorder."""
+    """Of a run: what the checkpointer needs of coordinator, run log and recorder."""
 
     def __init__(self) -> None:
-        self.digest, self.controls, self.asked = Digest(b""), list[Any](), list[int]()
+        self.digest, self.controls, self.requested = Digest(b""), list[Any](), list[int]()
         self.keeping: SnapshotCollector | None = None
         self.disk, self.secured = threading.Event(), list[int]()
         self.disk.set()
@@ -32,7 +32,7 @@ class Books:
     value = bytes(32)
 
     def request_snapshot(self, tick: int) -> None:
-        self.asked.append(tick)
+        self.requested.append(tick)
         self.keeping = SnapshotCollector(tick, [0])
 
     def record_counters(self) -> None:
@@ -55,14 +55,14 @@ class Books:
 
 
 class Scenery:
-    """A keeper, its run, and a clock."""
+    """A checkpointer, its run, and a clock."""
 
     def __init__(self, folder: Path, begun: float = 0.0) -> None:
         self.now, self.books, self.warned = begun, Books(), list[str]()
         self.process = DirectRun(load_scene("elliptic")).process
         about = CheckpointMetadata(scene_name="", scene={}, bound={}, options={}, wall_s=3.0)
         books = cast("Any", self.books)
-        self.keeper = Checkpointer(
+        self.checkpointer = Checkpointer(
             10.0,
             books,
             books,
@@ -78,21 +78,21 @@ class Scenery:
     def tick(self, now: float, answer: bool = False) -> None:
         """One that begins at a time, all but the first after another was taken down."""
         self.now = now
-        self.keeper.before_tick(self.process)
+        self.checkpointer.before_tick(self.process)
         if answer and self.books.keeping is not None:
             self.books.keeping.handle(0, ShardSnapshot(self.books.keeping.tick, (1, 1, 0, 0), b"cells"))
         self.process.step()
-        self.keeper.poll()
+        self.checkpointer.poll()
 
 
-def test_one_is_taken_when_it_is_time_and_the_tick_after_the_cells_were_asked(tmp_path: Path) -> None:
+def test_a_checkpoint_is_taken_when_due_and_the_tick_after_the_request(tmp_path: Path) -> None:
     run = Scenery(tmp_path)
     run.tick(9.0)
-    assert run.books.asked == []
+    assert run.books.requested == []
     run.tick(10.0)
-    assert run.books.asked == [2]
+    assert run.books.requested == [2]
     run.tick(10.1, answer=True)
-    run.keeper.close()
+    run.checkpointer.close()
     assert Checkpoint.from_bytes((tmp_path / FILE_NAME).read_bytes()).tick == 2
     assert run.warned == []
 
@@ -105,7 +105,7 @@ def test_cells_that_don_t_answer_in_time_cost_the_checkpoint_and_not_the_run(tmp
     run.tick(15.1)
     assert run.warned == ["no checkpoint before tick 1: shard 0 sent no snapshot within 5 s"]
     run.tick(21.0)
-    assert run.books.asked == [1, 5]
+    assert run.books.requested == [1, 5]
 
 
 def test_a_disk_that_is_full_costs_the_checkpoint_and_not_the_run(
@@ -119,14 +119,14 @@ def test_a_disk_that_is_full_costs_the_checkpoint_and_not_the_run(
     monkeypatch.setattr(CheckpointStore, "write", full)
     run.tick(10.0)
     run.tick(10.1, answer=True)
-    run.keeper.close()
+    run.checkpointer.close()
     assert run.warned == ["no checkpoint: [Errno 28] No space left on device"]
     monkeypatch.undo()
     run.tick(20.1)
     run.tick(20.2, answer=True)
-    run.keeper.close()
+    run.checkpointer.close()
     assert len(run.warned) == 1
-    assert run.keeper.written == [3]
+    assert run.checkpointer.written == [3]
 
 
 def test_what_was_done_to_a_run_by_hand_ends_its_checkpoints(tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def test_what_was_done_to_a_run_by_hand_ends_its_checkpoints(tmp_path: Path) -> 
     assert len(run.warned) == 1
     assert "no more checkpoints" in run.warned[0]
     assert run.books.given_up == 1
-    assert run.books.asked == [1]
+    assert run.books.requested == [1]
 
 
 def _writer() -> threading.Thread | None:
@@ -148,19 +148,19 @@ def _writer() -> threading.Thread | None:
 
 def test_one_says_what_of_the_wall_clock_went_by_since_the_very_start(tmp_path: Path) -> None:
     run = Scenery(tmp_path, begun=1.0)
-    run.keeper.close()
+    run.checkpointer.close()
     run.tick(10.9)
-    assert run.books.asked == []
+    assert run.books.requested == []
     run.tick(11.0)
     run.tick(11.5, answer=True)
-    run.keeper.close()
+    run.checkpointer.close()
     checkpoint = Checkpoint.from_bytes((tmp_path / FILE_NAME).read_bytes())
     assert checkpoint.wall_s == 13.5
     assert checkpoint.reporter is None
-    assert run.keeper.written == [checkpoint.tick]
+    assert run.checkpointer.written == [checkpoint.tick]
 
 
-def test_nobody_is_asked_anew_before_the_file_is_written_and_the_recording_is_safe_before_it(
+def test_no_request_is_sent_before_the_file_is_written_and_the_recording_is_synced_before_it(
     tmp_path: Path,
 ) -> None:
     run = Scenery(tmp_path)
@@ -172,37 +172,37 @@ def test_nobody_is_asked_anew_before_the_file_is_written_and_the_recording_is_sa
     assert writer.daemon, "a disk that hangs keeps nobody from ending"
     run.tick(25.0)
     run.tick(25.1)
-    assert (run.books.asked, run.books.secured, list(tmp_path.iterdir())) == ([1], [], [])
+    assert (run.books.requested, run.books.secured, list(tmp_path.iterdir())) == ([1], [], [])
     run.books.disk.set()
     writer.join()
     assert run.books.secured == [77]
     run.tick(25.2)
     run.tick(25.3)
     run.tick(25.4, answer=True)
-    run.keeper.close()
+    run.checkpointer.close()
     run.tick(35.1)
-    assert run.books.asked == [1, 6]
+    assert run.books.requested == [1, 6]
     run.tick(35.2)
-    assert run.books.asked == [1, 6, 9]
+    assert run.books.requested == [1, 6, 9]
 
 
 def test_a_long_tick_before_the_plant_s_own_part_costs_no_checkpoint(tmp_path: Path) -> None:
     run = Scenery(tmp_path)
     run.tick(10.0)
     run.now = 16.0
-    run.keeper.poll()
+    run.checkpointer.poll()
     run.tick(16.1, answer=True)
-    run.keeper.close()
+    run.checkpointer.close()
     assert run.warned == []
-    assert run.keeper.written == [1]
+    assert run.checkpointer.written == [1]
 
 
 def test_the_next_begins_so_much_earlier_as_the_last_took_to_be_on_the_disk(tmp_path: Path) -> None:
     run = Scenery(tmp_path)
     run.tick(10.0)
     run.tick(12.0, answer=True)
-    run.keeper.close()
+    run.checkpointer.close()
     run.tick(17.9)
-    assert run.books.asked == [1]
+    assert run.books.requested == [1]
     run.tick(18.0)
-    assert run.books.asked == [1, 4]
+    assert run.books.requested == [1, 4]

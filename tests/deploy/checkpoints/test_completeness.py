@@ -106,12 +106,12 @@ COMPILED = (
 def test_a_run_that_goes_back_ends_as_one_that_never_did(case: str) -> None:
     scene = scene_of(case)
     run = DirectRun(scene).go(BEFORE)
-    memory, told = run.remember(), len(run.events)
+    memory, before = run.remember(), len(run.events)
     back = DirectRun(scene).recall(memory)
     assert differences(back.process, run.process) == []
     assert differences(back.shard, run.shard) == []
     assert back.go(AFTER).digest.value == run.go(AFTER).digest.value
-    assert back.events == run.events[told:]
+    assert back.events == run.events[before:]
     assert back.shard.counters() == run.shard.counters()
 
 
@@ -122,7 +122,7 @@ def test_what_differs_is_found() -> None:
     memory = run.remember()
     load_state(other.process, memory[0])
     found = differences(other.shard, run.shard)
-    assert any("_under_way" in path for path in found)
+    assert any("_delayed" in path for path in found)
     assert any("_received" in path for path in found)
 
 

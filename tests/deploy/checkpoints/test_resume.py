@@ -57,7 +57,7 @@ def test_it_goes_on_as_it_was_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("given", "problem"),
     [
         ({"processes": 0}, "the run has --processes 2, which can't be --processes 0 now"),
         ({"wire": "per_cell"}, "the run has --wire packed"),
@@ -67,9 +67,9 @@ def test_it_goes_on_as_it_was_run() -> None:
         ({"replay": Path("other")}, "can't be --replay other"),
     ],
 )
-def test_options_that_are_other_than_the_run_s(asked: dict[str, Any], told: str) -> None:
-    with pytest.raises(InputError, match=told):
-        options_of(replace(CHECKPOINT, options=THEN), RunOptions(**asked))
+def test_options_that_are_other_than_the_run_s(given: dict[str, Any], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        options_of(replace(CHECKPOINT, options=THEN), RunOptions(**given))
 
 
 def test_options_that_no_run_has_are_refused() -> None:
@@ -94,7 +94,7 @@ def test_the_scene_is_the_one_that_was_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "problem"),
     [
         (["run"], "name a SCENE, or a run to resume"),
         (["run", "elliptic", "--seed", "3", "--resume", "DIR"], "leave out SCENE, --seed"),
@@ -102,12 +102,12 @@ def test_the_scene_is_the_one_that_was_run() -> None:
     ],
 )
 def test_a_command_that_makes_no_sense_is_bad_input(
-    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(arguments) == 2
-    assert told in capsys.readouterr().err
+    assert problem in capsys.readouterr().err
 
 
-def test_a_run_that_repeats_another_is_not_kept() -> None:
+def test_a_run_that_repeats_another_has_no_checkpoints() -> None:
     with pytest.raises(InputError, match="a replayed run can't be saved"):
         plan(load_scene("elliptic"), RunOptions(checkpoint_s=1.0, replay=Path("other")), "RUN")

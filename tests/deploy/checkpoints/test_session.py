@@ -24,32 +24,32 @@ class Part:
         self.value, self.shown = value, list[int]()
 
     def show(self, events: int) -> None:
-        """Of the ledger."""
+        """Of the run log."""
         self.shown.append(events)
 
 
 @pytest.mark.parametrize(("recorded", "events"), [({}, 0), ({"/events": 4, "/tick": 7}, 4)])
-@pytest.mark.parametrize("kept", [True, False])
-@pytest.mark.parametrize("asked", [True, False])
+@pytest.mark.parametrize("stored", [True, False])
+@pytest.mark.parametrize("requested", [True, False])
 def test_all_of_the_plant_s_process_is_as_it_was(
-    asked: bool, kept: bool, recorded: dict[str, int], events: int
+    requested: bool, stored: bool, recorded: dict[str, int], events: int
 ) -> None:
     checkpoint = replace(
         CHECKPOINT,
         process=save_state(Part(1)),
-        ledger=save_state(Part(2)),
-        reporter=save_state(Part(3)) if kept else None,
+        run_log=save_state(Part(2)),
+        reporter=save_state(Part(3)) if stored else None,
         recorded=recorded,
     )
-    process, ledger, reporter = Part(), Part(), Part()
+    process, run_log, reporter = Part(), Part(), Part()
     restore_run(
-        checkpoint, cast("Any", process), cast("Any", ledger), cast("Any", reporter if asked else None)
+        checkpoint, cast("Any", process), cast("Any", run_log), cast("Any", reporter if requested else None)
     )
-    assert (process.value, ledger.value, reporter.value) == (1, 2, 3 if asked and kept else 0)
-    assert ledger.shown == [events]
+    assert (process.value, run_log.value, reporter.value) == (1, 2, 3 if requested and stored else 0)
+    assert run_log.shown == [events]
 
 
-def test_a_plant_that_can_not_be_kept_is_said_before_anything_starts() -> None:
+def test_a_plant_that_cannot_be_saved_is_refused_before_anything_starts() -> None:
     scene, options = load_scene("elliptic"), RunOptions(checkpoint_s=1.0)
     stranger = cast("Any", Part(object()))
     with pytest.raises(

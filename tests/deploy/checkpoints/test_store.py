@@ -27,7 +27,7 @@ CHECKPOINT = Checkpoint(
     time_ns=28_672_000,
     process=b"plant",
     states={0: b"cells", 3: b"more"},
-    ledger=b"ledger",
+    run_log=b"run log",
     reporter=None,
     counts=(4, 3, 2, 1),
     refused={("cell 1,2", "sense: type"): 1},
@@ -213,7 +213,7 @@ def test_a_changed_byte_is_noticed_wherever_it_is(place: int, change: int) -> No
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "told"),
+    ("field", "value", "problem"),
     [
         ("tick", "seven", "tick: must be int"),
         ("states", {"a": b""}, "states: must map int to bytes"),
@@ -226,7 +226,7 @@ def test_a_changed_byte_is_noticed_wherever_it_is(place: int, change: int) -> No
         ("counts", (1, 2), "counts: must be four numbers"),
     ],
 )
-def test_a_whole_file_of_other_values_is_refused_by_field(field: str, value: object, told: str) -> None:
+def test_a_whole_file_of_other_values_is_refused_by_field(field: str, value: object, problem: str) -> None:
     content = replace(CHECKPOINT, **{field: value}).to_bytes()  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=problem):
         Checkpoint.from_bytes(content)

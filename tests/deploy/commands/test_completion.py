@@ -9,7 +9,7 @@ from deploy.faults.registry import KINDS, gist
 
 
 def _completed(line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """What bash is told for the last word of a line."""
+    """What bash receives for the last word of a line."""
     monkeypatch.setenv("_MDMS_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", line)
     monkeypatch.setenv("COMP_CWORD", str(line.count(" ")))
@@ -33,7 +33,7 @@ def _completed(line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
         ("mdms run elliptic --real", ["--realtime"]),
     ],
 )
-def test_the_shell_is_told_what_the_last_word_may_become(
+def test_the_shell_receives_the_completions_of_the_last_word(
     line: str, words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _completed(line, monkeypatch, capsys) == words

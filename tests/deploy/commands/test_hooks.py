@@ -98,7 +98,7 @@ def test_problems_of_parameters_keep_their_paths(tmp_path: Path) -> None:
     assert refused.value.problems == (Problem(("gain",), "is odd", 3),)
 
 
-def test_the_cause_is_kept(tmp_path: Path) -> None:
+def test_the_cause_is_preserved(tmp_path: Path) -> None:
     program = load(
         CellsSpec(firmware=str(written(tmp_path, "value_ranges", "raise ModuleNotFoundError('scipy')")))
     )

@@ -1,4 +1,4 @@
-"""Where runs that go on can be spoken to, and what comes of speaking to one."""
+"""Discovery of running runs, and requests to one."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Plant:
     """What answers, and whether whoever asked left."""
 
     def __init__(self, answer: bytes | Exception, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.answer, self.left, self.asked = answer, False, list[Any]()
+        self.answer, self.left, self.sent = answer, False, list[Any]()
         monkeypatch.setattr("deploy.control.client.operator_session", self._session)
         monkeypatch.setattr("bus.transports.zenoh.requests.send_request", self._ask)
 
@@ -72,7 +72,7 @@ class Plant:
         return SimpleNamespace(close=lambda: setattr(self, "left", True))
 
     def _ask(self, _endpoint: object, key: str, payload: bytes, timeout_s: float) -> bytes:
-        self.asked.append((key, json.loads(payload), timeout_s))
+        self.sent.append((key, json.loads(payload), timeout_s))
         if isinstance(self.answer, Exception):
             raise self.answer
         return self.answer
@@ -81,11 +81,11 @@ class Plant:
 def test_an_answer_is_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = Plant(b'{"ok": true, "run": "one"}', monkeypatch)
     assert ask_run("tcp/x:1", {"op": "list"}, 3.0) == {"ok": True, "run": "one"}
-    ((_, request, timeout_s),) = plant.asked
+    ((_, request, timeout_s),) = plant.sent
     assert (request, timeout_s, plant.left) == ({"op": "list"}, 3.0, True)
 
 
-def test_a_refusal_is_told_with_all_its_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_is_reported_with_all_its_problems(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = Plant(b'{"ok": false, "problems": ["a", "b"]}', monkeypatch)
     with pytest.raises(RequestError) as refused:
         ask_run("tcp/x:1", {"op": "list"}, 3.0)
@@ -94,7 +94,7 @@ def test_a_refusal_is_told_with_all_its_problems(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(
-    ("answer", "told"),
+    ("answer", "problem"),
     [
         (TransportError("no run answers"), "tcp/x:1: no run answers"),
         (b"{", "the answer is not from a run"),
@@ -109,10 +109,10 @@ def test_a_refusal_is_told_with_all_its_problems(monkeypatch: pytest.MonkeyPatch
     ids=lambda value: repr(value)[:30],
 )
 def test_what_is_no_answer_of_a_run_is_said_and_left(
-    answer: bytes | Exception, told: str, monkeypatch: pytest.MonkeyPatch
+    answer: bytes | Exception, problem: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant = Plant(answer, monkeypatch)
-    with pytest.raises(DeployError, match=told) as failed:
+    with pytest.raises(DeployError, match=problem) as failed:
         ask_run("tcp/x:1", {"op": "list"}, 3.0)
     assert not isinstance(failed.value, RequestError)
     assert plant.left

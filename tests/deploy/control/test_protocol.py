@@ -29,7 +29,7 @@ def _control(detail: object) -> Control:
 
 
 @pytest.mark.parametrize(("end", "word"), [(9, 9), (NO_TICK_LIMIT, None)])
-def test_a_fault_is_heard_as_it_was_told(end: int, word: int | None) -> None:
+def test_a_fault_is_decoded_as_it_was_encoded(end: int, word: int | None) -> None:
     one = FaultInstance(3, HangFault(cell=(1, 1)), HANG.cells, 5, end, injected_at_runtime=True)
     words = encode_fault(one)
     assert words == {"number": 3, "fault": {"kind": "hang", "cell": [1, 1]}, "first": 5, "end": word}

@@ -9,7 +9,7 @@ import pytest
 from deploy.control.requests import RequestError, read_request
 
 
-def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_counted() -> None:
+def test_of_a_request_with_thousands_of_problems_some_are_reported_and_the_others_counted() -> None:
     fault = {"kind": "crash", "cell": [1, 1], **{f"k{i}": 0 for i in range(4000)}}
     with pytest.raises(RequestError) as caught:
         read_request(json.dumps({"op": "inject", "fault": fault}).encode())
@@ -23,24 +23,24 @@ def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_co
     "payload", [None, b" " * 65_537, b"\xff", b"[" * 60_000, b"", b"[]", b'{"op": ["list"]}']
 )
 def test_what_is_no_request_is_refused_in_words(payload: bytes | None) -> None:
-    with pytest.raises(RequestError, match=r"^(a request|request|do)\b"):
+    with pytest.raises(RequestError, match=r"^(a request|request|op)\b"):
         read_request(payload)
 
 
 def test_add_is_refused_live_and_what_to_do_instead_is_said() -> None:
-    asked = {"op": "inject", "fault": {"kind": "add", "cell": [1, 1]}}
+    request = {"op": "inject", "fault": {"kind": "add", "cell": [1, 1]}}
     with pytest.raises(RequestError, match="inject remove, and repair it"):
-        read_request(json.dumps(asked).encode())
+        read_request(json.dumps(request).encode())
 
 
 def test_a_request_is_read_that_is_as_long_as_may_be_and_no_longer() -> None:
     request = b'{"op": "list"}'
-    assert read_request(request.ljust(65_536)).do == "list"
+    assert read_request(request.ljust(65_536)).op == "list"
     with pytest.raises(RequestError, match="must be at most 65536 bytes"):
         read_request(request.ljust(65_537))
 
 
-def test_of_twenty_problems_all_are_told() -> None:
+def test_of_twenty_problems_all_are_reported() -> None:
     fault = {"kind": "crash", "cell": [1, 1], **{f"k{i}": 0 for i in range(20)}}
     with pytest.raises(RequestError) as caught:
         read_request(json.dumps({"op": "inject", "fault": fault}).encode())

@@ -1,4 +1,4 @@
-"""What is asked of a run while it goes on: what is done, told, recorded and answered; and what is refused."""
+"""Requests to a run while it continues: what is done, sent, recorded and answered; and what is refused."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ STUCK: dict[str, Any] = {"kind": "wheel_stuck", "cell": [1, 0]}
 
 
 class Live:
-    """A console, and what it asks of others, which only keep books."""
+    """A control server, and stand-ins that record its calls."""
 
     def __init__(
         self, *scheduled: FaultInstance[FaultSpec], script: Any = (), scene: Any = SCENE, **options: Any
     ):
-        self.told: list[Control] = []
-        self.asked: deque[bytes | None] = deque()
+        self.sent: list[Control] = []
+        self.payloads: deque[bytes | None] = deque()
         self.answers: list[dict[str, Any]] = []
         self.records: list[Any] = []
         self.log: list[Any] = []
@@ -40,11 +40,11 @@ class Live:
             inject=lambda one: self.log.append(("process", one.number)),
             replan=lambda: self.log.append("process plans"),
         )
-        self.console = ControlServer(
+        self.server = ControlServer(
             scene,
             "one",
             scheduled,
-            self.told.append,
+            self.sent.append,
             cast("Any", self),
             cast("Any", process),
             cast("Any", self),
@@ -53,37 +53,37 @@ class Live:
         )
 
     def inject(self, one: FaultInstance[FaultSpec]) -> None:
-        """Of the ledger."""
-        self.log.append(("ledger", one.number))
+        """Of the run log."""
+        self.log.append(("run log", one.number))
 
     def replan(self) -> None:
-        """Of the ledger."""
-        self.log.append("ledger plans")
+        """Of the run log."""
+        self.log.append("run log plans")
 
     def control(self, record: Any) -> None:
-        """Of the ledger."""
+        """Of the run log."""
         self.records.append(record)
 
     def drain(self) -> Any:
         """Of the questions."""
-        if not self.asked:
+        if not self.payloads:
             return None
         return SimpleNamespace(
-            payload=self.asked.popleft(), answer=lambda text: self.answers.append(json.loads(text))
+            payload=self.payloads.popleft(), answer=lambda text: self.answers.append(json.loads(text))
         )
 
     def ask(self, tick: int, **request: Any) -> dict[str, Any]:
-        self.asked.append(json.dumps(request).encode())
-        self.console.before_tick(tick)
+        self.payloads.append(json.dumps(request).encode())
+        self.server.before_tick(tick)
         return self.answers[-1]
 
     def details(self) -> list[Any]:
-        return [(control.tick, control.cells, json.loads(control.detail)) for control in self.told]
+        return [(control.tick, control.cells, json.loads(control.detail)) for control in self.sent]
 
 
-def test_a_fault_of_cells_is_told_to_all_recorded_and_answered_with_whom_it_strikes() -> None:
+def test_a_fault_of_cells_is_sent_to_all_recorded_and_answered_with_the_affected_cells() -> None:
     live = Live()
-    answer = live.ask(10, do="inject", fault=HANG)
+    answer = live.ask(10, op="inject", fault=HANG)
     assert answer == {
         "run": "one", "ok": True, "tick": 10, "time_s": pytest.approx(10 * TICK_S), "number": 0,
         "cells": [[0, 1]], "affected": 1,
@@ -93,51 +93,51 @@ def test_a_fault_of_cells_is_told_to_all_recorded_and_answered_with_whom_it_stri
     (record,) = live.records
     assert (record["kind"], record["tick"], record["detail"]) == ("fault", 10, detail)
     assert record["time_s"] == pytest.approx(10 * TICK_S)
-    assert live.log == [("ledger", 0)]
+    assert live.log == [("run log", 0)]
 
 
 def test_a_fault_of_the_plant_is_none_of_the_cells_and_a_crash_is_both_s() -> None:
     live = Live()
-    live.ask(10, do="inject", fault=STUCK)
-    assert (live.log, live.told) == ([("process", 0), ("ledger", 0)], [])
-    live.ask(11, do="inject", fault={"kind": "crash", "cell": [0, 0]})
-    assert live.log[2:] == [("process", 1), ("ledger", 1)]
-    assert len(live.told) == 1
+    live.ask(10, op="inject", fault=STUCK)
+    assert (live.log, live.sent) == ([("process", 0), ("run log", 0)], [])
+    live.ask(11, op="inject", fault={"kind": "crash", "cell": [0, 0]})
+    assert live.log[2:] == [("process", 1), ("run log", 1)]
+    assert len(live.sent) == 1
 
 
 @pytest.mark.parametrize("ticks", [1, 5, 123, 131])
 def test_a_fault_lasts_as_many_ticks_as_it_is_given(ticks: int) -> None:
     live = Live()
-    live.ask(10, do="inject", fault=HANG, for_s=round(ticks * TICK_S, 6))
-    live.ask(10, do="inject", fault={**HANG, "until_s": round((10 + ticks) * TICK_S, 6)})
-    live.ask(10, do="inject", fault={"kind": "reboot", "cell": [0, 0], "delay_s": round(ticks * TICK_S, 6)})
+    live.ask(10, op="inject", fault=HANG, for_s=round(ticks * TICK_S, 6))
+    live.ask(10, op="inject", fault={**HANG, "until_s": round((10 + ticks) * TICK_S, 6)})
+    live.ask(10, op="inject", fault={"kind": "reboot", "cell": [0, 0], "delay_s": round(ticks * TICK_S, 6)})
     assert [detail["end"] for _, _, detail in live.details()] == [10 + ticks] * 3
 
 
 def test_numbers_go_on_from_those_of_the_scene() -> None:
     scheduled = FaultInstance(4, CrashFault(cell=(0, 0)), SCENE.lattice().rows[:1], 50)
     live = Live(cast("Any", scheduled))
-    assert live.ask(10, do="inject", fault=HANG)["number"] == 5
-    live.ask(12, do="inject", fault=STUCK, for_s=TICK_S)
-    live.ask(13, do="repair", number=5)
-    listed = live.ask(20, do="list")
+    assert live.ask(10, op="inject", fault=HANG)["number"] == 5
+    live.ask(12, op="inject", fault=STUCK, for_s=TICK_S)
+    live.ask(13, op="repair", number=5)
+    listed = live.ask(20, op="list")
     assert (listed["tick"], listed["ok"]) == (20, True)
     assert [tuple(fault.values()) for fault in listed["faults"]] == [
         (4, "crash", 1, 50, None, "is to come"),
         (5, "hang", 1, 10, 13, "is over"),
         (6, "wheel_stuck", 1, 12, 13, "is over"),
     ]
-    assert live.ask(50, do="list")["faults"][0]["state"] == "acts"
+    assert live.ask(50, op="list")["faults"][0]["state"] == "acts"
 
 
 def test_a_repair_ends_a_fault_for_all_and_is_recorded() -> None:
     live = Live()
-    live.ask(10, do="inject", fault=HANG)
+    live.ask(10, op="inject", fault=HANG)
     live.log.clear()
-    answer = live.ask(14, do="repair", number=0)
+    answer = live.ask(14, op="repair", number=0)
     assert answer == {"run": "one", "ok": True, "tick": 14, "time_s": pytest.approx(14 * TICK_S), "number": 0}
     assert live.details()[1] == (14, (), {"number": 0, "end": 14})
-    assert live.log == ["process plans", "ledger plans"]
+    assert live.log == ["process plans", "run log plans"]
     assert live.records[1] == {
         "time_s": pytest.approx(14 * TICK_S), "kind": "repair", "tick": 14, "detail": {"number": 0, "end": 14},
     }  # fmt: skip
@@ -150,19 +150,19 @@ def test_what_can_not_be_repaired_is_said() -> None:
         FaultInstance(2, CrashFault(cell=(0, 1), at_s=9.0, until_s=10.0), SCENE.lattice().rows[:1], 40, 50),
     ]
     live = Live(*cast("Any", scheduled))
-    for number, told_ in [
+    for number, start in [
         (0, "the cells of fault 0 have left the run and can't be repaired"),
         (1, "fault 1 is not active"),
         (2, "fault 2 is not active"),
         (3, "there is no fault 3; there are: 0, 1, 2"),
     ]:
-        assert live.ask(10, do="repair", number=number)["problems"] == [f"number: {told_}"]
-    assert (live.told, live.records, live.log) == ([], [], [])
-    assert live.ask(40, do="repair", number=2)["ok"]
+        assert live.ask(10, op="repair", number=number)["problems"] == [f"number: {start}"]
+    assert (live.sent, live.records, live.log) == ([], [], [])
+    assert live.ask(40, op="repair", number=2)["ok"]
 
 
 @pytest.mark.parametrize(
-    ("request_", "told_"),
+    ("request_", "start"),
     [
         ({"fault": {**HANG, "at_s": 1.0}}, "fault.at_s: a live fault begins at the next tick"),
         ({"fault": {"kind": "reboot", "cell": [0, 0]}, "for_s": 1.0}, "for_s: reboot happens once"),
@@ -179,57 +179,57 @@ def test_what_can_not_be_repaired_is_said() -> None:
     ],
 )
 def test_a_fault_that_can_not_begin_now_is_refused_and_changes_nothing(
-    request_: dict[str, Any], told_: str
+    request_: dict[str, Any], start: str
 ) -> None:
     live = Live()
-    answer = live.ask(10, do="inject", **request_)
+    answer = live.ask(10, op="inject", **request_)
     assert not answer["ok"]
     assert answer["run"] == "one"
-    assert [problem[: len(told_)] for problem in answer["problems"]] == [told_]
-    assert (live.told, live.records, live.log) == ([], [], [])
+    assert [problem[: len(start)] for problem in answer["problems"]] == [start]
+    assert (live.sent, live.records, live.log) == ([], [], [])
 
 
 def test_lines_that_carry_whole_messages_take_no_faults_of_cells() -> None:
     scene = load_scene("prototype")
     for lines, refused in ((False, ["fault.kind: this run's serial lines"]), (True, [])):
         live = Live(scene=scene, lines=lines)
-        problems = live.ask(10, do="inject", fault=HANG).get("problems", [])
+        problems = live.ask(10, op="inject", fault=HANG).get("problems", [])
         assert [problem[:35] for problem in problems] == refused
-        assert live.ask(10, do="inject", fault=STUCK)["ok"]
-    assert Live(lines=False).ask(10, do="inject", fault=HANG)["ok"]
+        assert live.ask(10, op="inject", fault=STUCK)["ok"]
+    assert Live(lines=False).ask(10, op="inject", fault=HANG)["ok"]
 
 
-def test_cells_are_named_up_to_sixty_four_and_too_many_to_tell_are_refused() -> None:
+def test_cells_are_named_up_to_sixty_four_and_too_many_to_send_are_refused() -> None:
     scene = load_scene("motors", [Override(("array",), {"rows": 100, "columns": 100}, "")])
     live = Live(scene=scene)
-    answer = live.ask(10, do="inject", fault={"kind": "hang", "rectangle": [[0, 0], [99, 0]]})
+    answer = live.ask(10, op="inject", fault={"kind": "hang", "rectangle": [[0, 0], [99, 0]]})
     assert (answer["affected"], len(answer["cells"])) == (100, 64)
     cells = [[row, column] for row in range(100) for column in range(40)]
     one = FaultInstance(1, CrashFault.model_validate({"cells": cells}), scene.lattice().rows, 10)
     assert len(json.dumps(encode_fault(cast("Any", one)))) > 30_000
-    assert live.ask(10, do="inject", fault={"kind": "hang", "cells": cells})["problems"] == [
+    assert live.ask(10, op="inject", fault={"kind": "hang", "cells": cells})["problems"] == [
         "fault.cells: are too many for one request: use rectangle or share"
     ]
 
 
 def test_eight_questions_are_answered_a_tick_and_the_others_wait() -> None:
     live = Live()
-    live.asked.extend([b'{"op": "list"}'] * 9 + [None])
-    live.console.before_tick(10)
-    assert (len(live.answers), len(live.asked)) == (8, 2)
-    live.console.before_tick(11)
-    assert (len(live.answers), len(live.asked)) == (10, 0)
+    live.payloads.extend([b'{"op": "list"}'] * 9 + [None])
+    live.server.before_tick(10)
+    assert (len(live.answers), len(live.payloads)) == (8, 2)
+    live.server.before_tick(11)
+    assert (len(live.answers), len(live.payloads)) == (10, 0)
     assert [answer["ok"] for answer in live.answers] == [True] * 9 + [False]
 
 
-def test_cells_that_come_anew_are_told_what_was_done_to_them_and_no_more() -> None:
+def test_rejoined_cells_receive_their_own_faults_and_no_others() -> None:
     scheduled = FaultInstance(0, CrashFault(cell=(0, 0), until_s=9.0), SCENE.lattice().rows[:1], 0, 90)
     live = Live(cast("Any", scheduled))
-    live.ask(10, do="inject", fault=HANG)
-    live.ask(10, do="inject", fault=STUCK)
-    live.ask(12, do="repair", number=0)
-    live.told.clear()
-    live.console.resend_faults([0, 2], 20)
+    live.ask(10, op="inject", fault=HANG)
+    live.ask(10, op="inject", fault=STUCK)
+    live.ask(12, op="repair", number=0)
+    live.sent.clear()
+    live.server.resend_faults([0, 2], 20)
     names = (SCENE.lattice().cells[0], SCENE.lattice().cells[2])
     assert live.details() == [
         (20, names, {"number": 1, "fault": HANG, "first": 10, "end": None}),
@@ -245,20 +245,20 @@ def test_what_was_done_to_a_recorded_run_is_done_again_at_its_ticks() -> None:
     ]
     live = Live(script=script)
     for tick in range(12):
-        live.console.before_tick(tick)
+        live.server.before_tick(tick)
     assert live.details() == [(5, (), fault), (9, (), {"number": 7, "end": 9})]
     assert [record["tick"] for record in live.records] == [5, 9]
     with pytest.raises(RequestError, match="there is no fault 7; there are: none"):
-        Live(script=script[:1]).console.before_tick(9)
+        Live(script=script[:1]).server.before_tick(9)
 
 
 def test_where_nobody_can_ask_what_was_recorded_is_done_all_the_same() -> None:
-    told: list[Control] = []
+    sent: list[Control] = []
     record = {"kind": "fault", "tick": 3, "detail": {"number": 7, "fault": HANG, "first": 3, "end": None}}
     books = SimpleNamespace(inject=lambda _: None, control=lambda _: None)
-    console = ControlServer(
-        SCENE, "one", (), told.append, cast("Any", books), cast("Any", books), script=[record]
+    server = ControlServer(
+        SCENE, "one", (), sent.append, cast("Any", books), cast("Any", books), script=[record]
     )
     for tick in range(5):
-        console.before_tick(tick)
-    assert [control.tick for control in told] == [3]
+        server.before_tick(tick)
+    assert [control.tick for control in sent] == [3]

@@ -49,7 +49,7 @@ def test_each_fault_is_a_line_with_its_repair() -> None:
     assert describe_faults(RUN[:1]) == ["1,1 not plugged in"]
 
 
-def test_cells_out_of_the_array_are_told_with_when_they_came_back() -> None:
+def test_cells_out_of_the_array_are_described_with_the_time_of_their_return() -> None:
     assert out_of_array(RUN) == {(1, 1): 1.7, (5, 5): 2.5, (6, 6): None}
     both = [fault("remove", "begins", 1.0, (0, 0)), fault("remove", "begins", 2.0, (0, 0), number=1)]
     assert out_of_array([*both, fault("remove", "ends", 3.0, (0, 0))]) == {(0, 0): None}
@@ -71,18 +71,18 @@ def test_marks_are_those_of_faults_that_begin_or_end_and_of_cells_that_are_lost(
 def test_cells_that_are_lost_together_share_a_line_and_are_not_lost_for_good_where_they_come_back() -> None:
     gone = [{"kind": "disconnected", "time_s": 0.7, "cell": [row, 0], "detail": ""} for row in range(3)]
     back = {"kind": "respawn", "phase": "happens", "time_s": 0.9, "cell": None, "cells": [[0, 0], [2, 0]]}
-    told = [LOST, *gone, back]
-    assert describe_faults(told) == [
+    records = [LOST, *gone, back]
+    assert describe_faults(records) == [
         "3,4 crashed at 0.5 s",
         "3 cells disconnected at 0.7 s",
         "2 cells rejoined at 0.9 s",
     ]
-    assert plot_marks(told) == [(0.5, "cell 3,4 lost"), (0.7, "3 cells lost"), (0.9, "2 cells rejoined")]
-    assert lost_for_good(told) == {(3, 4): 0.5, (1, 0): 0.7}
-    assert lost_for_good([*told, {**gone[0], "time_s": 1.0}]) == {(3, 4): 0.5, (1, 0): 0.7, (0, 0): 1.0}
+    assert plot_marks(records) == [(0.5, "cell 3,4 lost"), (0.7, "3 cells lost"), (0.9, "2 cells rejoined")]
+    assert lost_for_good(records) == {(3, 4): 0.5, (1, 0): 0.7}
+    assert lost_for_good([*records, {**gone[0], "time_s": 1.0}]) == {(3, 4): 0.5, (1, 0): 0.7, (0, 0): 1.0}
 
 
-def test_a_fault_that_turns_is_told_with_its_time_and_whom_it_strikes() -> None:
+def test_a_transition_of_a_fault_is_recorded_with_its_time_and_affected_cells() -> None:
     fault = CrashFault(cells=((0, 1), (2, 3)), at_s=0.01)
     one = FaultInstance(7, fault, np.array([0, 2]), 5, 9)
     names = [(0, 1), (1, 1), (2, 3)]
@@ -99,5 +99,5 @@ def test_a_fault_that_turns_is_told_with_its_time_and_whom_it_strikes() -> None:
     }
     assert transition_record(one, 9, 4_000_000, names)["phase"] == "ends"
     once = FaultInstance(8, RebootFault(cell=(1, 1)), np.array([1]), 5, 9, injected_at_runtime=True)
-    told = transition_record(once, 5, 4_000_000, names)
-    assert (told["phase"], told["cell"], told["detail"]) == ("happens", [1, 1], "live")
+    record = transition_record(once, 5, 4_000_000, names)
+    assert (record["phase"], record["cell"], record["detail"]) == ("happens", [1, 1], "live")

@@ -96,25 +96,25 @@ def test_lost_cells_are_marked(track: RunTrace, draw: Callable[[Any], np.ndarray
     assert pixels(draw(faulty), red) > 100
 
 
-def test_a_cell_that_came_back_is_struck_and_not_lost(
+def test_a_cell_that_rejoined_is_marked_affected_and_not_lost(
     track: RunTrace, draw: Callable[[Any], np.ndarray]
 ) -> None:
     lost = {"time_s": 0.01, "kind": "disconnected", "cell": [2, 3], "detail": ""}
     back = {"time_s": 0.02, "kind": "respawn", "phase": "happens", "cell": [2, 3], "cells": [[2, 3]]}
-    told = dataclasses.replace(track, faults=[lost, back])
-    assert affected_cells(told) == {(2, 3)}
-    assert pixels(draw(told), "#c1121f") > 100
+    rejoined = dataclasses.replace(track, faults=[lost, back])
+    assert affected_cells(rejoined) == {(2, 3)}
+    assert pixels(draw(rejoined), "#c1121f") > 100
     gone = draw(dataclasses.replace(track, faults=[lost]))
-    assert pixels(gone, LOST_CELL) > pixels(draw(told), LOST_CELL) + 1_000
+    assert pixels(gone, LOST_CELL) > pixels(draw(rejoined), LOST_CELL) + 1_000
 
 
-def test_cells_that_were_pulled_or_struck_are_marked(
+def test_cells_that_were_pulled_or_affected_are_marked(
     track: RunTrace, draw: Callable[[Any], np.ndarray]
 ) -> None:
     def with_fault(kind: str, *phases: str) -> RunTrace:
         fault = {"kind": kind, "cell": [2, 3], "cells": [[2, 3]], "number": 0, "fault": {}}
-        told = [{**fault, "phase": phase, "time_s": 0.01 * step} for step, phase in enumerate(phases, 1)]
-        return dataclasses.replace(track, faults=told, wheel_speeds=None)
+        records = [{**fault, "phase": phase, "time_s": 0.01 * step} for step, phase in enumerate(phases, 1)]
+        return dataclasses.replace(track, faults=records, wheel_speeds=None)
 
     away, back = (draw(with_fault("remove", *phases)) for phases in (("begins",), ("begins", "ends")))
     assert pixels(away, "#8a5a00") > 20
@@ -142,7 +142,7 @@ def test_missing_cells_leave_a_gap(track: RunTrace, draw: Callable[[Any], np.nda
     assert share == pytest.approx(11 / 12, abs=0.01)
 
 
-def test_the_view_holds_the_array_and_the_whole_of_the_way(track: RunTrace) -> None:
+def test_the_view_holds_the_array_and_the_whole_trajectory(track: RunTrace) -> None:
     left, right, bottom, top = extent(track)
     assert left < -0.05
     assert right > 0.35
@@ -176,7 +176,7 @@ def test_a_parcel_is_shown_from_when_it_is_fed_until_it_leaves(tmp_path: Path, m
     assert (name, corners.tolist()) == ("e", [[0.0, 0.0], [0.2, 0.0], [0.2, 0.1]])
 
 
-def test_who_waits_is_not_drawn_and_who_has_left_is_drawn_on_its_way_only(
+def test_waiting_parcels_are_not_drawn_and_those_that_left_only_along_their_path(
     tmp_path: Path, made_up_run: Make, draw: Callable[[Any], np.ndarray]
 ) -> None:
     run = made_up_run(rows=8, columns=8, parcels=3, events=COMES_AND_GOES)

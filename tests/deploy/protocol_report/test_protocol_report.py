@@ -95,7 +95,7 @@ def test_messages_and_what_they_would_take_on_a_line(tmp_path: Path) -> None:
     assert links.line_load == pytest.approx(17 / links.line_capacity_bytes_per_tick)
 
 
-def test_over_serial_lines_what_is_heard_is_what_they_carry(tmp_path: Path) -> None:
+def test_over_serial_lines_the_received_messages_are_those_that_they_carry(tmp_path: Path) -> None:
     report = reported(scene(effects__serial={}), tmp_path).protocol
     assert report is not None
     assert report.links is not None
@@ -173,7 +173,7 @@ def test_looking_now_and_then_finds_the_same_rate(tmp_path: Path) -> None:
     assert report.rate.factor == pytest.approx(slowest(), rel=1e-6)
 
 
-def test_a_recording_with_registers_tells_the_same_but_of_messages(
+def test_a_recording_with_registers_gives_the_same_report_but_for_messages(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     dead = [{"kind": "crash", "at_s": 0.7, "cell": [0, 2]}]
@@ -270,9 +270,9 @@ def test_a_theory_that_raises_is_bad_input_with_its_traceback(plain: str, tmp_pa
 def test_the_command_prints_it_for_people_and_programs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = ["run", "heat", "--duration", "0.2", "--processes", "0", "--transport", "memory"]
-    asked += ["--protocol-report", "--output", str(tmp_path)]
-    assert main([*asked, "--json", "--no-picture"]) == 0
+    arguments = ["run", "heat", "--duration", "0.2", "--processes", "0", "--transport", "memory"]
+    arguments += ["--protocol-report", "--output", str(tmp_path)]
+    assert main([*arguments, "--json", "--no-picture"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["protocol"]["rate"].keys() >= {
         "factor",
@@ -285,7 +285,7 @@ def test_the_command_prints_it_for_people_and_programs(
     }
     assert found == json.loads((tmp_path / "summary.json").read_text())
     assert not (tmp_path / "protocol.png").exists()
-    assert main(asked) == 0
+    assert main(arguments) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "field speed_m_s of 200 cells, every tick" in shown
     assert "if the scene had serial lines" in shown

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell_firmware.program import Theory
-from deploy.protocol_report.report import course, ratio, verdict
+from deploy.protocol_report.report import ratio, residual_history, verdict
 from deploy.protocol_report.residuals import ERROR, Residuals, fit_rate
 
 ALL = np.ones(1, dtype=np.bool_)
@@ -79,11 +79,11 @@ def test_without_theory_or_numbers_that_is_said() -> None:
 
 def test_a_residual_has_settled_from_where_it_stays_small() -> None:
     rms = [np.nan, 2.0, 0.01, 0.5, 0.02, 1e-6, 1e-7]
-    found = course(range(0, 70, 10), rms, [2 * one for one in rms])
+    found = residual_history(range(0, 70, 10), rms, [2 * one for one in rms])
     assert found is not None
     assert (found.first_rms, found.greatest_rms, found.last_rms, found.last_max) == (2.0, 2.0, 1e-7, 2e-7)
     assert (found.settled_1_percent_tick, found.settled_1e6_tick) == (40, 50)
-    unsettled = course([0, 1], [0.5, 1.0], [1.0, 1.0])
+    unsettled = residual_history([0, 1], [0.5, 1.0], [1.0, 1.0])
     assert unsettled is not None
     assert unsettled.settled_1_percent_tick is None
-    assert course([0], [np.nan], [np.nan]) is None
+    assert residual_history([0], [np.nan], [np.nan]) is None

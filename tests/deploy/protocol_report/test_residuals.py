@@ -57,7 +57,7 @@ def test_snapshots_are_few_however_long_the_run_and_the_last_is_among_them() -> 
     snapshots = Snapshots()
     for tick in range(20_001):
         snapshots.take(tick, 0.0, np.full((2, 1), float(tick)), ALL)
-    assert len(snapshots.kept) < 60
+    assert len(snapshots.retained) < 60
     chosen = snapshots.chosen(6)
     assert (len(chosen), chosen[0][0], chosen[-1][0]) == (6, 0, 20_000)
     assert chosen == sorted(chosen, key=lambda one: one[0])

@@ -28,7 +28,7 @@ def test_a_header_is_taken_as_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "problem"),
     [
         ({"period_ns": 1.0}, "the header: period_ns: "),
         ({"cells": [[0, 0], [0]]}, r"the header: cells\.1: "),
@@ -39,8 +39,10 @@ def test_a_header_is_taken_as_it_is() -> None:
         ({"scene": {"effects": {"parcel_contact": {"rails": [[0.0]]}}}}, "the header: scene.effects"),
     ],
 )
-def test_a_header_that_is_not_what_it_must_be_is_refused_by_field(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_a_header_that_is_not_what_it_must_be_is_refused_by_field(
+    change: dict[str, Any], problem: str
+) -> None:
+    with pytest.raises(ValueError, match=problem):
         check_header({**HEADER, **change})
     with pytest.raises(ValueError, match=r"^the header: Input"):
         check_header([])
@@ -63,7 +65,7 @@ def test_an_event_has_a_time_and_a_kind(record: object) -> None:
         {"cell": "1,2"},
     ],
 )
-def test_a_fault_says_whom_it_strikes(fault: dict[str, Any]) -> None:
+def test_a_fault_names_its_affected_cells(fault: dict[str, Any]) -> None:
     head = {"time_s": 1.0, "kind": "crash"}
     for good in ({"phase": "begins", "cells": [[1, 2]]}, {"cell": [1, 2]}, {"cell": None}, {}):
         assert check_faults([{**head, **good}]) == [{**head, **good}]

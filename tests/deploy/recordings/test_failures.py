@@ -130,7 +130,7 @@ def test_a_chunk_that_says_it_is_huge_is_refused_before_memory_is_taken(
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.NONE])
-def test_a_recording_that_another_tool_wrote_anew_is_read(
+def test_a_recording_rewritten_by_another_tool_is_read(
     tmp_path: Path, made_up_run: Make, compression: CompressionType
 ) -> None:
     run = made_up_run()
@@ -295,10 +295,10 @@ def test_killed_at_any_moment_a_run_leaves_all_but_its_last_half_second(tmp_path
         os.kill(process.pid, signal.SIGKILL)
     made = np.fromfile(tmp_path / "made", dtype="<u8")
     recording = load(tmp_path)
-    kept = len(recording.tick)
+    count = len(recording.tick)
     assert not recording.complete
-    assert recording.time_ns.tolist() == made[:kept].tolist()
-    assert kept >= np.count_nonzero(made < killed - 500_000_000) > 0
+    assert recording.time_ns.tolist() == made[:count].tolist()
+    assert count >= np.count_nonzero(made < killed - 500_000_000) > 0
 
 
 def test_killed_while_it_stands_still_a_run_leaves_everything(tmp_path: Path) -> None:

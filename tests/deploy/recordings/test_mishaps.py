@@ -1,4 +1,4 @@
-"""Parcels that tip or fall, as a run tells them while it goes on."""
+"""Parcels that tip or fall, as a run reports them while it continues."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ FALLS = (
 FELL = "mdms: parcel 0 fell off the array at 0.00"
 
 
-def _told(*events: Event) -> list[str]:
+def _reported(*events: Event) -> list[str]:
     lines: list[str] = []
     Mishaps(lines.append).take(events)
     return lines
 
 
-def test_tipped_and_fallen_parcels_are_told_with_time_and_place_and_nothing_else_is() -> None:
-    assert _told(
+def test_only_tipped_and_fallen_parcels_are_reported_with_time_and_place() -> None:
+    assert _reported(
         Event(1.5, "tipped", 3, ((0, 1),), (0.25, -0.5), "about cell 0,1"),
         Event(2.0, "left", 1, (), (0.0, 0.0), "through exit north"),
         Event(2.5, "off_array", 4, (), (1.0, 2.0)),
@@ -42,14 +42,14 @@ def test_tipped_and_fallen_parcels_are_told_with_time_and_place_and_nothing_else
 
 
 def test_of_many_parcels_that_fall_ten_are_named() -> None:
-    lines = _told(*(Event(1.0, "off_array", i, (), (0.0, 0.0)) for i in range(30)))
+    lines = _reported(*(Event(1.0, "off_array", i, (), (0.0, 0.0)) for i in range(30)))
     assert [line.split()[1] for line in lines[:10]] == [str(i) for i in range(10)]
     assert lines[10:] == [
         "more parcels tipped or fell: see the summary for their number, and the recording for each event"
     ]
 
 
-def test_runs_and_simulations_tell_a_parcel_that_falls_on_stderr_unless_quiet(
+def test_runs_and_simulations_report_a_parcel_that_falls_on_stderr_unless_quiet(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = load_scene("elliptic", [Override.parse(text) for text in FALLS])

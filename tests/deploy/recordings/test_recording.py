@@ -62,7 +62,7 @@ def test_constant_wheels_are_written_once(tmp_path: Path, made_up_run: Make) -> 
     np.testing.assert_array_equal(recording.held_drives.at(30), run.drives[30])
 
 
-def test_wheels_that_return_to_an_earlier_speed_are_told_apart_from_wheels_that_stay(
+def test_wheels_that_return_to_an_earlier_speed_are_distinguished_from_wheels_that_stay(
     tmp_path: Path, made_up_run: Make
 ) -> None:
     run = made_up_run(ticks=6)
@@ -223,7 +223,7 @@ def test_the_header_must_name_all_its_keys(tmp_path: Path, made_up_run: Make) ->
         ({"cell": [0, 0, 0]}, "cell"),
     ],
 )
-def test_a_fault_that_does_not_say_whom_it_strikes_is_refused(
+def test_a_fault_without_affected_cells_is_refused(
     fault: dict[str, Any], place: str, tmp_path: Path, made_up_run: Make
 ) -> None:
     path = made_up_run(faults=[{"time_s": 0.0, "kind": "crash", **fault}]).record(tmp_path)

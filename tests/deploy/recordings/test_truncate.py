@@ -15,7 +15,7 @@ from deploy.recordings.writer import Recorder
 from tests.deploy.conftest import MadeUpRun
 
 HEADER = MadeUpRun().header
-KEPT = {TICK: 3, PARCELS: 3, EVENTS: 1}
+PREFIX = {TICK: 3, PARCELS: 3, EVENTS: 1}
 
 
 def _ticks(recorder: Recorder, first: int, last: int) -> None:
@@ -65,7 +65,7 @@ def test_it_goes_on_without_a_tick_missing_or_doubled(tmp_path: Path, torn: bool
             recorder.flush()
             content = path.read_bytes()
         path.write_bytes(content + b"\x06\xff\x00\x00\x00\x00\x00\x00\x00torn")
-    with Recorder(tmp_path / "other", HEADER, kept={**KEPT, EVENTS: 3}) as recorder:
+    with Recorder(tmp_path / "other", HEADER, continued_from={**PREFIX, EVENTS: 3}) as recorder:
         _ticks(recorder, 3, 5)
         recorder.close("ok", "11")
     with Recorder(tmp_path / "whole", HEADER) as recorder:
@@ -75,23 +75,23 @@ def test_it_goes_on_without_a_tick_missing_or_doubled(tmp_path: Path, torn: bool
     assert load(tmp_path / "other").status == "ok"
 
 
-def test_one_that_lacks_what_is_to_be_kept_is_refused_and_stays(tmp_path: Path) -> None:
+def test_a_recording_that_lacks_the_prefix_is_refused_and_stays(tmp_path: Path) -> None:
     _recorded(tmp_path)
     before = (tmp_path / FILE_NAME).read_bytes()
     with pytest.raises(InputError, match="lacks 2 messages of /tick, 1 messages of /faults"):
-        Recorder(tmp_path, HEADER, kept={TICK: 8, FAULTS: 2})
+        Recorder(tmp_path, HEADER, continued_from={TICK: 8, FAULTS: 2})
     assert (tmp_path / FILE_NAME).read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
 
 
 def test_one_that_is_gone_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"there is no recording\.mcap"):
-        Recorder(tmp_path, HEADER, kept=KEPT)
+        Recorder(tmp_path, HEADER, continued_from=PREFIX)
 
 
-def test_what_is_kept_is_in_the_file_before_the_first_new_tick(tmp_path: Path) -> None:
+def test_the_prefix_is_in_the_file_before_the_first_new_tick(tmp_path: Path) -> None:
     _recorded(tmp_path)
-    with Recorder(tmp_path, HEADER, kept=KEPT, flush_s=60.0):
+    with Recorder(tmp_path, HEADER, continued_from=PREFIX, flush_s=60.0):
         assert load(tmp_path).tick.tolist() == [0, 1, 2]
 
 
@@ -102,7 +102,7 @@ def test_without_room_for_the_copy_it_is_refused_and_all_stays(tmp_path: Path) -
     resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
     try:
         with pytest.raises(InputError, match=r"can't write recording\.mcap there: File too large"):
-            Recorder(tmp_path, HEADER, kept={TICK: 400, PARCELS: 400})
+            Recorder(tmp_path, HEADER, continued_from={TICK: 400, PARCELS: 400})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (tmp_path / FILE_NAME).read_bytes() == before

@@ -116,7 +116,7 @@ def test_a_run_that_ends_unstable_keeps_every_tick_before(tmp_path: Path) -> Non
     assert np.isfinite(recording.parcels).all()
 
 
-# --- how far a course can be believed ----------------------------------------------------------------
+# --- how far a trajectory is valid ------------------------------------------------------------------
 
 
 def test_a_law_out_of_its_range_is_said_with_the_time_since_when(tmp_path: Path) -> None:

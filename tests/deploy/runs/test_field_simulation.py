@@ -95,7 +95,7 @@ def test_a_crash_under_abort_fails_the_simulation_there(tmp_path: Path) -> None:
     assert summary.simulated_s == pytest.approx(0.1024)
 
 
-HARM = [
+FAULTS = [
     {"kind": "crash", "at_s": 0.1, "until_s": 0.3, "rectangle": [[13, 13], [15, 15]], "wheels": "hold"},
     {"kind": "crash", "at_s": 0.15, "until_s": 0.25, "cell": [12, 14], "wheels": "brake"},
     {"kind": "crash", "at_s": 0.2, "cell": [14, 12]},
@@ -111,7 +111,7 @@ HARM = [
 
 @pytest.mark.parametrize("policy", ["coast", "hold"])
 def test_faults_do_to_wheels_and_modules_what_they_do_in_a_run(policy: str, tmp_path: Path) -> None:
-    scene = _scene("elliptic", duration_s=0.45, faults=HARM, stall={"policy": policy})
+    scene = _scene("elliptic", duration_s=0.45, faults=FAULTS, stall={"policy": policy})
     options = RunOptions(0, "memory", output=tmp_path / "run", picture=False)
     whole = run(scene, options, quiet=True).summary
     alone = simulate(scene, output=tmp_path / "alone", picture=False, quiet=True).summary
@@ -121,8 +121,8 @@ def test_faults_do_to_wheels_and_modules_what_they_do_in_a_run(policy: str, tmp_
     assert alone.support_changes == whole.support_changes
     assert alone.parcels[0].angle_rad != pytest.approx(plain.parcels[0].angle_rad, abs=1e-3)
     assert list(alone.cells_lost) == list(whole.cells_lost) == [(14, 12)]
-    told = [[(f["kind"], f["time_s"]) for f in summary.faults] for summary in (alone, whole)]
-    assert told[0] == told[1]
+    transitions = [[(f["kind"], f["time_s"]) for f in summary.faults] for summary in (alone, whole)]
+    assert transitions[0] == transitions[1]
 
 
 def test_a_crash_that_would_be_repaired_ends_a_simulation_whose_policy_is_abort(tmp_path: Path) -> None:
@@ -145,11 +145,11 @@ def test_a_wheel_that_runs_away_does_so_at_the_speed_of_the_motors_that_are_left
     (ideal_fault,) = without_cells(scene).faults
     assert ideal_fault.model_dump()["speed_m_s"] == pytest.approx(0.45)
     ideal_one = _scene("elliptic", duration_s=0.05, faults=[{**fault, "speed_m_s": 0.45}])
-    courses = [
+    results = [
         simulate(one, output=tmp_path, picture=False, quiet=True).summary for one in (scene, ideal_one)
     ]
-    assert courses[0].parcels[0].position_m == courses[1].parcels[0].position_m
-    assert courses[0].parcels[0].position_m[0] > 0.55
+    assert results[0].parcels[0].position_m == results[1].parcels[0].position_m
+    assert results[0].parcels[0].position_m[0] > 0.55
 
 
 def test_faults_of_the_cells_are_left_out_and_that_is_said(
@@ -174,7 +174,7 @@ def test_the_same_simulation_has_the_same_digest(tmp_path: Path) -> None:
     assert first == second != other
 
 
-def test_events_that_have_no_room_in_one_call_are_told(
+def test_events_that_have_no_room_in_one_call_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     gliding = "{ size_m = [0.5, 0.5], position_m = [-1.0, 0.003], mass_kg = 1.0, velocity_m_s = [0.5, 0.0] }"

@@ -26,7 +26,7 @@ class Clock:
         self.now_s += span_s
 
 
-def _told(work_s: list[float], factor: float = 2.0, first_s: float = 3.0) -> tuple[list[str], float]:
+def _reported(work_s: list[float], factor: float = 2.0, first_s: float = 3.0) -> tuple[list[str], float]:
     """Lines of a run whose ticks of 1 s take so long each, and the wall time when it is over."""
     clock, lines = Clock(), list[str]()
     pace = Pace(factor, lines.append, clock=clock, sleep=clock.sleep)
@@ -37,13 +37,13 @@ def _told(work_s: list[float], factor: float = 2.0, first_s: float = 3.0) -> tup
 
 
 def test_ticks_wait_for_their_time_counted_from_the_first_and_make_up_for_a_late_one() -> None:
-    lines, wall_s = _told([0.1, 0.1, 0.1])
+    lines, wall_s = _reported([0.1, 0.1, 0.1])
     assert (lines, wall_s) == ([], pytest.approx(1.1))
-    assert _told([0.9, 0.1, 0.1, 0.1])[1] == pytest.approx(1.6)
+    assert _reported([0.9, 0.1, 0.1, 0.1])[1] == pytest.approx(1.6)
 
 
 def test_a_run_that_falls_behind_says_so_with_its_lag_whenever_that_has_doubled() -> None:
-    lines, _ = _told([1.0] * 10)
+    lines, _ = _reported([1.0] * 10)
     assert lines == [
         "--realtime 2: can't keep up: 0.5 s behind the clock at 4.000 s (1 × real time so far)",
         "--realtime 2: can't keep up: 1.0 s behind the clock at 5.000 s (1 × real time so far)",
@@ -53,14 +53,14 @@ def test_a_run_that_falls_behind_says_so_with_its_lag_whenever_that_has_doubled(
 
 
 def test_a_run_that_has_caught_up_says_so_once() -> None:
-    lines, _ = _told([1.2, 0.1, 0.1, 0.1, 0.1])
+    lines, _ = _reported([1.2, 0.1, 0.1, 0.1, 0.1])
     assert [line.partition(": ")[2].partition(" at ")[0] for line in lines] == [
         "can't keep up: 0.7 s behind the clock",
         "in step with the clock again",
     ]
 
 
-def test_a_run_tells_its_lag_while_it_goes_on(
+def test_a_run_reports_its_lag_while_it_continues(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("deploy.runs.pace._LAG_S", 1e-3)

@@ -1,4 +1,4 @@
-"""What a run refused: told once for each peer and kind, counted for the summary, shown in its table."""
+"""What a run refused: reported once for each peer and kind, counted for the summary, shown in its table."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class Watched:
         return dict(self.counts)
 
 
-def test_each_peer_and_kind_is_told_once_and_counted_every_time() -> None:
-    watch, counts, told = Watched(), MessageCounters(), list[str]()
-    refused = RejectionMonitor(cast("Any", watch), told.append)
+def test_each_peer_and_kind_is_reported_once_and_counted_every_time() -> None:
+    watch, counts, reported = Watched(), MessageCounters(), list[str]()
+    refused = RejectionMonitor(cast("Any", watch), reported.append)
     for _ in range(3):
         watch.refuse("cells-0", MESSAGE)
         watch.refuse("a stranger", "connection: no certificate")
@@ -41,7 +41,7 @@ def test_each_peer_and_kind_is_told_once_and_counted_every_time() -> None:
         refused.poll(counts)
     counts.refused["shard 1", "drive: type"] += 1
     refused.poll(counts)
-    assert told == [
+    assert reported == [
         "refused: shard 0: drive: type malformed (the summary has the number)",
         "denied: cells-0: message (the summary has the number)",
         "denied: a stranger: connection: no certificate (the summary has the number)",

@@ -54,12 +54,12 @@ def test_coulomb_carries_its_parcel_off_at_the_wheels_speed() -> None:
 def test_the_stream_sends_every_parcel_through_the_exit_on_its_side() -> None:
     scene = load_scene("stream", [Override.parse("duration_s=12")])
     plant = Plant(scene.plant_spec())
-    course = plant.trajectory(field_speeds(scene, plant.array.positions_m), scene.duration_ns, 4_096_000)
-    left = [event for event in course.events if event.kind == "left"]
+    trajectory = plant.trajectory(field_speeds(scene, plant.array.positions_m), scene.duration_ns, 4_096_000)
+    left = [event for event in trajectory.events if event.kind == "left"]
     assert len(left) > 2
     assert {event.position_m[1] > 0.0 for event in left} == {True, False}
     for event in left:
-        side = "north" if course.state[0, event.parcel, 1] > 0.0 else "south"
+        side = "north" if trajectory.state[0, event.parcel, 1] > 0.0 else "south"
         assert event.detail.startswith(f"through exit {side} ")
 
 
@@ -75,7 +75,7 @@ def test_where_a_rolling_parcel_ends_depends_on_how_it_came() -> None:
     assert ends[1] > 1e-4
 
 
-def test_wheels_that_slip_bring_the_parcel_to_the_middle_by_another_way_than_rolling_ones() -> None:
+def test_wheels_that_slip_bring_the_parcel_to_the_middle_along_another_path_than_rolling_ones() -> None:
     x, y, theta = at_the_end("stick_slip")
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.02)
     scene = load_scene("stick_slip", [Override.parse("friction.coefficient=1e6")])
@@ -87,7 +87,7 @@ def test_wheels_that_slip_bring_the_parcel_to_the_middle_by_another_way_than_rol
 def test_all_fifty_parcels_of_large_follow_one_linear_map_and_never_meet() -> None:
     scene = load_scene("large")
     plant = Plant(scene.plant_spec())
-    course = plant.trajectory(
+    trajectory = plant.trajectory(
         field_speeds(scene, plant.array.positions_m), scene.duration_ns, 10 * scene.cells.period_ns
     )
     # in the complex plane z'' = kappa (w z - z'), w = rate + i rotation, from rest
@@ -102,4 +102,4 @@ def test_all_fifty_parcels_of_large_follow_one_linear_map_and_never_meet() -> No
     assert plant.state[:, 0] + 1j * plant.state[:, 1] == pytest.approx(factor * start, abs=1e-8)
     assert {status.state for status in plant.status} == {"moving"}
     assert plant.support_changes > 50_000
-    assert not [event for event in course.events if event.kind == "overlap"]
+    assert not [event for event in trajectory.events if event.kind == "overlap"]

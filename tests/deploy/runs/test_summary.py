@@ -136,7 +136,7 @@ def test_the_table_names_lost_cells_faults_and_lost_messages() -> None:
         assert words in text
 
 
-def test_the_table_tells_messages_of_cells_apart_from_frames_of_the_bus() -> None:
+def test_the_table_distinguishes_messages_of_cells_from_frames_of_the_bus() -> None:
     text = printed(
         summary(messages=Messages(sent=10, delivered=9, protocol=ProtocolMessages(sent=1_234, heard=1_200)))
     )
@@ -231,7 +231,7 @@ def test_what_faults_did_has_a_line_of_its_own_apart_from_which_there_were() -> 
     assert text.count("\nfaults") == 1
 
 
-def test_what_limits_how_far_a_course_can_be_believed_is_a_line_each() -> None:
+def test_each_limit_of_a_trajectory_s_validity_is_a_line() -> None:
     outrun = [{"parcel": 3, "since_s": 0.20387}, {"parcel": 0, "since_s": 0.7}]
     found = summary(law_not_valid=outrun, captured={"capture_m": 1e-6, "parcels": [0, 2]})
     lines = [" ".join(line.split()) for line in printed(found, width=120).splitlines()]

@@ -34,7 +34,9 @@ def ended(tmp_path: Path) -> Callable[..., Summary]:
 
 
 @pytest.mark.slow
-def test_three_parcels_go_round_the_carousel_and_turn_each_its_own_way(ended: Callable[..., Summary]) -> None:
+def test_three_parcels_go_round_the_carousel_and_turn_each_in_its_direction(
+    ended: Callable[..., Summary],
+) -> None:
     """Within 2 mm, for it still settles, and the 2 degrees by which one lies off before the next cell turns it back."""
     summary = ended("carousel", cells__period_s=0.032768)
     assert summary.status == "ok"

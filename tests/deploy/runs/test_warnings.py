@@ -116,7 +116,7 @@ def processor(*changes: str, name: str = "prototype") -> tuple[str, ...]:
     return warnings_of(load_scene(name, [Override.parse(change) for change in changes]))
 
 
-def test_boards_that_no_processor_could_serve_are_told_with_what_takes_its_time() -> None:
+def test_boards_that_no_processor_could_serve_are_reported_with_what_takes_its_time() -> None:
     (line,) = processor("effects.serial={ baud = 31250 }")
     assert line == (
         "an MC68HC11 would be busy for 121 to 133 % of a control period of 8,192 E: speed loops 16 to 28 %, PWM 5 %, "
@@ -132,7 +132,7 @@ def test_boards_that_no_processor_could_serve_are_told_with_what_takes_its_time(
     assert "for 421 to 433 % of" in fast
 
 
-def test_boards_that_have_the_time_are_not_told() -> None:
+def test_boards_that_have_the_time_are_not_reported() -> None:
     assert processor() == ()
     assert processor('cells.board={ name = "hc11", without = ["fixed_point"] }') == ()
     assert processor("effects.serial={ baud = 31250, ring_bytes = 0 }") == ()

@@ -378,7 +378,7 @@ def test_a_file_named_like_a_bundled_scene_is_reached_by_its_path(
     assert load_scene("elliptic").duration_s == 10.0
 
 
-def test_a_firmware_file_is_looked_for_beside_its_scene(tmp_path: Path) -> None:
+def test_a_firmware_file_is_searched_beside_its_scene(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "import numpy as np\n"
         "from cell_firmware.firmware import Firmware, Outputs\n"

@@ -101,7 +101,7 @@ def test_each_side_carries_out_its_own() -> None:
     assert cell_only_faults(_with(*MIXED)) == ["faults[1] (hang)"]
 
 
-def test_a_plant_in_which_nothing_turns_has_no_faults_to_look_at() -> None:
+def test_a_plant_without_wheel_faults_has_no_fault_schedule() -> None:
     scene = _with(*MIXED[:3])
     assert active(scene) is None
     faults = active(_with(*MIXED))
@@ -126,7 +126,7 @@ ABSENT = [RemoveFault(kind="remove", cell=(0, 1)), AddFault(kind="add", at_s=1.0
 
 
 @pytest.mark.parametrize("fault", [CrashFault(cell=(0, 1)), *ABSENT], ids=lambda fault: fault.kind_name)
-def test_programs_of_cells_that_are_away_stand_and_begin_anew_when_they_are_back(
+def test_programs_of_removed_cells_halt_and_restart_when_the_cells_return(
     fault: CrashFault | AbsentModuleFault,
 ) -> None:
     one = FaultInstance(0, fault, np.array([1]), 5, 7)
@@ -137,8 +137,8 @@ def test_programs_of_cells_that_are_away_stand_and_begin_anew_when_they_are_back
         assert not pause.outputs_held.any()
         assert not pause.watchdog_unserved.any()
         seen.append((pause.halted.tolist(), pause.reset.tolist()))
-    none, struck = [False] * 3, [False, True, False]
-    assert seen == [(none, none), (struck, none), (struck, none), (none, struck), (none, none)]
+    none, affected = [False] * 3, [False, True, False]
+    assert seen == [(none, none), (affected, none), (affected, none), (none, affected), (none, none)]
     pause = ExecutionFaults.none(3)
     pause.reset[:] = True
     fault.execution(4, one, pause)
@@ -147,11 +147,11 @@ def test_programs_of_cells_that_are_away_stand_and_begin_anew_when_they_are_back
 
 def test_who_is_pulled_is_gone_and_who_crashed_is_dead() -> None:
     for fault in ABSENT:
-        harm = WheelFaults.healthy(3)
-        fault.apply(np.array([1]), harm)
-        assert (harm.gone.tolist(), harm.dead.any()) == ([False, True, False], False)
-    harm = WheelFaults.healthy(3)
-    CrashFault(cell=(0, 1)).apply(np.array([1]), harm)
-    CrashFault(cell=(0, 2), wheels="hold").apply(np.array([2]), harm)
-    assert (harm.dead.tolist(), harm.gone.any()) == ([False, True, True], False)
-    assert harm.wheel_policies == {2: "hold"}
+        wheel_faults = WheelFaults.healthy(3)
+        fault.apply(np.array([1]), wheel_faults)
+        assert (wheel_faults.gone.tolist(), wheel_faults.dead.any()) == ([False, True, False], False)
+    wheel_faults = WheelFaults.healthy(3)
+    CrashFault(cell=(0, 1)).apply(np.array([1]), wheel_faults)
+    CrashFault(cell=(0, 2), wheels="hold").apply(np.array([2]), wheel_faults)
+    assert (wheel_faults.dead.tolist(), wheel_faults.gone.any()) == ([False, True, True], False)
+    assert wheel_faults.wheel_policies == {2: "hold"}

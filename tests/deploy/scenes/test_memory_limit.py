@@ -44,7 +44,7 @@ def test_the_command_ends_with_one_line_and_exit_status_2(capsys: pytest.Capture
     assert "array.rows = 10000: 100,000,000 cells need" in line
 
 
-def test_parcels_and_processes_and_courses_that_can_t_fit_are_refused(
+def test_parcels_and_processes_and_trajectories_that_can_t_fit_are_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     with pytest.raises(

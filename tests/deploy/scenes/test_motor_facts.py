@@ -1,4 +1,4 @@
-"""What boards are told of motors."""
+"""What boards know of motors."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ DC = {
 }
 
 
-def test_a_scene_without_motors_tells_nothing() -> None:
+def test_a_scene_without_motors_has_no_motor_facts() -> None:
     assert motor_facts(None) is None
 
 
-def test_first_order_motors_tell_supply_and_free_speed() -> None:
+def test_first_order_motors_give_supply_and_free_speed() -> None:
     assert motor_facts(MotorsSpec(supply_v=6.0, speed_per_volt_m_s=0.2)) == MotorFacts(6.0, 6.0 * 0.2)
     assert motor_facts(MotorsSpec()) == MotorFacts(12.0, 12.0 * 0.1)
 
 
-def test_a_dc_motor_tells_its_wheel_too() -> None:
+def test_a_dc_motor_gives_its_wheel_too() -> None:
     """Without gears and damping a volt is k rad/s: 100 a volt, at 0.02 m."""
     found = motor_facts(MotorsSpec.model_validate({"supply_v": 6.0, "dc": DC}))
     assert found is not None

@@ -188,7 +188,7 @@ def test_a_setting_that_is_not_the_solver_s_is_refused_by_its_option(
     assert str(caught.value).count("\n") == 0
 
 
-def test_a_misspelt_setting_of_the_file_is_refused_whatever_solver_is_asked_for(tmp_path: Path) -> None:
+def test_a_misspelt_setting_of_the_file_is_refused_whatever_solver_is_requested(tmp_path: Path) -> None:
     scene = tmp_path / "x.toml"
     scene.write_text(scene_text("elliptic").replace("tolerance", "tolerence"))
     with pytest.raises(SceneError, match=r"solver\.tolerence = 1e-09: unknown key; nearest: tolerance"):

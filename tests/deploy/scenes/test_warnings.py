@@ -19,7 +19,7 @@ def _of(*changes: str, scene: str = "elliptic") -> list[str]:
     return list(scene_warnings(load_scene(scene, [Override.parse(text) for text in changes])))
 
 
-def test_no_bundled_scene_looks_mistaken() -> None:
+def test_no_bundled_scene_has_warnings() -> None:
     assert {
         name: found for name in bundled_names() if (found := list(scene_warnings(load_scene(name))))
     } == {}
@@ -40,7 +40,9 @@ def test_no_bundled_scene_looks_mistaken() -> None:
         ("elliptic", "duration_s=0.004", "duration_s = 0.004: the run is over after one tick, which takes 0.004096 s"),
     ],
 )  # fmt: skip
-def test_what_looks_mistaken_is_named_with_its_value_and_why(scene: str, change: str, warning: str) -> None:
+def test_a_suspicious_setting_is_named_with_its_value_and_the_reason(
+    scene: str, change: str, warning: str
+) -> None:
     (found,) = _of(change, scene=scene)
     assert found.startswith(warning)
 
@@ -52,7 +54,7 @@ def test_what_may_well_be_meant_is_not(change: str) -> None:
     assert _of(change) == []
 
 
-def test_a_simulation_tells_them_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_simulation_reports_warnings_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     short = ("--duration", "0.001", "--no-picture", "--output", str(tmp_path))
     assert main(["simulate", "elliptic", *short]) == 0
     captured = capsys.readouterr()
@@ -60,21 +62,21 @@ def test_a_simulation_tells_them_too(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "warning    duration_s = 0.001" in captured.out
 
 
-def test_a_run_is_told_those_of_the_scene_and_those_of_its_firmware() -> None:
+def test_a_run_reports_warnings_of_the_scene_and_of_its_firmware() -> None:
     assert warnings_of(load_scene("elliptic", [Override.parse("cells.period_s=2")]))[0].startswith(
         "cells.period_s = 2"
     )
 
 
-def test_a_campaign_tells_each_once(
+def test_a_campaign_reports_each_warning_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def enough(*_: object) -> None:
         raise InputError("enough")
 
     monkeypatch.setattr(Campaign, "run", enough)
-    asked = ("elliptic", "--fault", "crash", "--share", "0,0.1", "--set", "parcels.0.angle_rad=90")
-    assert main(["campaign", *asked, "--output", str(tmp_path)]) == 2
+    arguments = ("elliptic", "--fault", "crash", "--share", "0,0.1", "--set", "parcels.0.angle_rad=90")
+    assert main(["campaign", *arguments, "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("mdms: warning: parcels.0.angle_rad = 90: ") == 1
 
 

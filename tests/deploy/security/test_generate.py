@@ -104,13 +104,13 @@ def test_keys_fit_the_cut_that_they_were_made_for_and_the_hosts(tmp_path: Path) 
         keyring.check(other, None)
 
 
-def test_certificates_that_have_ended_are_told_before_anything_starts(tmp_path: Path) -> None:
+def test_expired_certificates_are_reported_before_anything_starts(tmp_path: Path) -> None:
     keyring = Keyring(made(tmp_path / "keys", days=0))
     with pytest.raises(InputError, match="certificate has expired"):
         keyring.check(CUT, None)
 
 
-def test_another_role_s_another_run_s_and_half_a_key_are_each_told(tmp_path: Path) -> None:
+def test_another_role_s_another_run_s_and_half_a_key_are_each_reported(tmp_path: Path) -> None:
     folder, other = made(tmp_path / "keys"), made(tmp_path / "other")
     own = folder / "cells-0"
     for name in ("certificate.pem", "key.pem"):
@@ -147,7 +147,7 @@ def test_an_access_control_that_lets_all_pass_is_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["keys.json", "access.json5", "cells-1/authority.pem", ".", "cells-1"])
-def test_what_says_whom_to_trust_is_refused_where_others_can_change_it(name: str, tmp_path: Path) -> None:
+def test_certificate_authorities_that_others_can_change_are_refused(name: str, tmp_path: Path) -> None:
     folder = made(tmp_path / "keys")
     changed = folder / name
     changed.chmod(changed.stat().st_mode | 0o022)

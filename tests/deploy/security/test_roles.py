@@ -67,7 +67,7 @@ def test_no_process_may_put_what_is_another_s_or_the_plant_s(form: WireFormat, s
         assert not any(key.endswith("/sense") for key in set(one.hears) & set(other.hears))
 
 
-def test_an_operator_asks_and_looks_and_puts_nothing() -> None:
+def test_an_operator_sends_requests_and_reads_and_puts_nothing() -> None:
     operator = roles_of(cut("packed", 2))[-1]
     assert (operator.puts, operator.shows) == ((), ())
     assert operator.asks == ("mdms/*/plant/operator",)

@@ -97,7 +97,7 @@ def test_every_command_that_writes_into_a_folder_refuses_one_in_use_in_a_line(
 
 
 @pytest.mark.parametrize(
-    ("note", "told"),
+    ("note", "problem"),
     [
         ("", "another process is writing"),
         ("no number\n", "another process is writing"),
@@ -107,10 +107,10 @@ def test_every_command_that_writes_into_a_folder_refuses_one_in_use_in_a_line(
     ],
     ids=["not written yet", "spoilt", "another machine", "a dead one's", "somebody else's"],
 )
-def test_the_holder_is_named_as_far_as_it_is_known(note: str, told: str, tmp_path: Path) -> None:
+def test_the_holder_is_named_as_far_as_it_is_known(note: str, problem: str, tmp_path: Path) -> None:
     with OutputLock(tmp_path, _no_warning):
         (tmp_path / FILE_NAME).write_text(note)
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=problem):
             OutputLock(tmp_path, _no_warning)
 
 
@@ -125,8 +125,8 @@ def test_where_files_can_not_be_locked_that_is_said_and_the_run_goes_on(
     said: list[str] = []
     with locked_folder(tmp_path / "new", said.append) as folder, locked_folder(folder, said.append):
         pass
-    told = f"output {folder}: files can't be locked there ({os.strerror(error)}); let no other command write there"
-    assert said == 2 * [f"{told} meanwhile"]
+    problem = f"output {folder}: files can't be locked there ({os.strerror(error)}); let no other command write there"
+    assert said == 2 * [f"{problem} meanwhile"]
 
 
 def test_a_folder_that_can_not_be_written_to_is_bad_input() -> None:

@@ -52,7 +52,7 @@ def test_a_signal_raises_at_once_while_the_run_waits() -> None:
         _send(signal.SIGINT)
 
 
-def test_a_signal_that_came_before_raises_on_the_way_in() -> None:
+def test_an_earlier_signal_raises_on_entry() -> None:
     interruption = Interruption()
     with interruption.handling():
         _send(signal.SIGINT)
@@ -132,12 +132,12 @@ def test_after_the_last_interruption_further_signals_are_ignored() -> None:
 def test_other_threads_leave_signals_alone() -> None:
     seen: list[bool] = []
 
-    def look() -> None:
+    def observe() -> None:
         before = signal.getsignal(signal.SIGINT)
         with Interruption().handling():
             seen.append(signal.getsignal(signal.SIGINT) is before)
 
-    thread = threading.Thread(target=look)
+    thread = threading.Thread(target=observe)
     thread.start()
     thread.join()
     assert seen == [True]

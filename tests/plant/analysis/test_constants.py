@@ -135,7 +135,7 @@ def test_eigenvalues_in_a_linear_field_are_those_of_the_damped_oscillator() -> N
     assert found.equilibrium_inside
 
 
-def test_an_equilibrium_elsewhere_is_told_from_one_on_the_same_supports() -> None:
+def test_an_equilibrium_elsewhere_is_distinguished_from_one_on_the_same_supports() -> None:
     scene = spec(parcel(size_m=(0.15, 0.15), position_m=(0.3, 0.2), angle_rad=0.1))
     found = constants_of_motion(scene, 0, Plant(scene).array.positions_m * (-1.0, -2.0))
     assert found.equilibrium_m == pytest.approx([0.0, 0.0], abs=1e-12)

@@ -39,17 +39,20 @@ def scipy_wheel(volts: list[tuple[float, float]], until_s: float) -> tuple[float
     y = np.zeros(2)
     instants = [*(at for at, _ in volts), until_s]
     for (at, u), end in zip(volts, instants[1:], strict=True):
-        now, way = at, float(np.sign(y[0]))
+        now, direction = at, float(np.sign(y[0]))
         while now < end:
-            if way == 0.0:
+            if direction == 0.0:
                 if abs(u) <= STATIC:
                     break
-                way = math.copysign(1.0, u)
+                direction = math.copysign(1.0, u)
             # what stops is put past zero, so that the start is not its own event
-            stops = lambda t, y, way=way: way * y[0] + (1.0 if t == now else 0.0)  # noqa: B023, E731
+            stops = lambda t, y, direction=direction: direction * y[0] + (1.0 if t == now else 0.0)  # noqa: B023, E731
             stops.terminal, stops.direction = True, -1.0
             found = solve_ivp(
-                lambda t, y, u=u, way=way: [(GAIN * (u - way * COULOMB) - y[0]) / TAU, y[0]],
+                lambda t, y, u=u, direction=direction: [
+                    (GAIN * (u - direction * COULOMB) - y[0]) / TAU,
+                    y[0],
+                ],
                 (now, end),
                 y,
                 events=stops,
@@ -59,7 +62,7 @@ def scipy_wheel(volts: list[tuple[float, float]], until_s: float) -> tuple[float
             )
             now, y = found.t[-1], found.y[:, -1]
             if found.status == 1:
-                way = 0.0
+                direction = 0.0
                 y[0] = 0.0
     return float(y[0]), float(y[1])
 
@@ -189,7 +192,7 @@ def test_encoders_at_any_instant_are_the_travel_of_a_call_that_ends_there() -> N
 
 
 @pytest.mark.parametrize("timed", [False, True])
-def test_a_parcel_on_wheels_that_stop_on_the_way_moves_as_in_the_plain_plant(timed: bool) -> None:
+def test_a_parcel_on_wheels_that_stop_within_the_call_moves_as_in_the_plain_plant(timed: bool) -> None:
     """Every wheel is stopped by friction within the call; DOP853 restarted there."""
     plant = Plant(spec(parcel(), motors=RUBBING))
     drives = 20.0 * np.sign(plant.array.positions_m)
@@ -221,9 +224,9 @@ def test_a_call_of_forty_ms_over_stopping_wheels_is_ten_of_four() -> None:
     sampled = Plant(spec(parcel(), motors=RUBBING))
     draw = np.random.default_rng(6)
     drives = draw.uniform(-4.0, 4.0, size=(400, 2))
-    course = sampled.trajectory(drives, 40 * MS, 7 * MS)
+    trajectory = sampled.trajectory(drives, 40 * MS, 7 * MS)
     stepped = Plant(spec(parcel(), motors=RUBBING))
-    for time_ns, state in zip(course.time_ns[1:].tolist(), course.state[1:], strict=True):
+    for time_ns, state in zip(trajectory.time_ns[1:].tolist(), trajectory.state[1:], strict=True):
         stepped.advance(drives, time_ns)
         assert state == pytest.approx(stepped.state, abs=1e-12)
 

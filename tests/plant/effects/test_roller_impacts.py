@@ -1,4 +1,4 @@
-"""Rollers that strike: single impacts by hand, the viscous law that emerges of many, and energy that never rises."""
+"""Roller impacts: single impacts by hand, the viscous law that emerges of many, and energy that never rises."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def bumpy(
     effects: dict[str, object] | None = None,
     **array: object,
 ) -> Plant:
-    """A plant whose rollers strike, and that has next to no friction besides."""
+    """A plant with roller impacts that has next to no friction besides."""
     values = dict(spec(*(parcels or (parcel(),)), **array))  # type: ignore[arg-type]
     rollers = {"spacing_m": spacing_m, "impulse_s": impulse_s}
     values |= {
@@ -59,22 +59,22 @@ def energy(state: Floats, inertia_per_mass: float) -> Floats:
     return 0.5 * (state[:, 3] ** 2 + state[:, 4] ** 2 + inertia_per_mass * state[:, 5] ** 2)
 
 
-def test_each_wheel_strikes_once_a_spacing_where_its_roller_stood_by_its_share_of_the_load() -> None:
+def test_each_wheel_impacts_once_a_spacing_where_its_roller_stood_by_its_share_of_the_load() -> None:
     spacing_m, impulse_s, speed = 1e-3, 1e-5, 0.1
     body = parcel(size_m=(0.15, 0.15), position_m=(0.02, 0.0), angle_rad=0.0, velocity_m_s=(speed, 0.0))
     plant = bumpy(spacing_m, impulse_s, body, rows=2, columns=2, seed=3)
     seen = plant.trajectory(uniform(plant, (0.0, 0.0)), SECOND // 50, 10_000)
     dropped = -np.diff(seen.state[:, 0, 3])
-    struck = np.flatnonzero(dropped > 1e-3 * impulse_s * G)
+    dropping = np.flatnonzero(dropped > 1e-3 * impulse_s * G)
     # the surface seen from the parcel runs backwards: a wheel's roller passes after what it has turned since the last
     passing = np.concatenate([starts(4, 3)[:, 0], starts(4, 3)[:, 0] + 1.0]) * spacing_m
     order = np.argsort(passing)
-    assert len(struck) == 8
-    assert seen.state[struck + 1, 0, 0] - 0.02 == pytest.approx(passing[order], abs=1.5e-6)
+    assert len(dropping) == 8
+    assert seen.state[dropping + 1, 0, 0] - 0.02 == pytest.approx(passing[order], abs=1.5e-6)
     # moments about the centre of mass, x off the middle: columns at -p/2 and p/2 carry 1/4 -+ x/(2 p) a cell
     x_m = np.tile(plant.array.positions_m[:, 0], 2)[order]
-    share = 0.25 + 0.5 * np.sign(x_m) * seen.state[struck + 1, 0, 0] / 0.1
-    assert dropped[struck] == pytest.approx(share * impulse_s * G, rel=0.01)
+    share = 0.25 + 0.5 * np.sign(x_m) * seen.state[dropping + 1, 0, 0] / 0.1
+    assert dropped[dropping] == pytest.approx(share * impulse_s * G, rel=0.01)
 
 
 @pytest.mark.parametrize("ratio", [0.1, 0.3])
@@ -83,16 +83,16 @@ def test_a_viscous_coefficient_emerges_which_is_impulse_over_spacing(ratio: floa
     smooth = solved({"name": "implicit", "tolerance": 1e-6}, mu=1e-9)
     smooth.advance(uniform(smooth), SECOND)
     assert smooth.state[0, 3] < 1e-8
-    emerged, ways = [], []
+    emerged, distances = [], []
     for seed in range(8):
         plant = bumpy(spacing_m, ratio * spacing_m, seed=seed)
         plant.advance(uniform(plant), SECOND // 2)
         emerged.append(-np.log(1.0 - plant.state[0, 3] / 0.1) / (0.5 * G))
-        ways.append(plant.state[0, 0] - 0.55)
+        distances.append(plant.state[0, 0] - 0.55)
     assert np.mean(emerged) == pytest.approx(ratio, rel=0.01)
     assert np.std(emerged) < 0.02 * ratio
     known = 0.1 * (0.5 - (1.0 - np.exp(-0.5 * rate)) / rate)
-    assert np.mean(ways) == pytest.approx(known, abs=0.2 * spacing_m)
+    assert np.mean(distances) == pytest.approx(known, abs=0.2 * spacing_m)
 
 
 def test_path_and_end_are_those_of_the_viscous_law_and_the_scatter_falls_with_the_spacing() -> None:
@@ -131,7 +131,7 @@ def test_motors_that_spin_up_strike_as_often_as_they_slip() -> None:
     assert plant.state[0, 3:5] == pytest.approx(exact.state[0, 3:5], rel=0.02)
 
 
-def test_a_parcel_at_the_wheels_speed_is_never_struck() -> None:
+def test_a_parcel_at_the_wheels_speed_has_no_roller_impacts() -> None:
     plant = bumpy(1e-4, 1e-3, parcel(position_m=(-0.4, 0.1), velocity_m_s=(0.1, 0.05)))
     plant.advance(uniform(plant, (0.1, 0.05)), 5 * SECOND)
     assert plant.state[0, 2:].tolist() == [0.9, 0.1, 0.05, 0.0]
@@ -198,9 +198,9 @@ def test_a_parcel_taken_back_to_where_it_was_meets_the_same_rollers_again() -> N
     solver, motion = plant._solver, WheelMotion(elliptic(plant), uniform(plant, (0.0, 0.0)), 0.0)
     assert isinstance(solver, Implicit)
     one = np.zeros(1, dtype=np.int64)
-    kept, ends = solver.snapshot(one), list[bytes]()
+    saved, ends = solver.snapshot(one), list[bytes]()
     for _ in range(2):
-        solver.restore(kept)
+        solver.restore(saved)
         solver.advance(one, Segment.through(motion, np.ones(len(elliptic(plant))), 1.0, 1))
         ends.append(solver.state.tobytes())
     assert ends[0] == ends[1]

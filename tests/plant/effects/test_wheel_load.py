@@ -232,14 +232,14 @@ def test_rollers_however_hard_add_no_energy_to_parcel_and_wheels_together() -> N
     slick = VISCOUS.model_copy(update={"coefficient_s_per_m": 1e-9})
     plant = Plant(scene(slick, body, tau=1e6, rollers={"spacing_m": 2e-3, "impulse_s": 1.0}))
     still = np.zeros((len(plant.array), 2))
-    told = [energy(plant, INERTIA)]
+    energies = [energy(plant, INERTIA)]
     for tick in range(1, 40):
         plant.advance(still, tick * SECOND // 1000)
-        told.append(energy(plant, INERTIA))
-    assert np.diff(told).max() <= 1e-9 * told[0]
+        energies.append(energy(plant, INERTIA))
+    assert np.diff(energies).max() <= 1e-9 * energies[0]
     assert np.abs(plant.wheel_speed).max() > 0.05
     # what is left is what parcel and some twenty wheels that run along with it have together
-    assert told[-1] < 0.6 * told[0]
+    assert energies[-1] < 0.6 * energies[0]
 
 
 def test_fixed_steps_are_of_first_order_in_the_wheels_too() -> None:
@@ -289,14 +289,14 @@ def test_many_calls_come_to_what_one_does() -> None:
 def test_a_wheel_under_four_parcels_is_slowed_by_each_whatever_thread_moves_them() -> None:
     corners = [(x, y) for x in (-0.15, 0.15) for y in (-0.15, 0.15)]
     bodies = [box(size_m=(0.3, 0.3), position_m=place, angle_rad=0.0) for place in corners]
-    told = []
+    outcomes = []
     for threads in (1, 2, 3):
         plant = Plant(scene(VISCOUS, *bodies, width_m=0.02, rows=9, columns=9))
         assert isinstance(plant._solver, Implicit)
-        plant._solver.crew.threads = threads
+        plant._solver.thread_pool.threads = threads
         plant.advance(field(plant), SECOND // 2)
-        told.append(plant.state.tobytes() + plant.wheel_speed.tobytes())
-    assert told[0] == told[1] == told[2]
+        outcomes.append(plant.state.tobytes() + plant.wheel_speed.tobytes())
+    assert outcomes[0] == outcomes[1] == outcomes[2]
     shared = []
     for some in (bodies[:1], bodies):
         plant = Plant(scene(VISCOUS, *some, width_m=0.02, rows=9, columns=9))
@@ -308,13 +308,13 @@ def test_a_wheel_under_four_parcels_is_slowed_by_each_whatever_thread_moves_them
 
 
 def test_it_is_refused_without_motors_and_by_other_solvers() -> None:
-    asked = dict(scene(VISCOUS, box()))
+    table = dict(scene(VISCOUS, box()))
     meeting = {"motors": {}, "wheel_load": {"inertia_kg": 1.0}, "parcel_contact": {}}
     with pytest.raises(ValidationError, match=r"wheel_load .*doesn't go with effects\.parcel_contact"):
-        PlantSpec.model_validate(asked | {"effects": meeting})
+        PlantSpec.model_validate(table | {"effects": meeting})
     with pytest.raises(ValidationError, match=r"effects\.motors .* effects\.wheel_load needs it"):
-        PlantSpec.model_validate(asked | {"effects": {"wheel_load": {"inertia_kg": 1.0}}})
+        PlantSpec.model_validate(table | {"effects": {"wheel_load": {"inertia_kg": 1.0}}})
     with pytest.raises(
         ValidationError, match=r"solver\.name exact leaves out effects\.wheel_load; use implicit"
     ):
-        PlantSpec.model_validate(asked | {"solver": {"name": "exact"}})
+        PlantSpec.model_validate(table | {"solver": {"name": "exact"}})

@@ -53,9 +53,9 @@ def solver(request: pytest.FixtureRequest) -> dict[str, object]:
 
 def pull(plant: Plant, cells: Sequence[tuple[int, int]], drives: Floats | None = None) -> None:
     """These cells, and no others, are not in the array from now on."""
-    harm = WheelFaults.healthy(len(plant.array))
-    harm.gone[cells_of(plant, cells)] = True
-    plant.apply_faults(harm, np.zeros((len(plant.array), 2)) if drives is None else drives)
+    wheel_faults = WheelFaults.healthy(len(plant.array))
+    wheel_faults.gone[cells_of(plant, cells)] = True
+    plant.apply_faults(wheel_faults, np.zeros((len(plant.array), 2)) if drives is None else drives)
 
 
 def named(events: Sequence[Event]) -> list[tuple[float, str, tuple[tuple[int, int], ...]]]:
@@ -67,15 +67,15 @@ def test_an_array_whose_cells_were_pulled_at_the_start_is_one_that_never_had_the
 ) -> None:
     pulled, never = solved(solver, parcel()), solved(solver, parcel(), missing=HOLES)
     pull(pulled, HOLES)
-    told = [plant.advance(elliptic(plant), SECOND)[1] for plant in (pulled, never)]
+    reported = [plant.advance(elliptic(plant), SECOND)[1] for plant in (pulled, never)]
     assert pulled.state == pytest.approx(never.state, abs=1e-12)
     assert not pulled.sense().presence[cells_of(pulled, HOLES)].any()
     there = cells_of(pulled, never.array.lattice.cells)
     assert np.array_equal(pulled.sense().presence[there], never.sense().presence)
-    lost = [event for event in told[0] if event.time_s == 0.0]
+    lost = [event for event in reported[0] if event.time_s == 0.0]
     assert {(event.kind, event.cells[0] in HOLES) for event in lost} == {("support_lost", True)}
-    later = [(event.kind, event.cells) for event in told[0] if event.time_s > 0.0]
-    assert later == [(event.kind, event.cells) for event in told[1]]
+    later = [(event.kind, event.cells) for event in reported[0] if event.time_s > 0.0]
+    assert later == [(event.kind, event.cells) for event in reported[1]]
     assert pulled.support_changes == never.support_changes + len(lost)
 
 
@@ -170,7 +170,7 @@ def test_a_pulled_cell_senses_nothing_whatever_it_has_for_sensors() -> None:
     assert np.array_equal(plant.last_readings.presence, before.presence)
 
 
-def test_cells_that_read_at_instants_of_their_own_are_told_nothing_while_they_are_gone() -> None:
+def test_cells_that_read_at_instants_of_their_own_read_nothing_while_they_are_removed() -> None:
     plant = Plant(spec(parcel()))
     under, reads_ns = members(plant)[:2], np.full(400, -1)
     timing = Timing(np.full(400, -1), reads_ns)

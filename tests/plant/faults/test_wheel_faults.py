@@ -42,12 +42,12 @@ SOLVERS: dict[str, tuple[dict[str, object], float]] = {
 """With how far a place may be off, m."""
 
 
-def harmed(cells: int, *faults: tuple[PlantFault, list[int]]) -> WheelFaults:
-    """What faults do that strike some of so many cells."""
-    harm = WheelFaults.healthy(cells)
-    for fault, struck in faults:
-        fault.apply(np.array(struck), harm)
-    return harm
+def faulty(cells: int, *faults: tuple[PlantFault, list[int]]) -> WheelFaults:
+    """Effects of faults that affect some of so many cells."""
+    wheel_faults = WheelFaults.healthy(cells)
+    for fault, affected in faults:
+        fault.apply(np.array(affected), wheel_faults)
+    return wheel_faults
 
 
 def on_four(solver: dict[str, object]) -> Plant:
@@ -76,7 +76,7 @@ def followed(start: float, left: float, right: float, span_s: float) -> float:
     [(STUCK, 0.0), (WEAK, 0.4 * DRIVEN), (SLOW, 0.005), (REVERSED, -DRIVEN), (RUNAWAY, -0.03)],
     ids=lambda value: value.kind_name if isinstance(value, PlantFault) else "",
 )
-def test_a_parcel_on_harmed_wheels_follows_the_closed_form(
+def test_a_parcel_on_faulty_wheels_follows_the_closed_form(
     fault: PlantFault, speed: float, solver: str
 ) -> None:
     if solver == "heyoka":
@@ -86,9 +86,9 @@ def test_a_parcel_on_harmed_wheels_follows_the_closed_form(
     drives = np.zeros((4, 2))
     drives[:, 0] = DRIVEN
     right = cells_of(plant, [(0, 1), (1, 1)])
-    harm = harmed(4, (fault, right))
-    harm.runs_m_s[:, 1] = np.nan  # only along x
-    plant.apply_faults(harm, np.zeros((4, 2)))
+    wheel_faults = faulty(4, (fault, right))
+    wheel_faults.runs_m_s[:, 1] = np.nan  # only along x
+    plant.apply_faults(wheel_faults, np.zeros((4, 2)))
     plant.advance(drives, SECOND // 2)
     assert plant.state[0, 0] == pytest.approx(followed(0.01, DRIVEN, speed, 0.5), abs=off_m)
     assert plant.state[0, 1:3] == pytest.approx((0.0, 0.0), abs=1e-9)
@@ -96,32 +96,32 @@ def test_a_parcel_on_harmed_wheels_follows_the_closed_form(
     assert np.all(plant.wheel_speed[cells_of(plant, [(0, 0), (1, 0)]), 0] == DRIVEN)
 
 
-def test_one_wheel_of_a_cell_may_be_harmed_alone() -> None:
+def test_one_wheel_of_a_cell_may_be_faulty_alone() -> None:
     along_y = STUCK.model_copy(update={"wheel": "y"})
     plant = on_four({"name": "exact"})
-    plant.apply_faults(harmed(4, (along_y, [1, 2])), np.zeros((4, 2)))
+    plant.apply_faults(faulty(4, (along_y, [1, 2])), np.zeros((4, 2)))
     plant.advance(np.full((4, 2), DRIVEN), TICK_NS)
     assert np.all(plant.wheel_speed[:, 0] == DRIVEN)
     assert plant.wheel_speed[:, 1].tolist() == [DRIVEN, 0.0, 0.0, DRIVEN]
 
 
 def test_what_is_repaired_moves_as_if_nothing_had_been() -> None:
-    plain, harmed_once = on_four({"name": "exact"}), on_four({"name": "exact"})
+    plain, faulty_once = on_four({"name": "exact"}), on_four({"name": "exact"})
     still = np.zeros((4, 2))
     for fault in (STUCK, WEAK, REVERSED, RUNAWAY):
-        harmed_once.apply_faults(harmed(4, (fault, [0, 3])), still)
-    harmed_once.apply_faults(WheelFaults.healthy(4), still)
+        faulty_once.apply_faults(faulty(4, (fault, [0, 3])), still)
+    faulty_once.apply_faults(WheelFaults.healthy(4), still)
     drives = np.random.default_rng(3).normal(scale=0.02, size=(4, 2))
-    for plant in (plain, harmed_once):
+    for plant in (plain, faulty_once):
         plant.advance(drives, SECOND // 4)
-    assert np.array_equal(plain.state, harmed_once.state)
-    assert np.array_equal(plain.wheel_speed, harmed_once.wheel_speed)
+    assert np.array_equal(plain.state, faulty_once.state)
+    assert np.array_equal(plain.wheel_speed, faulty_once.wheel_speed)
 
 
 def test_faults_of_one_wheel_add_up() -> None:
-    harm = harmed(2, (WEAK, [0]), (REVERSED, [0]), (WEAK, [0]), (RUNAWAY, [1]), (SLOW, [1]))
+    wheel_faults = faulty(2, (WEAK, [0]), (REVERSED, [0]), (WEAK, [0]), (RUNAWAY, [1]), (SLOW, [1]))
     wheels = FaultyWheels(IdealWheels(2), None, 2)
-    wheels.apply_faults(harm, np.full((2, 2), 1.0))
+    wheels.apply_faults(wheel_faults, np.full((2, 2), 1.0))
     assert wheels.speed == pytest.approx(np.array([[-0.16, -0.16], [-0.005, -0.005]]))
 
 
@@ -130,7 +130,7 @@ def test_a_jammed_wheel_of_a_cell_that_coasts_rubs_all_the_same() -> None:
     for policy in ("coast", "brake"):
         plant = on_four({"name": "exact"})
         plant.release_wheels([1, 3], policy)  # type: ignore[arg-type]
-        plant.apply_faults(harmed(4, (STUCK, [1, 3])), np.zeros((4, 2)))
+        plant.apply_faults(faulty(4, (STUCK, [1, 3])), np.zeros((4, 2)))
         plant.advance(np.array([[DRIVEN, 0.0], [0.0, 0.0]] * 2), SECOND // 4)
         ends.append(plant.state)
     assert np.array_equal(ends[0], ends[1])
@@ -148,7 +148,7 @@ MOTORS = MotorsSpec(time_constant_s=TAU, speed_per_volt_m_s=0.1, coulomb_v=0.5, 
 
 def wheels_of(*faults: tuple[PlantFault, list[int]], cells: int = 1) -> FaultyWheels:
     wheels = FaultyWheels(Motors(MOTORS, cells), MOTORS, cells)
-    wheels.apply_faults(harmed(cells, *faults), np.zeros((cells, 2)))
+    wheels.apply_faults(faulty(cells, *faults), np.zeros((cells, 2)))
     return wheels
 
 
@@ -185,7 +185,7 @@ def test_a_weak_motor_is_weak_below_its_saturation() -> None:
 def test_a_motor_that_jams_stands_at_once_and_starts_from_rest() -> None:
     wheels = wheels_of()
     before = turned(wheels, 6.0, 0.1)
-    wheels.apply_faults(harmed(1, (STUCK, [0])), np.full((1, 2), 6.0))
+    wheels.apply_faults(faulty(1, (STUCK, [0])), np.full((1, 2), 6.0))
     assert wheels.travel is not None
     passed = wheels.travel.copy()
     assert wheels.speed.tolist() == [[0.0, 0.0]]
@@ -203,7 +203,7 @@ def test_a_fault_acts_at_once_on_a_drive_that_stands_until_the_next_takes_effect
         stood, new, acts_s = np.full((2, 2), 4.0), np.full((2, 2), 7.0), np.array([0.01, 0.01])
         wheels.elapse(wheels.command(stood, 10.0), 10.0)
         plain = wheels.speed[0, 0]
-        wheels.apply_faults(harmed(2, (REVERSED, [1])), stood)
+        wheels.apply_faults(faulty(2, (REVERSED, [1])), stood)
         run = wheels.command(new, 0.02, acts_s)
         begun, late = run.speed(0.0), run.motion.steady
         assert begun[0, 0] == pytest.approx(plain)

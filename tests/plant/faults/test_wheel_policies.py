@@ -30,16 +30,16 @@ def runaway(speed_m_s: float | None = None) -> WheelRunawayFault:
 
 
 @pytest.mark.parametrize(
-    ("wheel", "struck"), [("x", [True, False]), ("y", [False, True]), ("both", [True, True])]
+    ("wheel", "affected"), [("x", [True, False]), ("y", [False, True]), ("both", [True, True])]
 )
-def test_a_fault_strikes_the_wheel_that_it_names(wheel: Any, struck: list[bool]) -> None:
-    harm = WheelFaults.healthy(2)
-    WheelStuckFault(kind="wheel_stuck", cell=(0, 0), wheel=wheel).apply(np.array([1]), harm)
-    assert harm.stuck.tolist() == [[False, False], struck]
+def test_a_fault_affects_the_wheel_that_it_names(wheel: Any, affected: list[bool]) -> None:
+    wheel_faults = WheelFaults.healthy(2)
+    WheelStuckFault(kind="wheel_stuck", cell=(0, 0), wheel=wheel).apply(np.array([1]), wheel_faults)
+    assert wheel_faults.stuck.tolist() == [[False, False], affected]
 
 
 @pytest.mark.parametrize(
-    ("fault", "effects", "told"),
+    ("fault", "effects", "expected"),
     [
         (runaway(), IDEAL, ["needs speed_m_s"]),
         (runaway(1.0), IDEAL, []),
@@ -50,11 +50,11 @@ def test_a_fault_strikes_the_wheel_that_it_names(wheel: Any, struck: list[bool])
     ],
 )
 def test_a_fault_is_at_odds_with_effects_in_which_it_can_not_be(
-    fault: PlantFault, effects: PlantEffects, told: list[str]
+    fault: PlantFault, effects: PlantEffects, expected: list[str]
 ) -> None:
     rules = [rule for _, _, rule in fault.setting_problems(effects)]
-    assert len(rules) == len(told)
-    assert all(rule.startswith(word) for rule, word in zip(rules, told, strict=True))
+    assert len(rules) == len(expected)
+    assert all(rule.startswith(word) for rule, word in zip(rules, expected, strict=True))
 
 
 def test_a_wheel_is_weak_somehow() -> None:
@@ -73,10 +73,10 @@ def test_without_motors_a_wheel_runs_away_at_what_the_supply_gives_without_load(
 
 
 def test_the_scene_s_last_fault_says_where_a_wheel_runs() -> None:
-    harm = WheelFaults.healthy(1)
+    wheel_faults = WheelFaults.healthy(1)
     for fault in (runaway(1.0), runaway(2.0).model_copy(update={"way": "negative"})):
-        fault.apply(np.array([0]), harm)
-    assert harm.runs_m_s.tolist() == [[-2.0, -2.0]]
+        fault.apply(np.array([0]), wheel_faults)
+    assert wheel_faults.runs_m_s.tolist() == [[-2.0, -2.0]]
 
 
 def test_something_changes_when_a_fault_begins_or_ends_and_at_no_other_tick() -> None:

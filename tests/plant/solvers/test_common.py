@@ -46,20 +46,20 @@ def test_motors_and_coasting_cells_are_those_of_the_exact_solver(name: str) -> N
 
 def test_a_trajectory_passes_through_the_states_of_ticks(name: str) -> None:
     whole, ticks = solved(SOLVERS[name], BODY), solved(SOLVERS[name], BODY)
-    course = whole.trajectory(elliptic(whole), 60 * TICK_NS, TICK_NS)
+    trajectory = whole.trajectory(elliptic(whole), 60 * TICK_NS, TICK_NS)
     for tick in range(1, 61):
         ticks.advance(elliptic(ticks), tick * TICK_NS)
-        assert course.state[tick, 0] == pytest.approx(ticks.state[0], abs=1e-9)
+        assert trajectory.state[tick, 0] == pytest.approx(ticks.state[0], abs=1e-9)
     assert whole.support_changes == ticks.support_changes >= 5
 
 
-def test_the_cells_sense_and_the_plant_tells_what_they_do_with_the_exact_solver(name: str) -> None:
-    told = []
+def test_presence_and_events_are_those_of_the_exact_solver(name: str) -> None:
+    outcomes = []
     for plant in (Plant(spec(parcel())), solved(SOLVERS[name], parcel())):
         sense, events = plant.advance(elliptic(plant), SECOND // 2)
-        told.append((sense.presence.tolist(), [(event.kind, event.cells) for event in events]))
-    assert told[0] == told[1]
-    assert len(told[0][1]) > 10
+        outcomes.append((sense.presence.tolist(), [(event.kind, event.cells) for event in events]))
+    assert outcomes[0] == outcomes[1]
+    assert len(outcomes[0][1]) > 10
 
 
 def test_a_parcel_does_not_change_another_s_bits_and_the_same_scene_gives_the_same_bytes(name: str) -> None:
@@ -74,14 +74,14 @@ def test_a_parcel_does_not_change_another_s_bits_and_the_same_scene_gives_the_sa
 
 
 def test_a_parcel_tips_where_and_when_it_does_with_the_exact_solver(name: str) -> None:
-    told = []
+    outcomes = []
     for plant in (
         Plant(spec(OFF_THE_EDGE, missing=GAP)),
         solved(SOLVERS[name], OFF_THE_EDGE, missing=GAP),
     ):
         plant.advance(drive(plant, 1.0), SECOND)
-        told.append((plant.status[0], plant.state[0]))
-    (known, place), (status, ended) = told
+        outcomes.append((plant.status[0], plant.state[0]))
+    (known, place), (status, ended) = outcomes
     assert known.state == "off_array"
     assert (status.state, status.detail) == (known.state, known.detail)
     assert status.time_s == pytest.approx(known.time_s, abs=2e-4)
@@ -91,13 +91,13 @@ def test_a_parcel_tips_where_and_when_it_does_with_the_exact_solver(name: str) -
 def test_a_parcel_on_a_single_row_of_cells_stands_until_the_row_ends(name: str) -> None:
     body = parcel(size_m=(0.25, 0.08), position_m=(0.0, 0.0), angle_rad=0.0, velocity_m_s=(1.0, 0.0))
     array = {"rows": 1, "columns": 5}
-    told = []
+    outcomes = []
     for plant in (Plant(spec(body, **array)), solved(SOLVERS[name], body, **array)):
         plant.advance(drive(plant, 1.0), SECOND)
-        told.append((plant.status[0].state, plant.status[0].detail, plant.status[0].time_s))
-    assert told[0][2] == pytest.approx(0.2, abs=1e-6)
-    assert told[1][:2] == told[0][:2]
-    assert told[1][2] == pytest.approx(told[0][2], abs=2e-4)
+        outcomes.append((plant.status[0].state, plant.status[0].detail, plant.status[0].time_s))
+    assert outcomes[0][2] == pytest.approx(0.2, abs=1e-6)
+    assert outcomes[1][:2] == outcomes[0][:2]
+    assert outcomes[1][2] == pytest.approx(outcomes[0][2], abs=2e-4)
 
 
 def test_a_blow_up_ends_the_run_and_says_where_and_when(name: str) -> None:

@@ -41,7 +41,7 @@ def test_between_support_changes_a_method_is_of_its_own_order(method: str, order
 
 @pytest.mark.parametrize(("method", "below"), [("euler", 2e-4), ("rk4", 2e-5)])
 def test_through_support_changes_every_method_is_of_first_order(method: str, below: float) -> None:
-    """A step across a change is wrong by the jump of the force: the error of RK4 jumps about, so its mean is told."""
+    """A step across a change is wrong by the jump of the force: the error of RK4 varies, so its mean is compared."""
     coarse, fine = [4.4e-3, 4e-3, 3.6e-3, 3.3e-3], [2.75e-4, 2.5e-4, 2.25e-4, 2.05e-4]
     before, changes = errors(method, coarse, 2 * SECOND)
     after, _ = errors(method, fine, 2 * SECOND)
@@ -74,8 +74,8 @@ def test_coulomb_s_force_is_none_at_no_slip_so_that_a_parcel_on_moving_wheels_ch
     reaches = speed / (MU * G)
     plant.advance(drive(plant, speed), int(0.9 * reaches * SECOND))
     assert plant.state[0, 3] == pytest.approx(0.9 * speed, rel=1e-6)
-    course = plant.trajectory(drive(plant, speed), SECOND, 7 * SECOND // 10_000)
-    slip = course.state[-200:, 0, 3] - speed
+    trajectory = plant.trajectory(drive(plant, speed), SECOND, 7 * SECOND // 10_000)
+    slip = trajectory.state[-200:, 0, 3] - speed
     assert 0.4 * MU * G * step < np.abs(slip).max() <= 1.01 * MU * G * step
     assert np.count_nonzero(np.diff(np.sign(slip))) > 100
 

@@ -62,27 +62,27 @@ def test_loads_that_vanish_and_return_are_those_of_exact() -> None:
     body = parcel(
         size_m=(0.7, 0.36), centre_of_mass_m=(0.2, 0.08), position_m=(0.1, 0.1), velocity_m_s=(-0.6, 0.1)
     )
-    told = []
+    outcomes = []
     for solver in ({"name": "exact", "tolerance": 1e-12, "capture_m": 1e-12}, heyoka(1e-14)):
         plant = solved(solver, body, rows=14, columns=14, missing=holes)
         _, events = plant.advance(elliptic(plant), 700_000_000)
-        told.append((plant.state[0], events))
-    assert {"load_vanished", "load_returned"} <= {event.kind for event in told[0][1]}
-    assert told[1][0] == pytest.approx(told[0][0], abs=1e-10)
-    for one in told[0][1]:
-        same = [event for event in told[1][1] if (event.kind, event.cells) == (one.kind, one.cells)]
+        outcomes.append((plant.state[0], events))
+    assert {"load_vanished", "load_returned"} <= {event.kind for event in outcomes[0][1]}
+    assert outcomes[1][0] == pytest.approx(outcomes[0][0], abs=1e-10)
+    for one in outcomes[0][1]:
+        same = [event for event in outcomes[1][1] if (event.kind, event.cells) == (one.kind, one.cells)]
         assert min(abs(event.time_s - one.time_s) for event in same) < 1e-9
 
 
 def test_a_row_of_cells_that_enters_at_one_instant_enters_as_one() -> None:
     body = parcel(position_m=(0.0, 0.0), angle_rad=0.0, velocity_m_s=(0.3, 0.0))
-    told = []
+    outcomes = []
     for solver in ({"name": "exact"}, heyoka()):
         plant = solved(solver, body)
         _, events = plant.advance(drive(plant, 0.3), SECOND)
-        told.append(sorted((event.kind, event.cells, round(event.time_s, 8)) for event in events))
-    assert len(told[0]) > 15
-    assert told[1] == told[0]
+        outcomes.append(sorted((event.kind, event.cells, round(event.time_s, 8)) for event in events))
+    assert len(outcomes[0]) > 15
+    assert outcomes[1] == outcomes[0]
 
 
 @pytest.mark.parametrize("tick_ns", [62_500_000, 125_000_000, SECOND])

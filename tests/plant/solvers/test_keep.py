@@ -25,14 +25,14 @@ def _on(plant: Plant, drives: np.ndarray, count: int) -> bytes:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_what_was_kept_is_restored_and_goes_on_with_the_same_bits(solver: SolverSpec) -> None:
+def test_a_snapshot_is_restored_and_continues_with_the_same_bits(solver: SolverSpec) -> None:
     plant = _plant(solver)
     drives = elliptic(plant)
     _on(plant, drives, 200)
-    kept = plant._solver.snapshot(np.array([0, 1]))
+    snapshot = plant._solver.snapshot(np.array([0, 1]))
     before = plant.state.tobytes()
     first = _on(plant, drives, 100)
-    plant._solver.restore(kept)
+    plant._solver.restore(snapshot)
     assert plant.state.tobytes() == before
     assert _on(plant, drives, 100) == first
 

@@ -79,11 +79,11 @@ def test_in_a_linear_field_the_centre_runs_down_the_field_whatever_the_supports(
 
 def test_a_velocity_left_open_is_the_nearest_to_the_last() -> None:
     """Coulomb between two groups of wheels that pull alike against each other: any speed between theirs balances."""
-    for start, kept in ((0.03, 0.03), (-0.05, -0.05), (0.5, 0.2), (-0.5, -0.1)):
+    for start, end in ((0.03, 0.03), (-0.05, -0.05), (0.5, 0.2), (-0.5, -0.1)):
         body = parcel(position_m=(0.0, 0.0), angle_rad=0.0, velocity_m_s=(start, 0.0))
         plant = quasi(body, law=COULOMB)
         plant.advance(opposed(plant, 0.2, 0.1), 1)
-        assert plant.state[0, 3:] == pytest.approx([kept, 0.0, 0.0], abs=1e-7)
+        assert plant.state[0, 3:] == pytest.approx([end, 0.0, 0.0], abs=1e-7)
 
 
 @pytest.mark.parametrize("name", ALL)

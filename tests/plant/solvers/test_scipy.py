@@ -81,12 +81,12 @@ def test_loads_that_vanish_and_return_are_those_of_the_exact_solver() -> None:
     body = parcel(
         size_m=(0.7, 0.36), centre_of_mass_m=(0.2, 0.08), position_m=(0.1, 0.1), velocity_m_s=(-0.6, 0.1)
     )
-    told = []
+    outcomes = []
     for solver in ({"name": "exact", "tolerance": 1e-12, "capture_m": 1e-12}, scipy(1e-11)):
         plant = solved(solver, body, **array)
         _, events = plant.advance(elliptic(plant), 700_000_000)
-        told.append((plant.state[0], events))
-    (known, exact), (state, events) = told
+        outcomes.append((plant.state[0], events))
+    (known, exact), (state, events) = outcomes
     assert {"load_vanished", "support_gained", "support_lost"} <= {event.kind for event in exact}
     # exact doesn't tell loads that vanish because a cell comes or goes
     for one in exact:
@@ -97,13 +97,13 @@ def test_loads_that_vanish_and_return_are_those_of_the_exact_solver() -> None:
 
 def test_a_row_of_cells_that_enters_at_one_instant_enters_as_one() -> None:
     body = parcel(position_m=(0.0, 0.0), angle_rad=0.0, velocity_m_s=(0.3, 0.0))
-    told = []
+    outcomes = []
     for solver in ({"name": "exact"}, scipy(1e-10)):
         plant = solved(solver, body)
         _, events = plant.advance(drive(plant, 0.3), SECOND)
-        told.append(sorted((event.kind, event.cells, round(event.time_s, 6)) for event in events))
-    assert len(told[0]) > 15
-    assert told[1] == told[0]
+        outcomes.append(sorted((event.kind, event.cells, round(event.time_s, 6)) for event in events))
+    assert len(outcomes[0]) > 15
+    assert outcomes[1] == outcomes[0]
 
 
 def test_chatter_ends_as_support_changes_without_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Many parcels in one call: what becomes of each is its own affair, whoever moves it and beside whom."""
+"""Many parcels in one call: each moves independently of threads and of the others."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _plant(solver: str, parcels: list[ParcelSpec], threads: int, motors: MotorsS
     """A plant of these parcels on 60 x 60 cells, moved by so many threads."""
     plain = spec(*parcels, rows=60, columns=60, motors=motors)
     plant = Plant(PlantSpec.model_validate(plain.model_dump() | {"solver": SOLVERS[solver]}))
-    plant._solver.crew.threads = threads
+    plant._solver.thread_pool.threads = threads
     return plant
 
 
@@ -65,13 +65,13 @@ def _own(events: list[Event], index: int) -> list[tuple[Any, ...]]:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_threads_change_no_bit_and_no_order(solver: str) -> None:
     one, *others = [_plant(solver, _crowd(), threads) for threads in (1, 2, 4)]
-    course = one.trajectory(_wells(one, 2.0), SPAN_NS, 50 * TICK_NS)
+    trajectory = one.trajectory(_wells(one, 2.0), SPAN_NS, 50 * TICK_NS)
     assert {state.state for state in one.status} == {"moving", "at_rest", "off_array"}
     for plant in others:
         same = plant.trajectory(_wells(plant, 2.0), SPAN_NS, 50 * TICK_NS)
-        assert len(plant._solver._desks) > 1
-        assert same.state.tobytes() == course.state.tobytes()
-        assert same.events == course.events
+        assert len(plant._solver._workspaces) > 1
+        assert same.state.tobytes() == trajectory.state.tobytes()
+        assert same.events == trajectory.events
         assert plant.status == one.status
         assert plant.support_changes == one.support_changes
         assert np.array_equal(plant.sense().presence, one.sense().presence)
@@ -80,13 +80,13 @@ def test_threads_change_no_bit_and_no_order(solver: str) -> None:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_parcel_beside_others_moves_as_it_does_alone(solver: str) -> None:
     together = _plant(solver, _crowd(), 4)
-    course = together.trajectory(_wells(together, 2.0), SPAN_NS, 50 * TICK_NS)
+    trajectory = together.trajectory(_wells(together, 2.0), SPAN_NS, 50 * TICK_NS)
     presence = np.zeros_like(together.sense().presence)
     for i, body in enumerate(_crowd()):
         alone = _plant(solver, [body], 1)
         own = alone.trajectory(_wells(alone, 2.0), SPAN_NS, 50 * TICK_NS)
-        assert own.state[:, 0].tobytes() == course.state[:, i].tobytes()
-        assert _own(own.events, 0) == _own(course.events, i)
+        assert own.state[:, 0].tobytes() == trajectory.state[:, i].tobytes()
+        assert _own(own.events, 0) == _own(trajectory.events, i)
         assert alone.status[0] == together.status[i]
         presence |= alone.sense().presence
     assert np.array_equal(together.sense().presence, presence)
@@ -100,18 +100,18 @@ def test_ticks_of_many_parcels_go_as_those_of_each(monkeypatch: pytest.MonkeyPat
     bodies = _crowd()
     plants = [_plant("exact", bodies, 2, motors), *(_plant("exact", [body], 1, motors) for body in bodies)]
     draw = np.random.default_rng(1)
-    told: list[list[Event]] = [[] for _ in plants]
+    logs: list[list[Event]] = [[] for _ in plants]
     for tick in range(1, 60):
         drives = draw.normal(size=(3600, 2)) * 5.0
-        for plant, so_far in zip(plants, told, strict=True):
+        for plant, so_far in zip(plants, logs, strict=True):
             so_far.extend(plant.advance(drives, tick * TICK_NS)[1])
     together, *alone = plants
-    assert len(together._solver._desks) == 2
+    assert len(together._solver._workspaces) == 2
     presence = np.any([plant.sense().presence for plant in alone], axis=0)
     assert np.array_equal(together.sense().presence, presence)
     for i, plant in enumerate(alone):
         assert plant.state.tobytes() == together.state[i : i + 1].tobytes()
-        assert _own(told[i + 1], 0) == _own(told[0], i)
+        assert _own(logs[i + 1], 0) == _own(logs[0], i)
     assert together.support_changes == sum(plant.support_changes for plant in alone) > 20
 
 
@@ -128,7 +128,7 @@ def test_every_parcel_logs_as_much_as_it_does_alone_however_many_log_at_once() -
     def run(parcels: list[ParcelSpec]) -> tuple[Plant, list[Event]]:
         plain = spec(*parcels, rows=60, columns=60)
         plant = Plant(PlantSpec.model_validate(plain.model_dump() | {"solver": settings}))
-        plant._solver.crew.threads = 1
+        plant._solver.thread_pool.threads = 1
         return plant, plant.advance(_wells(plant, 2.0), 20 * SECOND)[1]
 
     together, events = run(bodies)
@@ -142,7 +142,7 @@ def test_every_parcel_logs_as_much_as_it_does_alone_however_many_log_at_once() -
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_solver_tells_of_none_but_those_to_whom_something_happened(solver: str) -> None:
+def test_a_solver_returns_only_parcels_with_events(solver: str) -> None:
     plant = _plant(solver, _crowd(), 1)
     inner, n = plant._solver, len(plant.array)
     everyone = np.arange(len(plant.status))
@@ -150,10 +150,10 @@ def test_a_solver_tells_of_none_but_those_to_whom_something_happened(solver: str
     def move(speeds: Floats, which: NDArray[np.int64], span_s: float) -> list[int]:
         before = inner.state.copy()
         motion = plant._wheels.command(speeds, span_s).motion
-        news = inner.advance(which, Segment.through(motion, np.ones(n), span_s, len(everyone)))
+        results = inner.advance(which, Segment.through(motion, np.ones(n), span_s, len(everyone)))
         unmoved = np.setdiff1d(everyone, which)
         assert np.array_equal(inner.state[unmoved], before[unmoved])
-        return [done.parcel for done in news]
+        return [done.parcel for done in results]
 
     assert move(np.zeros((n, 2)), np.array([6]), 1.0) == []
     assert move(_wells(plant, 2.0), np.array([5, 6, 0]), 1.0) == [5, 0]

@@ -81,10 +81,10 @@ class ChatterRow:
         angle_rad: at the end.
         off_rad: how far it is, when the centre has come to rest, from where the cell lies on the edge, in closed form;
             None: not run that far.
-        course_s: ``(T,)`` times.
-        so_far: changes until then, in a run that stops at each time; shorter than ``course_s`` where that run ended as
+        trace_s: ``(T,)`` times.
+        so_far: changes until then, in a run that stops at each time; shorter than ``trace_s`` where that run ended as
             ``unstable``.
-        course_m: ``(T,)`` how far any corner is then from where it is when every crossing is located.
+        trace_m: ``(T,)`` how far any corner is then from where it is when every crossing is located.
     """
 
     size_m: tuple[float, float]
@@ -94,9 +94,9 @@ class ChatterRow:
     apart_m: float
     angle_rad: float
     off_rad: float | None
-    course_s: Floats
+    trace_s: Floats
     so_far: NDArray[np.int64]
-    course_m: Floats
+    trace_m: Floats
 
 
 def measure(repeats: int) -> list[ChatterRow]:
@@ -165,9 +165,9 @@ def _row(
         apart_m=float(apart.max()),
         angle_rad=end,
         off_rad=off,
-        course_s=one.time_s,
+        trace_s=one.time_s,
         so_far=changes_at(_scene(size_m, SECONDS), _solver(capture_m), one.time_s),
-        course_m=apart,
+        trace_m=apart,
     )
 
 
@@ -189,7 +189,7 @@ def describe(rows: Sequence[ChatterRow], repeats: int) -> Section:
         seconds=f"{SECONDS:g}",
         at_rest=f"{AT_REST_S:g}",
         sample=f"{_SAMPLE_S * 1e3:g}",
-        stopped=f"{located.course_s[len(located.so_far) - 1]:.2f}",
+        stopped=f"{located.trace_s[len(located.so_far) - 1]:.2f}",
         picture=picture(FILE, _SEEN),
         table=table(_HEADING, [_line(row) for row in rows]),
         tolerance=power(TOLERANCE),
@@ -227,12 +227,12 @@ def draw(rows: Sequence[ChatterRow]) -> Figure:
         shade = INK if none else colour(number - 1)
         label = "all located" if none else f"capture_m = {power(row.capture_m)} m"
         so_far = np.maximum(row.so_far, 1)
-        left.plot(row.course_s[: len(so_far)], so_far, color=shade, lw=1.5, label=label)
-        if len(so_far) < len(row.course_s):
-            left.plot(row.course_s[len(so_far) - 1], so_far[-1], "X", ms=7, color=shade)
+        left.plot(row.trace_s[: len(so_far)], so_far, color=shade, lw=1.5, label=label)
+        if len(so_far) < len(row.trace_s):
+            left.plot(row.trace_s[len(so_far) - 1], so_far[-1], "X", ms=7, color=shade)
         if not none:
             right.plot(
-                row.course_s, np.maximum(row.course_m, _LEAST_M), color=shade, lw=1.0, zorder=3 - 0.1 * number
+                row.trace_s, np.maximum(row.trace_m, _LEAST_M), color=shade, lw=1.0, zorder=3 - 0.1 * number
             )
     left.set_ylabel("changes of supports so far")
     left.legend(frameon=False, fontsize=8, loc="upper left")

@@ -87,10 +87,10 @@ def measure() -> list[ContinuumRow]:
 
 
 def _row(pitch_m: float) -> ContinuumRow:
-    asked = study(scene_with("elliptic", *sets(pitch_m)), 0, (0.0, 0.0))
-    profile = asked.profile()
+    orientation_study = study(scene_with("elliptic", *sets(pitch_m)), 0, (0.0, 0.0))
+    profile = orientation_study.profile()
     angles = np.arange(0.0, TURN, _EVERY_RAD)
-    smooth = asked.continuous(np.append(angles, math.pi / 4.0))
+    smooth = orientation_study.continuous(np.append(angles, math.pi / 4.0))
     assert smooth is not None
     peak = float(smooth[-1])
     sampled = profile.torque_at(angles) - smooth[:-1]

@@ -52,11 +52,11 @@ class Steps:
     """Motion on one support set, as if no cell came or went, in steps of DOP853's.
 
     Attributes:
-        course: ``(2, k)`` times, s, and how deep the cell then lies inside the footprint, m; negative outside.
+        trace: ``(2, k)`` times, s, and how deep the cell then lies inside the footprint, m; negative outside.
         ends: ``(2, n)`` likewise at the ends of the steps, by tolerance.
     """
 
-    course: Floats
+    trace: Floats
     ends: dict[float, Floats]
 
 
@@ -75,7 +75,7 @@ def steps_through(cell: tuple[int, int], since_s: float, until_s: float) -> Step
     integrate: Any = import_module("scipy.integrate").solve_ivp
     start = float(last.time_s[-1])
     ends: dict[float, Floats] = {}
-    course: Floats = np.zeros((2, 0))
+    trace: Floats = np.zeros((2, 0))
     for tolerance in TOLERANCES:
         found = integrate(
             rate,
@@ -88,8 +88,8 @@ def steps_through(cell: tuple[int, int], since_s: float, until_s: float) -> Step
         )
         ends[tolerance] = np.stack([found.t, depth(found.y)])
         fine = np.linspace(start, until_s, 200)
-        course = np.stack([fine, depth(found.sol(fine))])
-    return Steps(course, ends)
+        trace = np.stack([fine, depth(found.sol(fine))])
+    return Steps(trace, ends)
 
 
 def _rate(scene: Scene, last: ExperimentTrace) -> Callable[[float, Floats], Floats]:
@@ -168,7 +168,7 @@ def draw_graze(steps: Steps, points: Sequence[Point]) -> Figure:
 
 
 def _draw_depth(axes: Axes, steps: Steps) -> None:
-    time, depth = steps.course[0], 1e3 * steps.course[1]
+    time, depth = steps.trace[0], 1e3 * steps.trace[1]
     top = float(depth.max())
     axes.axhline(0.0, color="#8b95a1", lw=0.8)
     axes.fill_between(time, 0.0, depth, where=depth > 0.0, color=LOST, alpha=0.35, lw=0)
@@ -217,8 +217,8 @@ def _draw_step(axes: Axes, tolerance: float, ends: Floats, level: float, shade: 
 
 def _draw_errors(axes: Axes, points: Sequence[Point]) -> None:
     solvers = list(dict.fromkeys(point.solver for point in points))
-    asked = np.array(sorted({point.tolerance for point in points}))
-    axes.plot(asked, asked, color="#8fa0b2", lw=1.0, ls=(0, (4, 3)), label="as asked")
+    tolerances = np.array(sorted({point.tolerance for point in points}))
+    axes.plot(tolerances, tolerances, color="#8fa0b2", lw=1.0, ls=(0, (4, 3)), label="as asked")
     for number, solver in enumerate(solvers):
         own = [point for point in points if point.solver == solver]
         axes.plot(
@@ -242,7 +242,7 @@ CELL = (12, 16)
 """Row and column of the cell that is clipped."""
 SECONDS = 2.0
 _AFTER_S = 0.75
-"""The cell is met again later: what is told here is its first stay after this."""
+"""The cell is met again later: the reported one is its first stay after this."""
 SETTINGS: dict[str, tuple[float, ...]] = {
     "exact": (1e-4, 1e-6, 1e-8, 1e-10, 1e-12),
     "DOP853": (1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13),
@@ -267,7 +267,7 @@ class GrazeRow:
 
     Attributes:
         solver: ``exact``, or the method of ``solve_ivp``.
-        tolerance: asked for.
+        tolerance: requested.
         late_s: after the cell came under the parcel its coming was found; None: never.
         end_m: largest displacement of a corner at the end.
         most_m: the same over the run.

@@ -80,7 +80,7 @@ def picture(name: str, says: str) -> str:
 
 
 def milliseconds(spent_s: float) -> str:
-    """A time, always followed by ``ms``: what is measured anew in every run is known by that."""
+    """A time, always followed by ``ms``: it marks what every run measures again."""
     return f"{spent_s * 1e3:.3g} ms" if spent_s < 0.0995 else f"{spent_s * 1e3:,.0f} ms"
 
 

@@ -82,7 +82,7 @@ def draw_scene(
     """Draw one simulation.
 
     Args:
-        track: its course.
+        track: its trajectory.
         closed_m: x and y in closed form at the track's times; None where there is none.
         stable: angles and intervals that attract.
         subtitle: what was run.
@@ -96,24 +96,24 @@ def draw_scene(
     view.set_yticks(np.arange(-1.0, 1.01, 0.5))
     each = (_MAP - 0.2) / 2
     left, across = 5.6, 5.45
-    way, turn = (
+    path, turn = (
         figure.add_axes((left / _WIDTH, low / _HEIGHT, across / _WIDTH, each / _HEIGHT))
         for low in (0.55 + each + 0.2, 0.55)
     )
-    _draw_way(way, track, closed_m)
+    _draw_path(path, track, closed_m)
     _draw_turn(turn, track, stable)
-    for axes in (way, turn):
+    for axes in (path, turn):
         axes.grid(visible=True, color=GRID, lw=0.7)
         axes.set_axisbelow(True)
         axes.set_xlim(track.time_s[0], track.time_s[-1])
-    way.tick_params(labelbottom=False)
+    path.tick_params(labelbottom=False)
     turn.set_xlabel("time (s)")
-    figure.align_ylabels([way, turn])
+    figure.align_ylabels([path, turn])
     draw_heading(figure, track.title, subtitle, 0.35)
     return figure
 
 
-def _draw_way(axes: Axes, track: RunTrace, closed_m: Sequence[Floats | None]) -> None:
+def _draw_path(axes: Axes, track: RunTrace, closed_m: Sequence[Floats | None]) -> None:
     axes.axhline(0.0, color="#8b95a1", lw=0.8)
     for axis, name in enumerate("xy"):
         axes.plot(track.time_s, track.parcels[:, 0, axis], color=colour(axis), lw=1.7, label=name)
@@ -199,7 +199,7 @@ class PaperRun:
 
     Attributes:
         scene: bundled.
-        track: its course, to be drawn.
+        track: its trajectory, to be drawn.
         swings: of x and of y.
         settled: after a minute: x and y, m, and the angle, rad.
         rests_at: the attracting angle or interval in which that angle lies; None: in none.
@@ -230,37 +230,37 @@ def measure() -> list[PaperRun]:
 def _simulation(name: str) -> PaperRun:
     scene = scene_with(name)
     solver = {"name": "exact", "tolerance": TOLERANCE}
-    course = run(scene, solver, sample_s=_SAMPLE_S)
+    trace = run(scene, solver, sample_s=_SAMPLE_S)
     settled = run(scene_with(name, f"duration_s={_SETTLED_S}"), solver, sample_s=_SETTLED_S)
     x, y, angle = settled.state[-1, :3].tolist()
     stable = study(scene, 0, (x, y)).profile().stable()
     rests = next((one for one in stable if one.away_from(angle) < 1e-9), None)
     return PaperRun(
-        scene, _track(scene, course), _swings(scene, course), (x, y, angle), rests, stable, course.changes
+        scene, _track(scene, trace), _swings(scene, trace), (x, y, angle), rests, stable, trace.changes
     )
 
 
-def _swings(scene: Scene, course: ExperimentTrace) -> list[Swing]:
+def _swings(scene: Scene, trace: ExperimentTrace) -> list[Swing]:
     positions = CellArray(scene.array).positions_m
     speeds = field_speeds(scene, positions)
     field, known = (
         linear_field(positions, speeds),
-        closed_form(scene, speeds, course.state[:1], course.time_s),
+        closed_form(scene, speeds, trace.state[:1], trace.time_s),
     )
     kappa = viscous_of(scene.friction, "the paper's simulations").rate(scene.gravity_m_s2)
     swings: list[Swing] = []
     for axis, name in enumerate("xy"):
-        way, start = course.state[:, axis], float(course.state[0, axis])
-        lowest = int(np.argmin(way / start))
-        across = -float(way[lowest]) / start if way[lowest] * start < 0.0 else None
+        offset, start = trace.state[:, axis], float(trace.state[0, axis])
+        lowest = int(np.argmin(offset / start))
+        across = -float(offset[lowest]) / start if offset[lowest] * start < 0.0 else None
         oscillator = None if field is None else Oscillator(kappa, float(field.rate_per_s[axis, axis]))
         closed = None if known is None else known[:, 0, axis]
-        off = None if closed is None else float(np.max(np.abs(way - closed)))
-        swings.append(Swing(name, oscillator, closed, across, float(course.time_s[lowest]), off))
+        off = None if closed is None else float(np.max(np.abs(offset - closed)))
+        swings.append(Swing(name, oscillator, closed, across, float(trace.time_s[lowest]), off))
     return swings
 
 
-def _track(scene: Scene, course: ExperimentTrace) -> RunTrace:
+def _track(scene: Scene, trace: ExperimentTrace) -> RunTrace:
     array = CellArray(scene.array)
     return RunTrace(
         title=scene.title,
@@ -268,9 +268,9 @@ def _track(scene: Scene, course: ExperimentTrace) -> RunTrace:
         pitch_m=array.pitch_m,
         cells=array.lattice.cells,
         positions_m=array.positions_m,
-        footprints_m=(course.footprint_m,),
-        time_s=course.time_s,
-        parcels=course.state[:, None],
+        footprints_m=(trace.footprint_m,),
+        time_s=trace.time_s,
+        parcels=trace.state[:, None],
         wheel_speeds=field_speeds(scene, array.positions_m),
         status="ok",
     )

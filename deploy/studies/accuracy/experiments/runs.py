@@ -74,12 +74,12 @@ def run(
         found, seconds = _once(scene, spec, scene.duration_ns, sample_ns)
         spent.append(seconds)
     assert found is not None
-    plant, course = found
+    plant, trace = found
     return ExperimentTrace(
-        course.time_ns * 1e-9,
-        course.state[:, 0],
+        trace.time_ns * 1e-9,
+        trace.state[:, 0],
         plant.footprints_m[0],
-        course.events,
+        trace.events,
         plant.support_changes,
         statistics.median(spent),
     )
@@ -104,18 +104,18 @@ def changes_at(scene: Scene, solver: Mapping[str, Any], times_s: Floats) -> NDAr
 
 
 def _once(scene: Scene, spec: PlantSpec, until_ns: int, sample_ns: int) -> Any:
-    """(plant and its course, processor time); no garbage is collected meanwhile."""
+    """(plant and its trace, processor time); no garbage is collected meanwhile."""
     plant = Plant(spec)
     speeds = field_speeds(scene, plant.array.positions_m)
     gc.collect()
     gc.disable()
     begun = time.process_time()
     try:
-        course = plant.trajectory(speeds, until_ns, sample_ns)
+        trace = plant.trajectory(speeds, until_ns, sample_ns)
     finally:
         spent = time.process_time() - begun
         gc.enable()
-    return (plant, course), spent
+    return (plant, trace), spent
 
 
 def max_displacement_m(one: ExperimentTrace, other: ExperimentTrace) -> Floats:

@@ -86,7 +86,7 @@ def _coarsest(rows: list[AccuracyRow], target_m: float) -> str:
 
 
 def _worst(report: AccuracyReport) -> str:
-    """How much more than asked the error of a solver is at most that has a tolerance."""
+    """How much more than requested the error of a solver is at most that has a tolerance."""
     found: list[str] = []
     for line in report.lines:
         ratios = [

@@ -26,12 +26,12 @@ from cell_firmware.program import NoParameters
 
 PERIOD_NS = 4_096_000
 
-Heard = dict[tuple[int, int, int], list[int]]
-"""By row, column and number of the step, what was heard on each side; −1 for nothing."""
+Received = dict[tuple[int, int, int], list[int]]
+"""By row, column and number of the step, what was received on each side; −1 for nothing."""
 
 
 class Counting(Firmware):
-    """Drives and sends the number of its step, counted from 1; notes what it hears."""
+    """Drives and sends the number of its step, counted from 1; notes what it receives."""
 
     speculative = False  # it notes every step, and those that are rolled back are none
 
@@ -39,7 +39,7 @@ class Counting(Firmware):
 
     def __init__(self) -> None:
         super().__init__(NoParameters())
-        self.heard: Heard = {}
+        self.received: Received = {}
 
     def init(self, cells: Cells) -> State:
         return {"step": np.zeros(len(cells), dtype=np.int64), "row": cells.row, "column": cells.column}
@@ -53,7 +53,7 @@ class Counting(Firmware):
             state["row"].tolist(), state["column"].tolist(), number.tolist(),
             np.where(received, numbers, -1).tolist(), strict=True,
         ):  # fmt: skip
-            self.heard[row, column, step] = got
+            self.received[row, column, step] = got
         message = np.empty(received.shape, dtype=self.message)
         message["after_ns"] = number[:, None]
         drive = np.stack((number, inputs.presence[:, 0]), axis=1).astype(np.float64)
@@ -107,8 +107,8 @@ def test_every_cell_steps_as_often_as_its_clock_ticks(
             )
 
 
-def expected(clocks: ArrayClocks, until_ns: int, delay_ns: int) -> tuple[Heard, int]:
-    """What each step hears and how many messages are replaced, from all that happens, in order of time.
+def expected(clocks: ArrayClocks, until_ns: int, delay_ns: int) -> tuple[Received, int]:
+    """What each step receives and how many messages are replaced, from all that happens, in order of time.
 
     At one instant messages are there before cells read.
     """
@@ -152,8 +152,8 @@ def test_a_message_is_read_once_a_window_after_it_was_sent_unless_a_newer_one_is
     firmware = Counting()
     counted = run(firmware, Partition.even(lattice, 1), ticks, clocks=clocks, effects=effects).counted
     window_ns = clocks.clocks.window_ns
-    heard, replaced = expected(clocks, (ticks - 1) * window_ns, (1 + delay) * window_ns)
-    assert firmware.heard == heard
+    received, replaced = expected(clocks, (ticks - 1) * window_ns, (1 + delay) * window_ns)
+    assert firmware.received == received
     assert counted["clock.overwritten"] == replaced
 
 
@@ -162,19 +162,19 @@ def test_with_equal_clocks_all_is_as_without_clocks_one_exchange_later(
 ):
     lattice = grid(2, 3)
     partition, ticks = Partition.even(lattice, 2), 12
-    told = np.random.default_rng(3).random((ticks, 6, 1)) < 0.5
-    later = np.concatenate((told[:1], told[:-1]))
+    presence = np.random.default_rng(3).random((ticks, 6, 1)) < 0.5
+    later = np.concatenate((presence[:1], presence[:-1]))
     plain, clocked = Counting(), Counting()
-    drives = run(plain, partition, ticks, presence=told).drives
+    drives = run(plain, partition, ticks, presence=presence).drives
     shifted = run(
         clocked, partition, ticks, presence=later, clocks=clocks_of(lattice, [0] * 6, [0] * 6)
     ).drives
     assert not shifted[0].any()
     np.testing.assert_array_equal(shifted[1:], drives[:-1])
-    assert clocked.heard == {key: got for key, got in plain.heard.items() if key[2] < ticks}
+    assert clocked.received == {key: got for key, got in plain.received.items() if key[2] < ticks}
 
 
-def test_a_cell_that_is_not_stepped_is_told_nothing_and_goes_on_as_it_was(
+def test_a_cell_that_is_not_stepped_receives_nothing_and_keeps_its_state(
     grid: Callable[..., Lattice], run: Callable[..., Any]
 ):
     lattice = grid(1, 2)
@@ -205,7 +205,9 @@ def test_a_cell_that_fails_at_its_instant_is_named_and_the_others_go_on(
     assert came.drives[:, 2, 0].tolist() == [0, 1, 1, 2, 2, 3, 3, 4, 4]
 
 
-def test_failures_are_told_by_row_and_tick(grid: Callable[..., Lattice], everything: Callable[..., Cells]):
+def test_failures_are_reported_by_row_and_tick(
+    grid: Callable[..., Lattice], everything: Callable[..., Cells]
+):
     class Failing(Counting):
         message = None  # pyright: ignore[reportAssignmentType, reportIncompatibleVariableOverride]
 
@@ -222,7 +224,9 @@ def test_failures_are_told_by_row_and_tick(grid: Callable[..., Lattice], everyth
     }
 
 
-def test_registers_tell_what_the_clocks_do(grid: Callable[..., Lattice], everything: Callable[..., Cells]):
+def test_registers_show_the_state_of_the_clocks(
+    grid: Callable[..., Lattice], everything: Callable[..., Cells]
+):
     lattice = grid(1, 2)
     clocks = clocks_of(lattice, [0, 7], [0, 5])
     controller = LocalClockWrapper(

@@ -36,7 +36,7 @@ PERIOD_S, PERIOD_NS = 0.004096, 4_096_000
 
 
 class Counting(Firmware):
-    """Counts its steps since it began and the messages that it heard, and tells its count; on one column it fails."""
+    """Counts its steps since its start and messages received, and sends its count; on one column it fails."""
 
     message = np.dtype([("steps", "<i4")])
     hangs: ClassVar[dict[int, int]] = {1: 30}
@@ -62,8 +62,8 @@ class Counting(Firmware):
         outbox.sent[:], outbox.message["steps"] = True, steps[:, None]
         inbox = inputs.inbox
         assert inbox is not None
-        heard = np.where(inbox.received, inbox.message["steps"] + 1, 0)
-        speed = np.stack((steps + 1.0, heard[:, 1] + 1000.0 * heard[:, 3]), axis=1)
+        received = np.where(inbox.received, inbox.message["steps"] + 1, 0)
+        speed = np.stack((steps + 1.0, received[:, 1] + 1000.0 * received[:, 3]), axis=1)
         served = steps < state["quiet"]
         return {**state, "steps": steps + 1}, Outputs(speed, outbox, served=None if served.all() else served)
 
@@ -102,7 +102,7 @@ def row(grid: Any, everything: Any) -> tuple[Partition, Cells]:
 @pytest.mark.parametrize("timeout_s", TIMEOUTS_S[:3])
 @pytest.mark.parametrize("hang", [0, 1, 29, 30, 31, 32, 33])
 @pytest.mark.parametrize("reboot_s", [0.0, 0.01, 0.05])
-def test_a_program_that_hangs_is_reset_at_the_first_boundary_after_its_timeout_and_begins_anew(
+def test_a_program_that_hangs_is_reset_at_the_first_boundary_after_its_timeout_and_restarts(
     row: tuple[Partition, Cells],
     monkeypatch: pytest.MonkeyPatch,
     timeout_s: float,
@@ -129,7 +129,7 @@ def test_a_program_that_hangs_is_reset_at_the_first_boundary_after_its_timeout_a
     assert found[:until].tolist() == wanted[:until].tolist()
 
 
-def test_a_hung_cell_sends_nothing_hears_nothing_and_is_a_neighbour_again(
+def test_a_hung_cell_neither_sends_nor_receives_and_is_a_neighbour_again_after_its_reset(
     row: tuple[Partition, Cells],
 ) -> None:
     found = drives(watchdog(Counting(), TIMEOUTS_S[0], 0.02), *row, 60)
@@ -138,12 +138,12 @@ def test_a_hung_cell_sends_nothing_hears_nothing_and_is_a_neighbour_again(
     assert found[30:36, 1].tolist() == [[30.0, found[29, 1, 1]]] * 6
     assert not found[36:41, 1].any()
     assert found[41, 1, 0] == 1.0
-    # what cell 2 hears of it from the west, thousands: nothing sent in 30..40
-    heard = (found[:, 2, 1] // 1000).tolist()
-    assert heard[1:31] == list(range(1, 31))
-    assert heard[31:42] == [0.0] * 11
-    assert heard[42:] == [float(k) for k in range(1, 19)]
-    # it hears its neighbours from its first step on
+    # what cell 2 receives of it from the west, thousands: nothing sent in 30..40
+    received = (found[:, 2, 1] // 1000).tolist()
+    assert received[1:31] == list(range(1, 31))
+    assert received[31:42] == [0.0] * 11
+    assert received[42:] == [float(k) for k in range(1, 19)]
+    # it receives from its neighbours from its first step on
     assert found[41, 1, 1] == 41.0 + 1000.0 * 41.0
     # and the others go on counting
     assert found[:, 3, 0].tolist() == [k + 1.0 for k in range(60)]
@@ -209,7 +209,7 @@ class Odometer(WheelDriver):
         return {**state, "steps": state["steps"] + 1.0}, reference_m_s
 
 
-def test_a_reset_loses_what_power_on_makes_anew_and_keeps_what_a_part_says(
+def test_a_reset_reinitialises_power_on_state_and_retains_what_a_component_declares(
     everything: Any, grid: Any
 ) -> None:
     cells = everything(grid(1, 3))
@@ -230,7 +230,7 @@ def test_a_reset_loses_what_power_on_makes_anew_and_keeps_what_a_part_says(
     assert shown["cop.hung"].tolist() == [False] * 3
 
 
-def test_a_speed_loop_begins_anew_without_a_jump(everything: Any, grid: Any) -> None:
+def test_a_speed_loop_restarts_without_a_jump(everything: Any, grid: Any) -> None:
     """Its first reading after a reset is standing still, as after power-on, wherever the wheel is by then."""
     cells = everything(grid(1, 3))
     loop = SpeedLoop(SpeedLoopSpec(), PERIOD_S, 12.0)
@@ -259,7 +259,7 @@ def test_a_switch_between_four_lines_turns_whether_the_program_runs_or_not(
         shard.step(tick, np.zeros((4, 1), dtype=np.bool_))
         assert set(shard._state.parts["serial"]["periods"].tolist()) == {tick + 1}
         unheard.append(shard.counters()["serial.unheard"])
-    # hung from instant 30, up from 41: neighbours face each other as before, and hear all
+    # hung from instant 30, up from 41: neighbours face each other as before, and receive all
     assert unheard[47] == unheard[69]
     assert shard.counters()["cop.resets"] == 1
     received = shard.registers()[1]["serial.received"]
@@ -297,20 +297,20 @@ def test_in_its_own_time_a_cell_is_reset_alike_however_far_its_crystal_is_off(
     assert len(seen) > 100
     assert seen == plain.tolist()
     assert len(hung) > 1
-    assert set(hung) == {((0, 1), 0)}  # told of in the exchange in which the plant hears of it
+    assert set(hung) == {((0, 1), 0)}  # reported in the exchange in which the plant receives it
 
 
-def test_hangs_are_told_when_they_begin_and_no_cell_is_lost(row: tuple[Partition, Cells]) -> None:
+def test_hangs_are_reported_when_they_begin_and_no_cell_is_lost(row: tuple[Partition, Cells]) -> None:
     partition, cells = row
     shard = Shard(watchdog(Counting(), TIMEOUTS_S[0]), cells, partition, 0)
-    told = {}
+    hung = {}
     for tick in range(70):
         out = shard.step(tick, np.zeros((4, 1), dtype=np.bool_))
         if out.hung:
-            told[tick] = [(one.cell, one.tick, one.problem) for one in out.hung]
+            hung[tick] = [(one.cell, one.tick, one.problem) for one in out.hung]
             assert "raise RuntimeError" in out.hung[0].trace
     # reset at instant 36, and 30 steps later it hangs again
-    assert told == {tick: [((0, 1), tick, "RuntimeError: stuck")] for tick in (30, 66)}
+    assert hung == {tick: [((0, 1), tick, "RuntimeError: stuck")] for tick in (30, 66)}
     assert len(shard.alive) == 4
     assert shard.counters() == {"cop.hangs": 2, "cop.resets": 1}
     shard.retire([(0, 1)])
@@ -429,9 +429,9 @@ def test_memory_that_a_program_sets_aside_survives_a_watchdogs_reset(
 def test_memory_does_not_survive_a_loss_of_power(row: tuple[Partition, Cells]) -> None:
     controller = watchdog(PerCellAdapter(Survivor(NoParameters())), TIMEOUTS_S[0])
     state = controller.init(row[1])
-    kept = controller.controller.reset(controller.unwrap_state(state), warm=True)
-    lost = controller.controller.reset(kept)
-    assert [one.parts["firmware"]["cell"][0] for one in (kept, lost)] == [(2, 0), (1, 0)]
+    retained = controller.controller.reset(controller.unwrap_state(state), warm=True)
+    lost = controller.controller.reset(retained)
+    assert [one.parts["firmware"]["cell"][0] for one in (retained, lost)] == [(2, 0), (1, 0)]
 
 
 def test_a_program_that_does_not_start_after_a_reset_is_named(row: tuple[Partition, Cells]) -> None:

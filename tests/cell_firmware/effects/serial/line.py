@@ -39,11 +39,11 @@ def errors_of(sender_ppb: int, own_ppb: int) -> Any:
     return errors
 
 
-class Heard:
+class ReceiverBench:
     """Cell 0,1's side of the line.
 
     Attributes:
-        messages: What it hears, by tick; None for nothing.
+        messages: What it receives, by tick; None for nothing.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Heard:
         self._type = BurstType(settings.slots(message.itemsize + 1))
 
     def tick(self, tick: int, at_ns: int, runs: Runs) -> None:
-        """What came of the tick before is heard; the cell looks at ``at_ns``, or not if that is negative."""
+        """What came of the tick before is queued; the cell reads at ``at_ns``, or not if that is negative."""
         lines = np.zeros((2, 4), dtype=self._type.parts)
         place = 0
         for number, (start, data) in enumerate(runs, 1):
@@ -79,7 +79,7 @@ class Heard:
 
 @dataclass
 class Bits:
-    """The line as levels in time, and a receiver that samples them: what ``Heard`` is held to.
+    """The line as levels in time, and a receiver that samples them: what ``ReceiverBench`` is held to.
 
     Attributes:
         starts: When each byte starts, ascending, and its value.
@@ -114,7 +114,7 @@ class Pair:
     """Cells 0,0 and 0,1 and their lines; by default both step at every multiple of the period.
 
     Attributes:
-        heard: ``(tick, message)`` of cell 0,1.
+        received: ``(tick, message)`` of cell 0,1.
         starts: When each byte that cell 0,0 sent east starts, and the byte.
         state: Of both.
     """
@@ -123,7 +123,7 @@ class Pair:
         self.part = SerialLines(settings, message)
         self.message = message
         self.state = self.part.init(two_cells())
-        self.heard: list[tuple[int, Any]] = []
+        self.received: list[tuple[int, Any]] = []
         self.starts: list[tuple[int, int]] = []
         self._period_ns = settings.period_ns
         self._parts = BurstType(settings.slots(message.itemsize + 1)).parts
@@ -135,7 +135,7 @@ class Pair:
         now = StepTime(self.tick, np.array(self.tick * self._period_ns))
         self.state, inbox = self.part.receive(now, self.state, self._lines)
         if inbox.received[1, WEST]:
-            self.heard.append((self.tick, inbox.message[1, WEST].item()))
+            self.received.append((self.tick, inbox.message[1, WEST].item()))
         outbox = Outbox.empty(2, self.message)
         for cell, side, word in ((0, EAST, say), (1, WEST, back)):
             if word is not None:

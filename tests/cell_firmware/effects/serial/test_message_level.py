@@ -90,7 +90,7 @@ class Scenario:
     def window_ns(self) -> int:
         return PERIOD_NS if self.ppb is None else PERIOD_NS * 99 // 100 // self.exchanges
 
-    def heard(
+    def run(
         self, kind: type[SerialLines] | type[MessageLevelLines], ticks: int
     ) -> list[dict[str, NDArray[Any]]]:
         """Registers of all cells, tick by tick."""
@@ -110,13 +110,13 @@ class Scenario:
         if clocks is not None:
             controller = LocalClockWrapper(controller, clocks)
         shard = Shard(controller, CELLS, Partition.even(LATTICE, 1), 0)
-        told: list[dict[str, NDArray[Any]]] = []
+        registers: list[dict[str, NDArray[Any]]] = []
         for tick in range(ticks):
             if tick == self.dies[1]:
                 shard.retire([LATTICE.cells[self.dies[0]]])
             shard.step(tick, np.zeros((len(LATTICE), 1), dtype=np.bool_))
-            told.append({name: value.copy() for name, value in shard.registers()[1].items()})
-        return told
+            registers.append({name: value.copy() for name, value in shard.registers()[1].items()})
+        return registers
 
 
 scenarios = st.builds(
@@ -148,19 +148,21 @@ LONG = Scenario(
 @example(LONG, 1_100)  # beyond what 32 bits hold in nanoseconds
 @example(JUST_THERE, 90)
 @example(JUST_FREE, 90)
-def test_programs_hear_what_they_would_hear_of_bytes_when_they_would(scenario: Scenario, ticks: int) -> None:
+def test_programs_receive_the_same_messages_at_the_same_times_as_from_bytes(
+    scenario: Scenario, ticks: int
+) -> None:
     if scenario.reboot_s is None:
         scenario.hangs = (99, 0)
     assume(is_exact_for(scenario.lines, scenario.window_ns, 9_000_000))
-    by_bytes, whole = (scenario.heard(kind, ticks) for kind in (SerialLines, MessageLevelLines))
+    by_bytes, whole = (scenario.run(kind, ticks) for kind in (SerialLines, MessageLevelLines))
     for tick, (one, other) in enumerate(zip(by_bytes, whole, strict=True)):
         for name in ("firmware.came", "firmware.word", "serial.replaced"):
             np.testing.assert_array_equal(one[name], other[name], err_msg=f"{name} in tick {tick}")
 
 
-def test_counters_tell_of_whole_messages() -> None:
+def test_counters_count_whole_messages() -> None:
     scenario = Scenario(9615, 9, 3, 1, None, [], (0, 999), (99, 0), None)
-    by_bytes, whole = (scenario.heard(kind, 200)[-1] for kind in (SerialLines, MessageLevelLines))
+    by_bytes, whole = (scenario.run(kind, 200)[-1] for kind in (SerialLines, MessageLevelLines))
     for name in ("serial.sent", "serial.received"):
         short = by_bytes[name] - whole[name]
         assert (whole[name] % 10 == 0).all()

@@ -12,7 +12,7 @@ from bus.lattice import OPPOSITE, Lattice
 from cell_firmware.effects.serial.mux import LineMultiplexer
 from cell_firmware.effects.serial.timing import LineSettings
 from cell_firmware.firmware import Cells
-from tests.cell_firmware.effects.serial.line import BIT_NS, EAST, ONE_BYTE, PERIOD_NS, Heard, Pair
+from tests.cell_firmware.effects.serial.line import BIT_NS, EAST, ONE_BYTE, PERIOD_NS, Pair, ReceiverBench
 
 
 def test_neighbours_whose_counts_agree_face_each_other_and_every_side_has_its_dwell(
@@ -39,13 +39,13 @@ def talk(pair: Pair, periods: int) -> None:
         pair.step((k % 256,), back=(k % 256,))
 
 
-def test_with_equal_clocks_every_byte_is_heard_in_its_side_s_turn() -> None:
+def test_with_equal_clocks_every_byte_is_received_in_its_side_s_turn() -> None:
     pair = Pair(LineSettings(BIT_NS, PERIOD_NS, dwell_periods=5), ONE_BYTE)
     talk(pair, 100)
     assert pair.counted("unheard") == pair.counted("unheard", 0, EAST) == 0
     # East and west face each other from 5 to 10, from 25 to 30, and so on; each period has room for its message.
     assert {start // PERIOD_NS % 20 for start, _ in pair.starts} <= {5, 6, 7, 8, 9}
-    assert pair.heard[0] == (6, (5,))
+    assert pair.received[0] == (6, (5,))
     assert pair.counted("damaged") == 0
     assert pair.counted("received") == pair.counted("sent", 0, EAST) == 5 * 5 * 2
 
@@ -60,7 +60,7 @@ def test_a_message_begins_only_where_it_ends_within_the_dwell(polled: bool) -> N
     begins = [start // PERIOD_NS for start, _ in pair.starts[::9]]
     # 9.36 ms of three periods, or nine periods of ten: one in a dwell, at its beginning
     assert begins == [dwell, 5 * dwell, 9 * dwell]
-    assert [value for _, (value,) in pair.heard] == begins
+    assert [value for _, (value,) in pair.received] == begins
 
 
 @pytest.mark.parametrize("shift", [1, 2, 5, 10])
@@ -72,22 +72,22 @@ def test_cells_whose_scans_are_apart_lose_what_comes_to_a_side_that_is_not_selec
     sent, unheard = pair.counted("sent", 0, EAST), pair.counted("unheard")
     assert pair.counted("received") + unheard == sent
     if shift >= 5:
-        assert (unheard, pair.heard) == (sent, [])
+        assert (unheard, pair.received) == (sent, [])
     else:
         assert 0 < unheard < sent
-        assert len(pair.heard) > 0
+        assert len(pair.received) > 0
 
 
 @pytest.mark.parametrize("clocks", [None, (0, 0)])
-def test_a_byte_on_its_way_as_the_switch_turns_to_its_side_is_not_heard(
+def test_a_byte_in_transmission_as_the_switch_turns_to_its_side_is_not_received(
     clocks: tuple[int, int] | None,
 ) -> None:
     """With clocks of their own all comes a window and a bit later than on the line."""
     late_ns = 0 if clocks is None else PERIOD_NS + BIT_NS
     for missed in (0, 1):
-        heard = Heard(LineSettings(BIT_NS, PERIOD_NS, dwell_periods=1), ONE_BYTE, clocks)
+        bench = ReceiverBench(LineSettings(BIT_NS, PERIOD_NS, dwell_periods=1), ONE_BYTE, clocks)
         # cell 0,1 has ended its second period, and turned to its third side, west's
         since = np.full(2, PERIOD_NS + late_ns + missed)
-        heard.state = {**heard.state, "periods": np.array([2, 2]), "since_ns": since}
-        heard.tick(2, 4 * PERIOD_NS, [(0, b"7")])
-        assert (heard.counted("received"), heard.counted("unheard")) == (1 - missed, missed)
+        bench.state = {**bench.state, "periods": np.array([2, 2]), "since_ns": since}
+        bench.tick(2, 4 * PERIOD_NS, [(0, b"7")])
+        assert (bench.counted("received"), bench.counted("unheard")) == (1 - missed, missed)

@@ -20,7 +20,7 @@ from tests.cell_firmware.effects.serial.line import (
     ONE_BYTE,
     PERIOD_NS,
     WEST,
-    Heard,
+    ReceiverBench,
     errors_of,
     two_cells,
 )
@@ -30,11 +30,11 @@ MESSAGE = np.dtype([("a", "<u4")])
 
 
 class OwnClocks:
-    """Cell 0,0 tells cell 0,1 the number of its step, every step.
+    """Cell 0,0 sends cell 0,1 the number of its step, every step.
 
     Attributes:
         starts: When its bytes start.
-        heard: When cell 0,1 hears a message, and the message.
+        received: When cell 0,1 receives a message, and the message.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class OwnClocks:
         self.state = self.part.init(two_cells())
         self.starts: list[int] = []
         self.steps: tuple[list[int], list[int]] = ([], [])
-        self.heard: list[tuple[int, int]] = []
+        self.received: list[tuple[int, int]] = []
         self._parts = BurstType(settings.slots(MESSAGE.itemsize + 1)).parts
 
     def run(self, ticks: int) -> None:
@@ -55,7 +55,7 @@ class OwnClocks:
             at = [self._instant(cell, tick) for cell in (0, 1)]
             self.state, inbox = self.part.receive(StepTime(tick + 1, np.array(at)), self.state, lines)
             if inbox.received[1, WEST]:
-                self.heard.append((at[1], int(inbox.message["a"][1, WEST])))
+                self.received.append((at[1], int(inbox.message["a"][1, WEST])))
             lines = Inbox(np.zeros((2, 4), dtype=np.bool_), np.zeros((2, 4), dtype=self.part.line))
             rows = [cell for cell in (0, 1) if at[cell] >= 0]
             if not rows:
@@ -123,12 +123,12 @@ def test_messages_are_read_at_the_first_step_after_their_end_however_clocks_and_
     steps = pair.steps[1]
     expected = [min(at for at in steps if at >= end) for end in ends if end <= steps[-1]]
     # of two that end between two steps the later one is read
-    assert [at for at, _ in pair.heard] == sorted(set(expected))
-    numbers = [number for _, number in pair.heard]
+    assert [at for at, _ in pair.received] == sorted(set(expected))
+    numbers = [number for _, number in pair.received]
     assert numbers == sorted(set(numbers))
     for name in ("framing", "damaged", "overruns"):
         assert not pair.state[name].any()
-    assert len(pair.heard) > 2
+    assert len(pair.received) > 2
 
 
 @pytest.mark.parametrize("ppb", [(20_000_000, -20_000_000), (-20_000_000, 20_000_000)])
@@ -139,21 +139,21 @@ def test_a_message_ends_ten_bits_of_the_sender_s_and_nine_of_the_receiver_s_afte
     byte_ns, nine_bits = 1_040_000 * (BILLION + ppb[0]) // BILLION, 936_000 * (BILLION + ppb[1]) // BILLION
     end = byte_ns + byte_ns + nine_bits + PERIOD_NS + 104_000
     for early in (0, 1):
-        heard = Heard(LineSettings(bit_ns(9615), PERIOD_NS), ONE_BYTE, ppb)
-        heard.tick(1, -1, [(0, bytes([7, int(check_of(np.array([[7]], dtype=np.uint8))[0])]))])
-        heard.tick(2, end - early, [])
-        assert heard.messages == [None, None if early else (7,)]
+        bench = ReceiverBench(LineSettings(bit_ns(9615), PERIOD_NS), ONE_BYTE, ppb)
+        bench.tick(1, -1, [(0, bytes([7, int(check_of(np.array([[7]], dtype=np.uint8))[0])]))])
+        bench.tick(2, end - early, [])
+        assert bench.messages == [None, None if early else (7,)]
 
 
-def test_of_what_comes_while_a_cell_does_not_look_at_all_the_oldest_is_lost_and_counted() -> None:
-    heard = Heard(LineSettings(bit_ns(9615), PERIOD_NS), ONE_BYTE, (0, 0))
+def test_of_bursts_that_arrive_while_a_cell_does_not_read_the_oldest_is_lost_and_counted() -> None:
+    bench = ReceiverBench(LineSettings(bit_ns(9615), PERIOD_NS), ONE_BYTE, (0, 0))
     for tick in range(1, 11):
-        heard.tick(tick, -1, [(0, bytes([tick] * 3))])
-    lost = heard.counted("overruns")
+        bench.tick(tick, -1, [(0, bytes([tick] * 3))])
+    lost = bench.counted("overruns")
     assert 0 < lost < 30
     assert lost % 3 == 0
-    heard.tick(11, 14 * PERIOD_NS, [])
-    assert heard.counted("received") + heard.counted("overruns") == 30
+    bench.tick(11, 14 * PERIOD_NS, [])
+    assert bench.counted("received") + bench.counted("overruns") == 30
 
 
 @pytest.mark.parametrize("ppb", [(0, 0), (100_000, -100_000), (-30_000_000, 0)])
@@ -171,5 +171,5 @@ def test_bytes_start_at_the_sender_s_steps_and_follow_by_its_clock(ppb: tuple[in
 def test_clocks_that_are_too_far_apart_lose_everything_whole_messages_and_all() -> None:
     pair = OwnClocks(LineSettings(bit_ns(9615), PERIOD_NS), (-30_000_000, 30_000_000), (0, 2_000_000), 1)
     pair.run(60)
-    assert pair.heard == []
+    assert pair.received == []
     assert pair.state["framing"][1, WEST] > 100

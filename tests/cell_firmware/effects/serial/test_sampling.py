@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cell_firmware.effects.serial.framing import check_of
 from cell_firmware.effects.serial.timing import LineSettings, sample_map
-from tests.cell_firmware.effects.serial.line import BIT_NS, ONE_BYTE, PERIOD_NS, Bits, Heard
+from tests.cell_firmware.effects.serial.line import BIT_NS, ONE_BYTE, PERIOD_NS, Bits, ReceiverBench
 
 FAST = LineSettings(16 * 500, PERIOD_NS)
 """125,000 baud: room for many bytes in a tick."""
@@ -20,10 +20,10 @@ SLOW = LineSettings(BIT_NS, PERIOD_NS)
 
 def framing(value: int, own_ppm: int, count: int = 10) -> tuple[int, int]:
     """Framing errors of so many such bytes back to back, and how many are received."""
-    heard = Heard(FAST, np.dtype([("a", "u1", ()), ("b", "<u8")]), (0, own_ppm * 1000))
+    bench = ReceiverBench(FAST, np.dtype([("a", "u1", ()), ("b", "<u8")]), (0, own_ppm * 1000))
     for tick in range(1, 5):
-        heard.tick(tick, tick * PERIOD_NS, [(0, bytes([value]) * count)] if tick == 1 else [])
-    return heard.counted("framing"), heard.counted("received")
+        bench.tick(tick, tick * PERIOD_NS, [(0, bytes([value]) * count)] if tick == 1 else [])
+    return bench.counted("framing"), bench.counted("received")
 
 
 def test_a_receiver_six_per_cent_fast_finds_no_stop_bit_in_any_byte_of_zeros() -> None:
@@ -37,7 +37,7 @@ def test_a_receiver_six_per_cent_slow_finds_the_next_start_bit_in_place_of_any_s
 
 def test_the_next_start_bit_counts_whichever_burst_brings_it() -> None:
     """Eight bytes back to back: within a window, over its end, and with a nanosecond's gap; the last is alone."""
-    heard = Heard(SLOW, np.dtype([("a", "u1"), ("b", "<u8")]), (0, 60_000_000))
+    bench = ReceiverBench(SLOW, np.dtype([("a", "u1"), ("b", "<u8")]), (0, 60_000_000))
     byte_ns = SLOW.byte_ns
     over = 4 * byte_ns - PERIOD_NS
     bursts = {
@@ -45,8 +45,8 @@ def test_the_next_start_bit_counts_whichever_burst_brings_it() -> None:
         2: [(over, b"\xff"), (over + byte_ns + 1, b"\xff" * 3)],
     }
     for tick in range(1, 8):
-        heard.tick(tick, tick * PERIOD_NS, bursts.get(tick, []))
-    assert (heard.counted("framing"), heard.counted("received")) == (7, 1)
+        bench.tick(tick, tick * PERIOD_NS, bursts.get(tick, []))
+    assert (bench.counted("framing"), bench.counted("received")) == (7, 1)
 
 
 @pytest.mark.parametrize(
@@ -56,10 +56,10 @@ def test_the_next_start_bit_counts_whichever_burst_brings_it() -> None:
 def test_a_byte_with_a_framing_error_takes_up_the_register_but_no_place_in_a_ring(
     lines: LineSettings, count: int, counts: tuple[int, int, int]
 ) -> None:
-    heard = Heard(lines, np.dtype([("a", "u1"), ("b", "<u8")]), (0, 60_000_000))
+    bench = ReceiverBench(lines, np.dtype([("a", "u1"), ("b", "<u8")]), (0, 60_000_000))
     for tick in range(1, 4):
-        heard.tick(tick, tick * PERIOD_NS, [(0, b"\xff" * count)] if tick == 1 else [])
-    assert tuple(map(heard.counted, ("framing", "overruns", "received"))) == counts
+        bench.tick(tick, tick * PERIOD_NS, [(0, b"\xff" * count)] if tick == 1 else [])
+    assert tuple(map(bench.counted, ("framing", "overruns", "received"))) == counts
 
 
 @pytest.mark.parametrize("own_ppm", [-40_000, 40_000, -50_000, 52_000])
@@ -102,12 +102,12 @@ def test_bytes_gaps_and_clocks_of_any_kind_are_read_as_the_line_s_levels_say(
         ticks[-1].append((start % PERIOD_NS, bytes(data)))
         line.starts += [(start + i * byte_ns, value) for i, value in enumerate(data)]
         free = start + len(data) * byte_ns
-    heard = Heard(SLOW, np.dtype([("a", "u1"), ("b", "<u8")]), (sender_ppm * 1000, own_ppm * 1000))
+    bench = ReceiverBench(SLOW, np.dtype([("a", "u1"), ("b", "<u8")]), (sender_ppm * 1000, own_ppm * 1000))
     for tick in range(1, len(ticks) + 6):
-        heard.tick(tick, tick * PERIOD_NS, ticks[tick - 1] if tick <= len(ticks) else [])
+        bench.tick(tick, tick * PERIOD_NS, ticks[tick - 1] if tick <= len(ticks) else [])
     read = [line.read(start) for start, _ in line.starts]
-    assert heard.counted("framing") == sum(not good for _, good in read)
-    assert heard.counted("received") == sum(good for _, good in read)
+    assert bench.counted("framing") == sum(not good for _, good in read)
+    assert bench.counted("received") == sum(good for _, good in read)
 
 
 @settings(max_examples=80, deadline=None)
@@ -125,10 +125,12 @@ def test_the_message_is_what_the_levels_say_and_damaged_where_its_check_byte_is_
         [(i * byte_ns, v) for i, v in enumerate(frame)],
     )
     read = [line.read(start) for start, _ in line.starts]
-    kept = [value for value, good in read if good]
-    whole = len(kept) == 2 and check_of(np.array([[kept[0]]], dtype=np.uint8))[0] == kept[1]
-    heard = Heard(FAST, ONE_BYTE, (sender_ppm * 1000, own_ppm * 1000))
+    good_values = [value for value, good in read if good]
+    whole = (
+        len(good_values) == 2 and check_of(np.array([[good_values[0]]], dtype=np.uint8))[0] == good_values[1]
+    )
+    bench = ReceiverBench(FAST, ONE_BYTE, (sender_ppm * 1000, own_ppm * 1000))
     for tick in range(1, 6):
-        heard.tick(tick, tick * PERIOD_NS, [(0, frame)] if tick == 1 else [])
-    assert [m for m in heard.messages if m is not None] == ([(kept[0],)] if whole else [])
-    assert heard.counted("damaged") == (bool(kept) and not whole)
+        bench.tick(tick, tick * PERIOD_NS, [(0, frame)] if tick == 1 else [])
+    assert [m for m in bench.messages if m is not None] == ([(good_values[0],)] if whole else [])
+    assert bench.counted("damaged") == (bool(good_values) and not whole)

@@ -17,7 +17,7 @@ from cell_firmware.effects.link_loss import LinkLossSpec
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.serial.spec import SerialSpec
 from cell_firmware.specs import CellsSpec
-from tests.cell_firmware.effects.links import Stamper, heard_on
+from tests.cell_firmware.effects.links import Stamper, received_on
 
 Grid, Run = Callable[..., Lattice], Callable[..., Any]
 PERIOD_NS = 4_096_000
@@ -40,9 +40,9 @@ def serial(**settings: Any) -> CellEffects:
 def test_every_link_brings_messages_as_late_and_as_often_as_its_bytes_allow(
     settings: dict[str, Any], first: int, every: float, grid: Grid, run: Run
 ) -> None:
-    heard, counted = heard_on(grid(3, 3), run, 120, serial(**settings))
-    assert (heard == heard[:, :1]).all()  # all cells began together
-    ticks = np.flatnonzero(heard[:, 0] >= 0)
+    received, counted = received_on(grid(3, 3), run, 120, serial(**settings))
+    assert (received == received[:, :1]).all()  # all cells began together
+    ticks = np.flatnonzero(received[:, 0] >= 0)
     assert ticks[0] == first
     assert np.diff(ticks).mean() == pytest.approx(every, abs=0.05)
     assert [counted[name] for name in CLEAN] == [0, 0, 0, 0]
@@ -62,7 +62,7 @@ MANY = {
 
 @pytest.mark.parametrize("effects", MANY.values(), ids=MANY.keys())
 @pytest.mark.parametrize("own_clocks", [False, True])
-def test_cells_hear_and_count_the_same_however_they_are_cut(
+def test_cells_receive_and_count_the_same_for_every_partition(
     effects: CellEffects, own_clocks: bool, grid: Grid, run: Run
 ) -> None:
     lattice = grid(2, 4, missing=[(1, 1)])
@@ -79,10 +79,10 @@ def test_cells_hear_and_count_the_same_however_they_are_cut(
         counted = run(
             firmware, Partition.even(lattice, shards), 60, dead={40: [(1, 3)]}, effects=effects, clocks=clocks
         ).counted
-        ran.append((firmware.heard, counted))
+        ran.append((firmware.received, counted))
     assert ran[0] == ran[1]
-    heard, counted = ran[0]
-    assert any(max(sides) >= 0 for sides in heard.values())
+    received, counted = ran[0]
+    assert any(max(sides) >= 0 for sides in received.values())
     if own_clocks:
         assert counted["serial.framing"] > 0
     if effects is MANY["lossy"]:
@@ -101,7 +101,7 @@ def test_with_good_crystals_at_any_phase_nothing_is_lost_and_words_take_a_window
     counted = run(firmware, Partition.even(lattice, 1), 200, effects=serial(), clocks=clocks).counted
     assert [counted[name] for name in CLEAN] == [0, 0, 0, 0]
     lags: set[int] = set()
-    for (step, row, column), sides in firmware.heard.items():
+    for (step, row, column), sides in firmware.received.items():
         for side, said in enumerate(sides):
             if said >= 0:
                 i, j = lattice.index((row, column)), lattice.neighbours[lattice.index((row, column)), side]
@@ -119,7 +119,7 @@ def test_what_a_cell_had_half_said_when_it_died_is_damaged_and_nothing_comes_aft
         firmware = Stamper(every=10)
         partition = Partition.even(grid(1, 2), shards)
         counted = run(firmware, partition, 40, dead={12: [(0, 0)]}, effects=serial()).counted
-        west = [firmware.heard[tick, 0, 1][3] for tick in range(40)]
+        west = [firmware.received[tick, 0, 1][3] for tick in range(40)]
         assert [said for said in west if said >= 0] == [0]  # that of tick 10 takes three periods
         assert counted["serial.damaged"] == 1
         # a message each way, eight bytes of two periods' to the living, and three of the last period's to the dead

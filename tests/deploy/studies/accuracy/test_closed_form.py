@@ -50,12 +50,12 @@ def test_a_field_with_one_direction_only_has_none() -> None:
 
 def test_the_plant_follows_it_through_its_support_changes() -> None:
     scene = without_cells(load_scene("elliptic", duration=1.0))
-    course = run_trace(scene)
-    assert sum(event.kind.startswith("support") for event in course.events) > 20
+    trace = run_trace(scene)
+    assert sum(event.kind.startswith("support") for event in trace.events) > 20
     speeds = field_speeds(scene, CellArray(scene.array).positions_m)
-    known = closed_form(scene, speeds, course.state[0], course.time_s)
+    known = closed_form(scene, speeds, trace.state[0], trace.time_s)
     assert known is not None
-    assert course.state[..., :2] == pytest.approx(known, abs=1e-11)
+    assert trace.state[..., :2] == pytest.approx(known, abs=1e-11)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from deploy.cli import main
 from deploy.recordings.run_log import RunLog
 from deploy.studies.accuracy import sampling_cost as sampling
-from deploy.studies.accuracy import trace as course
+from deploy.studies.accuracy import trace
 from deploy.studies.accuracy.plots import CSV_NAME, JSON_NAME, SAMPLING, TOLERANCE, WORK_PRECISION
 from plant.tick import TickRecord
 
@@ -112,13 +112,13 @@ def test_a_signal_in_the_middle_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    inner = course.iterate_field_motion
+    inner = trace.iterate_field_motion
 
     def interrupted(*arguments: object, **options: object) -> object:
         os.kill(os.getpid(), number)
         return inner(*arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(course, "iterate_field_motion", interrupted)
+    monkeypatch.setattr(trace, "iterate_field_motion", interrupted)
     assert main([*ALONE, "--output", str(tmp_path / "new")]) == 130
     shown = capsys.readouterr()
     assert (shown.out, shown.err) == ("", "mdms: interrupted\n")

@@ -1,4 +1,4 @@
-"""How far courses are apart: displacement of corners, events matched, distributions."""
+"""How far trajectories are apart: displacement of corners, events matched, distributions."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def test_every_first_step_of_dop853_ends_past_the_graze_with_the_cell_outside(
     enters, leaves = graze.dwell_interval(elliptic)
     since = max(event.time_s for event in elliptic.events if event.time_s < enters)
     steps = graze.steps_through(graze.CELL, since, leaves)
-    time, depth = steps.course
+    time, depth = steps.trace
     # on these supports, written again from the equations, the cell comes in when the exact solver says
     inside = int(np.argmax(depth > 0.0))
     assert np.interp(0.0, depth[inside - 1 : inside + 1], time[inside - 1 : inside + 1]) == pytest.approx(

@@ -45,7 +45,7 @@ def report() -> AccuracyReport:
     reference = Reference(
         "heyoka, tolerance 1e-14",
         "heyoka",
-        None,  # type: ignore[arg-type] - no course is looked at
+        None,  # type: ignore[arg-type] - no trace is read
         None,
         [Agreement("closed form", "centre of mass", 2e-15, 10.0)],
         None,
@@ -54,17 +54,19 @@ def report() -> AccuracyReport:
     return AccuracyReport("elliptic", "Title", 10.0, 400, 1, 0.004, False, reference, rows, ())
 
 
-def test_the_coarsest_setting_that_reaches_each_target_is_told_with_its_time(report: AccuracyReport) -> None:
+def test_the_coarsest_setting_that_reaches_each_target_is_listed_with_its_time(
+    report: AccuracyReport,
+) -> None:
     text = sweep.describe(report, 5).text
     assert "| solver | 1e-3 m | 1e-5 m | 1e-7 m | 1e-9 m | 1e-11 m |" in text
     assert "| exact | 1e-4: 1 ms | 1e-4: 1 ms | 1e-6: 2 ms | – | – |" in text
-    # the finer step is no better: which row is told hangs on errors alone, not on how long runs took
+    # the finer step is no better: which row is listed depends on errors alone, not on how long runs took
     assert "| fixed_step rk4 | 0.01: 3 ms | – | – | – | – |" in text
     assert "| scipy DOP853 | 1e-9: 200 ms | – | – | – | – |" in text
     assert "| scipy Radau" not in text
 
 
-def test_errors_over_tolerances_reference_and_what_failed_are_told(report: AccuracyReport) -> None:
+def test_errors_over_tolerances_reference_and_failures_are_listed(report: AccuracyReport) -> None:
     text = sweep.describe(report, 5).text
     assert "exact 3.0e-2, scipy DOP853 1.5e4." in text
     assert "Reference: heyoka, tolerance 1e-14:" in text
@@ -77,7 +79,7 @@ def test_errors_over_tolerances_reference_and_what_failed_are_told(report: Accur
     assert "- scipy Radau 1e-9: stopped: takes too long." in text
 
 
-def test_the_price_of_sampling_has_a_picture_only_where_it_was_asked_for(
+def test_the_sampling_cost_has_a_plot_only_where_it_was_requested(
     report: AccuracyReport, tmp_path: Path
 ) -> None:
     section = sweep.describe(report, 5)

@@ -52,9 +52,9 @@ def test_the_reference_without_heyoka_is_heyoka_s_to_1e_12_on_20_random_scenes()
         reference = ReferenceSolver(scene, limit_s=60.0, methods=METHODS[1:], thorough=False).solve()
         assert reference.solver == "scipy"
         known = run_trace(with_solver(scene, METHODS[0]))
-        until = reference.course.samples_until(reference.duration_s)
+        until = reference.trace.samples_until(reference.duration_s)
         assert until > 90
-        off = displacement_m(reference.course.state[:until], known.state[:until], known.footprints_m)
+        off = displacement_m(reference.trace.state[:until], known.state[:until], known.footprints_m)
         assert off.max() < 1e-12
         changes += len(known.events)
     assert changes > 200
@@ -73,7 +73,7 @@ def test_the_solver_of_the_reference_is_judged_by_another() -> None:
     scene = without_cells(load_scene("elliptic", duration=0.2))
     reference = ReferenceSolver(scene, limit_s=60.0, methods=[IMPLICIT]).solve()
     assert reference.judge("implicit")[0] == "exact"
-    assert reference.judge("exact") == ("implicit", reference.course)
+    assert reference.judge("exact") == ("implicit", reference.trace)
 
 
 def test_where_no_other_method_is_to_be_had_exact_is_judged_by_itself_and_that_is_said() -> None:
@@ -115,14 +115,14 @@ def test_a_method_that_chatter_stops_is_the_reference_up_to_it(monkeypatch: pyte
     assert reference.solver == "scipy"
     assert any("the reference is not scipy but exact" in note for note in reference.notes)
     exact = run_trace(with_solver(scene, {"name": "exact", "tolerance": 1e-14, "capture_m": 1e-12}))
-    assert np.array_equal(reference.course.state[-1], exact.state[-1])
-    assert not np.array_equal(reference.course.state[20], exact.state[20])
+    assert np.array_equal(reference.trace.state[-1], exact.state[-1])
+    assert not np.array_equal(reference.trace.state[20], exact.state[20])
 
 
 def test_a_run_that_takes_too_long_is_stopped_and_said_so() -> None:
     scene = without_cells(load_scene("elliptic"))
-    course = run_trace(with_solver(scene, {"name": "fixed_step", "step_s": 1e-4}), limit_s=1e-9)
-    assert course.status == "stopped"
-    assert course.reason is not None
-    assert course.reason.startswith("took longer than 1e-09 s")
-    assert dataclasses.replace(course, reason=None).time_s.tolist() == [0.0]
+    trace = run_trace(with_solver(scene, {"name": "fixed_step", "step_s": 1e-4}), limit_s=1e-9)
+    assert trace.status == "stopped"
+    assert trace.reason is not None
+    assert trace.reason.startswith("took longer than 1e-09 s")
+    assert dataclasses.replace(trace, reason=None).time_s.tolist() == [0.0]

@@ -13,7 +13,7 @@ def price(*changes: str) -> list[Sampling]:
     array = ("array.rows=12", "array.columns=12", "parcels.0.position_m=[0.1,0.2]")
     scene = load_scene("elliptic", [*array, *changes], duration=0.32768)
     reference = run_trace(without_cells(scene))
-    return sampling_cost(scene, reference, quick=True, limit_s=60.0, look=lambda: None)
+    return sampling_cost(scene, reference, quick=True, limit_s=60.0, poll=lambda: None)
 
 
 def test_with_ideal_wheels_cells_and_bus_change_nothing_at_any_period() -> None:
@@ -42,6 +42,6 @@ def test_clocks_of_cells_are_left_out() -> None:
 def test_after_a_run_that_takes_too_long_no_shorter_period_is_tried() -> None:
     scene = load_scene("elliptic", duration=0.065536)
     reference = run_trace(without_cells(scene))
-    (found,) = sampling_cost(scene, reference, quick=True, limit_s=0.0, look=lambda: None)
+    (found,) = sampling_cost(scene, reference, quick=True, limit_s=0.0, poll=lambda: None)
     assert [row.status for row in found.rows] == ["ok", "omitted", "omitted", "omitted"]
     assert all("the run at 0.032768 s took" in (row.reason or "") for row in found.rows[1:])

@@ -35,17 +35,17 @@ def timeless(row: AccuracyRow) -> AccuracyRow:
     return replace(row, **dict.fromkeys(TIMES))
 
 
-def test_the_error_of_exact_never_exceeds_ten_times_the_tolerance_asked_on_elliptic() -> None:
+def test_the_error_of_exact_never_exceeds_ten_times_the_requested_tolerance_on_elliptic() -> None:
     scene = without_cells(load_scene("elliptic"))
     reference = ReferenceSolver(scene, limit_s=60.0, methods=METHODS[2:]).solve()
     (line,) = (line for line in lines(scene) if line[0].solver == "exact")
     for trial in line:
-        course = run_trace(with_solver(scene, trial.settings))
+        trace = run_trace(with_solver(scene, trial.settings))
         judge, known = reference.judge("exact")
         assert judge == "implicit"
-        off = displacement_m(course.state, known.state, known.footprints_m)
+        off = displacement_m(trace.state, known.state, known.footprints_m)
         assert off.max() < 10.0 * trial.value
-        events = compare_events(course.events, known.events, reference.duration_s)
+        events = compare_events(trace.events, known.events, reference.duration_s)
         assert (events.found, events.missed, events.order_until_s) == (86, 0, None)
 
 

@@ -40,7 +40,7 @@ def test_quick_values_are_among_all_values() -> None:
             assert set(sweep.quick) <= set(sweep.values)
 
 
-def test_exact_is_asked_for_every_tolerance_from_1e_4_to_1e_12() -> None:
+def test_exact_runs_at_every_tolerance_from_1e_4_to_1e_12() -> None:
     (line,) = (line for line in LINES if line[0].solver == "exact")
     assert [trial.value for trial in line] == [float(f"1e-{k}") for k in range(4, 13)]
 

@@ -22,7 +22,7 @@ OK = CaseEnd(status="ok")
 
 @dataclass
 class Executor:
-    """Runs nothing, last scene first; ends as it is told after so many runs."""
+    """Runs nothing, last scene first; ends as requested after so many runs."""
 
     ending: CaseEnd = OK
     interrupted_after: int = 10**9
@@ -37,8 +37,8 @@ class Executor:
 
 
 def campaign(folder: Path, **given: Any) -> Campaign:
-    asked = read_options({"scene": "noisy", "fault": "crash", "share": "0.1,0.2", "seeds": "2", **given})
-    return Campaign(asked, cases_of(asked, scene_text("noisy")), folder, quiet=True)
+    spec = read_options({"scene": "noisy", "fault": "crash", "share": "0.1,0.2", "seeds": "2", **given})
+    return Campaign(spec, cases_of(spec, scene_text("noisy")), folder, quiet=True)
 
 
 def test_undisturbed_runs_come_first_each_once_and_those_that_are_over_are_not_run_again(

@@ -47,7 +47,7 @@ def test_keys_of_the_fault_are_set_and_varied_as_those_of_the_scene() -> None:
     assert [case.scene.faults[0].until_s for case in found.cases] == [0.5, 1.5]
 
 
-def test_a_fault_of_which_nothing_says_whom_it_strikes_strikes_every_cell() -> None:
+def test_a_fault_without_a_target_affects_every_cell() -> None:
     found = cases(fault="link_loss", vary=("fault.probability=0.1,0.2",))
     faults: list[Any] = [case.scene.faults[0] for case in found.cases]
     assert [(fault.share, fault.probability) for fault in faults] == [(1.0, 0.1), (1.0, 0.2)]

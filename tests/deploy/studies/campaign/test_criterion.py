@@ -38,7 +38,7 @@ def test_a_campaign_for_which_nothing_says_what_success_is_is_refused_before_any
         _criterion(vary=("parcels.0.mass_kg=1,2",), within_m=0.1)
 
 
-def test_the_command_line_or_the_scenes_goal_says_what_success_is_and_which_is_told() -> None:
+def test_the_command_line_or_the_scenes_goal_defines_success_and_the_source_is_named() -> None:
     assert _criterion(**FAULT, within_m=0.1).words() == (
         "error at most 0.1 m from where the undisturbed run ends (--within)"
     )
@@ -56,8 +56,8 @@ def test_the_command_line_or_the_scenes_goal_says_what_success_is_and_which_is_t
 
 
 def test_a_goal_can_be_varied() -> None:
-    asked = read_options({"scene": "elliptic", **FAULT, "vary": ("goal.within_m=0.01,0.1",)})
-    found = cases_of(asked, scene_text("elliptic"))
+    spec = read_options({"scene": "elliptic", **FAULT, "vary": ("goal.within_m=0.01,0.1",)})
+    found = cases_of(spec, scene_text("elliptic"))
     assert [case.criterion.within_m for case in found.cases] == [0.01, 0.1]
 
 

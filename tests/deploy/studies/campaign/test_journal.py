@@ -82,7 +82,7 @@ class FullDisk:
         return taken
 
 
-def test_a_full_disk_fails_the_campaign_and_what_was_over_is_kept(tmp_path: Path, case: Case) -> None:
+def test_a_full_disk_fails_the_campaign_and_finished_runs_are_retained(tmp_path: Path, case: Case) -> None:
     with Journal(tmp_path) as journal:
         journal.add_run(case, 3, OUTCOME)
         journal._file, file = FullDisk(journal._file, 20), journal._file

@@ -95,7 +95,7 @@ def test_the_time_is_that_of_the_last_to_rest_or_leave_and_there_is_none_until_a
     assert evaluate(ending(), None, ANY).time_s is None
 
 
-def test_a_run_that_did_not_come_to_its_end_is_kept_with_its_reason_and_nothing_measured() -> None:
+def test_a_run_that_ended_early_is_stored_with_its_reason_and_nothing_measured() -> None:
     outcome = evaluate(CaseEnd(status="unstable", reason="why", wall_s=2.0), ending(REST), ANY)
     assert (outcome.status, outcome.reason, outcome.wall_s) == ("unstable", "why", 2.0)
     assert (outcome.succeeded, outcome.error_m, outcome.time_s, outcome.digest) == (False, None, None, None)

@@ -31,8 +31,8 @@ def test_the_command_is_understood_and_its_scenes_are_valid(
 ) -> None:
     found: list[int] = []
 
-    def only_plan(asked: CampaignSpec, text: str, *_: Any, **__: Any) -> None:
-        found.append(cases_of(asked, text).runs)
+    def only_plan(spec: CampaignSpec, text: str, *_: Any, **__: Any) -> None:
+        found.append(cases_of(spec, text).runs)
         raise typer.Exit(0)
 
     monkeypatch.setattr("deploy.commands.campaign._run", only_plan)

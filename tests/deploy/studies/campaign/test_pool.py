@@ -116,9 +116,9 @@ def test_runs_after_those_end_as_if_they_had_been_alone(endings: list[CaseEnd]) 
 
 
 def test_a_run_of_a_campaign_has_the_digest_and_the_parcels_of_mdms_run(tmp_path: Path) -> None:
-    asked = load_scene("noisy", [Override(("duration_s",), 0.1, ""), Override(("seed",), 9, "")])
-    alone = run(asked, RunOptions(transport="memory", output=tmp_path, picture=False), quiet=True).summary
-    ending = run_case(asked)
+    short = load_scene("noisy", [Override(("duration_s",), 0.1, ""), Override(("seed",), 9, "")])
+    alone = run(short, RunOptions(transport="memory", output=tmp_path, picture=False), quiet=True).summary
+    ending = run_case(short)
     assert (ending.status, ending.digest) == ("ok", alone.digest)
     assert [parcel.state for parcel in ending.parcels] == [parcel.state for parcel in alone.parcels]
 

@@ -22,8 +22,8 @@ WORDS = "stall.policy=coast,brake,hold"
 
 def made_up(folder: Path, *vary: str, seeds: int = 3, **more: Any) -> CampaignReport:
     """A campaign that never was: a run in four fails, errors and times rise with the case."""
-    asked = read_options({"scene": "heat", "vary": vary, "seeds": str(seeds), **more})
-    cases = cases_of(asked, scene_text("heat"))
+    spec = read_options({"scene": "heat", "vary": vary, "seeds": str(seeds), **more})
+    cases = cases_of(spec, scene_text("heat"))
     outcomes = {
         (case.number, seed): CaseOutcome(
             status="failed" if (case.number + seed) % 4 == 0 else "ok",
@@ -38,9 +38,9 @@ def made_up(folder: Path, *vary: str, seeds: int = 3, **more: Any) -> CampaignRe
         for case in cases.cases
         for seed in cases.seeds
     }
-    rows = tuple(aggregate(cases, outcomes, asked.confidence))
+    rows = tuple(aggregate(cases, outcomes, spec.confidence))
     return CampaignReport(
-        status="ok", reason="", asked=asked, cases=cases, outcomes=outcomes, rows=rows, folder=folder
+        status="ok", reason="", spec=spec, cases=cases, outcomes=outcomes, rows=rows, folder=folder
     )
 
 
@@ -58,7 +58,7 @@ def test_of_no_value_and_of_three_there_is_no_picture_and_it_is_said_why(tmp_pat
     assert why_none(made_up(tmp_path, ONE, TWO, WORDS)).startswith("3 values are varied")
 
 
-def test_the_table_has_a_row_a_case_and_tells_the_first_failed_runs_as_they_are(
+def test_the_table_has_a_row_a_case_and_lists_the_first_failed_runs_as_they_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     print_report(made_up(tmp_path, ONE, TWO))

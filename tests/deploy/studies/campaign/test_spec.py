@@ -9,7 +9,7 @@ import pytest
 from deploy.errors import InputError
 from deploy.studies.campaign.spec import CampaignSpec, check_same, check_versions, read, read_options, write
 
-ASKED = read_options(
+SPEC = read_options(
     {
         "scene": "a b/ä.toml",
         "folder": "/home",
@@ -22,19 +22,19 @@ ASKED = read_options(
 )
 
 
-def test_what_was_asked_is_read_again_as_it_was(tmp_path: Path) -> None:
-    write(ASKED, "the = 'scene'\n", {"numpy": "2.1"}, tmp_path)
-    assert read(tmp_path) == (ASKED, "the = 'scene'\n", {"numpy": "2.1"})
+def test_a_written_specification_is_read_unchanged(tmp_path: Path) -> None:
+    write(SPEC, "the = 'scene'\n", {"numpy": "2.1"}, tmp_path)
+    assert read(tmp_path) == (SPEC, "the = 'scene'\n", {"numpy": "2.1"})
 
 
 def test_going_on_with_the_same_or_nothing_said_is_fine() -> None:
-    check_same(ASKED, {"scene": None, "fault": "crash", "set": ASKED.set, "at_s": 0.1}, Path("d"))
+    check_same(SPEC, {"scene": None, "fault": "crash", "set": SPEC.set, "at_s": 0.1}, Path("d"))
 
 
 def test_going_on_with_anything_else_is_refused_and_names_all_of_it() -> None:
     given = {"scene": "heat", "fault": "crash", "seeds": "20", "vary": ("a=1",), "at_s": 2.0}
     with pytest.raises(InputError) as refused:
-        check_same(ASKED, given, Path("d"))
+        check_same(SPEC, given, Path("d"))
     assert str(refused.value).splitlines() == [
         "--resume d: SCENE heat: the campaign has a b/ä.toml",
         "--resume d: --seeds 20: the campaign has 10",

@@ -48,7 +48,7 @@ def test_a_parcel_more_or_less_is_another_answer(study: EffectStudy) -> None:
     assert advise(study, [row("feeders", None, on=False, parcels=1)], 1e-3).missing == ("feeders",)
 
 
-def test_nothing_is_said_of_what_the_solver_can_t_tell(study: EffectStudy) -> None:
+def test_no_advice_is_given_below_the_solver_s_error(study: EffectStudy) -> None:
     found = advise(study, [row("motors", 2e-4, on=True, error=1e-3)], 1e-3)
     assert (found.can_go, found.missing, found.unclear) == ((), (), ("motors",))
 

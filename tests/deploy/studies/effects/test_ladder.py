@@ -114,9 +114,9 @@ def test_a_rung_that_blows_up_is_left_out_with_the_reason(monkeypatch: pytest.Mo
     def followed(scene: Scene, *, cells: bool) -> RunResult:
         if scene.friction.law == "stick_slip":
             raise InputError("it doesn't stand")
-        course = run_headless(scene, cells=cells)
+        result = run_headless(scene, cells=cells)
         quasi = scene.solver.name == "quasi_static"
-        return replace(course, status="unstable", reason="it blew up") if quasi else course
+        return replace(result, status="unstable", reason="it blew up") if quasi else result
 
     monkeypatch.setattr(ladder_module, "run_headless", followed)
     climbed = run_ladder(rungs(load_scene("ladder", duration=0.05))[:3], 1, lambda line: None)

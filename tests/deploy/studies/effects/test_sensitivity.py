@@ -15,7 +15,7 @@ from plant.observations import Event, ParcelState, ParcelStatus
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 
 
-def course(
+def result(
     *poses: tuple[float, float, float],
     fates: Sequence[tuple[ParcelState, float]] | None = None,
     events: Sequence[Event] = (),
@@ -36,39 +36,39 @@ def gained(time_s: float, row: int, parcel: int = 0, kind: str = "support_gained
 
 
 def test_a_run_is_no_distance_from_itself() -> None:
-    one = course((0.1, 0.2, 0.3), events=[gained(1.0, 2)])
+    one = result((0.1, 0.2, 0.3), events=[gained(1.0, 2)])
     found = compare(one, one)
     assert found.none
     assert (found.displacement_m, found.turn_rad, found.moved_s, found.only) == (0.0, 0.0, 0.0, (0, 0))
 
 
 def test_a_parcel_carried_aside_is_displaced_by_that_much_at_every_corner() -> None:
-    found = compare(course((0.3, 0.4, 0.7)), course((0.0, 0.0, 0.7)))
+    found = compare(result((0.3, 0.4, 0.7)), result((0.0, 0.0, 0.7)))
     assert found.displacement_m == pytest.approx(0.5, rel=1e-12)
     assert found.turn_rad == 0.0
 
 
 def test_a_parcel_turned_on_the_spot_is_displaced_by_the_chord_of_its_corners() -> None:
-    found = compare(course((0.0, 0.0, 0.5)), course((0.0, 0.0, 0.1)))
+    found = compare(result((0.0, 0.0, 0.5)), result((0.0, 0.0, 0.1)))
     assert found.displacement_m == pytest.approx(2.0 * 0.1 * math.sqrt(2.0) * math.sin(0.2), rel=1e-12)
     assert found.turn_rad == pytest.approx(0.4, rel=1e-12)
 
 
 def test_a_full_turn_more_is_the_same_pose() -> None:
-    found = compare(course((0.0, 0.0, 0.5 + math.tau)), course((0.0, 0.0, 0.5)))
+    found = compare(result((0.0, 0.0, 0.5 + math.tau)), result((0.0, 0.0, 0.5)))
     assert found.turn_rad == pytest.approx(0.0, abs=1e-14)
     assert found.displacement_m == pytest.approx(0.0, abs=1e-14)
 
 
 def test_the_farthest_parcel_counts() -> None:
-    found = compare(course((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), course((0.1, 0.0, 0.0), (1.4, 0.0, 0.0)))
+    found = compare(result((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), result((0.1, 0.0, 0.0), (1.4, 0.0, 0.0)))
     assert found.displacement_m == pytest.approx(0.4, rel=1e-12)
 
 
 def test_events_are_matched_by_kind_parcel_and_cells_in_their_order() -> None:
     one = [gained(1.0, 1), gained(2.0, 1), gained(3.0, 2), gained(4.0, 3, parcel=1)]
     other = [gained(1.1, 1), gained(2.4, 1), gained(9.0, 2, kind="support_lost"), gained(4.0, 3)]
-    found = compare(course((0.0, 0.0, 0.0), events=one), course((0.0, 0.0, 0.0), events=other))
+    found = compare(result((0.0, 0.0, 0.0), events=one), result((0.0, 0.0, 0.0), events=other))
     assert found.events == 2
     assert found.moved_s == pytest.approx(0.4)
     assert found.only == (2, 2)
@@ -80,26 +80,26 @@ def test_all_rest_when_the_last_does() -> None:
     later = [("at_rest", 3.0), ("at_rest", 0.5)]
     still = [("at_rest", 3.0), ("moving", 0.0)]
     poses = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    found = compare(course(*poses, fates=later), course(*poses, fates=rest))
+    found = compare(result(*poses, fates=later), result(*poses, fates=rest))
     assert found.settled_s == (3.0, 2.5)
     assert found.settling_s == 0.5
-    assert compare(course(*poses, fates=still), course(*poses, fates=rest)).settled_s == (None, 2.5)
-    assert compare(course(*poses, fates=still), course(*poses, fates=rest)).settling_s is None
+    assert compare(result(*poses, fates=still), result(*poses, fates=rest)).settled_s == (None, 2.5)
+    assert compare(result(*poses, fates=still), result(*poses, fates=rest)).settling_s is None
 
 
 def test_a_parcel_that_is_there_on_one_side_only_is_counted_and_not_measured() -> None:
     left = Event(1.0, "left", 1, (), (0.0, 0.0), "exit")
-    one = course(
+    one = result(
         (0.0, 0.0, 0.0),
         (5.0, 0.0, 0.0),
         (7.0, 0.0, 0.0),
         fates=[("moving", 0.0), ("delivered", 1.0), ("waiting", 0.0)],
         events=[left],
     )
-    other = course((0.1, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0))
+    other = result((0.1, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0))
     found = compare(one, other)
     assert found.parcels == 2
     assert found.displacement_m == pytest.approx(0.1)
-    nobody = compare(course(), other)
+    nobody = compare(result(), other)
     assert (nobody.parcels, nobody.displacement_m, nobody.turn_rad) == (3, None, None)
     assert not nobody.none

@@ -39,8 +39,8 @@ SHOWN = {
     "feeders": ("stream", 3.0),
     "parcel_contact": ("rails", 2.5),
 }
-"""A bundled scene that asks for each effect, and how long it takes to tell."""
-ASKED_FOR = {"scanners", "camera"}
+"""A bundled scene that asks for each effect, and how long it takes to show."""
+ON_REQUEST = {"scanners", "camera"}
 """What programs ask for: a scene whose cells make something of it can't do without."""
 
 
@@ -53,7 +53,7 @@ def loaded(name: str, *sets: str, duration: float | None = None) -> Scene:
 
 
 def test_every_effect_is_shown_by_a_bundled_scene() -> None:
-    assert SHOWN.keys() | ASKED_FOR == effect_types().keys()
+    assert SHOWN.keys() | ON_REQUEST == effect_types().keys()
 
 
 @pytest.mark.slow
@@ -96,7 +96,7 @@ def test_an_effect_with_nothing_to_do_moves_nothing_at_all(effect: str, scene: s
 
 
 @pytest.mark.slow
-def test_contacts_that_are_only_reported_move_nothing_but_are_told() -> None:
+def test_contacts_that_are_only_reported_move_nothing() -> None:
     row = study(loaded("rails", "effects.parcel_contact.mode=report_only", duration=2.5)).row(
         "parcel_contact"
     )
@@ -208,7 +208,7 @@ def test_cells_run_where_they_do_more_than_hold_a_field(scene: str, sets: Sequen
         (("solver.tolerance=1e-14",), "tolerance", None),
     ],
 )
-def test_the_solver_s_own_error_is_told_by_a_tenth_of_its_tolerance_or_step(
+def test_the_solver_s_own_error_is_estimated_by_a_tenth_of_its_tolerance_or_step(
     sets: Sequence[str], key: str, finer: float | None
 ) -> None:
     found = refined(loaded("elliptic", *sets))
@@ -235,11 +235,11 @@ def test_the_solver_s_error_is_that_of_the_worse_side() -> None:
 
 
 def test_the_cost_is_the_median_with_over_the_median_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    course = run_headless(loaded("elliptic", duration=0.05), cells=False)
+    result = run_headless(loaded("elliptic", duration=0.05), cells=False)
     spans = {True: iter([7.0, 9.0, 3.0, 50.0, 7.0]), False: iter([7.0, 9.0, 1.0, 1.5, 7.0])}
 
     def timed(scene: Scene, *, cells: bool) -> Any:
-        return replace(course, wall_s=next(spans[scene.effects.parcel_contact is not None]))
+        return replace(result, wall_s=next(spans[scene.effects.parcel_contact is not None]))
 
     monkeypatch.setattr(study_module, "run_headless", timed)
     row = EffectStudy(loaded("elliptic", duration=0.05), 3, lambda line: None).row("parcel_contact")
@@ -259,11 +259,11 @@ def test_a_plant_that_refuses_one_side_is_a_reason(monkeypatch: pytest.MonkeyPat
 
 def test_a_run_that_ends_early_is_a_reason_and_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(scene: Scene, *, cells: bool) -> Any:
-        course = run_headless(scene, cells=cells)
+        result = run_headless(scene, cells=cells)
         return (
-            replace(course, status="unstable", reason="it blew up")
+            replace(result, status="unstable", reason="it blew up")
             if scene.effects.parcel_contact
-            else course
+            else result
         )
 
     monkeypatch.setattr(study_module, "run_headless", stopped)

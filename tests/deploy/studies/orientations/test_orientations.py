@@ -1,4 +1,4 @@
-"""``mdms orientations`` tells where a parcel comes to rest, for people and for programs."""
+"""``mdms orientations`` reports where a parcel comes to rest, for people and for programs."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_where_a_parcel_does_not_stand_the_json_has_no_torque(capsys: pytest.Cap
         ),
     ],
 )
-def test_what_can_t_be_told_is_refused_in_one_line(
+def test_an_unanswerable_request_is_refused_in_one_line(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["orientations", *arguments]) == 2

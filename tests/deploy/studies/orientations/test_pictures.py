@@ -43,20 +43,22 @@ def test_every_stable_orientation_is_drawn_in_its_colour(
 
 
 def test_where_the_torque_never_vanishes_the_parcel_is_drawn_as_it_starts(tmp_path: Path) -> None:
-    asked = study(load_scene("motors"), 0, None)
-    profile = asked.profile()
+    orientation_study = study(load_scene("motors"), 0, None)
+    profile = orientation_study.profile()
     assert profile.stable() == ()
-    draw_orientations(asked, profile, tmp_path / "o.png")
+    draw_orientations(orientation_study, profile, tmp_path / "o.png")
     assert _pixels(tmp_path / "o.png", "#22272e") > 1000
 
 
 def test_the_continuous_curve_is_drawn_where_the_field_is_linear(tmp_path: Path) -> None:
     drawn = {}
     for name, place in (("elliptic", (0.0, 0.0)), ("squeeze", (0.0, 0.3))):
-        asked = study(load_scene(name), 0, place)
+        orientation_study = study(load_scene(name), 0, place)
         # without steps and marks, which would lie on the curve
-        profile = dataclasses.replace(asked.profile(), torque_n_m=np.ones(1), angles_rad=np.zeros(0))
-        draw_orientations(asked, profile, tmp_path / f"{name}.png")
+        profile = dataclasses.replace(
+            orientation_study.profile(), torque_n_m=np.ones(1), angles_rad=np.zeros(0)
+        )
+        draw_orientations(orientation_study, profile, tmp_path / f"{name}.png")
         drawn[name] = _pixels(tmp_path / f"{name}.png", CONTINUOUS)
     assert drawn["elliptic"] > 300
     assert drawn["squeeze"] < 50

@@ -22,13 +22,13 @@ ALL = np.arange(3)
 
 
 def state(tick: int) -> np.ndarray:
-    """That tells its tick."""
+    """With its tick encoded."""
     return np.arange(18.0).reshape(3, 6) * 0.01 + 0.1 * tick
 
 
 def film(spec: CameraSpec, ticks: int, seed: int = 1, later: int = 0) -> dict[int, CameraFrame]:
     camera = Camera(spec, TICK_NS, seed, later)
-    shown = {tick: camera.look(tick, state(tick), ALL) for tick in range(ticks)}
+    shown = {tick: camera.capture(tick, state(tick), ALL) for tick in range(ticks)}
     return {tick: picture for tick, picture in shown.items() if picture is not None}
 
 
@@ -49,7 +49,7 @@ def test_pictures_are_taken_and_shown_at_the_first_ticks_that_are_not_too_early(
 def test_angles_lie_within_a_turn() -> None:
     poses = np.zeros((5, 6))
     poses[:, 2] = [pi, -pi, 3.0 * pi + 0.5, -20.0, 1e-300]
-    picture = Camera(CameraSpec(), TICK_NS, 1).look(0, poses, np.arange(5))
+    picture = Camera(CameraSpec(), TICK_NS, 1).capture(0, poses, np.arange(5))
     assert picture is not None
     angle = picture.pose[:, 2]
     assert ((angle >= -pi) & (angle < pi)).all()
@@ -61,7 +61,7 @@ def test_who_is_not_there_is_not_seen_and_changes_nothing_for_the_others() -> No
     some, every = Camera(spec, TICK_NS, 1), Camera(spec, TICK_NS, 1)
     for tick in range(3):
         here = np.array([0, 2]) if tick else ALL[:0]
-        one, other = some.look(tick, state(tick), here), every.look(tick, state(tick), ALL)
+        one, other = some.capture(tick, state(tick), here), every.capture(tick, state(tick), ALL)
         assert one is not None
         assert other is not None
         assert one.parcel.tolist() == here.tolist()

@@ -59,7 +59,7 @@ def ticks(plant: Plant, drives: Floats, count: int) -> list[Event]:
     return [event for event in found if event.kind in ("fed", "held_back", "left")]
 
 
-def told(events: list[Event], kind: str) -> list[tuple[int, int]]:
+def times_of(events: list[Event], kind: str) -> list[tuple[int, int]]:
     """Parcel and time, ns, of the events of a kind."""
     return [(event.parcel, round(event.time_s * 1e9)) for event in events if event.kind == kind]
 
@@ -79,7 +79,7 @@ def test_a_parcel_is_fed_at_the_first_tick_that_does_not_begin_before_its_time()
         )
     )
     events = ticks(plant, eastward(plant), 3)
-    assert sorted(told(events, "fed")) == [(0, TICK_NS), (1, 2 * TICK_NS), (2, 0)]
+    assert sorted(times_of(events, "fed")) == [(0, TICK_NS), (1, 2 * TICK_NS), (2, 0)]
 
 
 def test_times_a_whole_number_of_ticks_apart_never_gain_or_lose_one() -> None:
@@ -93,14 +93,14 @@ def test_a_schedule_is_the_written_decimals_rounded_up_to_nanoseconds() -> None:
     assert all(0 <= due - time_s * 10**9 < 1 for due, time_s in zip(every.due_ns(0), exact, strict=True))
 
 
-def test_random_gaps_are_exponential_with_the_mean_asked_for() -> None:
+def test_random_gaps_are_exponential_with_the_requested_mean() -> None:
     random = FeedSpec.model_validate(feed(mean_s=2.5, first_s=4.0, count=10_000))
     gaps = np.concatenate([np.diff([4 * SECOND, *random.due_ns(seed)]) for seed in range(5)]) * 1e-9
     assert gaps.min() >= 0.0
     assert kstest(gaps, "expon", args=(0.0, 2.5)).pvalue > 0.01
 
 
-def test_spreads_are_uniform_and_fill_what_was_asked_for() -> None:
+def test_spreads_are_uniform_and_fill_the_requested_range() -> None:
     spread = feed(every_s=1.0, count=4000, position_spread_m=(0.1, 0.3), angle_rad=0.2, angle_spread_rad=0.7)
     parcels = list(FeedSpec.model_validate(spread).parcels(7))
     off = np.array([(*parcel.position_m, parcel.angle_rad) for parcel in parcels]) - (-0.7, 0.0, 0.2)
@@ -209,18 +209,18 @@ def test_who_finds_no_room_is_fed_in_order_at_the_first_tick_that_has_room() -> 
     inside: list[int] = []
     events: list[Event] = []
     for tick in range(1500):
-        news = ticks(plant, eastward(plant), 1)
-        events += news
-        fed = [parcel for parcel, _ in told(news, "fed")]
+        new = ticks(plant, eastward(plant), 1)
+        events += new
+        fed = [parcel for parcel, _ in times_of(new, "fed")]
         due = [i for i in range(5) if round(i * 0.2 * 1e9) <= plant.time_ns]
         waiting = [i for i in due if i not in inside and i not in fed]
         inside += fed
         if waiting:  # whoever comes next is kept out by somebody
             assert not all(_clear(plant, waiting[0], other) for other in inside), tick
     assert inside == [0, 1, 2, 3, 4]
-    times = dict(told(events, "fed"))
+    times = dict(times_of(events, "fed"))
     assert [times[i] for i in sorted(times)] == sorted(times.values())
-    held = dict(told(events, "held_back"))
+    held = dict(times_of(events, "held_back"))
     assert held == {i: -(-i * SECOND // 5 // TICK_NS) * TICK_NS for i in range(1, 5)}
     (count,) = plant.traffic().feed  # type: ignore[union-attr]
     assert (count.fed, count.waiting, count.held_back) == (5, 0, 4)
@@ -231,7 +231,7 @@ def test_who_needs_more_room_waits_until_every_other_s_centre_of_mass_is_so_far_
     plant = Plant(fed_plant(feed(every_s=0.2, count=3, clear_m=0.6)))
     for _ in range(1500):
         before = plant.state[:, :2].copy()
-        for parcel, _ in told(ticks(plant, eastward(plant), 1), "fed"):
+        for parcel, _ in times_of(ticks(plant, eastward(plant), 1), "fed"):
             gone = [i for i in range(parcel) if plant.status[i].rides]
             apart = [float(np.hypot(*(plant.state[i, :2] - (-0.7, 0.0)))) for i in gone]
             almost = [float(np.hypot(*(before[i] - (-0.7, 0.0)))) for i in gone]
@@ -245,7 +245,7 @@ def test_who_leaves_makes_room_at_the_same_tick() -> None:
     near = {"name": "near", "size_m": (0.2, 0.8), "position_m": (-0.5, 0.0)}
     plant = Plant(fed_plant(feed(times_s=[0.0, 0.1]), exits=(near,)))
     events = ticks(plant, eastward(plant), 400)
-    left, fed = dict(told(events, "left")), dict(told(events, "fed"))
+    left, fed = dict(times_of(events, "left")), dict(times_of(events, "fed"))
     assert plant.state[0, 0] < -0.7 + 0.25
     assert fed[1] == left[0] > round(0.1 * SECOND)
 
@@ -255,8 +255,8 @@ def test_feeders_and_exits_that_share_a_place_take_turns_in_the_order_of_the_sce
     feeds = (feed(name="b", times_s=[0.5]), feed(name="a", times_s=[0.5]))
     plant = Plant(fed_plant(*feeds, exits=(everywhere, EAST)))
     events = ticks(plant, eastward(plant), 600)
-    assert [parcel for parcel, _ in told(events, "fed")] == [0, 1]
-    assert [parcel for parcel, _ in told(events, "held_back")] == [1]
+    assert [parcel for parcel, _ in times_of(events, "fed")] == [0, 1]
+    assert [parcel for parcel, _ in times_of(events, "held_back")] == [1]
     count = plant.traffic()
     assert count is not None
     assert [one.left for one in count.exits] == [1, 0]
@@ -311,10 +311,10 @@ def test_a_trajectory_in_slices_is_the_same_as_tick_by_tick_bit_for_bit() -> Non
     seed=st.integers(0, 2**40),
     mean_s=st.floats(0.05, 2.0),
     speed=st.floats(0.1, 0.8),
-    looks=st.lists(st.integers(1, 200), min_size=1, max_size=12),
+    counts=st.lists(st.integers(1, 200), min_size=1, max_size=12),
 )
 def test_whoever_was_fed_is_there_or_has_left(
-    seed: int, mean_s: float, speed: float, looks: list[int]
+    seed: int, mean_s: float, speed: float, counts: list[int]
 ) -> None:
     plant = Plant(
         fed_plant(
@@ -322,12 +322,12 @@ def test_whoever_was_fed_is_there_or_has_left(
         )
     )
     events: list[Event] = []
-    for ticked in looks:
+    for ticked in counts:
         events += ticks(plant, eastward(plant, speed), ticked)
         count = plant.traffic()
         assert count is not None
         states = [status.state for status in plant.status]
-        fed, left = dict(told(events, "fed")), dict(told(events, "left"))
+        fed, left = dict(times_of(events, "fed")), dict(times_of(events, "left"))
         assert count.feed[0].fed == len(fed)
         assert count.left == len(left) == sum(one.left for one in count.exits)
         assert 1 + len(fed) == count.there + count.left

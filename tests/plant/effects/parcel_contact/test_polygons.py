@@ -90,7 +90,7 @@ def test_what_is_certain_to_stay_apart_does_at_every_instant_between(
 
     v = np.array(rates).reshape(4, 3)
     t = np.linspace(0.0, span, 60)
-    ways = [
+    paths = [
         motion(np.array([0.0, 0.0, turn_a]), v[0], v[1], t),
         motion(np.array([x, y, turn_b]), v[2], v[3], t),
     ]
@@ -101,9 +101,9 @@ def test_what_is_certain_to_stay_apart_does_at_every_instant_between(
         np.hypot(*bend[:2]) + radius * abs(bend[2])
         for bend, radius in zip(v[[1, 3]], pull[:, to.RADIUS], strict=True)
     ]
-    ends = np.stack([[ways[0][0], ways[1][0]], [ways[0][-1], ways[1][-1]]])
+    ends = np.stack([[paths[0][0], paths[1][0]], [paths[0][-1], paths[1][-1]]])
     pair = np.array([[0, 1]])
     _, unsure = contact_entry.first_uncertain(shapes, pair, pull, 0.0, t[[0, -1]], ends, 0)
     if unsure < 0:
-        gaps = [contact_entry.gap(shapes, 0, 1, *states)[0] for states in zip(*ways, strict=True)]
+        gaps = [contact_entry.gap(shapes, 0, 1, *states)[0] for states in zip(*paths, strict=True)]
         assert min(gaps) > 0.0

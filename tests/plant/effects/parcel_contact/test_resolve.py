@@ -131,7 +131,7 @@ def test_a_parcel_between_two_others_passes_the_blow_on() -> None:
     assert _velocity(bench)[:, 0] == pytest.approx([0.0, 0.0, 0.5], abs=1e-9)
 
 
-def test_a_light_parcel_struck_by_a_heavy_one_reaches_one_that_was_out_of_reach() -> None:
+def test_a_light_parcel_hit_by_a_heavy_one_reaches_one_that_was_out_of_reach() -> None:
     # within one tick it comes four times as far as anything moved when the tick began
     bench = plant(
         box(-BOX - 0.0002, 0.0, mass_kg=2000.0, velocity_m_s=(0.5, 0.0)),
@@ -240,10 +240,10 @@ def test_a_simulation_in_one_call_is_the_run_tick_by_tick() -> None:
     one, other = fresh(), fresh()
     drives = -1.2 * one.array.positions_m + (0.0, 0.1)
     events = run(one, drives, 300 * TICK_NS / SECOND)
-    course = other.trajectory(drives, 300 * TICK_NS, TICK_NS)
+    trajectory = other.trajectory(drives, 300 * TICK_NS, TICK_NS)
     assert len(events) >= 2
-    assert one.state.tobytes() == course.state[-1].tobytes()
-    assert [event for event in course.events if event.kind in ("contact", "apart")] == events
+    assert one.state.tobytes() == trajectory.state[-1].tobytes()
+    assert [event for event in trajectory.events if event.kind in ("contact", "apart")] == events
 
 
 def test_a_tipped_parcel_stands_in_the_way() -> None:

@@ -1,4 +1,4 @@
-"""Contacts reported only: none stepped over, told to the nanosecond, and the motion what it is without them."""
+"""Contacts reported only: none stepped over, reported to the nanosecond, and the motion what it is without them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tests.plant.effects.parcel_contact.benches import BOX, box, plant, run, sti
 from tests.plant.scenes import MU, SECOND, TICK_NS, elliptic, spec
 
 
-def _told(plant: Plant, until_s: float, sample_ns: int) -> list[tuple[str, float, str]]:
+def _contacts(plant: Plant, until_s: float, sample_ns: int) -> list[tuple[str, float, str]]:
     """Kind, time and partner, of one long call."""
-    course = plant.trajectory(still(plant), round(until_s * SECOND), sample_ns)
+    trajectory = plant.trajectory(still(plant), round(until_s * SECOND), sample_ns)
     return [
         (event.kind, event.time_s, event.detail.split(",")[0])
-        for event in course.events
+        for event in trajectory.events
         if event.kind in ("contact", "apart", "overlap")
     ]
 
@@ -28,19 +28,19 @@ def test_a_corner_that_clips_another_for_a_moment_is_found_in_one_long_call(dept
     half, speed = BOX * np.sqrt(0.5), 0.5
     moving = box(-0.5, 2.0 * half - depth, np.pi / 4, velocity_m_s=(speed, 0.0))
     bench = plant(moving, box(0.0, 0.0, np.pi / 4), mode="report_only")
-    told = _told(bench, 2.0, 2 * SECOND)
-    assert [(kind, who) for kind, _, who in told] == [
+    contacts = _contacts(bench, 2.0, 2 * SECOND)
+    assert [(kind, who) for kind, _, who in contacts] == [
         ("contact", "with parcel 1"),
         ("apart", "with parcel 1"),
     ]
-    assert told[0][1] == pytest.approx((0.5 - depth) / speed, abs=3e-9)
-    assert told[1][1] == pytest.approx((0.5 + depth) / speed, abs=2e-8)
+    assert contacts[0][1] == pytest.approx((0.5 - depth) / speed, abs=3e-9)
+    assert contacts[1][1] == pytest.approx((0.5 + depth) / speed, abs=2e-8)
 
 
 def test_corners_that_miss_by_a_hair_do_not_touch() -> None:
     half = BOX * np.sqrt(0.5)
     moving = box(-0.5, 2.0 * half + 1e-8, np.pi / 4, velocity_m_s=(0.5, 0.0))
-    assert _told(plant(moving, box(0.0, 0.0, np.pi / 4), mode="report_only"), 2.0, 2 * SECOND) == []
+    assert _contacts(plant(moving, box(0.0, 0.0, np.pi / 4), mode="report_only"), 2.0, 2 * SECOND) == []
 
 
 def test_a_contact_has_pair_place_normal_and_speed() -> None:
@@ -67,7 +67,7 @@ def test_a_rail_is_met_too_and_by_its_number() -> None:
     assert events[0].time_s == pytest.approx(0.7, abs=5e-9)
 
 
-def test_ticks_and_one_long_call_tell_the_same_contacts() -> None:
+def test_ticks_and_one_long_call_report_the_same_contacts() -> None:
     parcels = (box(-0.4, 0.1), box(0.45, 0.0), box(0.1, -0.5))
     ticked = plant(*parcels, mode="report_only", mu=MU)
     whole = plant(*parcels, mode="report_only", mu=MU)

@@ -1,4 +1,4 @@
-"""Scanners: which parcel they read, what labels say, and who is told when a parcel leaves by the wrong exit."""
+"""Scanners: which parcel they read, what labels say, and the report when a parcel leaves by the wrong exit."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_cells_with_instants_of_their_own_read_labels_as_they_read_presence() ->
     assert sense.label[80:].tolist() == then.label[80:].tolist()
 
 
-def test_who_leaves_by_another_exit_than_its_own_is_counted_and_told() -> None:
+def test_a_parcel_that_leaves_by_another_exit_than_its_own_is_counted_and_reported() -> None:
     plant = Plant(
         scanning(
             {"position_m": (0.5, 0.2), "destination": "south"},
@@ -183,9 +183,9 @@ def test_the_scanner_of_a_cell_that_is_pulled_reads_nothing_and_reads_again_when
     before = plant.sense().label
     assert before is not None
     read = np.flatnonzero(before)
-    harm, drives = WheelFaults.healthy(160), np.zeros((160, 2))
-    harm.gone[read[0]] = True
-    plant.apply_faults(harm, drives)
+    wheel_faults, drives = WheelFaults.healthy(160), np.zeros((160, 2))
+    wheel_faults.gone[read[0]] = True
+    plant.apply_faults(wheel_faults, drives)
     for label in (plant.last_readings.label, plant.sense().label):
         assert label is not None
         assert np.flatnonzero(label).tolist() == read[1:].tolist()
@@ -204,9 +204,9 @@ def test_a_parcel_is_fed_onto_the_cells_that_are_there_when_it_comes() -> None:
     }
     plant = Plant(scanning(cells=[(0, 0)], feed=[feed]))
     under = plant._solver.covered_cells(0)
-    harm, drives = WheelFaults.healthy(160), np.zeros((160, 2))
-    harm.gone[under[:1]] = True
-    plant.apply_faults(harm, drives)
+    wheel_faults, drives = WheelFaults.healthy(160), np.zeros((160, 2))
+    wheel_faults.gone[under[:1]] = True
+    plant.apply_faults(wheel_faults, drives)
     _, events = plant.advance(drives, 10 * TICK_NS)
     assert [event.kind for event in events] == ["fed"]
     assert set(plant._solver.covered_cells(0)) == set(under[1:])
