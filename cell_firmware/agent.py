@@ -7,7 +7,6 @@ import traceback
 from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from types import TracebackType
 from typing import Final, Protocol, final
 
@@ -137,7 +136,7 @@ class _Agent:
         """Run ticks from ``first`` on."""
         tick, live = first, np.ones(len(self._shard), dtype=np.bool_)
         while True:
-            inputs = await loop.poll(partial(self._member.gather, tick))
+            inputs = await self._gather(loop, tick)
             if isinstance(inputs, Control):
                 break
             self._apply_faults()
@@ -156,6 +155,19 @@ class _Agent:
                 self._publish(tick, outputs)
             tick += 1
         return self._result(tick - first, inputs.detail)
+
+    async def _gather(self, loop: TransportEventLoop, tick: int) -> TickInputs | Control:
+        """Return the inputs of a tick, or a stop record."""
+        found: list[TickInputs | Control] = []
+
+        def poll(timeout_s: float | None) -> bool:
+            inputs = self._member.gather(tick, timeout_s)
+            if inputs is not None:
+                found.append(inputs)
+            return inputs is not None
+
+        await loop.poll_until(poll)
+        return found[0]
 
     def _result(self, ticks: int, detail: str) -> ShardResult:
         return ShardResult(ticks, detail, tuple(self._failures))
