@@ -13,10 +13,12 @@ from typing import Final, Protocol, final
 import numpy as np
 
 from bus.errors import WireError
+from bus.lattice import Lattice
 from bus.lockstep import Participant, TickInputs
 from bus.state import save_state
 from bus.transports.event_loop import TransportEventLoop
 from bus.wire.frames import TEXT_LIMIT, Control, DriveFrame, LinkFrame
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.shard import BoundaryMessages, Shard, ShardOutputs
 
@@ -43,6 +45,27 @@ Inject = Callable[[Control], None]
 
 Hopeless = Callable[[tuple[int, int], str, str], None]
 """Called with the cell, the problem and the stack of a program that does not return and could not be interrupted."""
+
+
+def injector(shard: Shard, site: ShardContext, lattice: Lattice) -> Inject:
+    """Return the callback that begins and repairs faults in a shard.
+
+    Args:
+        shard: The shard.
+        site: The shard's cells.
+        lattice: Lattice of the array.
+    """
+
+    def inject(control: Control) -> None:
+        from cell_firmware.faults.attach import decode_fault_control
+
+        fault = decode_fault_control(control, lattice, site.seed)
+        if isinstance(fault, tuple):
+            shard.repair(*fault)
+        else:
+            shard.inject(fault, site, lattice)
+
+    return inject
 
 
 class Watch(Protocol):

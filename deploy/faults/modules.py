@@ -9,24 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from bus.fault import CellTarget, FaultInstance
-from cell_firmware.faults.base import CellFault, ExecutionFaults
+from cell_firmware.faults.kinds.power_loss import PowerLossFault, RemovedCellFault
 from plant.faults.base import PlantFault, WheelFaults
 
 
-class AbsentModuleFault(CellTarget, CellFault, PlantFault):
+class AbsentModuleFault(PowerLossFault, PlantFault):
     """Cells that are gone while it acts: no wheels under parcels, no sensors, no program, no links.
 
     Plugged in again they begin anew, as after power-on: wheels at rest, encoders going on from where they stood.
     """
-
-    halts_program: ClassVar[bool] = True
-
-    def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """No program runs; once it is plugged in it begins anew."""
-        if injected.active_at(tick):
-            pause.halted[injected.cells] = True
-        pause.reset[injected.cells] |= tick == injected.end_tick
 
     def apply(self, cells: NDArray[np.int64], harm: WheelFaults) -> None:
         """The cells are not in the array."""
@@ -54,8 +45,5 @@ class AddFault(AbsentModuleFault):
 
 
 @final
-class RemoveFault(AbsentModuleFault):
+class RemoveFault(RemovedCellFault, AbsentModuleFault):
     """Cells that are pulled out of the array at ``at_s``, and plugged in again where ``until_s`` says so."""
-
-    kind_name: ClassVar[str] = "remove"
-    kind: Literal["remove"]

@@ -14,8 +14,8 @@ from bus.transports.zenoh import open_client
 from bus.transports.zenoh.requests import REQUEST_LIMIT, send_request
 from bus.wire.keys import plant_key
 from deploy.control.client import Address, ask_run, discover
-from deploy.control.requests import RequestError, read_request
-from deploy.errors import DeployError, InputError
+from deploy.control.server import read_request
+from deploy.errors import DeployError, InputError, RequestError
 from deploy.runs.run import run
 from deploy.runs.summary import Outcome
 from deploy.scenes.files import load_scene
@@ -110,7 +110,7 @@ def test_bad_requests_are_refused_in_words_and_change_nothing(tmp_path: Path) ->
         ({"op": "inject", "fault": {"cell": [0, 0], "until_s": 0.0}}, "until_s must be after at_s"),
         ({"op": "inject", "fault": {"cell": [0, 0]}, "for_s": 0}, "for_s = 0: must be > 0"),
         ({"op": "repair", "number": 4}, "there is no fault 4; there are: none"),
-        ({"op": "dance"}, 'do = "dance"'),
+        ({"op": "dance"}, 'op = "dance"'),
     ]:
         with pytest.raises(RequestError) as refused:
             running.ask(**request)
@@ -132,8 +132,8 @@ def test_bad_requests_are_refused_in_words_and_change_nothing(tmp_path: Path) ->
 
 
 def test_requests_are_read_or_refused_whatever_they_are() -> None:
-    assert read_request(b'{"op": "list"}').do == "list"
-    for payload in (None, b"{" * 100_000, b'{"do": ["list"]}', b'{"op": "inject"}', b"\x00"):
+    assert read_request(b'{"op": "list"}').op == "list"
+    for payload in (None, b"{" * 100_000, b'{"op": ["list"]}', b'{"op": "inject"}', b"\x00"):
         with pytest.raises(RequestError):
             read_request(payload)
 

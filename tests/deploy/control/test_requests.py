@@ -6,7 +6,8 @@ import json
 
 import pytest
 
-from deploy.control.requests import RequestError, read_request
+from deploy.control.server import read_request
+from deploy.errors import RequestError
 
 
 def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_counted() -> None:
@@ -20,10 +21,10 @@ def test_of_a_request_with_thousands_of_problems_some_are_told_and_the_others_co
 
 
 @pytest.mark.parametrize(
-    "payload", [None, b" " * 65_537, b"\xff", b"[" * 60_000, b"", b"[]", b'{"do": ["list"]}']
+    "payload", [None, b" " * 65_537, b"\xff", b"[" * 60_000, b"", b"[]", b'{"op": ["list"]}']
 )
 def test_what_is_no_request_is_refused_in_words(payload: bytes | None) -> None:
-    with pytest.raises(RequestError, match=r"^(a request|request|do)\b"):
+    with pytest.raises(RequestError, match=r"^(a request|request|op)\b"):
         read_request(payload)
 
 
@@ -35,7 +36,7 @@ def test_add_is_refused_live_and_what_to_do_instead_is_said() -> None:
 
 def test_a_request_is_read_that_is_as_long_as_may_be_and_no_longer() -> None:
     request = b'{"op": "list"}'
-    assert read_request(request.ljust(65_536)).do == "list"
+    assert read_request(request.ljust(65_536)).op == "list"
     with pytest.raises(RequestError, match="must be at most 65536 bytes"):
         read_request(request.ljust(65_537))
 

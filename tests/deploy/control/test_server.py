@@ -12,9 +12,8 @@ import pytest
 from bus.fault import FaultInstance, FaultSpec
 from bus.wire.frames import Control
 from cell_firmware.faults.kinds.reboot import RebootFault
-from deploy.control.protocol import encode_fault
-from deploy.control.requests import RequestError
 from deploy.control.server import ControlServer
+from deploy.errors import RequestError
 from deploy.faults.crash import CrashFault
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
@@ -83,7 +82,7 @@ class Live:
 
 def test_a_fault_of_cells_is_told_to_all_recorded_and_answered_with_whom_it_strikes() -> None:
     live = Live()
-    answer = live.ask(10, do="inject", fault=HANG)
+    answer = live.ask(10, op="inject", fault=HANG)
     assert answer == {
         "run": "one", "ok": True, "tick": 10, "time_s": pytest.approx(10 * TICK_S), "number": 0,
         "cells": [[0, 1]], "affected": 1,
@@ -98,9 +97,9 @@ def test_a_fault_of_cells_is_told_to_all_recorded_and_answered_with_whom_it_stri
 
 def test_a_fault_of_the_plant_is_none_of_the_cells_and_a_crash_is_both_s() -> None:
     live = Live()
-    live.ask(10, do="inject", fault=STUCK)
+    live.ask(10, op="inject", fault=STUCK)
     assert (live.log, live.told) == ([("process", 0), ("ledger", 0)], [])
-    live.ask(11, do="inject", fault={"kind": "crash", "cell": [0, 0]})
+    live.ask(11, op="inject", fault={"kind": "crash", "cell": [0, 0]})
     assert live.log[2:] == [("process", 1), ("ledger", 1)]
     assert len(live.told) == 1
 
@@ -108,33 +107,33 @@ def test_a_fault_of_the_plant_is_none_of_the_cells_and_a_crash_is_both_s() -> No
 @pytest.mark.parametrize("ticks", [1, 5, 123, 131])
 def test_a_fault_lasts_as_many_ticks_as_it_is_given(ticks: int) -> None:
     live = Live()
-    live.ask(10, do="inject", fault=HANG, for_s=round(ticks * TICK_S, 6))
-    live.ask(10, do="inject", fault={**HANG, "until_s": round((10 + ticks) * TICK_S, 6)})
-    live.ask(10, do="inject", fault={"kind": "reboot", "cell": [0, 0], "delay_s": round(ticks * TICK_S, 6)})
+    live.ask(10, op="inject", fault=HANG, for_s=round(ticks * TICK_S, 6))
+    live.ask(10, op="inject", fault={**HANG, "until_s": round((10 + ticks) * TICK_S, 6)})
+    live.ask(10, op="inject", fault={"kind": "reboot", "cell": [0, 0], "delay_s": round(ticks * TICK_S, 6)})
     assert [detail["end"] for _, _, detail in live.details()] == [10 + ticks] * 3
 
 
 def test_numbers_go_on_from_those_of_the_scene() -> None:
     scheduled = FaultInstance(4, CrashFault(cell=(0, 0)), SCENE.lattice().rows[:1], 50)
     live = Live(cast("Any", scheduled))
-    assert live.ask(10, do="inject", fault=HANG)["number"] == 5
-    live.ask(12, do="inject", fault=STUCK, for_s=TICK_S)
-    live.ask(13, do="repair", number=5)
-    listed = live.ask(20, do="list")
+    assert live.ask(10, op="inject", fault=HANG)["number"] == 5
+    live.ask(12, op="inject", fault=STUCK, for_s=TICK_S)
+    live.ask(13, op="repair", number=5)
+    listed = live.ask(20, op="list")
     assert (listed["tick"], listed["ok"]) == (20, True)
     assert [tuple(fault.values()) for fault in listed["faults"]] == [
         (4, "crash", 1, 50, None, "is to come"),
         (5, "hang", 1, 10, 13, "is over"),
         (6, "wheel_stuck", 1, 12, 13, "is over"),
     ]
-    assert live.ask(50, do="list")["faults"][0]["state"] == "acts"
+    assert live.ask(50, op="list")["faults"][0]["state"] == "acts"
 
 
 def test_a_repair_ends_a_fault_for_all_and_is_recorded() -> None:
     live = Live()
-    live.ask(10, do="inject", fault=HANG)
+    live.ask(10, op="inject", fault=HANG)
     live.log.clear()
-    answer = live.ask(14, do="repair", number=0)
+    answer = live.ask(14, op="repair", number=0)
     assert answer == {"run": "one", "ok": True, "tick": 14, "time_s": pytest.approx(14 * TICK_S), "number": 0}
     assert live.details()[1] == (14, (), {"number": 0, "end": 14})
     assert live.log == ["process plans", "ledger plans"]
@@ -156,9 +155,9 @@ def test_what_can_not_be_repaired_is_said() -> None:
         (2, "fault 2 doesn't act now"),
         (3, "there is no fault 3; there are: 0, 1, 2"),
     ]:
-        assert live.ask(10, do="repair", number=number)["problems"] == [f"number: {told_}"]
+        assert live.ask(10, op="repair", number=number)["problems"] == [f"number: {told_}"]
     assert (live.told, live.records, live.log) == ([], [], [])
-    assert live.ask(40, do="repair", number=2)["ok"]
+    assert live.ask(40, op="repair", number=2)["ok"]
 
 
 @pytest.mark.parametrize(
@@ -179,7 +178,7 @@ def test_a_fault_that_can_not_begin_now_is_refused_and_changes_nothing(
     request_: dict[str, Any], told_: str
 ) -> None:
     live = Live()
-    answer = live.ask(10, do="inject", **request_)
+    answer = live.ask(10, op="inject", **request_)
     assert not answer["ok"]
     assert answer["run"] == "one"
     assert [problem[: len(told_)] for problem in answer["problems"]] == [told_]
@@ -190,21 +189,21 @@ def test_lines_that_carry_whole_messages_take_no_faults_of_cells() -> None:
     scene = load_scene("prototype")
     for lines, refused in ((False, ["fault.kind: this run's serial lines"]), (True, [])):
         live = Live(scene=scene, lines=lines)
-        problems = live.ask(10, do="inject", fault=HANG).get("problems", [])
+        problems = live.ask(10, op="inject", fault=HANG).get("problems", [])
         assert [problem[:35] for problem in problems] == refused
-        assert live.ask(10, do="inject", fault=STUCK)["ok"]
-    assert Live(lines=False).ask(10, do="inject", fault=HANG)["ok"]
+        assert live.ask(10, op="inject", fault=STUCK)["ok"]
+    assert Live(lines=False).ask(10, op="inject", fault=HANG)["ok"]
 
 
 def test_cells_are_named_up_to_sixty_four_and_too_many_to_tell_are_refused() -> None:
     scene = load_scene("motors", [Override(("array",), {"rows": 100, "columns": 100}, "")])
     live = Live(scene=scene)
-    answer = live.ask(10, do="inject", fault={"kind": "hang", "rectangle": [[0, 0], [99, 0]]})
+    answer = live.ask(10, op="inject", fault={"kind": "hang", "rectangle": [[0, 0], [99, 0]]})
     assert (answer["affected"], len(answer["cells"])) == (100, 64)
     cells = [[row, column] for row in range(100) for column in range(40)]
     one = FaultInstance(1, CrashFault.model_validate({"cells": cells}), scene.lattice().rows, 10)
-    assert len(json.dumps(encode_fault(cast("Any", one)))) > 30_000
-    assert live.ask(10, do="inject", fault={"kind": "hang", "cells": cells})["problems"] == [
+    assert len(json.dumps(one.record())) > 30_000
+    assert live.ask(10, op="inject", fault={"kind": "hang", "cells": cells})["problems"] == [
         "fault.cells: are too many to be told at once: use rectangle or share"
     ]
 
@@ -222,9 +221,9 @@ def test_eight_questions_are_answered_a_tick_and_the_others_wait() -> None:
 def test_cells_that_come_anew_are_told_what_was_done_to_them_and_no_more() -> None:
     scheduled = FaultInstance(0, CrashFault(cell=(0, 0), until_s=9.0), SCENE.lattice().rows[:1], 0, 90)
     live = Live(cast("Any", scheduled))
-    live.ask(10, do="inject", fault=HANG)
-    live.ask(10, do="inject", fault=STUCK)
-    live.ask(12, do="repair", number=0)
+    live.ask(10, op="inject", fault=HANG)
+    live.ask(10, op="inject", fault=STUCK)
+    live.ask(12, op="repair", number=0)
     live.told.clear()
     live.console.resend_faults([0, 2], 20)
     names = (SCENE.lattice().cells[0], SCENE.lattice().cells[2])

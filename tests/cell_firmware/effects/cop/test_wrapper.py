@@ -387,7 +387,10 @@ def test_what_firmware_says_of_its_service_must_be_a_bit_a_cell(everything: Any,
 
     board = Board(Odd(Odd.Parameters()))
     _, out = exchange(
-        board, StepTime(0, np.array(0)), board.init(everything(grid(1, 1))), Inputs(np.zeros((1, 1), dtype=np.bool_))
+        board,
+        StepTime(0, np.array(0)),
+        board.init(everything(grid(1, 1))),
+        Inputs(np.zeros((1, 1), dtype=np.bool_)),
     )
     assert "served must be None or bool of shape (1,), not int64 of shape (1,)" in out.failures[0].problem
 
