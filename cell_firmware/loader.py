@@ -126,6 +126,19 @@ def name_of(firmware: object) -> str:
     return name
 
 
+def check_importable(name: str) -> None:
+    """Check that another process finds the firmware of a scene by its name.
+
+    Raises:
+        FirmwareError: The firmware was given as an object of the main program, of a notebook, or of a function.
+    """
+    if name in _GIVEN and (name.startswith("__main__:") or "<locals>" in name):
+        raise FirmwareError(
+            f"firmware {name}: worker processes can't import it: define it at the top of a module of its own, "
+            "or run the cells in this process: InProcess()"
+        )
+
+
 def _class_of(step: Any) -> type:
     """Class of cells whose program is one function."""
     if not callable(step):

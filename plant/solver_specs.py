@@ -99,7 +99,7 @@ class QuasiStaticSpec(Spec):
             "tolerance",
             _decades(3, 8),
             (1e-4, 1e-7),
-            note="leaves out inertia: its error is that of its model",
+            note="leaves out inertia: the error is the model's",
         ),
     )
     """Its settings in a study of accuracy."""

@@ -122,6 +122,21 @@ def test_a_program_that_fails_in_this_process_ends_the_run_with_its_cell() -> No
     assert "ZeroDivisionError" in result.detail
 
 
+def test_worker_processes_are_not_given_a_class_that_they_cannot_import() -> None:
+    class Here(mdms.CellFirmware):
+        def init(self, cell: mdms.Cell) -> None:
+            return None
+
+        def step(self, state: None, inputs: mdms.CellInputs) -> tuple[None, mdms.CellOutputs]:
+            return state, mdms.CellOutputs((0.0, 0.0))
+
+    scene = mdms.load_scene({**SMALL, "cells": {"firmware": Here}})
+    with pytest.raises(
+        mdms.FirmwareError, match=r"Here: worker processes can't import it: define it at the top of"
+    ):
+        mdms.Simulation.open(scene, mdms.Workers(1))
+
+
 @pytest.mark.slow
 def test_backends_have_the_same_bits() -> None:
     states: list[bytes] = []

@@ -34,7 +34,7 @@ class SensorSpec(CellEffectSpec):
     states: ClassVar[tuple[str, ...]] = (
         "bits held by hysteresis, changes not yet believed, readings under way",
     )
-    messages: ClassVar[tuple[str, ...]] = ("what cells are told of sensors errs and lags",)
+    messages: ClassVar[tuple[str, ...]] = ("presence bits err and lag",)
     fidelity_rank: ClassVar[int | None] = 60
     threshold: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
     """Level at which an analogue sensor reports presence; None: one half."""

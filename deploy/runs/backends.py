@@ -16,7 +16,7 @@ from bus.state import load_state, save_state
 from bus.wire.frames import DriveFrame, SenseFrame
 from cell_firmware.agent import failures_of, report_text
 from cell_firmware.cell import records_of
-from cell_firmware.loader import load
+from cell_firmware.loader import check_importable, load
 from deploy.runs.output import run_name
 from deploy.workers.plan import RunOptions, plan
 from deploy.workers.worker import WorkerConfig, build_shard
@@ -193,6 +193,7 @@ class Workers:
         """Start the processes and wait until all cells are ready; see ``CellsBackend``."""
         from deploy.workers.system import System
 
+        check_importable(scene.cells.firmware)
         run = run_name(scene, secrets.token_hex(4))
         system = self._system = System(plan(scene, self._options, run), scene, self._options)
         try:

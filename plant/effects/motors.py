@@ -114,7 +114,7 @@ class MotorsSpec(EffectSpec):
     """First-order motors, one per wheel: given by time constant and gain, or by DC motor parameters."""
 
     states: ClassVar[tuple[str, ...]] = ("speed and travel of every wheel", "integral of every speed loop")
-    messages: ClassVar[tuple[str, ...]] = ("cells are told encoder counts", "drives are volts")
+    messages: ClassVar[tuple[str, ...]] = ("cells receive encoder counts", "drives are volts")
     fidelity_rank: ClassVar[int | None] = 30
     time_constant_s: Positive | None = None
     """0.06 unless ``dc`` is given."""

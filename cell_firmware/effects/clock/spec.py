@@ -60,7 +60,7 @@ class CellClockSpec(Spec):
 class ClockSpec(CellEffectSpec):
     """Cells step at instants of their own: their crystals are off, and their interrupts began at different times."""
 
-    states: ClassVar[tuple[str, ...]] = ("every cell's count of periods and last drive", "messages that wait")
+    states: ClassVar[tuple[str, ...]] = ("every cell's count of periods and last drive", "waiting messages")
     messages: ClassVar[tuple[str, ...]] = (
         "an exchange serves a window",
         "messages between neighbours carry their place in it",

@@ -25,7 +25,7 @@ class CopSpec(CellEffectSpec):
     """
 
     states: ClassVar[tuple[str, ...]] = (
-        "when each watchdog was served, what hung cells drive, who starts anew",
+        "when each watchdog was served, drives of hung cells, cells that restart",
     )
     timeout_s: Positive
     """0.016384, 0.065536, 0.262144 or 1.048576: that long after the last service, and less than 0.016384 more."""

@@ -14,7 +14,7 @@ from bus.spec import Positive
 class AnalogueSensorsSpec(EffectSpec):
     """Presence sensors that tell how much of a round spot is covered, from 0 to 1."""
 
-    messages: ClassVar[tuple[str, ...]] = ("cells are told the level of every sensor",)
+    messages: ClassVar[tuple[str, ...]] = ("cells receive the level of every sensor",)
     fidelity_rank: ClassVar[int | None] = 52
     spot_radius_m: Positive
     """Of what a sensor sees; at most the pitch."""

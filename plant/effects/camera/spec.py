@@ -12,8 +12,8 @@ from bus.spec import NotNegative, Positive
 class CameraSpec(EffectSpec):
     """A vision system: the poses of all parcels, for cells whose program asks for them."""
 
-    states: ClassVar[tuple[str, ...]] = ("pictures under way",)
-    messages: ClassVar[tuple[str, ...]] = ("cells that subscribe are shown pictures",)
+    states: ClassVar[tuple[str, ...]] = ("camera frames under way",)
+    messages: ClassVar[tuple[str, ...]] = ("cells that subscribe receive camera frames",)
     period_s: Positive = 0.04
     """Between pictures: each is taken at the first tick that is not before its time."""
     latency_s: NotNegative = 0.0

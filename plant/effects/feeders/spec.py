@@ -130,7 +130,7 @@ class ExitSpec(PolygonSpec):
 class FeedersSpec(EffectSpec):
     """Parcels appear at feeders, on a schedule or at random by the seed, and leave through exits."""
 
-    states: ClassVar[tuple[str, ...]] = ("parcels that wait, and those that have left",)
+    states: ClassVar[tuple[str, ...]] = ("waiting and delivered parcels",)
     events: ClassVar[tuple[str, ...]] = ("fed", "held_back", "left")
     feed: tuple[FeedSpec, ...] = ()
     exits: tuple[ExitSpec, ...] = ()

@@ -17,7 +17,7 @@ class ScannersSpec(EffectSpec):
     """Cells that read on a label which exit the parcel over them is meant for."""
 
     needs: ClassVar[tuple[str, ...]] = ("feeders",)
-    messages: ClassVar[tuple[str, ...]] = ("cells are told the label over their scanner",)
+    messages: ClassVar[tuple[str, ...]] = ("cells receive the label over their scanner",)
     cells: Annotated[tuple[CellName, ...], Field(min_length=1)]
     """Those that have one, at their centre."""
 

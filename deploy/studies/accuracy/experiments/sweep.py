@@ -96,7 +96,7 @@ def _worst(report: AccuracyReport) -> str:
         ]
         if ratios:
             found.append(f"{line} {error(max(ratios))}")
-    return f"Error over tolerance, at most: {'; '.join(found)}." if found else ""
+    return f"Error over tolerance, at most: {', '.join(found)}." if found else ""
 
 
 def _remarks(report: AccuracyReport) -> list[str]:
@@ -115,7 +115,7 @@ def _remarks(report: AccuracyReport) -> list[str]:
         if row.order_until is not None and row.note is None
     ]
     if parted:
-        found.append(f"The order of events is not the reference's with {'; '.join(parted)}.")
+        found.append(f"The order of events is not the reference's with {', '.join(parted)}.")
     return list(dict.fromkeys(found))
 
 

@@ -66,7 +66,7 @@ def test_the_coarsest_setting_that_reaches_each_target_is_told_with_its_time(rep
 
 def test_errors_over_tolerances_reference_and_what_failed_are_told(report: AccuracyReport) -> None:
     text = sweep.describe(report, 5).text
-    assert "exact 3.0e-2; scipy DOP853 1.5e4." in text
+    assert "exact 3.0e-2, scipy DOP853 1.5e4." in text
     assert "Reference: heyoka, tolerance 1e-14:" in text
     assert "- closed form: 2e-15 m from it (centre of mass, to 10 s)" in text
     assert "- A note." in text
