@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import json
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Generic, Literal, Self, TypeVar, final
+from fractions import Fraction
+from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, JsonValue, TypeAdapter, model_validator
 
 from bus.lattice import NO_TICK_LIMIT, OPPOSITE, SIDES, Lattice
 from bus.random_streams import rng
 from bus.spec import CellName, Spec
+from bus.wire.msgpack_codec import TICK_LIMIT
 
 Index = NDArray[np.int64]
 Problem = tuple[tuple[str | int, ...], object, str]
 """Path from the fault's table, value, and the rule that it breaks."""
 Time = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+
+
+def tick_at(at_s: float, tick_ns: int) -> int:
+    """The first tick that does not begin before a scheduled time ``at_s`` (s, >= 0)."""
+    return math.ceil(Fraction(repr(at_s)) * 1_000_000_000 / tick_ns)
 
 
 class FaultSpec(Spec):
@@ -222,6 +231,54 @@ class FaultInstance(Generic[_Fault_co]):
     def active_at(self, tick: int) -> bool:
         """Whether it acts in a tick."""
         return self.start_tick <= tick < self.end_tick
+
+    def record(self) -> dict[str, Any]:
+        """Return the fault, injected at run time, in JSON's types; ``decode_fault`` is the inverse."""
+        fault = self.fault.model_dump(mode="json", exclude_none=True, exclude={"at_s", "until_s"})
+        end = None if self.end_tick == NO_TICK_LIMIT else self.end_tick
+        return {"number": self.number, "fault": fault, "first": self.start_tick, "end": end}
+
+
+_Whole = Annotated[int, Field(ge=0, lt=TICK_LIMIT)]
+
+
+class _FaultRecord(Spec):
+    """Content of a record that begins a fault."""
+
+    number: _Whole
+    fault: dict[str, JsonValue]
+    first: _Whole
+    end: _Whole | None
+
+
+class RepairRecord(Spec):
+    """Content of a record that ends a fault."""
+
+    number: _Whole
+    end: _Whole
+
+
+def decode_fault(
+    data: object, kinds: TypeAdapter[Any], lattice: Lattice, seed: int
+) -> FaultInstance[FaultSpec]:
+    """Decode a fault that ``FaultInstance.record`` has encoded; in the same scene it affects the same cells.
+
+    Args:
+        data: The record.
+        kinds: Kinds of faults that it may be.
+        lattice: Of the scene.
+        seed: Of the scene.
+
+    Raises:
+        ValueError: The data are no such fault, or name cells outside the array.
+    """
+    one = _FaultRecord.model_validate_json(json.dumps(data, default=str), strict=True)
+    fault: FaultSpec = kinds.validate_json(json.dumps(one.fault), strict=True)
+    if any(True for _ in fault.problems(lattice)):
+        raise ValueError("it names cells that are not in the array")
+    end = NO_TICK_LIMIT if one.end is None else one.end
+    affected = fault.affected_cells(lattice, seed, one.number)
+    return FaultInstance(one.number, fault, affected, one.first, end, injected_at_runtime=True)
 
 
 def transition_ticks(faults: Sequence[FaultInstance[FaultSpec]]) -> list[int]:

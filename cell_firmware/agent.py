@@ -7,17 +7,18 @@ import traceback
 from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from types import TracebackType
 from typing import Final, Protocol, final
 
 import numpy as np
 
 from bus.errors import WireError
+from bus.lattice import Lattice
 from bus.lockstep import Participant, TickInputs
 from bus.state import save_state
 from bus.transports.event_loop import TransportEventLoop
 from bus.wire.frames import TEXT_LIMIT, Control, DriveFrame, LinkFrame
+from cell_firmware.effects.base import ShardContext
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.shard import BoundaryMessages, Shard, ShardOutputs
 
@@ -44,6 +45,27 @@ Inject = Callable[[Control], None]
 
 Hopeless = Callable[[tuple[int, int], str, str], None]
 """Called with the cell, the problem and the stack of a program that does not return and could not be interrupted."""
+
+
+def injector(shard: Shard, site: ShardContext, lattice: Lattice) -> Inject:
+    """Return the callback that begins and repairs faults in a shard.
+
+    Args:
+        shard: The shard.
+        site: The shard's cells.
+        lattice: Lattice of the array.
+    """
+
+    def inject(control: Control) -> None:
+        from cell_firmware.faults.attach import decode_fault_control
+
+        fault = decode_fault_control(control, lattice, site.seed)
+        if isinstance(fault, tuple):
+            shard.repair(*fault)
+        else:
+            shard.inject(fault, site, lattice)
+
+    return inject
 
 
 class Watch(Protocol):
@@ -137,7 +159,7 @@ class _Agent:
         """Run ticks from ``first`` on."""
         tick, live = first, np.ones(len(self._shard), dtype=np.bool_)
         while True:
-            inputs = await loop.poll(partial(self._member.gather, tick))
+            inputs = await self._gather(loop, tick)
             if isinstance(inputs, Control):
                 break
             self._apply_faults()
@@ -156,6 +178,19 @@ class _Agent:
                 self._publish(tick, outputs)
             tick += 1
         return self._result(tick - first, inputs.detail)
+
+    async def _gather(self, loop: TransportEventLoop, tick: int) -> TickInputs | Control:
+        """Return the inputs of a tick, or a stop record."""
+        found: list[TickInputs | Control] = []
+
+        def poll(timeout_s: float | None) -> bool:
+            inputs = self._member.gather(tick, timeout_s)
+            if inputs is not None:
+                found.append(inputs)
+            return inputs is not None
+
+        await loop.poll_until(poll)
+        return found[0]
 
     def _result(self, ticks: int, detail: str) -> ShardResult:
         return ShardResult(ticks, detail, tuple(self._failures))

@@ -13,8 +13,19 @@ from numpy.typing import NDArray
 from cell_firmware.components import BoardComponent, LinkDriver, MessageCounter, WheelDriver
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime, read_only
 from cell_firmware.errors import FirmwareError, FirmwareFailed
-from cell_firmware.firmware import Bools, Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.message_values import can_settle, draft_of, drafting, settled
+from cell_firmware.firmware import (
+    Bools,
+    Cells,
+    Firmware,
+    Floats,
+    Inputs,
+    Outbox,
+    Outputs,
+    State,
+    can_settle,
+    draft_of,
+    drafting,
+)
 
 _PROGRAM = "firmware"
 _WHEELS = "speed_loop"
@@ -76,8 +87,9 @@ class Board(Controller):
         self.meter = meter
         parts: dict[str, BoardComponent | None] = {_WHEELS: wheels, _LINKS: links, _METER: meter}
         self._parts = {name: part for name, part in parts.items() if part is not None}
-        draft = None if firmware.message is None else draft_of(firmware.message)
-        self._draft = None if draft == firmware.message else draft
+        message = None if firmware.refuses_misfits else firmware.message
+        draft = None if message is None else draft_of(message)
+        self._draft = None if draft == message else draft
 
     @property
     def link_type(self) -> np.dtype[Any] | None:
@@ -176,7 +188,8 @@ class Board(Controller):
                 sent[rows] = False
                 outbox = Outbox(sent, outbox.message)
         if self.meter is not None:
-            parts[_METER] = read_only(self.meter.count(parts[_METER], state.cells, inputs.inbox, outbox))
+            received, sent = inputs.inbox and inputs.inbox.received, outbox and outbox.sent
+            parts[_METER] = read_only(self.meter.count(parts[_METER], state.cells, received, sent))
         if self.links is not None:
             parts[_LINKS], outbox = self.links.send(now, parts[_LINKS], outbox)
         return ControllerState(state.cells, parts), ControllerOutputs(
@@ -220,11 +233,10 @@ class Board(Controller):
             return self._one_by_one(tick, cells, before, inputs, f"{problem} (all {n} cells at once)", trace)
         speed, failures = _speeds(tick, cells, outputs)
         outbox, message = outputs.outbox, self.firmware.message
-        if outbox is not None and message is not None:
-            values, misfits = settled(outbox.message, outbox.sent, message)
+        if outbox is not None and message is not None and not self.firmware.refuses_misfits:
+            outbox, misfits = outbox.settled(message)
             for i, problem in misfits.items():
                 failures.setdefault(i, FirmwareFailed(cells.name(i), tick, problem))
-            outbox = Outbox(outbox.sent, values)
         return _Done(state, speed, outbox, failures, outputs.served)
 
     def _one_by_one(

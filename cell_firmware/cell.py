@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, final
+from typing import Any, NamedTuple, cast, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus.lattice import SIDES, Lattice
 from bus.sensors import CameraFrame
@@ -27,7 +28,7 @@ from cell_firmware.firmware import (
     State,
 )
 from cell_firmware.firmware_files import modules_beside
-from cell_firmware.message_values import MessageField, fields_of, misfit
+from cell_firmware.message_values import bounds, misfit
 from cell_firmware.plain_registers import registers_of, unrecorded
 from cell_firmware.program import Program, Theory
 
@@ -135,6 +136,7 @@ class PerCellAdapter(Firmware):
     """
 
     speculative = False
+    refuses_misfits = True
     form = "cell by cell"
 
     def __init__(self, firmware: CellFirmware) -> None:
@@ -142,7 +144,7 @@ class PerCellAdapter(Firmware):
         self.firmware = firmware
         self.observable = firmware.observable  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self.message = firmware.message  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
-        self._fields = {} if self.message is None else fields_of(self.message)
+        self._fields = {} if self.message is None else _fields_of(self.message)
 
     def check(self, lattice: Lattice) -> None:
         """Delegate to the firmware."""
@@ -301,7 +303,7 @@ def _number(value: Any) -> float:
 
 
 def _send(
-    messages: Mapping[str, Message | None], outbox: Outbox | None, fields: Mapping[str, MessageField], i: int
+    messages: Mapping[str, Message | None], outbox: Outbox | None, fields: Mapping[str, _MessageField], i: int
 ) -> None:
     """Put a cell's messages into the outbox.
 
@@ -326,9 +328,63 @@ def _send(
         outbox.sent[i, s] = True
 
 
-def _check_values(message: Message, side: str, fields: Mapping[str, MessageField]) -> None:
+def _check_values(message: Message, side: str, fields: Mapping[str, _MessageField]) -> None:
     if message.keys() != fields.keys():
         raise ValueError(f"message to the {side} has fields {sorted(message)}; its type has {sorted(fields)}")
     for name, its in fields.items():
         if not its.fits(message[name]):
-            raise MessageValueError(misfit(name, side, message[name], its.type))
+            number = _number_of(message[name])
+            raise MessageValueError(misfit(name, side, message[name] if number is None else number, its.type))
+
+
+class _MessageField(NamedTuple):
+    """A field of a message type.
+
+    Attributes:
+        type: Its wire type.
+        fits: Whether it can carry a value of plain firmware: a number or a truth value, in range and finite.
+    """
+
+    type: np.dtype[Any]
+    fits: Callable[[Any], bool]
+
+
+def _fields_of(message: np.dtype[Any]) -> dict[str, _MessageField]:
+    """The fields of a message type by name."""
+    return {name: _MessageField(message[name], _fitting(message[name])) for name in message.names or ()}
+
+
+def _fitting(field: np.dtype[Any]) -> Callable[[Any], bool]:
+    if field.kind == "f":
+        limits = np.finfo(field)
+        # half a step beyond the greatest: from there on a number is rounded to infinity
+        beyond = float(limits.max) + 2.0 ** (limits.maxexp - limits.nmant - 2)
+        return lambda value: (number := _float(value)) is not None and -beyond < number < beyond
+    if field.kind == "b":
+        return lambda value: _number_of(value) in (0, 1)
+    low, high = bounds(field)
+
+    def whole(value: Any) -> bool:
+        number = _number_of(value)
+        return number is not None and low <= number <= high and (type(number) is int or number == number // 1)
+
+    return whole
+
+
+def _number_of(value: Any) -> Any:
+    """The value as a number; None for anything else."""
+    kind = cast("type[object]", type(value))
+    if kind is float or kind is int or kind is bool:
+        return value
+    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        scalar = cast("NDArray[Any]", value)
+        return scalar.item() if scalar.dtype.kind in "biuf" else None
+    return value if isinstance(value, int | float) else None
+
+
+def _float(value: Any) -> float | None:
+    number = _number_of(value)
+    try:
+        return None if number is None else float(number)
+    except OverflowError:
+        return None

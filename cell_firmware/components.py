@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.controller import StepTime
-from cell_firmware.firmware import Cells, Floats, Inbox, Outbox, State
+from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Outbox, State
 
 
 class BoardComponent(ABC):
@@ -119,21 +119,22 @@ class MessageCounter(BoardComponent):
         del cells
         return state
 
-    def count(self, state: State, cells: Cells, inbox: Inbox | None, outbox: Outbox | None) -> State:
+    def count(self, state: State, cells: Cells, received: Bools | None, sent: Bools | None) -> State:
         """Return the counters after a control period.
 
         Args:
             state: State before the control period.
             cells: The cells.
-            inbox: Messages received by the programs; None for firmware without messages.
-            outbox: Messages sent by the programs; None if there are none at all.
+            received: ``(n, 4)``, whether the program received a message on the side; None for firmware without
+                messages.
+            sent: ``(n, 4)``, whether the program sends a message on the side; None if there are none at all.
         """
-        sent, heard = state["sent"], state["heard"]
-        if inbox is not None:
-            heard = heard + inbox.received.sum(axis=1)
-        if outbox is not None:
-            sent = sent + (outbox.sent & cells.has_neighbour).sum(axis=1)
-        return {"sent": sent, "heard": heard}
+        told, heard = state["sent"], state["heard"]
+        if received is not None:
+            heard = heard + received.sum(axis=1)
+        if sent is not None:
+            told = told + (sent & cells.has_neighbour).sum(axis=1)
+        return {"sent": told, "heard": heard}
 
     def registers(self, state: State) -> dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]]:
         """Return the counters of each cell."""

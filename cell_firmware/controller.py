@@ -170,13 +170,6 @@ class Controller(ABC):
         """
         return self.init(state.cells)
 
-    def step(
-        self, now: StepTime, state: ControllerState, inputs: Inputs
-    ) -> tuple[ControllerState, ControllerOutputs]:
-        """Step all cells by one exchange: receive from the lines, then compute a control period."""
-        state, inputs = self.receive(now, state, inputs)
-        return self.compute(now, state, inputs)
-
     def receive(
         self,
         now: StepTime,  # noqa: ARG002

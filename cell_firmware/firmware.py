@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.lattice import Lattice
+from bus.lattice import SIDES, Lattice
 from bus.sensors import CameraFrame, Labels
+from cell_firmware.message_values import misfit
 from cell_firmware.program import Program
 
 Bools = NDArray[np.bool_]
@@ -187,6 +189,39 @@ class Outbox:
             outbox.message[name] = values[name][:, None]
         return outbox
 
+    def settled(self, message: np.dtype[Any]) -> tuple[Outbox, dict[int, str]]:
+        """Round messages to the wire type, from a draft of it or any type for which ``can_settle`` holds.
+
+        Args:
+            message: The wire type.
+
+        Returns:
+            The outbox of the wire type; by cell that sends what doesn't fit, the problem.
+        """
+        drafts, fixed = self.message, self.message
+        if drafts.dtype != message:
+            fixed = np.empty(drafts.shape, dtype=message)
+            with np.errstate(all="ignore"):
+                for name in message.names or ():
+                    fixed[name] = drafts[name]
+        found: dict[int, tuple[int, str]] = {}
+        for name in message.names or ():
+            field, given, rounded = message[name], drafts[name], fixed[name]
+            if field.kind == "f":
+                wrong = ~np.isfinite(rounded)
+            elif given.dtype != field:
+                wrong = given != rounded
+            else:
+                continue
+            if not wrong.any():
+                continue
+            wrong &= self.sent
+            for row in np.flatnonzero(wrong.any(axis=1)).tolist():
+                side = int(wrong[row].argmax())
+                if row not in found or side < found[row][0]:
+                    found[row] = side, misfit(name, SIDES[side], given[row, side], field)
+        return Outbox(self.sent, fixed), {row: text for row, (_, text) in found.items()}
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -219,6 +254,9 @@ class Firmware(Program, ABC):
     speculative: ClassVar[bool] = True
     """Whether ``step`` may be run speculatively: all cells are stepped, and rows of cells not due are rolled back."""
 
+    refuses_misfits: ClassVar[bool] = False
+    """Whether ``step`` itself fails a cell that sends what doesn't fit; its messages are then of the wire type."""
+
     form: ClassVar[str] = "on arrays"
     """Description of the execution, for summaries."""
 
@@ -244,3 +282,53 @@ class Firmware(Program, ABC):
     @abstractmethod
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """One control period of every cell."""
+
+
+_DOUBLE: Final = np.dtype("<f8")
+_WIDEST: Final = np.dtype(np.longdouble) if np.finfo(np.longdouble).nmant >= 63 else None
+"""A float that holds every 64-bit integer; None where the machine has none."""
+
+
+def draft_of(message: np.dtype[Any]) -> np.dtype[Any]:
+    """The message type with fields that hold what is written: floats of 64 bits, wider ones for 64-bit integers.
+
+    NumPy casts what a program writes into an array: 300 becomes 44 in an unsigned byte, NaN becomes 0. A program on
+    arrays is therefore stepped with a draft of its message type, and ``Outbox.settled`` rounds the draft.
+    """
+    return np.dtype([(name, _draft(message[name])) for name in message.names or ()])
+
+
+def _draft(field: np.dtype[Any]) -> np.dtype[Any]:
+    if field.kind in "iu" and field.itemsize == _DOUBLE.itemsize:
+        return _WIDEST or field
+    return _DOUBLE
+
+
+@contextmanager
+def drafting(firmware: Firmware, draft: np.dtype[Any] | None) -> Generator[None]:
+    """Let ``firmware.message`` be the draft while the program is stepped.
+
+    Args:
+        firmware: The program.
+        draft: Draft of its message type; None: leave the program as it is.
+    """
+    if draft is None:
+        yield
+        return
+    own: dict[str, Any] = vars(firmware)
+    before = own.copy()
+    own["message"] = draft
+    try:
+        yield
+    finally:
+        if "message" in before:
+            own["message"] = before["message"]
+        else:
+            own.pop("message", None)
+
+
+def can_settle(given: np.dtype[Any], message: np.dtype[Any]) -> bool:
+    """Whether an array's type has the fields of a message type, in whatever numbers."""
+    return given == message or (
+        given.names == message.names and all(given[name].kind in "biuf" for name in message.names or ())
+    )

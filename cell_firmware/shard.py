@@ -181,7 +181,8 @@ class Shard:
             if active is not None:
                 inputs = inputs.select(active)
             now = StepTime(tick, np.array(tick * self._period_ns))
-            self._state, outputs = self._controller.step(now, self._state, inputs)
+            state, inputs = self._controller.receive(now, self._state, inputs)
+            self._state, outputs = self._controller.compute(now, state, inputs)
             if active is None:
                 drive = outputs.drive
             else:
@@ -201,7 +202,8 @@ class Shard:
         received = np.zeros(self._n * 4, dtype=np.bool_)
         message = np.zeros(self._n * 4, dtype=self._message)
         received[self._inner_to] = self._sent[self._inner_from]
-        opaque_view(message)[self._inner_to] = opaque_view(self._outgoing)[self._inner_from]
+        slots = opaque_view(message)
+        slots[self._inner_to] = opaque_view(self._outgoing)[self._inner_from]
         if links is not None:
             if links.sent.shape != self._in_to.shape or links.message.shape != self._in_to.shape:
                 raise FirmwareError(
@@ -210,7 +212,6 @@ class Shard:
             received[self._in_to] = links.sent
             message[self._in_to] = links.message
         # a slot in which nothing was received reads zero, whatever its sender left there
-        slots = opaque_view(message)
         slots[~received] = np.zeros((), dtype=slots.dtype)
         return Inbox(received.reshape(self._n, 4), message.reshape(self._n, 4))
 

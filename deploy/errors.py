@@ -13,3 +13,15 @@ class InputError(DeployError):
     """Bad input; nothing was started."""
 
     exit_code: int = 2
+
+
+class RequestError(DeployError):
+    """A request that the run refuses.
+
+    Attributes:
+        problems: Reasons, one line each.
+    """
+
+    def __init__(self, *problems: str) -> None:
+        super().__init__("; ".join(problems))
+        self.problems = problems

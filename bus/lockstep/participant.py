@@ -62,6 +62,8 @@ class Participant:
 
     Attributes:
         counters: Payloads of this side so far.
+        drain_faults: Returns the records of faults injected or repaired since the last call; effective from the tick
+            gathered last.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class Participant:
             self._incoming.accept_any_tick()
         token, control = plant_key(run, "alive"), plant_key(run, "control")
         self._told = ControlState(partition.lattice, self._company, token, self.counters)
+        self.drain_faults: Callable[[], list[Control]] = self._told.drain_faults
         self._inbox = Dispatcher(endpoint, self.counters, self._told.handle_token)
         self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._told.handle, 0)}
         endpoint.subscribe(control, "urgent")
@@ -266,10 +269,6 @@ class Participant:
 
     def _deadline(self, after_s: float | None) -> float | None:
         return None if after_s is None else self._clock() + after_s
-
-    def drain_faults(self) -> list[Control]:
-        """Return faults injected or repaired since the last call; effective from the tick gathered last."""
-        return self._told.drain_faults()
 
     def _offer(self, joining: Control) -> bool:
         """Report that rejoining cells can be sent to; False if they can't yet."""

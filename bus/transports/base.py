@@ -108,19 +108,16 @@ class Endpoint(ABC):
             enough: How many must be there before the wait ends early; see *patience*.
         """
         if not self._rest:
-            self._rest = self.poll_all(timeout_s, enough)
+            self._rest = self.receive_all(timeout_s, enough)
         return self._rest.pop(0) if self._rest else None
 
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
-        """Return all events in the inbox, oldest first, else wait as ``receive``; empty after ``timeout_s``."""
-        if self._rest:
-            rest, self._rest = self._rest, []
-            return rest + self.poll_all(0, 1)
-        return self.poll_all(timeout_s, enough)
-
     @abstractmethod
-    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
-        """Return all events in the inbox, as ``receive_all`` does; implemented by each transport."""
+    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+        """Return all events in the inbox, oldest first, else wait as ``receive``; empty after ``timeout_s``.
+
+        Every transport implements it: events pass no other file between its inbox and their reader. It returns
+        ``_rest`` first, and then doesn't wait.
+        """
 
     @abstractmethod
     def wake(self) -> None:

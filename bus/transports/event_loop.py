@@ -2,7 +2,7 @@
 
 A transport's wait (a Zenoh channel) has no file descriptor that a selector could watch. A second thread that blocks in
 the transport and hands each payload to the loop costs two switches of threads a tick. This loop has one thread: where
-it would sleep in the selector, it calls the poll that a coroutine awaits.
+it would sleep in the selector, it calls the poll that a coroutine awaits. What the poll receives stays with the poll.
 """
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ import asyncio
 import selectors
 from collections.abc import Callable
 from contextvars import Context
-from typing import TypeVar, TypeVarTuple, final
+from typing import TypeVarTuple, final
 
 from bus.errors import WaitInterrupted
 from bus.transports.base import Endpoint
 
-T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
 
 
@@ -38,7 +37,7 @@ class _Selector(selectors.DefaultSelector):
 
 @final
 class TransportEventLoop(asyncio.SelectorEventLoop):
-    """Event loop that waits in a transport while a coroutine awaits ``poll``.
+    """Event loop that waits in a transport while a coroutine awaits ``poll_until``.
 
     Callbacks and timers run as in every event loop. File descriptors are looked at after each wait only: no task of
     this loop should wait for one.
@@ -54,37 +53,37 @@ class TransportEventLoop(asyncio.SelectorEventLoop):
         """Whether the endpoint was woken for a callback from another thread."""
         super().__init__(self._idle)
 
-    async def poll(self, poll: Callable[[float | None], T | None]) -> T:
-        """Return what ``poll`` returns, called whenever the loop is idle until that is not None.
+    async def poll_until(self, poll: Callable[[float | None], bool]) -> None:
+        """Call ``poll`` whenever the loop is idle, until it returns True.
 
         One coroutine at a time.
 
         Args:
-            poll: Waits in the transport; its argument is the longest time, s, None for any; returns None if that is
+            poll: Waits in the transport; its argument is the longest time, s, None for any; returns False if that is
                 up. Raises WaitInterrupted when the endpoint was woken.
 
         Raises:
             WaitInterrupted: The endpoint was woken, and not for a callback of this loop.
         """
-        found: asyncio.Future[T] = self.create_future()
+        over: asyncio.Future[None] = self.create_future()
 
         def wait(timeout_s: float | None) -> None:
             try:
-                value = poll(timeout_s)
+                done = poll(timeout_s)
             except WaitInterrupted as error:
                 if self._called:
                     self._called = False
                 else:
-                    found.set_exception(error)
+                    over.set_exception(error)
             except Exception as error:  # noqa: BLE001 - raised again where the poll is awaited
-                found.set_exception(error)
+                over.set_exception(error)
             else:
-                if value is not None:
-                    found.set_result(value)
+                if done:
+                    over.set_result(None)
 
         self._idle.wait = wait
         try:
-            return await found
+            await over
         finally:
             self._idle.wait = None
 

@@ -212,11 +212,12 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         self._bus.watch(key_expr, self)
 
-    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
+    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """All events, the quiet first."""
         self.check_open()
-        events = self._inbox.take(timeout_s, enough)
-        return [self._quiet.popleft() for _ in range(len(self._quiet))] + events
+        rest, self._rest = self._rest, []
+        events = self._inbox.take(0 if rest else timeout_s, enough)
+        return rest + [self._quiet.popleft() for _ in range(len(self._quiet))] + events
 
     def wake(self) -> None:
         """Put one ``Wakeup`` in the inbox."""

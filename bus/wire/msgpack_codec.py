@@ -167,17 +167,6 @@ def expect_nil(kind: str, name: str, value: object) -> None:
         raise WireError(kind, "type", f"{name} must be nil: this run has none")
 
 
-def check_finite(kind: str, first: float, second: float) -> None:
-    """Check that two numbers are finite.
-
-    Raises:
-        WireError: One is infinite or NaN.
-    """
-    # Only a finite number minus itself is zero.
-    if first - first != 0.0 or second - second != 0.0:
-        raise WireError(kind, "finite", "every value must be finite")
-
-
 def finite_pair(kind: str, value: object) -> tuple[float, float]:
     """Two finite numbers from a list of two.
 
@@ -188,7 +177,9 @@ def finite_pair(kind: str, value: object) -> tuple[float, float]:
         items = cast("list[Any]", value)
         if len(items) == 2 and NUMBERS.issuperset(map(type, items)):
             first, second = float(items[0]), float(items[1])
-            check_finite(kind, first, second)
+            # Only a finite number minus itself is zero.
+            if first - first != 0.0 or second - second != 0.0:
+                raise WireError(kind, "finite", "every value must be finite")
             return first, second
     raise WireError(kind, "type", "must be a list of two numbers")
 

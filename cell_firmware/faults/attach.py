@@ -1,11 +1,16 @@
-"""Attachment of faults to a controller by wrappers around the controller of the cells."""
+"""Attachment of faults to a controller by wrappers, and faults injected at run time, from control records."""
 
 from __future__ import annotations
 
-from typing import Final, TypeVar
+import json
+from typing import Final, TypeVar, cast
 
-from bus.fault import FaultInstance
+from pydantic import ValidationError
+
+from bus.errors import WireError
+from bus.fault import FaultInstance, RepairRecord, decode_fault
 from bus.lattice import Lattice
+from bus.wire.frames import Control
 from cell_firmware.controller import Controller, ControllerState, ControllerWrapper
 from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.cop.wrapper import WatchdogWrapper
@@ -24,6 +29,35 @@ WRAPPERS: Final[tuple[type[ControllerWrapper], ...]] = (
     MessageFaultWrapper,
 )
 """All wrappers of a controller, from the outermost to the innermost."""
+
+
+def decode_fault_control(
+    control: Control, lattice: Lattice, seed: int
+) -> FaultInstance[CellFault] | tuple[int, int]:
+    """Decode a control record of kind ``fault``.
+
+    Args:
+        control: The record.
+        lattice: Lattice of the array.
+        seed: Seed of the scene.
+
+    Returns:
+        The fault that begins; of a repair, the fault's number and the tick from which it is over.
+
+    Raises:
+        WireError: The record is neither a fault of cells nor a repair.
+    """
+    from cell_firmware.faults.registry import CELL_FAULTS
+
+    try:
+        data: object = json.loads(control.detail)
+        if isinstance(data, dict) and "fault" in data:
+            return cast("FaultInstance[CellFault]", decode_fault(data, CELL_FAULTS, lattice, seed))
+        repair = RepairRecord.model_validate_json(control.detail, strict=True)
+    except (ValueError, TypeError, RecursionError) as error:
+        why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        raise WireError("control", "fault", f"is no fault, nor a repair: {why}") from None
+    return repair.number, repair.end
 
 
 def attach_fault(

@@ -12,8 +12,7 @@ from typing import Any, Final, cast, final
 
 from bus.errors import TransportError
 from bus.wire.keys import plant_key
-from deploy.control.requests import RequestError
-from deploy.errors import DeployError, InputError
+from deploy.errors import DeployError, InputError, RequestError
 from deploy.security.session import operator_session
 from deploy.util.files import write_text
 
@@ -115,7 +114,7 @@ def ask_run(
 
     Args:
         connect: Endpoint on which the plant listens, such as ``tcp/127.0.0.1:7447``.
-        request: See ``deploy.control.requests``.
+        request: See ``deploy.control.server``.
         timeout_s: Wall time to wait for the answer, s.
         keys: Folder of the run's or the operator's keys; None if the run has none.
 

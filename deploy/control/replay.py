@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+from pydantic import TypeAdapter
+
+from bus.fault import decode_fault
 from deploy.errors import InputError
+from deploy.faults.registry import Fault
 
 if TYPE_CHECKING:
+    from bus.fault import FaultInstance, FaultSpec
     from deploy.recordings.reader import Recording
     from deploy.scenes.scene import Scene
 
@@ -15,6 +20,7 @@ FOUND: Final = ("disconnected", "timed_out")
 """Losses that don't recur independently when the run is repeated."""
 _FIRST_NUMBER: Final = 1_000_000
 """Number of the first fault that stands for losses, above the numbers of scheduled and live faults."""
+_FAULTS: Final[TypeAdapter[Any]] = TypeAdapter(Fault)
 
 
 def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ...]:
@@ -44,15 +50,22 @@ def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], 
     return script
 
 
+def decode_command(detail: Mapping[str, Any], scene: Scene) -> FaultInstance[FaultSpec]:
+    """Decode a recorded fault.
+
+    Raises:
+        ValueError: The detail is no fault, or names cells outside this scene's array.
+    """
+    return decode_fault(detail, _FAULTS, scene.lattice(), scene.seed)
+
+
 def _check(record: Mapping[str, Any], scene: Scene) -> None:
     """Check that a command can be decoded; errors of any type mean that decoding failed."""
-    from deploy.control.protocol import decode_fault
-
     int(record["tick"])
     if record["kind"] == "repair":
         int(record["detail"]["number"])
     else:
-        decode_fault(record["detail"], scene)
+        decode_command(record["detail"], scene)
 
 
 def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -1,24 +1,22 @@
-"""Control server of a running simulation: handles requests and replayed commands between ticks."""
+"""Control server of a running simulation: reads and handles requests, and replayed commands, between ticks."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, Protocol, cast, final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol, cast, final
 
-from bus.fault import FaultInstance, FaultSpec
+from pydantic import Field, ValidationError
+
+from bus.fault import FaultInstance, FaultSpec, tick_at
 from bus.lattice import NO_TICK_LIMIT
+from bus.spec import Spec
 from bus.wire.frames import TEXT_LIMIT, Control
 from cell_firmware.faults.base import CellFault
-from deploy.control.protocol import decode_fault, encode_fault
-from deploy.control.requests import (
-    InjectRequest,
-    ListRequest,
-    RepairRequest,
-    Request,
-    RequestError,
-    read_request,
-)
+from deploy.control.replay import decode_command
+from deploy.errors import RequestError
+from deploy.faults.registry import DEFAULT, AnyFault
+from deploy.scenes.errors import problems_of
 from deploy.scenes.fault_schedule import is_permanent_crash
 from plant.faults.base import PlantFault
 
@@ -30,7 +28,74 @@ if TYPE_CHECKING:
 _A_TICK: Final = 8
 """Most requests handled before a tick; the others wait for the next tick."""
 
+_LONGEST: Final = 65_536
+_MOST_PROBLEMS: Final = 20
+"""Most problems that an answer lists, which bounds the length of the answer."""
+
 Record = Mapping[str, Any]
+
+
+class InjectRequest(Spec):
+    """Request for a fault from the next tick on."""
+
+    op: Literal["inject"]
+    fault: Annotated[AnyFault, Field(discriminator="kind")]
+    for_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)] | None = None
+    """Simulated time until the repair, s; None: as ``fault.until_s`` says, or no repair."""
+
+
+class RepairRequest(Spec):
+    """Request to repair an active fault at the next tick."""
+
+    op: Literal["repair"]
+    number: Annotated[int, Field(ge=0)]
+
+
+class ListRequest(Spec):
+    """Request for the list of faults."""
+
+    op: Literal["list"]
+
+
+Request = InjectRequest | RepairRequest | ListRequest
+
+
+class _Envelope(Spec):
+    request: Annotated[Request, Field(discriminator="op")]
+
+
+def read_request(payload: bytes | None) -> Request:
+    """Decode and check a request.
+
+    Args:
+        payload: JSON; None for a payload that was too long to be received.
+
+    Raises:
+        RequestError: The payload is no valid request.
+    """
+    if payload is None or len(payload) > _LONGEST:
+        raise RequestError(f"a request: must be at most {_LONGEST} bytes")
+    try:
+        request: Any = json.loads(payload)
+        fault: Any = request.get("fault") if isinstance(request, dict) else None  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+        if isinstance(fault, dict):
+            request = {**request, "fault": {"kind": DEFAULT, **fault}}
+            if request["fault"]["kind"] == "add":
+                raise RequestError(
+                    "fault: add is for scenes: inject remove, and repair that fault to plug the cells in again"
+                )
+        data: Any = {"request": request}
+        text = json.dumps(data)
+    except (ValueError, RecursionError):
+        raise RequestError("a request: must be JSON with a few levels of nesting") from None
+    try:
+        return _Envelope.model_validate_json(text, strict=True).request
+    except ValidationError as error:
+        problems = problems_of(error, data, _Envelope)
+        listed = [str(problem).removeprefix("request.") for problem in problems[:_MOST_PROBLEMS]]
+        if len(problems) > _MOST_PROBLEMS:
+            listed.append(f"and {len(problems) - _MOST_PROBLEMS} more")
+        raise RequestError(*listed) from None
 
 
 class Process(Protocol):
@@ -58,7 +123,7 @@ class ControlServer:
         send: Sends a control record to cells.
         run_log: Log of the run, which records faults and commands.
         process: Plant's process, which applies faults in the plant.
-        questions: Queue of incoming requests; None: no requests can be sent.
+        requests: Queue of incoming requests; None: no requests can be sent.
         script: Recorded commands to repeat, each with its tick.
         lines: Whether serial lines are byte-accurate, so that faults can be injected into cells.
     """
@@ -71,7 +136,7 @@ class ControlServer:
         send: Callable[[Control], None],
         run_log: RunLog,
         process: Process,
-        questions: RequestQueue | None = None,
+        requests: RequestQueue | None = None,
         script: Sequence[Record] = (),
         *,
         lines: bool = True,
@@ -82,7 +147,7 @@ class ControlServer:
         self._faults = {one.number: one for one in faults}
         self._send = send
         self._run_log = run_log
-        self._questions = questions
+        self._requests = requests
         self._script = sorted(script, key=lambda record: int(record["tick"]))
         self._deaf = scene.effects.serial is not None and not lines
         self._repaired: set[int] = set()
@@ -92,10 +157,10 @@ class ControlServer:
         """Handle the replayed commands and the requests that act from ``tick`` on, which is the next tick."""
         while self._script and self._script[0]["tick"] <= tick:
             self._repeat(self._script.pop(0), tick)
-        if self._questions is None:
+        if self._requests is None:
             return
         for _ in range(_A_TICK):
-            question = self._questions.drain()
+            question = self._requests.drain()
             if question is None:
                 return
             try:
@@ -109,7 +174,7 @@ class ControlServer:
         names = tuple(self._lattice.cells[cell] for cell in cells)
         for one in self._faults.values():
             if one.injected_at_runtime and isinstance(one.fault, CellFault):
-                self._send(Control("fault", tick, names, _text(one)))
+                self._send(Control("fault", tick, names, json.dumps(one.record())))
         for number in self._repaired:
             end = self._faults[number].end_tick
             self._send(Control("fault", tick, names, json.dumps({"number": number, "end": end})))
@@ -164,7 +229,7 @@ class ControlServer:
         number = max(self._faults, default=-1) + 1
         affected = fault.affected_cells(self._lattice, self._scene.seed, number)
         one = FaultInstance(number, fault, affected, tick, end, injected_at_runtime=True)
-        if len(_text(one)) > TEXT_LIMIT:
+        if len(json.dumps(one.record())) > TEXT_LIMIT:
             raise RequestError("fault.cells: are too many for one request: use rectangle or share")
         return one
 
@@ -172,11 +237,13 @@ class ControlServer:
         """Return the tick from which a fault that begins at ``tick`` is over."""
 
         def from_now(span_s: float) -> int:
-            return tick + self._scene.tick_at(span_s)
+            return tick + tick_at(span_s, tick_ns)
+
+        tick_ns = self._scene.tick_ns
 
         if for_s is not None:
             return from_now(for_s)
-        return fault.tick_range(from_now)[1] if fault.until_s is None else self._scene.tick_at(fault.until_s)
+        return fault.tick_range(from_now)[1] if fault.until_s is None else tick_at(fault.until_s, tick_ns)
 
     def _listed(self, one: FaultInstance[FaultSpec], tick: int) -> dict[str, Any]:
         state = "acts" if one.active_at(tick) else "is to come" if tick < one.start_tick else "is over"
@@ -194,7 +261,7 @@ class ControlServer:
     def _inject(self, one: FaultInstance[FaultSpec]) -> None:
         self._faults[one.number] = one
         if isinstance(one.fault, CellFault):
-            self._send(Control("fault", one.start_tick, (), _text(one)))
+            self._send(Control("fault", one.start_tick, (), json.dumps(one.record())))
         if isinstance(one.fault, PlantFault):
             self._process.inject(cast("FaultInstance[PlantFault]", one))
         self._run_log.inject(one)
@@ -203,7 +270,7 @@ class ControlServer:
                 "time_s": one.start_tick * self._scene.tick_ns * 1e-9,
                 "kind": "fault",
                 "tick": one.start_tick,
-                "detail": encode_fault(one),
+                "detail": one.record(),
             }
         )
 
@@ -233,8 +300,4 @@ class ControlServer:
         if record["kind"] == "repair":
             self._repair(int(detail["number"]), tick)
         else:
-            self._inject(decode_fault(detail, self._scene))
-
-
-def _text(one: FaultInstance[FaultSpec]) -> str:
-    return json.dumps(encode_fault(one))
+            self._inject(decode_command(detail, self._scene))

@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.fault import CellTarget, FaultInstance
-from cell_firmware.faults.base import CellFault, ExecutionFaults
+from cell_firmware.faults.kinds.power_loss import CrashedCellFault
 from plant.faults.base import PlantFault, WheelFaults
-from plant.wheels import LossPolicy
 
 
 @final
-class CrashFault(CellTarget, CellFault, PlantFault):
+class CrashFault(CrashedCellFault, PlantFault):
     """Cells die permanently or until a repair, which restarts their programs as after power-on.
 
     A cell without a repair leaves the lockstep too. A worker process all of whose cells are dead ends itself by
     SIGKILL, like a process that dies; in a shared worker the cell's agent stops.
     """
-
-    kind_name: ClassVar[str] = "crash"
-    halts_program: ClassVar[bool] = True
-    kind: Literal["crash"] = "crash"
-    wheels: LossPolicy | None = None
-    """Behaviour of the dead cells' wheels; None: the scene's ``stall.policy``."""
-
-    def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """Halt the affected programs; restart them at the repair."""
-        if injected.active_at(tick):
-            pause.halted[injected.cells] = True
-        pause.reset[injected.cells] |= tick == injected.end_tick
 
     def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """Nobody drives the wheels."""

@@ -9,24 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from bus.fault import CellTarget, FaultInstance
-from cell_firmware.faults.base import CellFault, ExecutionFaults
+from cell_firmware.faults.kinds.power_loss import PowerLossFault, RemovedCellFault
 from plant.faults.base import PlantFault, WheelFaults
 
 
-class AbsentModuleFault(CellTarget, CellFault, PlantFault):
+class AbsentModuleFault(PowerLossFault, PlantFault):
     """A fault that removes cells from the array while active: no wheels, no sensors, no program, no links.
 
     Cells that are plugged in restart as after power-on, with wheels at rest; encoders continue at their last counts.
     """
-
-    halts_program: ClassVar[bool] = True
-
-    def execution(self, tick: int, injected: FaultInstance[CellFault], pause: ExecutionFaults) -> None:
-        """Halt the affected programs; restart them when their cells are plugged in."""
-        if injected.active_at(tick):
-            pause.halted[injected.cells] = True
-        pause.reset[injected.cells] |= tick == injected.end_tick
 
     def apply(self, cells: NDArray[np.int64], wheel_faults: WheelFaults) -> None:
         """The cells are not in the array."""
@@ -54,8 +45,5 @@ class AddFault(AbsentModuleFault):
 
 
 @final
-class RemoveFault(AbsentModuleFault):
+class RemoveFault(RemovedCellFault, AbsentModuleFault):
     """Cells are removed from the array at ``at_s``, and plugged in again at ``until_s`` if given."""
-
-    kind_name: ClassVar[str] = "remove"
-    kind: Literal["remove"]

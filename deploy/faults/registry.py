@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, get_args
+from typing import Annotated, Final, get_args
 
 from pydantic import BeforeValidator, Field
 
@@ -57,7 +57,10 @@ AnyFault = (
     | PartitionFault
 )
 
-Fault = Annotated[Annotated[AnyFault, Field(discriminator="kind")], BeforeValidator(tagged("kind", "crash"))]
+DEFAULT: Final = "crash"
+"""Kind of a fault that does not say which."""
+
+Fault = Annotated[Annotated[AnyFault, Field(discriminator="kind")], BeforeValidator(tagged("kind", DEFAULT))]
 """Any fault of a scene, discriminated by ``kind``."""
 
 KINDS: dict[str, type[AnyFault]] = {kind.kind_name: kind for kind in get_args(AnyFault)}

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
-from fractions import Fraction
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from bus.fault import tick_at
 from bus.spec import Positive, Spec, StallSpec
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
 from deploy.faults.registry import Fault
@@ -143,8 +142,7 @@ class Scene(Spec):
 
     def tick_at(self, at_s: float) -> int:
         """The first tick that does not begin before a scheduled time ``at_s`` (s, >= 0)."""
-        at_ns = Fraction(repr(at_s)) * 1_000_000_000
-        return math.ceil(at_ns / self.tick_ns)
+        return tick_at(at_s, self.tick_ns)
 
     def lattice(self) -> Lattice:
         """The cells that exist."""

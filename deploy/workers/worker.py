@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, final
 from bus.errors import WireError
 from bus.partition import Partition
 from bus.transports.base import Endpoint, LivelinessChange, Received
-from bus.wire.frames import Control, decode_control
+from bus.wire.frames import decode_control
 from bus.wire.keys import plant_key
 from deploy.scenes.fault_schedule import Deaths, in_run_faults, of_cells, permanent_crashes
 
@@ -157,7 +157,7 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
     first = _first(order, cells, member)
     if first is not None:
         cells.start_at(first)
-        inject = _injector(order, cells, site)
+        inject = agent.injector(cells, site, order.partition.lattice)
         watched = partial(Watchdog, order.scene.stall.deadline_s, "stall.deadline_s")
         with asyncio.Runner(loop_factory=partial(TransportEventLoop, endpoint)) as runner:
             ended = runner.run(agent.run(cells, member, inject, records, first, watched))
@@ -300,17 +300,6 @@ def build_shard(order: WorkerConfig, index: int) -> tuple[Shard, ShardContext]:
         () if faults is None else faults.injected,
     )
     return shard, site
-
-
-def _injector(order: WorkerConfig, shard: Shard, site: ShardContext) -> Callable[[Control], None]:
-    """Return the callback that applies live faults to a shard."""
-
-    def inject(control: Control) -> None:
-        from deploy.control.protocol import apply_to_shard
-
-        apply_to_shard(control, order.scene, shard, site)
-
-    return inject
 
 
 def _all_dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, ticks: int) -> bool:

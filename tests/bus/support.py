@@ -72,8 +72,9 @@ class ClockedEndpoint(Endpoint):
         self._inner = inner
         self._clock = clock
 
-    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
-        events = self._inner.receive_all(0)
+    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+        rest, self._rest = self._rest, []
+        events = rest + self._inner.receive_all(0)
         if not events:
             assert timeout_s is not None, "waits for ever for what never comes"
             self._clock.now += timeout_s

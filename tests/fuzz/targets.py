@@ -28,8 +28,9 @@ from bus.wire.frames import (
     encode_report,
 )
 from bus.wire.msgpack_codec import TICK_LIMIT
-from deploy.control.protocol import decode_fault_control
-from deploy.control.requests import InjectRequest, ListRequest, RepairRequest, RequestError, read_request
+from cell_firmware.faults.attach import decode_fault_control
+from deploy.control.server import InjectRequest, ListRequest, RepairRequest, read_request
+from deploy.errors import RequestError
 from deploy.scenes.files import load_scene
 from tests.bus.support import EVERYTHING, FORMS, PRESENCE, Network, System, grid
 from tests.fuzz.mutator import JSON, MESSAGEPACK, Form
@@ -278,7 +279,7 @@ def _live_fault() -> Target:
         {"number": 2, "fault": {"kind": "crash", "share": 0.25}, "first": 7, "end": 70_000},
         {
             "number": 3,
-            "fault": {"kind": "wheel_weak", "rectangle": [[0, 0], [1, 2]], "most_m_s": 0.1},
+            "fault": {"kind": "slow_clock", "rectangle": [[0, 0], [1, 2]], "factor": 0.1},
             "first": 0,
             "end": 1,
         },
@@ -287,7 +288,7 @@ def _live_fault() -> Target:
 
     def decode(payload: bytes) -> tuple[int, Any]:
         control = Control("fault", 7, (), payload.decode("utf-8", "replace"))
-        return 7, decode_fault_control(control, scene)
+        return 7, decode_fault_control(control, scene.lattice(), scene.seed)
 
     def check(found: Any) -> None:
         if isinstance(found, tuple):

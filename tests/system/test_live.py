@@ -14,8 +14,8 @@ from bus.transports.zenoh import open_client
 from bus.transports.zenoh.requests import REQUEST_LIMIT, send_request
 from bus.wire.keys import plant_key
 from deploy.control.client import Address, ask_run, discover
-from deploy.control.requests import RequestError, read_request
-from deploy.errors import DeployError, InputError
+from deploy.control.server import read_request
+from deploy.errors import DeployError, InputError, RequestError
 from deploy.runs.run import run
 from deploy.runs.summary import Outcome
 from deploy.scenes.files import load_scene

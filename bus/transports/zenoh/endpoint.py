@@ -175,11 +175,12 @@ class ZenohEndpoint(Endpoint):
         )
         self._watchers.append(watcher)
 
-    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
+    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
         """All events; a wait of more than a tenth of a second may end as much later."""
         if self.closed or self._forks != _forks:
             self.check_usable()
-        return self._mail.poll_all(timeout_s, enough)
+        rest, self._rest = self._rest, []
+        return rest + self._mail.poll_all(0 if rest else timeout_s, enough)
 
     def wake(self) -> None:
         """Put one ``Wakeup`` in the inbox."""

@@ -12,8 +12,7 @@ import pytest
 
 from bus.errors import TransportError
 from deploy.control.client import FILE_NAME, Address, ask_run, discover
-from deploy.control.requests import RequestError
-from deploy.errors import DeployError, InputError
+from deploy.errors import DeployError, InputError, RequestError
 
 HERE = Address("one", "tcp/127.0.0.1:7447", os.getpid())
 NOBODY = 2**22 + 1

@@ -6,7 +6,8 @@ import json
 
 import pytest
 
-from deploy.control.requests import RequestError, read_request
+from deploy.control.server import read_request
+from deploy.errors import RequestError
 
 
 def test_of_a_request_with_thousands_of_problems_some_are_reported_and_the_others_counted() -> None:

@@ -12,9 +12,8 @@ import pytest
 from bus.fault import FaultInstance, FaultSpec
 from bus.wire.frames import Control
 from cell_firmware.faults.kinds.reboot import RebootFault
-from deploy.control.protocol import encode_fault
-from deploy.control.requests import RequestError
 from deploy.control.server import ControlServer
+from deploy.errors import RequestError
 from deploy.faults.crash import CrashFault
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
@@ -206,7 +205,7 @@ def test_cells_are_named_up_to_sixty_four_and_too_many_to_send_are_refused() -> 
     assert (answer["affected"], len(answer["cells"])) == (100, 64)
     cells = [[row, column] for row in range(100) for column in range(40)]
     one = FaultInstance(1, CrashFault.model_validate({"cells": cells}), scene.lattice().rows, 10)
-    assert len(json.dumps(encode_fault(cast("Any", one)))) > 30_000
+    assert len(json.dumps(one.record())) > 30_000
     assert live.ask(10, op="inject", fault={"kind": "hang", "cells": cells})["problems"] == [
         "fault.cells: are too many for one request: use rectangle or share"
     ]

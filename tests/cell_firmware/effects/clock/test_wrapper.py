@@ -23,6 +23,7 @@ from cell_firmware.effects.link_delay import LinkDelaySpec
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
+from tests.cell_firmware.exchange import exchange as exchanged
 
 PERIOD_NS = 4_096_000
 
@@ -217,7 +218,7 @@ def test_failures_are_reported_by_row_and_tick(
     lattice, bits = grid(1, 3), np.zeros((3, 1), dtype=np.bool_)
     controller = LocalClockWrapper(Board(Failing()), clocks_of(lattice, [0] * 3, [PERIOD_NS // 2, 0, 0], 2))
     state = controller.init(everything(lattice))
-    _, outputs = controller.step(StepTime(1, np.array(0)), state, Inputs(bits))
+    _, outputs = exchanged(controller, StepTime(1, np.array(0)), state, Inputs(bits))
     assert {i: (failure.cell, failure.tick) for i, failure in outputs.failures.items()} == {
         1: ((0, 1), 1),
         2: ((0, 2), 1),

@@ -31,6 +31,7 @@ from cell_firmware.program import NoParameters
 from cell_firmware.shard import Shard
 from cell_firmware.specs import SpeedLoopSpec
 from cell_firmware.speed_loop import SpeedLoop
+from tests.cell_firmware.exchange import exchange
 
 PERIOD_S, PERIOD_NS = 0.004096, 4_096_000
 
@@ -182,11 +183,11 @@ def test_a_cell_alone_gets_the_same_bytes_as_among_many(
     for tick in range(90):
         inbox = Inbox(draw.random((4, 4)) < 0.5, np.zeros((4, 4), dtype=Counting.message))
         inputs, now = Inputs(np.zeros((4, 1), dtype=np.bool_), None, inbox), StepTime(tick, np.array(0))
-        state, out = together.step(now, state, inputs)
+        state, out = exchange(together, now, state, inputs)
         assert out.outbox is not None
         for i in range(4):
             mine = np.array([i])
-            states[i], single = alone[i].step(now, states[i], inputs.select(mine))
+            states[i], single = exchange(alone[i], now, states[i], inputs.select(mine))
             assert single.drive.tobytes() == out.drive[mine].tobytes()
             sent = np.zeros(4, bool) if single.outbox is None else single.outbox.sent[0]
             assert sent.tolist() == out.outbox.sent[i].tolist()
@@ -219,7 +220,7 @@ def test_a_reset_reinitialises_power_on_state_and_retains_what_a_component_decla
     inbox = Inbox(np.zeros((3, 4), dtype=np.bool_), np.zeros((3, 4), dtype=Counting.message))
     for tick in range(38):
         inputs = Inputs(np.zeros((3, 1), dtype=np.bool_), np.zeros((3, 2)), inbox)
-        state, _ = board.step(StepTime(tick, np.array(0)), state, inputs)
+        state, _ = exchange(board, StepTime(tick, np.array(0)), state, inputs)
     assert firmware.begun == [[0, 1, 2], [1]]
     assert state.parts["speed_loop"]["resets"].tolist() == [0.0, 1.0, 0.0]
     assert state.parts["speed_loop"]["steps"].tolist() == [38.0, 2.0, 38.0]
@@ -239,10 +240,10 @@ def test_a_speed_loop_restarts_without_a_jump(everything: Any, grid: Any) -> Non
     inbox = Inbox(np.zeros((3, 4), dtype=np.bool_), np.zeros((3, 4), dtype=Counting.message))
     for tick in range(36):
         inputs = Inputs(np.zeros((3, 1), dtype=np.bool_), np.full((3, 2), 0.01 * tick), inbox)
-        state, _ = board.step(StepTime(tick, np.array(0)), state, inputs)
+        state, _ = exchange(board, StepTime(tick, np.array(0)), state, inputs)
     inputs = Inputs(np.zeros((3, 1), dtype=np.bool_), np.full((3, 2), 7.0), inbox)
-    _, after = board.step(StepTime(36, np.array(0)), state, inputs)
-    _, first = plain.step(StepTime(0, np.array(0)), fresh, inputs)
+    _, after = exchange(board, StepTime(36, np.array(0)), state, inputs)
+    _, first = exchange(plain, StepTime(0, np.array(0)), fresh, inputs)
     assert after.drive[1].tobytes() == first.drive[1].tobytes()
     assert after.drive[0].tobytes() != first.drive[0].tobytes()
 
@@ -334,7 +335,7 @@ def test_resets_are_those_of_a_counter_that_ticks_with_the_divider(
     inputs = Inputs(np.zeros((1, 1), dtype=np.bool_))
     for tick in range(80):
         before = int(state.parts["cop"]["resets"][0])
-        state, _ = board.step(StepTime(tick, np.array(0)), state, inputs)
+        state, _ = exchange(board, StepTime(tick, np.array(0)), state, inputs)
         if state.parts["cop"]["resets"][0] > before:
             resets.append(tick)
     assert resets == _by_counter(serves, round(timeout / 0.016384), round(reboot_s * 1e9))
@@ -385,8 +386,11 @@ def test_what_firmware_says_of_its_service_must_be_a_bit_a_cell(everything: Any,
             return state, Outputs(np.zeros((n, 2)), served=np.ones(n, dtype=np.int64))  # type: ignore[arg-type]
 
     board = Board(Odd(Odd.Parameters()))
-    _, out = board.step(
-        StepTime(0, np.array(0)), board.init(everything(grid(1, 1))), Inputs(np.zeros((1, 1), dtype=np.bool_))
+    _, out = exchange(
+        board,
+        StepTime(0, np.array(0)),
+        board.init(everything(grid(1, 1))),
+        Inputs(np.zeros((1, 1), dtype=np.bool_)),
     )
     assert "served must be None or bool of shape (1,), not int64 of shape (1,)" in out.failures[0].problem
 

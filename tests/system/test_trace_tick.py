@@ -1,0 +1,95 @@
+"""A message, a drive and live faults pass few files of ours, and never climb from a lower package into ``deploy``."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from bus.lockstep import WireFormat
+from cell_firmware.faults.base import CellFault
+from deploy.faults.registry import KINDS
+from tests.tools.trace_tick import (
+    FAULTS,
+    LIMITS,
+    PLANT,
+    PROGRAMS,
+    RECEIVER,
+    ROOT,
+    SENDER,
+    WIRES,
+    Mark,
+    Route,
+    live_fault,
+    message_and_drive,
+)
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_message_passes_ten_files_and_a_drive_fifteen(program: str, wire: WireFormat) -> None:
+    message, drive = message_and_drive(program, wire)
+    assert (message.limit, drive.limit) == (10, 15)
+    assert len(message.files) <= message.limit, message.paths
+    assert len(drive.files) <= drive.limit, drive.paths
+    assert message.over == {SENDER, RECEIVER}
+    assert drive.over == {SENDER, PLANT}
+    assert message.climbs == drive.climbs == []
+    for route in (message, drive):
+        sent = [file for file, _ in route.paths[SENDER]]
+        assert sent[0] in ("cell_firmware/cell.py", "cell_firmware/firmware.py", "cell_firmware/board.py")
+        assert sent[-1] == "bus/transports/memory.py"
+    for route, thread in ((message, RECEIVER), (drive, PLANT)):
+        assert route.paths[thread][0][0] == "bus/transports/memory.py"
+    assert message.paths[RECEIVER][-1][0] in ("cell_firmware/cell.py", "cell_firmware/board.py")
+    assert drive.paths[PLANT][-1][0] == "plant/wheels.py"
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS.keys() - {"add"}))
+def test_a_live_fault_passes_fifteen_files_and_never_climbs(kind: str) -> None:
+    route = live_fault(kind)
+    assert route.limit == 15
+    assert len(route.files) <= route.limit, route.paths
+    assert route.climbs == [], route.paths
+    asked = [file for file, _ in route.paths[PLANT]]
+    assert asked[0] == "deploy/control/server.py"
+    if not issubclass(KINDS[kind], CellFault):
+        assert route.over == {PLANT}
+        assert "plant/faults/schedule.py" in asked
+        return
+    assert route.over == {PLANT, SENDER, RECEIVER}
+    assert asked[-1] == "bus/transports/memory.py"
+    for cell in (SENDER, RECEIVER):
+        struck = [file for file, _ in route.paths[cell]]
+        assert struck[0] == "bus/transports/memory.py"
+        assert struck[-1].startswith("cell_firmware/faults/")
+
+
+def test_every_kind_of_fault_is_traced_that_can_be_injected() -> None:
+    assert FAULTS.keys() == KINDS.keys() - {"add"}
+
+
+def test_a_path_that_climbs_is_seen() -> None:
+    bus, cells, control = "bus/lockstep/control.py", "cell_firmware/agent.py", "deploy/control/server.py"
+    for files, climbs in (((control, bus, cells), []), ((bus, cells, bus, control), [control])):
+        route = Route("fault", Mark((1,)), (), paths={SENDER: [(file, "f") for file in files]})
+        assert route.climbs == climbs
+
+
+def test_the_page_shows_what_the_tool_prints() -> None:
+    page = (ROOT / "docs" / "tick.md").read_text()
+    _, _, section = page.partition("## Files that a message, a drive and a fault pass\n")
+    command = "python tests/tools/trace_tick.py"
+    assert f"`{command}`" in section
+    shown = section.partition("```text\n")[2].partition("```")[0]
+    printed = subprocess.run(
+        [sys.executable, *command.split()[1:]],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=100,
+    )
+    assert shown == printed.stdout
+    assert LIMITS == {"message": 10, "drive": 15, "fault": 15}
