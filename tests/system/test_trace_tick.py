@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -77,6 +78,23 @@ def test_a_path_that_climbs_is_seen() -> None:
         assert route.climbs == climbs
 
 
+def test_a_call_from_a_lower_package_into_deploy_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cells of a run once called back into ``deploy`` to decode a fault."""
+    from cell_firmware.shard import Shard
+    from deploy.scenes.errors import shown
+
+    inject = Shard.inject
+
+    def through_deploy(self: Shard, fault: Any, site: Any, lattice: Any) -> None:
+        shown(str(fault.fault))
+        inject(self, fault, site, lattice)
+
+    monkeypatch.setattr(Shard, "inject", through_deploy)
+    route = live_fault("hang")
+    assert set(route.calls_up) == {"deploy/scenes/errors.py"}
+    assert "deploy/scenes/errors.py" in route.climbs
+
+
 def test_the_page_shows_what_the_tool_prints() -> None:
     page = (ROOT / "docs" / "tick.md").read_text()
     _, _, section = page.partition("## Files that a message, a drive and a fault pass\n")
@@ -84,7 +102,12 @@ def test_the_page_shows_what_the_tool_prints() -> None:
     assert f"`{command}`" in section
     shown = section.partition("```text\n")[2].partition("```")[0]
     printed = subprocess.run(
-        [sys.executable, *command.split()[1:]], cwd=ROOT, capture_output=True, text=True, check=True, timeout=100
+        [sys.executable, *command.split()[1:]],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=100,
     )
     assert shown == printed.stdout
     assert LIMITS == {"message": 10, "drive": 15, "fault": 15}

@@ -1,4 +1,4 @@
-"""Faults ``crash`` and ``remove`` as the cells see them: programs that lose their power."""
+"""Loss of a cell's power: the cells' part of faults ``crash`` and ``remove``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cell_firmware.faults.base import CellFault, ExecutionFaults
 
 
 class PowerLossFault(CellTarget, CellFault):
-    """Cells whose program does not run. Repaired, they begin anew, as after power-on."""
+    """Cells without power. A repaired cell begins anew, as after power-on."""
 
     halts_program: ClassVar[bool] = True
 
@@ -21,7 +21,7 @@ class PowerLossFault(CellTarget, CellFault):
 
 
 class CrashedCellFault(PowerLossFault):
-    """Cells that die: of a crash, what happens in the cells."""
+    """Crashed cells; ``deploy.faults.crash.CrashFault`` adds the plant's part."""
 
     kind_name: ClassVar[str] = "crash"
     kind: Literal["crash"] = "crash"
@@ -30,7 +30,7 @@ class CrashedCellFault(PowerLossFault):
 
 
 class RemovedCellFault(PowerLossFault):
-    """Cells that are pulled out: of a removal, what happens in the cells."""
+    """Removed cells; ``deploy.faults.modules.RemoveFault`` adds the plant's part."""
 
     kind_name: ClassVar[str] = "remove"
     kind: Literal["remove"]
