@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -51,8 +51,8 @@ def _shown(value: Any, field: np.dtype[Any]) -> str:
         text = str(int(value)) if abs(value) < 10**_LONGEST else "a whole number too long to show"
     elif not isinstance(value, (float, np.integer, np.floating)):
         text = repr(value)
-    elif np.isfinite(value) and value == value // 1 and abs(value) < _PLAIN:
-        text = str(int(value))
     else:
-        text = repr(float(value))
+        number = cast("Any", value)
+        whole = np.isfinite(number) and number == number // 1 and abs(number) < _PLAIN
+        text = str(int(number)) if whole else repr(float(number))
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

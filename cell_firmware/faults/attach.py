@@ -52,7 +52,8 @@ def decode_fault_control(
     try:
         data: object = json.loads(control.detail)
         if isinstance(data, dict) and "fault" in data:
-            return cast("FaultInstance[CellFault]", decode_fault(data, CELL_FAULTS, lattice, seed))
+            record = cast("dict[str, object]", data)
+            return cast("FaultInstance[CellFault]", decode_fault(record, CELL_FAULTS, lattice, seed))
         repair = RepairRecord.model_validate_json(control.detail, strict=True)
     except (ValueError, TypeError, RecursionError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)

@@ -76,15 +76,7 @@ def read_request(payload: bytes | None) -> Request:
     if payload is None or len(payload) > _LONGEST:
         raise RequestError(f"a request: must be at most {_LONGEST} bytes")
     try:
-        request: Any = json.loads(payload)
-        fault: Any = request.get("fault") if isinstance(request, dict) else None  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-        if isinstance(fault, dict):
-            request = {**request, "fault": {"kind": DEFAULT, **fault}}
-            if request["fault"]["kind"] == "add":
-                raise RequestError(
-                    "fault: add is for scenes: inject remove, and repair that fault to plug the cells in again"
-                )
-        data: Any = {"request": request}
+        data: Any = {"request": _with_kind(json.loads(payload))}
         text = json.dumps(data)
     except (ValueError, RecursionError):
         raise RequestError("a request: must be JSON with a few levels of nesting") from None
@@ -108,6 +100,25 @@ class Process(Protocol):
     def replan(self) -> None:
         """Update the fault schedule after a fault's end tick has changed."""
         ...
+
+
+def _with_kind(request: object) -> object:
+    """Return a request whose fault has a kind.
+
+    Raises:
+        RequestError: The kind is one that scenes alone may have.
+    """
+    if not isinstance(request, dict):
+        return request
+    fields = cast("dict[str, object]", request)
+    if not isinstance(fields.get("fault"), dict):
+        return fields
+    fault = {"kind": DEFAULT, **cast("dict[str, object]", fields["fault"])}
+    if fault["kind"] == "add":
+        raise RequestError(
+            "fault: add is for scenes: inject remove, and repair that fault to plug the cells in again"
+        )
+    return {**fields, "fault": fault}
 
 
 @final

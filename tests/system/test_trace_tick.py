@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -75,6 +76,23 @@ def test_a_path_that_climbs_is_seen() -> None:
     for files, climbs in (((control, bus, cells), []), ((bus, cells, bus, control), [control])):
         route = Route("fault", Mark((1,)), (), paths={SENDER: [(file, "f") for file in files]})
         assert route.climbs == climbs
+
+
+def test_a_call_from_a_lower_package_into_deploy_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cells of a run once called back into ``deploy`` to decode a fault."""
+    from cell_firmware.shard import Shard
+    from deploy.scenes.errors import shown
+
+    inject = Shard.inject
+
+    def through_deploy(self: Shard, fault: Any, site: Any, lattice: Any) -> None:
+        shown(str(fault.fault))
+        inject(self, fault, site, lattice)
+
+    monkeypatch.setattr(Shard, "inject", through_deploy)
+    route = live_fault("hang")
+    assert set(route.calls_up) == {"deploy/scenes/errors.py"}
+    assert "deploy/scenes/errors.py" in route.climbs
 
 
 def test_the_page_shows_what_the_tool_prints() -> None:

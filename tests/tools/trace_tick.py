@@ -123,6 +123,8 @@ class Route:
         ends_anyway: It is over with the first such event, once the mark has appeared in the thread.
         threads: The threads on the way, in order.
         paths: By thread, the files with the function in which the mark appeared first.
+        over: Threads whose paths are over.
+        calls_up: Files of ``deploy`` that a file of a lower package has called with the mark.
     """
 
     name: str
@@ -132,6 +134,7 @@ class Route:
     threads: tuple[str, ...] = ()
     paths: dict[str, list[tuple[str, str]]] = field(default_factory=dict[str, list[tuple[str, str]]])
     over: set[str] = field(default_factory=set[str])
+    calls_up: list[str] = field(default_factory=list[str])
 
     @property
     def limit(self) -> int:
@@ -145,8 +148,8 @@ class Route:
 
     @property
     def climbs(self) -> list[str]:
-        """Files of ``deploy`` that a thread enters after a file of a lower package."""
-        found: list[str] = []
+        """Files of ``deploy`` that a lower package calls, or that a thread enters after plant or cells."""
+        found = list(self.calls_up)
         for path in self.paths.values():
             files = [file for file, _ in path]
             lower = [i for i, file in enumerate(files) if file.startswith(("cell_firmware/", "plant/"))]
@@ -161,6 +164,9 @@ class Route:
         seen = self.mark.is_in(frame.f_locals) or self.mark.is_in(result)
         if seen:
             self._add(thread, frame)
+            caller = caller_of(frame)
+            if event == "call" and caller and file.startswith("deploy/") and not caller.startswith("deploy/"):
+                self.calls_up.append(file)
         if (seen and place in self.ends) or (place in self.ends_anyway and thread in self.paths):
             self.over.add(thread)
 
@@ -184,6 +190,17 @@ def file_of(frame: FrameType) -> str | None:
     """File of a frame's code, from the root of the project; None for others' code."""
     path = frame.f_code.co_filename
     return path[len(str(ROOT)) + 1 :] if path.startswith(f"{ROOT}/") else None
+
+
+def caller_of(frame: FrameType) -> str | None:
+    """File of the nearest caller whose code is ours; None if there is none."""
+    caller = frame.f_back
+    while caller is not None:
+        file = file_of(caller)
+        if file is not None and file.partition("/")[0] in OURS:
+            return file
+        caller = caller.f_back
+    return None
 
 
 class Tracer:
@@ -276,7 +293,7 @@ def trace(tracer: Tracer, program: str, wire: WireFormat, request: Mapping[str, 
         {
             "duration_s": 1.0,
             "array": {"rows": 1, "columns": 2},
-            "cells": {"firmware": f"{marked_program.__file__}:{program}", "period_s": PERIOD_S},
+            "cells": {"firmware": f"{marked_program.__name__}:{program}", "period_s": PERIOD_S},
             "parcels": [],
             "friction": {"law": "viscous", "coefficient_s_per_m": 0.2},
         }
@@ -382,10 +399,13 @@ FAULTS: Final[dict[str, dict[str, Any]]] = {
     "link_corrupt": {**TARGET, "probability": NUMBER},
     "link_bandwidth": {**TARGET, "messages_per_s": 50.0},
     "babble": TARGET,
-    "lie": {**TARGET, "mode": "offset", "by": NUMBER},
+    "lie": {**TARGET, "mode": "offset", "by": 0.5},
     "partition": {"column": 0},
 }
-"""By kind, a fault that strikes both cells; its corner, its duration and its number, if it has one, are marked."""
+"""By kind, a fault that strikes both cells; its corner, its duration and its number, if it has one, are marked.
+
+A lie's number is not: it would mark the messages that the fault has changed.
+"""
 
 
 def live_fault(kind: str) -> Route:

@@ -1,4 +1,4 @@
-"""Faults ``crash`` and ``remove`` as the cells see them: programs that lose their power."""
+"""Loss of a cell's power: the cells' part of faults ``crash`` and ``remove``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class PowerLossFault(CellTarget, CellFault):
 
 
 class CrashedCellFault(PowerLossFault):
-    """The part of a crash that acts in the cells."""
+    """Crashed cells; ``deploy.faults.crash.CrashFault`` adds the plant's part."""
 
     kind_name: ClassVar[str] = "crash"
     kind: Literal["crash"] = "crash"
@@ -30,7 +30,7 @@ class CrashedCellFault(PowerLossFault):
 
 
 class RemovedCellFault(PowerLossFault):
-    """The part of a removal that acts in the cells."""
+    """Removed cells; ``deploy.faults.modules.RemoveFault`` adds the plant's part."""
 
     kind_name: ClassVar[str] = "remove"
     kind: Literal["remove"]
