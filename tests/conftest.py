@@ -1,15 +1,16 @@
-"""Compile the solvers once, before any test: no test's time limit should have to hold a compiler's run."""
+"""Compile kernels once, before any test: no test's time limit should have to hold a compiler's run."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
+
+from tests import specialisations
 
 # The same examples every time, however slow the machine is: what fails once fails again.
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -19,37 +20,50 @@ settings.load_profile("repeatable")
 # hang on which others ran before it, and a failure could not be met again by running it alone.
 providers._get_local_constants = lambda: providers._local_constants
 
-GROUPS = (("exact",), ("implicit", "fixed_step", "quasi_static"))
-"""Solvers compiled side by side: each group takes about as long as the other."""
-
-COMPILE = """
-import sys
-import numpy as np
-from plant.plant import Plant
-from plant.specs import PlantSpec
-for name in sys.argv[1:]:
-    plant = Plant(PlantSpec.model_validate({
-        "array": {"rows": 2, "columns": 2},
-        "parcels": [{"size_m": (0.15, 0.15), "mass_kg": 1.0, "position_m": (0.0, 0.0)}],
-        "friction": {"law": "viscous", "coefficient_s_per_m": 0.2},
-        "solver": {"name": name},
-    }))
-    plant.advance(np.zeros((4, 2)), 1_000_000)
-"""
+WATCH = pytest.StashKey[specialisations.Watch]()
+"""On what tests compile; not there where the run compiles as it goes."""
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the kernels where this version's are not on disk yet: processes that tests start find them there."""
-    from plant.kernels.common.cache import is_warm
+    """Compile kernels that are not on disk yet: processes that tests start find them there.
 
-    if is_warm() or session.config.option.collectonly or "PYTEST_XDIST_WORKER" in os.environ:
+    All that the chosen tiers need where all tests are run. Who names files waits for the solvers alone.
+    """
+    config = session.config
+    if hasattr(config, "workerinput"):
+        known = config.workerinput["kernels"]
+        if known is not None:
+            config.stash[WATCH] = specialisations.Watch(known)
         return
-    session.config.get_terminal_writer().line("compiling the solvers (once) ...")
-    compilers = [
-        subprocess.Popen([sys.executable, "-c", COMPILE, *names], cwd=session.config.rootpath)
-        for names in GROUPS
-    ]
-    assert [compiler.wait() for compiler in compilers] == [0] * len(GROUPS)
+    if config.option.collectonly or not specialisations.lasting():
+        return
+    whole = config.args_source is not pytest.Config.ArgsSource.ARGS and not config.option.keyword
+    needed = specialisations.chosen(config.option.markexpr if whole else "not kernels and not slow")
+    missing = specialisations.missing(needed)
+    if missing:
+        names = ", ".join(one.name for one in missing)
+        config.get_terminal_writer().line(f"compiling kernels (once): {names} ...")
+        specialisations.compile_ahead(missing)
+    if whole:
+        config.stash[WATCH] = specialisations.Watch(specialisations.listed(needed))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Tell xdist's workers what they may use."""
+    watch = node.config.stash.get(WATCH, None)
+    node.workerinput["kernels"] = None if watch is None else watch.known
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Fail the test that uses a specialisation which is not listed, or which its tier doesn't compile."""
+    try:
+        return (yield)
+    finally:
+        watch = item.config.stash.get(WATCH, None)
+        found = [] if watch is None else watch.found()
+        assert not found, "\n".join(["not in tests/specialisations.py, or not for this tier:", *found])
 
 
 FOLDERS = {

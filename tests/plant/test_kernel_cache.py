@@ -36,6 +36,7 @@ def _module(folder: Path) -> ModuleType:
     assert located.loader is not None
     module = importlib.util.module_from_spec(located)
     located.loader.exec_module(module)
+    module._tree = cache._tree  # a text that was parsed once isn't again
     return module
 
 
@@ -43,18 +44,82 @@ def test_the_key_stays_while_nothing_changes(copied: Path) -> None:
     assert _module(copied).key() == _module(copied).key()
 
 
-@pytest.mark.parametrize(
-    "name", sorted(path.relative_to(KERNELS).as_posix() for path in KERNELS.rglob("*.py"))
-)
+FILES = sorted(path.relative_to(KERNELS).as_posix() for path in KERNELS.rglob("*.py"))
+
+
+@pytest.mark.parametrize("name", FILES)
 def test_a_change_of_any_kernel_file_changes_the_key(copied: Path, name: str) -> None:
     before = _module(copied).key()
     path = copied / name
     text = path.read_text()
-    path.write_text(text + "\n# a change\n")
+    path.write_text(text + "\nADDED = 1\n")
     assert _module(copied).key() != before
     path.write_text(text)
-    if name != "exact/block.py":  # the file that holds the cached function counts with its time
-        assert _module(copied).key() == before
+    assert _module(copied).key() == before
+
+
+EXPRESSION = '''"""Kernels."""
+
+PITCH: Final = 1
+"""Along a row."""
+
+
+def step(x):
+    """Move by a step."""
+    if x > 0:
+        return x - (1.0 + PITCH)
+    return "kept"
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("1.0 + PITCH", "1.0 - PITCH"),
+        ("1.0", "1.5"),
+        ("1.0", "1"),
+        ("x - (1.0 + PITCH)", "x - 1.0 + PITCH"),
+        ("def step(x)", "def step(x=2)"),
+        ("def step", "@kernel\ndef step"),
+        ("= 1\n", "= 2\n"),
+        ('"kept"', '"left"'),
+        ("    return", "        return"),
+    ],
+)
+def test_a_changed_expression_changes_the_key(copied: Path, old: str, new: str) -> None:
+    path = copied / "another.py"
+    path.write_text(EXPRESSION)
+    before = _module(copied).key()
+    assert EXPRESSION.count(old) >= 1
+    path.write_text(new.join(EXPRESSION.rsplit(old, 1)))
+    assert _module(copied).key() != before
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"""Kernels."""', '"""Other words."""'),
+        ('"""Kernels."""', ""),
+        ('"""Along a row."""', "# along a column"),
+        ('    """Move by a step."""\n', ""),
+        ("def step", "# a comment\ndef step"),
+        ("x - (1.0 + PITCH)", "(\n            x\n            - (1.0 + PITCH)\n        )"),
+    ],
+)
+def test_a_comment_a_docstring_and_layout_do_not_change_the_key(copied: Path, old: str, new: str) -> None:
+    path = copied / "another.py"
+    path.write_text(EXPRESSION)
+    before = _module(copied).key()
+    assert old in EXPRESSION
+    path.write_text(EXPRESSION.replace(old, new))
+    assert _module(copied).key() == before
+
+
+def test_times_of_files_do_not_change_the_key(copied: Path) -> None:
+    before = _module(copied).key()
+    for name in FILES:
+        os.utime(copied / name, (1e9, 1e9))
+    assert _module(copied).key() == before
 
 
 def test_a_new_kernel_file_and_a_renamed_one_change_the_key(copied: Path) -> None:
@@ -165,6 +230,34 @@ def test_the_cache_goes_where_the_environment_says(tmp_path: Path) -> None:
     assert found["lasting"] is True
     environment = {"NUMBA_CACHE_DIR": "", "XDG_CACHE_HOME": str(tmp_path / "xdg")}
     assert str(_fresh(FOLDER, **environment)["path"]).startswith(str(tmp_path / "xdg" / "mdms" / "kernels"))
+
+
+def test_texts_that_differ_in_comments_share_a_folder_and_others_do_not(
+    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However the folder was found: by the note of a text seen before, or by parsing a new one."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    first, _ = _module(copied).folder()
+    parsed: list[bytes] = []
+
+    def found() -> Path:
+        module = _module(copied)
+
+        def counted(text: bytes) -> bytes:
+            parsed.append(text)
+            return cache._tree(text)
+
+        module._tree = counted
+        return module.folder()[0]
+
+    assert found() == first
+    assert not parsed
+    path = copied / "common" / "layout.py"
+    path.write_text(path.read_text() + "\n# a comment\n")
+    assert found() == first
+    assert parsed
+    path.write_text(path.read_text() + "\nADDED = 1\n")
+    assert found() != first
 
 
 def test_only_the_latest_of_the_old_folders_are_retained(

@@ -1,16 +1,15 @@
 """Disk cache of compiled kernels: loads in milliseconds, never stale.
 
 numba's own cache notices a change of the file that holds a cached function, but not of the files of its callees.
-Here the cache folder is therefore named after all inputs: the text of every kernel file, the versions of Python and
-numba, and the processor. Any change of an input selects a new folder.
-
-numba's own cache notices a change of the file that holds a cached function, but not of the files its callees live
-in. So the folder is named after everything that goes in: the text of every kernel file, the versions of Python and
-numba, and the processor. Any change makes another folder; nothing is ever looked up under an old name.
+Here the cache folder is therefore named after all inputs: the syntax tree of every kernel file, the versions of Python
+and numba, and the processor. Any change of an input selects a new folder. Comments, docstrings and layout are no
+input. numba still compares the text of the file that holds a cached function, and the line it begins at, so a comment
+in such a file compiles that file's own cached functions again, into the same folder.
 """
 
 from __future__ import annotations
 
+import ast
 import atexit
 import contextlib
 import hashlib
@@ -27,26 +26,73 @@ from pathlib import Path
 RETAINED = 8
 """Folders of other versions that stay; the oldest beyond that are removed."""
 
+KERNELS = Path(__file__).parents[1]
+"""All kernels."""
+
+TEXTS = "texts"
+"""Where a folder lists the texts that it is the one for: an empty file named after each set's hash."""
+
 
 def key() -> str:
     """Name of the set of kernels: a hash of all that their machine code depends on."""
-    digest = hashlib.sha256()
-    kernels = Path(__file__).parents[1]
-    for path in sorted(kernels.rglob("*.py")):
-        digest.update(path.relative_to(kernels).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    # numba also looks at where the cached file is and when it changed: another checkout has a folder of its own
-    entry = kernels / "exact" / "block.py"
-    for part in (
+    digest = hashlib.sha256(_surroundings())
+    for name, text in _sources():
+        digest.update(name.encode() + b"\0" + _tree(text))
+    return digest.hexdigest()[:16]
+
+
+def _sources() -> list[tuple[str, bytes]]:
+    """Names and texts of all kernel files."""
+    return [
+        (path.relative_to(KERNELS).as_posix(), path.read_bytes()) for path in sorted(KERNELS.rglob("*.py"))
+    ]
+
+
+def _surroundings() -> bytes:
+    """All that machine code depends on beside the kernels' text, and where they lie: numba tells places apart."""
+    parts = (
         version("numba"),
         version("llvmlite"),
         sys.version,
         platform.machine(),
         processor(),
-        str(entry),
-        str(entry.stat().st_mtime_ns),
-    ):
-        digest.update(part.encode() + b"\0")
-    return digest.hexdigest()[:16]
+        str(KERNELS),
+    )
+    return b"".join(part.encode() + b"\0" for part in parts)
+
+
+@cache
+def _tree(text: bytes) -> bytes:
+    """Hash of the syntax tree of a file without docstrings, line numbers and layout."""
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            node.body = [statement for statement in node.body if not _is_words(statement)]
+    return hashlib.sha256(ast.dump(tree).encode()).digest()
+
+
+def _is_words(statement: ast.AST) -> bool:
+    """Whether a statement is a string by itself: a docstring, or that of a constant."""
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+def _key_on_disk(home: Path) -> str:
+    """The key, found without parsing where a folder was made for these very texts: parsing takes 0.2 s."""
+    digest = hashlib.sha256(_surroundings())
+    for name, text in _sources():
+        digest.update(name.encode() + b"\0" + text + b"\0")
+    note = Path(TEXTS) / digest.hexdigest()[:16]
+    for found in home.glob(f"*/{note}"):
+        return found.parents[1].name
+    name = key()
+    with contextlib.suppress(OSError):
+        (home / name / TEXTS).mkdir(parents=True, exist_ok=True)
+        (home / name / note).touch()
+    return name
 
 
 def processor() -> str:
@@ -69,7 +115,8 @@ def folder() -> tuple[Path, bool]:
     home = (
         os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     )
-    path = Path(home) / "mdms" / "kernels" / key()
+    kernels = Path(home) / "mdms" / "kernels"
+    path = kernels / _key_on_disk(kernels)
     with contextlib.suppress(OSError):
         path.mkdir(parents=True, exist_ok=True)
         os.utime(path)
