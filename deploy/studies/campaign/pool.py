@@ -142,7 +142,7 @@ class _WorkerSlot:
 class ExecutorPool:
     """Pool of worker processes, each with one run at a time; leaving the context terminates all workers.
 
-    They are forked by a nursery, which runs nothing itself, and end with this process however that ends.
+    They are forked by a fork server, which runs nothing itself, and end with this process however that ends.
 
     Args:
         jobs: Runs at a time.
