@@ -260,7 +260,7 @@ def test_waking_the_endpoint_ends_a_run_that_nobody_tells_to_stop(
     assert [type(ended) for ended in running.ended] == [WaitInterrupted]
 
 
-def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
+async def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
     grid: Callable[..., Lattice], everything: Callable[..., Cells]
 ):
     """While the plant is silent, other tasks of the loop run; then the run is cancelled."""
@@ -275,16 +275,13 @@ def test_a_cancelled_run_leaves_no_thread_behind_and_never_blocks_the_loop(
     shard = Shard(Board(HEAT), everything(partition.lattice), partition, 0)
     threads = threading.active_count()
 
-    async def main() -> None:
-        task = asyncio.create_task(agent.run(shard, member, ours))
-        for _ in range(100):
-            await asyncio.sleep(0)
-        assert threading.active_count() == threads + 1
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-
-    asyncio.run(main())
+    task = asyncio.create_task(agent.run(shard, member, ours))
+    for _ in range(100):
+        await asyncio.sleep(0)
+    assert threading.active_count() == threads + 1
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
     assert threading.active_count() == threads
     member.close()
     ours.close()
