@@ -26,7 +26,9 @@ OUTCOME = CaseOutcome(
     digest="d",
     wall_s=0.5,
 )
-ENDING = CaseRecord(status="ok", parcels=(ParcelEnd("at_rest", 1 / 3, (0.1, 1 / 7), ((0.1, 2.0),)),), digest="e")
+ENDING = CaseRecord(
+    status="ok", parcels=(ParcelEnd("at_rest", 1 / 3, (0.1, 1 / 7), ((0.1, 2.0),)),), digest="e"
+)
 
 
 @pytest.fixture
