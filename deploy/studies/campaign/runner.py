@@ -17,7 +17,7 @@ from deploy.studies.campaign.cases import with_seed
 from deploy.studies.campaign.console import CampaignProgress
 from deploy.studies.campaign.pool import Executor, ExecutorPool
 from deploy.studies.campaign.report import CampaignReport, aggregate
-from deploy.studies.campaign.result import CaseRecord, CaseOutcome, evaluate
+from deploy.studies.campaign.result import CaseOutcome, CaseRecord, evaluate
 from deploy.util.formatting import say, silent
 from deploy.util.signals import Interrupted, Interruption
 

@@ -12,7 +12,7 @@ import pytest
 from deploy.errors import DeployError, InputError
 from deploy.scenes.files import scene_text
 from deploy.studies.campaign.cases import Case, cases_of
-from deploy.studies.campaign.result import CaseRecord, CaseOutcome, ParcelEnd
+from deploy.studies.campaign.result import CaseOutcome, CaseRecord, ParcelEnd
 from deploy.studies.campaign.runner import FILE_NAME, Journal
 from deploy.studies.campaign.spec import read_options
 
