@@ -237,7 +237,7 @@ def test_what_limits_how_far_a_course_can_be_believed_is_a_line_each() -> None:
     lines = [" ".join(line.split()) for line in printed(found, width=120).splitlines()]
     assert "law not valid since 0.2039 s: parcel 3 outruns a wheel, and 1 parcel later" in lines
     assert (
-        "chatter captured: positions of parcels 0, 2 to 1e-06 m (solver.capture_m), not to the tolerance"
+        "chatter captured: positions of parcels 0, 2 are accurate to 1e-06 m (solver.capture_m), not to the tolerance"
         in lines
     )
     lost = printed(summary(events_left_out=1204), width=120)
