@@ -96,7 +96,7 @@ class ExecutionFaultWrapper(FaultWrapper):
     """
 
     part = "faults"
-    shown = ("stopped", "begun_anew")
+    shown = ("stopped", "restarts")
 
     def begin(self, inner: ControllerState, drive: Floats | None = None) -> ControllerState:
         """Return the state of cells whose programs have not been halted so far."""
@@ -105,7 +105,7 @@ class ExecutionFaultWrapper(FaultWrapper):
             "place": self.lattice.find(inner.cells.row, inner.cells.column),
             "drive": np.zeros((n, 2)) if drive is None else drive.copy(),
             **{name: np.zeros(n, dtype=np.bool_) for name in ("stopped", "keeps", "unserved", "reset")},
-            "begun_anew": np.zeros(n, dtype=np.int64),
+            "restarts": np.zeros(n, dtype=np.int64),
             **{_periods(one): np.zeros(n, dtype=np.int64) for one in self.faults},
         }
         return self.wrap_state(inner, own)
@@ -162,7 +162,7 @@ class ExecutionFaultWrapper(FaultWrapper):
             **own,
             "drive": drive.copy(),
             "reset": np.zeros_like(reset),
-            "begun_anew": own["begun_anew"] + (reset & ~stopped),
+            "restarts": own["restarts"] + (reset & ~stopped),
         }
         return (
             self.wrap_state(inner, after),
@@ -179,7 +179,7 @@ class ExecutionFaultWrapper(FaultWrapper):
         }
         return {
             **counters,
-            f"{self.part}.begun_anew": int(own["begun_anew"].sum()),
+            f"{self.part}.restarts": int(own["restarts"].sum()),
             **super().counters(state),
         }
 

@@ -128,10 +128,10 @@ def _print(scene: Scene, parcel: int, motion: ConstantsOfMotion) -> None:
         ("f0", f"{format_point(motion.f0_n)} N", "force at the origin"),
         ("mu W", f"{short_number(motion.damping_n_s_per_m)} N s/m", "damping in translation"),
         ("tau0", f"{short_number(motion.tau0_n_m)} N m", "torque at the pose"),
-        ("k_tau", f"{format_point(motion.k_tau_n)} N", "gradient of the torque in position"),
+        ("k_tau", f"{format_point(motion.k_tau_n)} N", "gradient of the torque"),
         ("d", f"{short_number(motion.d_n_m_s)} N m s", "damping in rotation"),
         ("equilibrium", _equilibrium(motion), "position without force"),
-        ("eigenvalues", f"{_rates(motion.eigenvalues_per_s)} 1/s", "eigenvalues of the translation"),
+        ("eigenvalues", f"{_rates(motion.eigenvalues_per_s)} 1/s", "of the translation"),
         ("tau0 / I", f"{short_number(motion.angular_acceleration_rad_s2)} rad/s²", "acceleration from rest"),
     )
     pose = scene.parcels[parcel]

@@ -257,7 +257,7 @@ class ControlServer:
         return fault.tick_range(from_now)[1] if fault.until_s is None else tick_at(fault.until_s, tick_ns)
 
     def _listed(self, one: FaultInstance[FaultSpec], tick: int) -> dict[str, Any]:
-        state = "acts" if one.active_at(tick) else "is to come" if tick < one.start_tick else "is over"
+        state = "active" if one.active_at(tick) else "scheduled" if tick < one.start_tick else "ended"
         return {
             "number": one.number,
             "kind": one.fault.kind_name,

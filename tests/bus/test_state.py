@@ -319,7 +319,7 @@ def test_nesting_without_end_is_refused() -> None:
     data = packed([])
     for _ in range(3_000):
         data = packed(msgpack.ExtType(4, data))
-    with pytest.raises(StateError, match="not a memory"):
+    with pytest.raises(StateError, match="not a saved state"):
         decode(data, {})
 
 

@@ -92,7 +92,7 @@ def test_all_at_once_do_alike_however_the_scene_is_cut(
     ]
     assert all(one == counted[0] for one in counted)
     kinds = {name.split(".")[1] for name, number in counted[0].items() if number}
-    assert kinds - {"words", "begun_anew"} == {fault["kind"] for fault in FAULTS}
+    assert kinds - {"words", "restarts"} == {fault["kind"] for fault in FAULTS}
 
 
 NOTHING = """

@@ -162,7 +162,7 @@ def test_every_link_has_lies_of_its_own(grid: Grid, lockstep: Any) -> None:
 
 def test_a_restarted_cell_receives_no_messages_sent_before_its_restart(grid: Grid, lockstep: Any) -> None:
     received, counted = run_faults(grid, lockstep, 6, {"kind": "reboot"}, first=3, end=3)
-    assert counted["faults.begun_anew"] == 1
+    assert counted["faults.restarts"] == 1
     assert received[0, 0, 0] == [None] * 4, "its first period after the reset, which it counts from 0 again"
     assert received[1, 0, 0][1] == (3 / 8, 3, True)
 

@@ -73,7 +73,7 @@ def test_a_program_that_hangs_holds_its_pins_and_sends_nothing_until_it_is_repai
     assert found[:, 0, 0].tolist() == [1, 2, 3, 3, 3, 3, 1, 2, 3, 4]
     assert found[:, 1, 1].tolist() == [0, 1, 2, 3, 0, 0, 0, 1, 2, 3]
     assert found[:, 1, 0].tolist() == list(range(1, 11)), "nobody else notices"
-    assert counted == {"faults.hang.periods": 3, "faults.begun_anew": 1}
+    assert counted == {"faults.hang.periods": 3, "faults.restarts": 1}
 
 
 def test_a_watchdog_resets_a_program_that_hangs_which_hangs_again_while_the_fault_acts(
@@ -100,10 +100,10 @@ def test_a_rebooted_cell_loses_its_state_stands_and_restarts_after_its_delay(
     found, counted = driven(grid, lockstep, 9, {"kind": "reboot"}, first=3, end=6)
     assert found[:, 0, 0].tolist() == [1, 2, 3, 0, 0, 0, 1, 2, 3]
     assert found[:, 1, 1].tolist() == [0, 1, 2, 3, 0, 0, 0, 1, 2]
-    assert counted == {"faults.reboot.periods": 3, "faults.begun_anew": 1}
+    assert counted == {"faults.reboot.periods": 3, "faults.restarts": 1}
     at_once, counted = driven(grid, lockstep, 6, {"kind": "reboot"}, first=3, end=3)
     assert at_once[:, 0, 0].tolist() == [1, 2, 3, 1, 2, 3]
-    assert counted == {"faults.reboot.periods": 0, "faults.begun_anew": 1}
+    assert counted == {"faults.reboot.periods": 0, "faults.restarts": 1}
 
 
 @pytest.mark.parametrize("factor", ["0.5", "0.3", "0.999999", "0.142857", "0.01"])
@@ -140,7 +140,7 @@ def test_a_repair_reaches_a_cell_that_has_no_instant_in_its_window(
 ) -> None:
     own = clocks(grid(1, 2), 0, 0, windows=3)
     found, counted = driven(grid, lockstep, 60, {"kind": "hang"}, first=10, end=end, clocks=own)
-    assert counted["faults.begun_anew"] == 1
+    assert counted["faults.restarts"] == 1
     after = found[end:, 0, 0]
     numbers = after[np.flatnonzero(np.diff(after, prepend=-1.0))].tolist()
     begins = numbers.index(1.0)
@@ -211,11 +211,11 @@ def test_a_cell_that_is_away_drives_nothing_and_one_that_is_reset_while_it_hangs
 ) -> None:
     found, counted = driven(grid, lockstep, 9, {"kind": "crash"}, first=3, end=6)
     assert found[:, 0, 0].tolist() == [1, 2, 3, 0, 0, 0, 1, 2, 3]
-    assert counted == {"faults.crash.periods": 3, "faults.begun_anew": 1}
+    assert counted == {"faults.crash.periods": 3, "faults.restarts": 1}
     reset = {"kind": "reboot", "first": 5, "end": 5}
     found, counted = driven(grid, lockstep, 9, {"kind": "hang", "first": 0, "end": 1}, HANG, reset, first=3)
     assert found[:, 0, 0].tolist() == [0, 1, 2, 2, 2, 0, 0, 0, 0]
-    assert counted == {"faults.hang.periods": 7, "faults.reboot.periods": 0, "faults.begun_anew": 1}
+    assert counted == {"faults.hang.periods": 7, "faults.reboot.periods": 0, "faults.restarts": 1}
 
 
 @pytest.mark.parametrize(("first", "end"), [(13, 26), (14, 27)])

@@ -259,7 +259,7 @@ def test_whatever_text_there_is_it_is_a_formula_or_refused(text: str):
         ("x", "x has a meaning already"),
         ("sin", "sin has a meaning"),
         ("2a", "'2a' is not a name"),
-        ("é", "no name"),
+        ("é", "not a name"),
     ],
 )
 def test_a_constant_that_no_formula_could_name_is_refused(name: str, rule: str):

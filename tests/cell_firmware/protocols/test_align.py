@@ -127,7 +127,7 @@ def test_too_large_a_gain_is_warned_of_and_the_parcel_swings_as_far_as_predicted
     parameters = {**SEES, "gain_per_s": 2.0, "speed_m_s": 10.0}
     (line,) = firmware(**parameters).warnings(lattice)
     assert line.startswith("gain_per_s times response_s is 1, above 1/4")
-    assert "first time by 16% of the way" in line
+    assert "overshoot the target, first by 16% of the distance" in line
     _, states = run(Case([Start((0.54, 0.38), (0.2, 0.0), 0.0)], "align", parameters, 1, 4.0, SHARP))
     assert states[:, 0, 0].min() == pytest.approx(-0.16 * 0.2, rel=0.15)
     _, states = run(Case([Start((0.54, 0.38), (0.2, 0.0), 0.0)], "align", SEES, 1, 12.0, SHARP))

@@ -159,7 +159,9 @@ def test_a_limit_that_is_too_small_is_warned_of_and_what_is_said_happens(
     lattice = grid(1, 8)
     firmware = hops(goals=[(0, 0)], limit=5)
     (warning,) = firmware.warnings(lattice)
-    assert warning.startswith("limit is 5, and the farthest cell is 7 links from a goal: 3 cells will say")
+    assert caution.startswith(
+        "limit is 5, and the farthest cell is 7 links from a goal: 3 cells will find no route"
+    )
     steps = lockstep(firmware, Partition.even(lattice, 1))
     assert settle(steps, 20).tolist() == [0, 1, 2, 3, 4, 5, 5, 5]
     assert not steps.step()[5:].any()

@@ -231,7 +231,7 @@ def test_a_journey_over_a_hole_that_no_cell_could_hold_is_refused():
         firmware.check_geometry(lattice, place, PITCH_M)
     (problem,) = caught.value.problems
     assert problem.path == ("vehicles", 0)
-    assert problem.message == "leads to (0.56, 0) m, where no cell is near enough to hold it"
+    assert problem.message == "leads to (0.56, 0) m, where no cell is near enough to hold the vehicle"
 
 
 def test_two_vehicles_may_not_begin_in_one_place():

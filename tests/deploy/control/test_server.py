@@ -122,11 +122,11 @@ def test_numbers_go_on_from_those_of_the_scene() -> None:
     listed = live.ask(20, op="list")
     assert (listed["tick"], listed["ok"]) == (20, True)
     assert [tuple(fault.values()) for fault in listed["faults"]] == [
-        (4, "crash", 1, 50, None, "is to come"),
-        (5, "hang", 1, 10, 13, "is over"),
-        (6, "wheel_stuck", 1, 12, 13, "is over"),
+        (4, "crash", 1, 50, None, "scheduled"),
+        (5, "hang", 1, 10, 13, "ended"),
+        (6, "wheel_stuck", 1, 12, 13, "ended"),
     ]
-    assert live.ask(50, op="list")["faults"][0]["state"] == "acts"
+    assert live.ask(50, op="list")["faults"][0]["state"] == "active"
 
 
 def test_a_repair_ends_a_fault_for_all_and_is_recorded() -> None:

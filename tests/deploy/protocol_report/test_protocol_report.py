@@ -242,7 +242,7 @@ def test_a_program_in_plain_python_is_held_against_its_own_theory(plain: str, tm
     assert report is not None
     assert (report.observed, report.last_change_tick, report.predicted_ticks) == ("count", 3, 4)
     assert report.residuals["error"].last_max == 0.0
-    assert report.verdict.endswith("That is as it should be.")
+    assert report.verdict.endswith("This agrees with theory.")
     assert report.links is None
 
 

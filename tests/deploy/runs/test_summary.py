@@ -222,12 +222,12 @@ def test_the_table_fits_eighty_columns_without_cutting_or_wrapping_anything() ->
 def test_what_faults_did_has_a_line_of_its_own_apart_from_which_there_were() -> None:
     text = printed(
         summary(
-            effects={"clock.missed": 2, "faults.link_loss.lost": 60_518, "faults.begun_anew": 1},
+            effects={"clock.missed": 2, "faults.link_loss.lost": 60_518, "faults.restarts": 1},
             faults=[{"kind": "crash", "time_s": 2.0, "cell": [3, 4]}],
         )
     )
     assert "clock      2 missed" in text
-    assert "by faults  link loss lost 60,518, begun anew 1" in text
+    assert "by faults  link loss lost 60,518, restarts 1" in text
     assert text.count("\nfaults") == 1
 
 
@@ -237,7 +237,7 @@ def test_each_limit_of_a_trajectory_s_validity_is_a_line() -> None:
     lines = [" ".join(line.split()) for line in printed(found, width=120).splitlines()]
     assert "law not valid since 0.2039 s: parcel 3 outruns a wheel, and 1 parcel later" in lines
     assert (
-        "chatter captured: positions of parcels 0, 2 to 1e-06 m (solver.capture_m), not to the tolerance"
+        "chatter captured: positions of parcels 0, 2 are accurate to 1e-06 m (solver.capture_m), not to the tolerance"
         in lines
     )
     lost = printed(summary(events_left_out=1204), width=120)

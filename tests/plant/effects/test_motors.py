@@ -313,7 +313,7 @@ def test_a_load_needs_an_inertia_that_dc_gives_and_goes_with_no_dry_friction() -
     dc = DcMotorSpec.model_validate(SHEET)
     assert loaded({"dc": SHEET}).effects.wheel_inertia_kg == dc.inertia_kg
     assert loaded({"dc": SHEET}, inertia_kg=0.5).effects.wheel_inertia_kg == 0.5
-    with pytest.raises(ValidationError, match=r"effects.wheel_load .*must give inertia_kg"):
+    with pytest.raises(ValidationError, match=r"effects.wheel_load .*needs inertia_kg"):
         loaded({})
     for motors in ({"coulomb_v": 1.0}, {"static_v": 1.0}, {"dc": SHEET | {"coulomb_torque_n_m": 1e-3}}):
         with pytest.raises(ValidationError, match=r"effects.motors .*doesn't go with effects.wheel_load"):
