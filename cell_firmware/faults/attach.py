@@ -57,7 +57,7 @@ def decode_fault_control(
         repair = RepairRecord.model_validate_json(control.detail, strict=True)
     except (ValueError, TypeError, RecursionError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
-        raise WireError("control", "fault", f"is no fault, nor a repair: {why}") from None
+        raise WireError("control", "fault", f"is neither a fault nor a repair: {why}") from None
     return repair.number, repair.end
 
 

@@ -96,7 +96,7 @@ def test_a_fault_of_cells_that_are_not_there_is_none() -> None:
     ],
 )
 def test_what_is_no_fault_of_cells_is_refused_with_why(detail: object, why: str) -> None:
-    with pytest.raises(WireError, match=rf"no fault, nor a repair: .*{why}"):
+    with pytest.raises(WireError, match=rf"neither a fault nor a repair: .*{why}"):
         decode_fault_control(control(detail), LATTICE, SEED)
 
 

@@ -159,7 +159,7 @@ def test_a_limit_that_is_too_small_is_warned_of_and_what_is_said_happens(
     lattice = grid(1, 8)
     firmware = hops(goals=[(0, 0)], limit=5)
     (warning,) = firmware.warnings(lattice)
-    assert caution.startswith(
+    assert warning.startswith(
         "limit is 5, and the farthest cell is 7 links from a goal: 3 cells will find no route"
     )
     steps = lockstep(firmware, Partition.even(lattice, 1))
