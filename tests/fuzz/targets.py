@@ -195,7 +195,7 @@ def _report() -> Target:
         return report.tick, report
 
     def check(report: Report) -> None:
-        assert report.kind in ("failed", "hung", "counts")
+        assert report.kind in ("failed", "hung", "counters")
         _check_words(report.cells, report.detail)
         assert len(report.counters) <= COUNTER_LIMIT
         numbers = [*report.counts, *(number for _, number in report.counters)]

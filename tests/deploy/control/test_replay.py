@@ -46,7 +46,7 @@ def test_commands_that_can_be_repeated_are_the_script() -> None:
     ],
 )
 def test_commands_that_can_not_are_bad_input(record: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=r"--replay: the recording's command .* can't be repeated"):
+    with pytest.raises(InputError, match=r"--replay: the recording's command .* can't be replayed"):
         _script(record)
 
 

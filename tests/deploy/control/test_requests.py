@@ -30,7 +30,7 @@ def test_what_is_no_request_is_refused_in_words(payload: bytes | None) -> None:
 
 def test_add_is_refused_live_and_what_to_do_instead_is_said() -> None:
     request = {"op": "inject", "fault": {"kind": "add", "cell": [1, 1]}}
-    with pytest.raises(RequestError, match="inject remove, and repair it"):
+    with pytest.raises(RequestError, match="inject remove, and repair that fault"):
         read_request(json.dumps(request).encode())
 
 
