@@ -24,6 +24,21 @@ WATCH = pytest.StashKey[specialisations.Watch]()
 """On what tests compile; not there where the run compiles as it goes."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option of the nightly tier."""
+    parser.addoption(
+        "--nightly",
+        action="store_true",
+        help="all tests, the slow ones too; 200 random schedules, all solvers compared, fuzzers for ten minutes",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Leave nothing out at night, unless told to."""
+    if config.getoption("nightly") and config.option.markexpr == "not slow":
+        config.option.markexpr = ""
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile kernels that are not on disk yet: processes that tests start find them there.
 

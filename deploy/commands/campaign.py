@@ -86,8 +86,8 @@ AgainstOption = Annotated[
         "--against",
         rich_help_panel=_JUDGED,
         metavar="KEY=VALUE",
-        help="Value of the scene in the undisturbed run. Repeatable. Without --fault and --against there is no "
-        "undisturbed run, and no error.",
+        help="Value of the scene in the baseline run. Repeatable. Without --fault and --against there is no "
+        "baseline run, and no error.",
     ),
 ]
 WithinOption = Annotated[
@@ -191,10 +191,10 @@ def campaign(
     other runs continue. Writes runs.jsonl, campaign.csv, campaign.json and campaign.png.
 
     A run has succeeded if its status is ok; no parcel tipped, fell off the array other than through an exit, or was
-    misrouted; every parcel that rests or has left in the undisturbed run also does so in this run (a parcel that should
-    rest may also have left); and the error is at most --within, or the scene's \[goal] is met. The undisturbed run has
+    misrouted; every parcel that rests or has left in the baseline run also does so in this run (a parcel that should
+    rest may also have left); and the error is at most --within, or the scene's \[goal] is met. The baseline run has
     the same scene and seed, without the campaign's fault. The error is the largest final distance of a parcel's corner
-    from its place in the undisturbed run. Without an undisturbed run, the error is the largest distance of a parcel's
+    from its place in the baseline run. Without a baseline run, the error is the largest distance of a parcel's
     centre of mass from the goal's place. The time is when the last parcel came to rest or left.
 
     Random deaths of cells; message loss; a parameter of the protocol:

@@ -14,10 +14,10 @@ class GoalSpec(Spec):
     """A scene's own criterion of success, for `mdms campaign`. It changes nothing in a run."""
 
     within_m: Positive | None = None
-    """Largest error of a success, m: distance of any corner from its final place in the undisturbed run or, without an
-    undisturbed run, of any parcel's centre of mass from place_m."""
+    """Largest error of a success, m: distance of any corner from its final place in the baseline run or, without an
+    baseline run, of any parcel's centre of mass from place_m."""
     place_m: Vector | None = None
-    """Target of the parcels, m: reference of errors in a campaign without undisturbed runs."""
+    """Target of the parcels, m: reference of errors in a campaign without baseline runs."""
     at_rest: bool = False
     """Whether every parcel must rest, or have been delivered, at the end."""
     delivered: bool = False

@@ -14,43 +14,23 @@ from numpy.typing import NDArray
 from bus.fault import FaultInstance
 from bus.lattice import Lattice
 from bus.partition import Partition
-from cell_firmware.board import Board
+from cell_firmware.build import CellFaults, MotorFacts, build_controller
 from cell_firmware.clocks import ArrayClocks
-from cell_firmware.components import LinkDriver
-from cell_firmware.controller import Controller
 from cell_firmware.effects.base import ShardContext
-from cell_firmware.effects.clock.mailbox import Mailbox
-from cell_firmware.effects.clock.wrapper import LocalClockWrapper
-from cell_firmware.effects.cop.wrapper import WatchdogWrapper
 from cell_firmware.effects.registry import CellEffects
-from cell_firmware.effects.serial.lines import SerialLines
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.faults.attach import attach_fault
 from cell_firmware.faults.base import CellFault
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.shard import FAULTS, BoundaryMessages, Shard, ShardOutputs
-from cell_firmware.specs import nanoseconds
-from cell_firmware.speed_loop import SpeedLoop
+from cell_firmware.specs import CellsSpec
 
-PERIOD_S = 0.004096
+SPEC = CellsSpec()
 PITCH_M = 0.1
 
 
 def cells_of(lattice: Lattice, sensors: int = 1) -> Cells:
     position = np.stack((lattice.columns * PITCH_M, lattice.rows * PITCH_M), axis=1)
-    return Cells.of(lattice, position, PERIOD_S, ((0.0, 0.0),) * sensors, pitch_m=PITCH_M)
-
-
-def links_of(firmware: Firmware, effects: CellEffects, clocks: ArrayClocks | None) -> LinkDriver | None:
-    """What messages have to pass."""
-    if firmware.message is None:
-        return None
-    if effects.serial is not None:
-        settings = effects.serial.settings(nanoseconds(PERIOD_S))
-        if clocks is None:
-            return SerialLines(settings, firmware.message)
-        return SerialLines(settings, firmware.message, clocks.clocks.window_ns, clocks.ppb)
-    return None if clocks is None else Mailbox(firmware.message, clocks.clocks.window_ns)
+    return Cells.of(lattice, position, SPEC.period_s, ((0.0, 0.0),) * sensors, pitch_m=PITCH_M)
 
 
 @dataclass
@@ -63,30 +43,30 @@ class Run:
 
 
 class Lockstep:
-    """Steps shards in turn and carries border messages from tick k to tick k + 1."""
+    """Steps shards in turn and carries border messages from tick k to tick k + 1.
+
+    The shards' controller is the product's own. With ``live``, faults may be injected later, and serial lines
+    go byte by byte.
+    """
 
     def __init__(
         self,
         firmware: Firmware,
         partition: Partition,
-        loop: SpeedLoop | None = None,
+        motors: MotorFacts | None = None,
         effects: CellEffects | None = None,
         seed: int = 0,
         clocks: ArrayClocks | None = None,
         faults: Sequence[FaultInstance[CellFault]] = (),
+        *,
+        live: bool = False,
     ) -> None:
         self.partition = partition
         self.lattice = partition.lattice
         asked = CellEffects() if effects is None else effects
-        board = Board(firmware, loop, links_of(firmware, asked, clocks))
-        controller: Controller = board
-        if asked.cop is not None:
-            controller = WatchdogWrapper(controller, asked.cop, nanoseconds(PERIOD_S))
-        if clocks is not None:
-            controller = LocalClockWrapper(controller, clocks)
-        for fault in faults:
-            controller = attach_fault(controller, self.lattice, seed, fault)
-        tick_ns = nanoseconds(PERIOD_S) if clocks is None else clocks.clocks.window_ns
+        injected = CellFaults(self.lattice, tuple(faults), seed) if faults else None
+        controller = build_controller(firmware, SPEC, asked, motors, clocks, faults=injected, live=live)
+        tick_ns = SPEC.period_ns if clocks is None else clocks.clocks.window_ns
         self.shards: list[Shard] = []
         self.sites: list[ShardContext] = []
         for s in range(partition.count):
@@ -101,9 +81,8 @@ class Lockstep:
             )
             self.sites.append(site)
             stages = asked.input_filters(site)
-            stages[FAULTS] = tuple(
-                stage for one in faults for stage in one.fault.input_filters(site, self.lattice, one)
-            )
+            if injected is not None:
+                stages[FAULTS] = injected.stages(site)
             self.shards.append(Shard(controller, cells_of(self.lattice), partition, s, stages, faults))
         self.links: list[BoundaryMessages | None] = [None] * partition.count
         self.tick = 0
@@ -177,7 +156,7 @@ def run() -> Callable[..., Run]:
         firmware: Firmware,
         partition: Partition,
         ticks: int,
-        loop: SpeedLoop | None = None,
+        motors: MotorFacts | None = None,
         dead: Mapping[int, list[tuple[int, int]]] | None = None,
         presence: NDArray[np.bool_] | None = None,
         encoder_m: NDArray[np.float64] | None = None,
@@ -185,8 +164,9 @@ def run() -> Callable[..., Run]:
         seed: int = 0,
         clocks: ArrayClocks | None = None,
         faults: Sequence[FaultInstance[CellFault]] = (),
+        live: bool = False,
     ) -> Run:
-        steps = Lockstep(firmware, partition, loop, effects, seed, clocks, faults)
+        steps = Lockstep(firmware, partition, motors, effects, seed, clocks, faults, live=live)
         drives: list[NDArray[np.float64]] = []
         for k in range(ticks):
             steps.retire((dead or {}).get(k, ()))

@@ -327,10 +327,10 @@ def test_a_callback_from_another_thread_ends_the_wait_and_not_the_run(
         assert runner.run(main()) == ["0", "1", "2"]
 
 
-def test_another_event_loop_is_refused(silent: tuple[MemoryEndpoint, Shard, Participant]):
+async def test_another_event_loop_is_refused(silent: tuple[MemoryEndpoint, Shard, Participant]):
     _, shard, member = silent
     with pytest.raises(TypeError, match="must be a TransportEventLoop"):
-        asyncio.run(agent.run(shard, member))
+        await agent.run(shard, member)
 
 
 def test_an_error_of_the_step_itself_fails_all_cells_of_the_shard(

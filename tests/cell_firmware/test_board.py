@@ -8,12 +8,11 @@ import pytest
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
+from cell_firmware.build import MotorFacts
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
-from cell_firmware.specs import SpeedLoopSpec
-from cell_firmware.speed_loop import SpeedLoop
 
 NONE = NoParameters()
 
@@ -95,11 +94,11 @@ def test_array_firmware_that_fails_names_the_cell_and_tick_and_the_others_go_on(
     motors: bool,
 ):
     lattice = grid(3, 4)
-    loop = SpeedLoop(SpeedLoopSpec(), 0.004096, 12.0) if motors else None
+    facts = MotorFacts(12.0, 1.2) if motors else None
     encoder = np.zeros((6, 12, 2)) if motors else None
     partition = Partition.even(lattice, shards)
-    result = run(Faulty(fault), partition, 6, loop=loop, encoder_m=encoder)
-    healthy = run(Faulty(lambda *_: None), partition, 6, loop=loop, encoder_m=encoder)
+    result = run(Faulty(fault), partition, 6, motors=facts, encoder_m=encoder)
+    healthy = run(Faulty(lambda *_: None), partition, 6, motors=facts, encoder_m=encoder)
 
     (failure,) = result.failures
     assert (failure.cell, failure.tick, failure.problem) == ((1, 2), 3, FAULTS[fault])

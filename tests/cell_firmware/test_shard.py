@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
+from cell_firmware.build import MotorFacts
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.effects.base import ShardContext
 from cell_firmware.effects.clock.spec import ClockSpec
@@ -21,8 +22,6 @@ from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 from cell_firmware.shard import Shard
-from cell_firmware.specs import SpeedLoopSpec
-from cell_firmware.speed_loop import SpeedLoop
 
 
 class Gossip(Firmware):
@@ -118,12 +117,11 @@ def test_any_partition_of_any_array_gives_the_same_bytes_as_one_shard(
         st.dictionaries(st.integers(0, 6), st.lists(st.sampled_from(lattice.cells)), max_size=3)
     )
     random = np.random.default_rng(data.draw(st.integers(0, 99)))
-    loop = SpeedLoop(SpeedLoopSpec(), 0.004096, 12.0) if motors else None
     inputs: dict[str, Any] = {
         "presence": random.random((ticks, n, 1)) < 0.7,
         "encoder_m": np.cumsum(random.random((ticks, n, 2)) * 1e-4, axis=0) if motors else None,
         "dead": deaths,
-        "loop": loop,
+        "motors": MotorFacts(12.0, 1.2) if motors else None,
         "effects": EFFECTS[effects],
         "seed": data.draw(st.integers(0, 2**63 - 1)),
         "clocks": clock and clock.clocks(lattice, 4_096_000, data.draw(st.integers(0, 99))),

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -24,8 +24,11 @@ SOLVERS = {
 }
 """The module of the kernel that each compiled solver calls."""
 
-COMPARED = {name: SOLVERS[name] for name in ("exact", "implicit")}
-"""Solvers whose kernels are compiled here, twice: between them they call what the others call."""
+COMPARED = ("exact", "implicit")
+"""Solvers whose kernels are compiled here, twice: between them they call what the others call.
+
+With ``--nightly`` all are compared.
+"""
 
 COMPILE = """
 import hashlib, importlib, json, re, sys
@@ -58,7 +61,14 @@ for solver, block in solvers.items():
 """
 
 
-def _compiling(*effects: str) -> subprocess.Popen[str]:
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Compare the kernels of a few solvers, or of all."""
+    if "compared" in metafunc.fixturenames:
+        compared = tuple(SOLVERS) if metafunc.config.getoption("nightly") else COMPARED
+        metafunc.parametrize("compared", [compared], ids=["-".join(compared)])
+
+
+def _compiling(compared: Sequence[str], *effects: str) -> subprocess.Popen[str]:
     """A fresh process that compiles solvers' kernels for a scene without effects, ``effects`` known to it.
 
     One after another, since they have most of what they call in common.
@@ -68,7 +78,7 @@ def _compiling(*effects: str) -> subprocess.Popen[str]:
             sys.executable,
             "-c",
             COMPILE,
-            ",".join(f"{name}={block}" for name, block in COMPARED.items()),
+            ",".join(f"{name}={SOLVERS[name]}" for name in compared),
             *effects,
         ],
         cwd=ROOT,
@@ -81,12 +91,12 @@ def _compiling(*effects: str) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_kernels_without_effects_are_the_same_whether_or_not_effects_exist() -> None:
-    processes = [_compiling(), _compiling(*EFFECTS)]
+def test_kernels_without_effects_are_the_same_whether_or_not_effects_exist(compared: tuple[str, ...]) -> None:
+    processes = [_compiling(compared), _compiling(compared, *EFFECTS)]
     outputs = [process.communicate()[0] for process in processes]
     assert [process.returncode for process in processes] == [0, 0]
     without, known = ([json.loads(line) for line in text.splitlines()] for text in outputs)
-    assert [solver for solver, _, _ in without] == list(COMPARED)
+    assert [solver for solver, _, _ in without] == list(compared)
     assert min(length for _, length, _ in without) > 1_000_000
     assert without == known
 

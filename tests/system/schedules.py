@@ -30,7 +30,7 @@ from deploy.workers.plan import RunOptions
 from plant.process import PlantProcess
 
 CELLS = 18
-RUN_S = 0.3
+RUN_S = 0.4
 """Simulated, and at least as much on the wall clock."""
 DEADLINE_S, LEASE_S = 1.2, 1.0
 
@@ -77,7 +77,7 @@ class Schedule:
                 float(draw.uniform(0.0, RUN_S)),
                 _ACTIONS[int(draw.choice(3, p=[0.55, 0.35, 0.1]))],
                 int(draw.integers(CELLS)),
-                float(draw.choice([0.03, 0.1, 0.3, 1.3])),
+                float(draw.choice([0.03, 0.1, 0.3, 1.5])),
             )
             for _ in range(int(draw.integers(1, 6)))
         ]

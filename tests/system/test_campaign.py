@@ -69,7 +69,7 @@ def test_going_on_with_a_campaign_that_is_over_runs_nothing_and_says_the_same(
     assert main(["campaign", "--resume", str(whole)]) == 0
     out = capsys.readouterr().out
     assert (
-        "fault crash from 0 s, 3 seeds, 6 runs and 3 undisturbed; in brackets 95 % confidence intervals"
+        "fault crash from 0 s, 3 seeds, 6 runs and 3 baseline runs; in brackets 95 % confidence intervals"
         in out
     )
     assert out.splitlines()[4].split()[:5] == ["0", "3", "0", "100", "(44–100)"]
@@ -84,14 +84,14 @@ def test_a_row_has_what_was_varied_and_what_it_came_to(whole: Path) -> None:
     assert last["error_m"]["mean"] > 0.0
     assert last["error_m"]["low"] <= last["error_m"]["mean"] < last["error_m"]["high"]
     assert (report["status"], report["runs"], report["failed"]) == ("ok", 6, [])
-    assert report["criterion"] == "error at most 1 m from where the undisturbed run ends (--within)"
+    assert report["criterion"] == "error at most 1 m from where the baseline run ends (--within)"
 
 
 def test_seeds_are_other_chances_and_cases_the_same_ones(whole: Path) -> None:
     lines = [json.loads(line) for line in (whole / "runs.jsonl").read_text().splitlines()]
     runs = {(line["values"]["fault.share"], line["seed"]): line for line in lines if "values" in line}
     assert len({runs[0.5, seed]["error_m"] for seed in (0, 1, 2)}) > 1
-    assert sum("undisturbed" in line for line in lines) == 3
+    assert sum("baseline" in line for line in lines) == 3
 
 
 def test_other_arguments_and_a_folder_in_use_are_bad_input(

@@ -15,6 +15,7 @@ import zenoh
 from bus.transports.base import Received
 from bus.transports.zenoh import Certificate, Identity, Password, client_config, open_client
 from bus.wire.frames import Control, encode_control
+from bus.wire.msgpack_codec import VERSION
 from deploy.control.client import ask_run
 from deploy.control.registers import read_registers
 from deploy.runs.run import run
@@ -72,9 +73,9 @@ class Insider:
         run_name, sense = own.key.split("/")[1], own.payload
         token = self.session.liveliness().declare_token(f"mdms/{run_name}/shard/1/ready")
         stop = encode_control(Control("stop", 0, (), "by a stranger"))
-        drive = b"\x83\xa1v\x01\xa4tick\x05\xa5drive\xc4\x60" + bytes(96)
+        drive = msgpack.packb({"v": VERSION, "tick": 5, "drive": bytes(96)})
         tick = msgpack.unpackb(sense)["tick"]
-        ahead = msgpack.packb({"v": 2, "tick": tick + 50, "drive": bytes(96)})
+        ahead = msgpack.packb({"v": VERSION, "tick": tick + 50, "drive": bytes(96)})
         puts = {"shard/1/drive": drive, "shard/0/sense": sense, "plant/control": stop}
         for _ in range(5):
             for key, payload in puts.items():

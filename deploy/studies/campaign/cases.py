@@ -256,15 +256,15 @@ def cases_of(spec: CampaignSpec, text: str) -> Cases:
         varied = [axis.override(value) for axis, value in zip(axes, values, strict=True)]
         own = [one for one in varied if one.path[0] != FAULT]
         faulty = [*fault, *(one for one in varied if one.path[0] == FAULT)]
-        undisturbed = scene_with([*own, *against]) if fault or against else None
+        baseline = scene_with([*own, *against]) if fault or against else None
         scene = scene_with([*own, *(_placed(one, place) for one in faulty)])
         return Case(
             number,
             {axis.key: value for axis, value in zip(axes, values, strict=True)},
             scene,
-            undisturbed,
-            criterion_of(spec, scene, compared=undisturbed is not None),
-            "" if undisturbed is None else sha256(undisturbed.canonical()).hexdigest()[:16],
+            baseline,
+            criterion_of(spec, scene, compared=baseline is not None),
+            "" if baseline is None else sha256(baseline.canonical()).hexdigest()[:16],
         )
 
     return Cases(plain, axes, seeds, tuple(case(*one) for one in enumerate(combinations(axes))))

@@ -24,7 +24,7 @@ class CampaignProgress(Display):
     """Progress bar with completed runs, failed runs and remaining time; occasional lines in a log.
 
     Args:
-        total: Runs of the campaign, undisturbed ones included.
+        total: Runs of the campaign, baseline runs included.
         done: Of these, done before.
         failed: Of those, failed.
         quiet: Show nothing.
@@ -109,7 +109,7 @@ def heading(report: CampaignReport) -> str:
     if spec.fault:
         until = "" if spec.until_s is None else f" to {spec.until_s:g} s"
         facts.append(f"fault {spec.fault} from {spec.at_s:g} s{until}")
-    beside = f" and {cases.baseline_runs:,} undisturbed" if cases.baseline_runs else ""
+    beside = f" and {plural(cases.baseline_runs, 'baseline run')}" if cases.baseline_runs else ""
     facts += [plural(len(cases.seeds), "seed"), plural(len(report.outcomes), "run") + beside]
     return f"{', '.join(facts)}; in brackets {100 * spec.confidence:g} % confidence intervals"
 

@@ -20,11 +20,11 @@ class Criterion:
 
     Attributes:
         within_m: Largest error of a success, m; None: any.
-        place_m: Place that errors are measured from where there is no undisturbed run, m; None: no error then.
+        place_m: Place that errors are measured from where there is no baseline run, m; None: no error then.
         at_rest: Whether every parcel must rest or have been delivered.
         delivered: Whether every parcel that was fed must have been delivered.
         by: Origin of the demands: ``--within``, the scene's ``goal``, or both.
-        compared: Whether there is an undisturbed run.
+        compared: Whether there is a baseline run.
     """
 
     within_m: float | None = None
@@ -49,7 +49,7 @@ class Criterion:
     def reference(self) -> str:
         """Description of the reference of errors."""
         if self.compared or self.place_m is None:
-            return "where the undisturbed run ends"
+            return "where the baseline run ends"
         return f"{format_point(self.place_m)} m"
 
 
@@ -59,7 +59,7 @@ def criterion_of(spec: CampaignSpec, scene: Scene, *, compared: bool) -> Criteri
     Args:
         spec: The campaign.
         scene: The scene of a case.
-        compared: Whether there is an undisturbed run.
+        compared: Whether there is a baseline run.
 
     Raises:
         InputError: Neither the command line nor the scene demands anything, or the demand can't be judged.
@@ -69,7 +69,7 @@ def criterion_of(spec: CampaignSpec, scene: Scene, *, compared: bool) -> Criteri
     if spec.within_m is not None and not measured:
         raise InputError(
             f"--within {spec.within_m:g}: no reference for errors: without --fault and --against there is no "
-            f"undisturbed run to compare with, and scene {spec.scene} has no goal.place_m; give one of them"
+            f"baseline run to compare with, and scene {spec.scene} has no goal.place_m; give one of them"
         )
     if goal is None:
         if spec.within_m is None:
@@ -95,10 +95,10 @@ def _nothing_demanded(spec: CampaignSpec, *, compared: bool) -> str:
     if compared:
         return (
             f"campaign: no criterion of success for {spec.scene}: give --within METRES, the largest "
-            "distance of a parcel from where the undisturbed run ends, or give the scene a [goal]"
+            "distance of a parcel from where the baseline run ends, or give the scene a [goal]"
         )
     return (
         f"campaign: no criterion of success for {spec.scene}: without --fault and --against there is no "
-        "undisturbed run to compare with; give the scene a [goal], such as "
+        "baseline run to compare with; give the scene a [goal], such as "
         "--set 'goal={ place_m = [0.0, 0.0], within_m = 0.05 }' or --set goal.at_rest=true"
     )

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self, final
 
-from deploy.studies.campaign.result import CaseEnd, run_case
+from deploy.studies.campaign.result import CaseRecord, run_case
 from deploy.workers.pool import WorkerError, WorkerPool, describe_exit
 from deploy.workers.socket_folder import SocketFolder
 
@@ -75,12 +75,12 @@ class WorkerLoop:
                     return
 
 
-def _run(scene: Scene) -> CaseEnd:
+def _run(scene: Scene) -> CaseRecord:
     try:
         return run_case(scene)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is how this run ended, and the others go on
         where = traceback.extract_tb(error.__traceback__)[-1]
-        return CaseEnd(status="failed", reason=f"{error!r} ({where.filename}, line {where.lineno})")
+        return CaseRecord(status="failed", reason=f"{error!r} ({where.filename}, line {where.lineno})")
 
 
 _POLL_S = 0.02
@@ -96,7 +96,7 @@ _REPORT_S = 2.0
 class Executor(Protocol):
     """Executor of scenes, local or remote."""
 
-    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
+    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseRecord]]:
         """Run scenes; how each ended comes with its place among them, in any order.
 
         A run that fails, hangs or is killed ends as failed, and the others go on.
@@ -142,7 +142,7 @@ class _WorkerSlot:
 class ExecutorPool:
     """Pool of worker processes, each with one run at a time; leaving the context terminates all workers.
 
-    They are forked by a nursery, which runs nothing itself, and end with this process however that ends.
+    They are forked by a fork server, which runs nothing itself, and end with this process however that ends.
 
     Args:
         jobs: Runs at a time.
@@ -182,7 +182,7 @@ class ExecutorPool:
         for slot in self._slots:
             slot.connection.close()
 
-    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
+    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseRecord]]:
         """Run scenes; see `Executor`.
 
         Raises:
@@ -242,11 +242,11 @@ class ExecutorPool:
                 with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                     slot.connection.send(slot.job.scene)
 
-    def _receive(self, slot: _WorkerSlot, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
+    def _receive(self, slot: _WorkerSlot, todo: deque[_Job]) -> Iterator[tuple[int, CaseRecord]]:
         """Receive a worker's result, or handle the loss of the worker."""
         job, slot.job = slot.job, None
         try:
-            reply: tuple[CaseEnd, bool] = slot.connection.recv()
+            reply: tuple[CaseRecord, bool] = slot.connection.recv()
         except (EOFError, ConnectionResetError):
             self._release(slot)
             if job is not None:
@@ -258,11 +258,11 @@ class ExecutorPool:
             self._release(slot)
         yield job.place, ending
 
-    def _lost(self, worker: int, job: _Job, todo: deque[_Job]) -> Iterator[tuple[int, CaseEnd]]:
+    def _lost(self, worker: int, job: _Job, todo: deque[_Job]) -> Iterator[tuple[int, CaseRecord]]:
         """Requeue the job of a lost worker, or fail the job at the second loss."""
         if job.tried:
             reason = f"its process was lost twice: {self._how(worker)}"
-            yield job.place, CaseEnd(status="failed", reason=reason)
+            yield job.place, CaseRecord(status="failed", reason=reason)
         else:
             job.tried = True
             todo.appendleft(job)
@@ -283,7 +283,7 @@ class ExecutorPool:
             else "for an unknown reason"
         )
 
-    def _overdue(self) -> Iterator[tuple[int, CaseEnd]]:
+    def _overdue(self) -> Iterator[tuple[int, CaseRecord]]:
         """End what takes longer than it may."""
         now = time.monotonic()
         for slot in list(self._slots):
@@ -292,5 +292,5 @@ class ExecutorPool:
                 self._release(slot)
                 yield (
                     slot.job.place,
-                    CaseEnd(status="failed", reason=f"not over after {self._limit_s:g} s (--limit)"),
+                    CaseRecord(status="failed", reason=f"not over after {self._limit_s:g} s (--limit)"),
                 )

@@ -48,8 +48,8 @@ class ParcelEnd:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CaseEnd:
-    """End of one run.
+class CaseRecord:
+    """Entry of the journal for one run: the part of its `RunResult` that the evaluation needs.
 
     Attributes:
         status: ``ok``, ``failed``, ``stalled`` or ``unstable``.
@@ -71,7 +71,7 @@ class CaseEnd:
     wall_s: float = 0.0
 
 
-def run_case(scene: Scene) -> CaseEnd:
+def run_case(scene: Scene) -> CaseRecord:
     """Run a scene with the whole system in this process; errors are part of the result."""
     from cell_firmware.errors import FirmwareError
     from deploy.recordings.digest import Digest
@@ -81,12 +81,12 @@ def run_case(scene: Scene) -> CaseEnd:
     try:
         result = run_headless(scene, cells=True, digest=digest)
     except (DeployError, PlantError, FirmwareError) as error:
-        return CaseEnd(status="failed", reason=str(error))
+        return CaseRecord(status="failed", reason=str(error))
     if result.status != "ok":
-        return CaseEnd(
+        return CaseRecord(
             status=result.status, reason=result.reason, cells_lost=result.cells_lost, wall_s=result.wall_s
         )
-    return CaseEnd(
+    return CaseRecord(
         status="ok",
         parcels=_parcels(result),
         misrouted=result.misrouted,
@@ -138,26 +138,26 @@ class CaseOutcome:
     wall_s: float
 
 
-def evaluate(ending: CaseEnd, undisturbed: CaseEnd | None, criterion: Criterion) -> CaseOutcome:
+def evaluate(ending: CaseRecord, baseline: CaseRecord | None, criterion: Criterion) -> CaseOutcome:
     """Judge a run.
 
     It has *succeeded* if its status is ``ok``; no parcel tipped, fell off the array (left it other than through an
-    exit) or was misrouted; every parcel that rests in the undisturbed run rests here or has left, and every one that
+    exit) or was misrouted; every parcel that rests in the baseline run rests here or has left, and every one that
     left there has left here; and what the criterion demands holds.
 
     The *error* is the largest distance, at the end, of any corner of a parcel's footprint from where it is in the
-    undisturbed run, over the parcels that are there in both. Without an undisturbed run it is the largest distance of a
+    baseline run, over the parcels that are there in both. Without a baseline run it is the largest distance of a
     parcel's centre of mass from the criterion's place. None where there is none. The *time* is when the last
     parcel came to rest or left; None unless every parcel did.
 
     Args:
         ending: Of the run.
-        undisturbed: Of the run that it is compared with; None: with nothing.
+        baseline: Of the run that it is compared with; None: with nothing.
         criterion: Demands on the run.
     """
     status, reason = ending.status, ending.reason
-    if status == "ok" and undisturbed is not None and undisturbed.status != "ok":
-        status, reason = "failed", f"the undisturbed run: {undisturbed.status}: {undisturbed.reason}"
+    if status == "ok" and baseline is not None and baseline.status != "ok":
+        status, reason = "failed", f"the baseline run: {baseline.status}: {baseline.reason}"
     if status != "ok":
         return CaseOutcome(
             status=status,
@@ -169,11 +169,11 @@ def evaluate(ending: CaseEnd, undisturbed: CaseEnd | None, criterion: Criterion)
             digest=ending.digest,
             wall_s=ending.wall_s,
         )
-    if undisturbed is not None:
-        error_m = error_of(ending, undisturbed)
+    if baseline is not None:
+        error_m = error_of(ending, baseline)
     else:
         error_m = None if criterion.place_m is None else distance_of(ending, criterion.place_m)
-    flaw = _failure_reason(ending, undisturbed) or _unmet(ending, error_m, criterion)
+    flaw = _failure_reason(ending, baseline) or _unmet(ending, error_m, criterion)
     return CaseOutcome(
         status=status,
         reason=flaw,
@@ -186,7 +186,7 @@ def evaluate(ending: CaseEnd, undisturbed: CaseEnd | None, criterion: Criterion)
     )
 
 
-def _failure_reason(ending: CaseEnd, undisturbed: CaseEnd | None) -> str:
+def _failure_reason(ending: CaseRecord, baseline: CaseRecord | None) -> str:
     """Return why a completed run failed, as far as parcels' states show; empty if no state does."""
     for number, parcel in enumerate(ending.parcels):
         if parcel.state == "tipped":
@@ -195,7 +195,7 @@ def _failure_reason(ending: CaseEnd, undisturbed: CaseEnd | None) -> str:
             return f"parcel {number} fell off the array"
     if ending.misrouted:
         return f"{ending.misrouted} misrouted"
-    for number, (parcel, other) in enumerate(zip(ending.parcels, _of(undisturbed), strict=False)):
+    for number, (parcel, other) in enumerate(zip(ending.parcels, _of(baseline), strict=False)):
         if other.left and not parcel.left:
             return f"parcel {number} has not left"
         if other.state == "at_rest" and not _done(parcel):
@@ -203,7 +203,7 @@ def _failure_reason(ending: CaseEnd, undisturbed: CaseEnd | None) -> str:
     return ""
 
 
-def _unmet(ending: CaseEnd, error_m: float | None, criterion: Criterion) -> str:
+def _unmet(ending: CaseRecord, error_m: float | None, criterion: Criterion) -> str:
     """The criterion's demand that isn't met; empty: all are."""
     for number, parcel in enumerate(ending.parcels):
         if criterion.delivered and not parcel.left and parcel.state != "waiting":
@@ -215,7 +215,7 @@ def _unmet(ending: CaseEnd, error_m: float | None, criterion: Criterion) -> str:
     return ""
 
 
-def _of(ending: CaseEnd | None) -> tuple[ParcelEnd, ...]:
+def _of(ending: CaseRecord | None) -> tuple[ParcelEnd, ...]:
     return () if ending is None else ending.parcels
 
 
@@ -224,9 +224,9 @@ def _done(parcel: ParcelEnd) -> bool:
     return parcel.left or parcel.state == "at_rest"
 
 
-def error_of(ending: CaseEnd, undisturbed: CaseEnd) -> float | None:
-    """The largest distance of a corner from where it is in the undisturbed run, m; None where no parcel is in both."""
-    pairs = zip(ending.parcels, undisturbed.parcels, strict=False)
+def error_of(ending: CaseRecord, baseline: CaseRecord) -> float | None:
+    """The largest distance of a corner from where it is in the baseline run, m; None where no parcel is in both."""
+    pairs = zip(ending.parcels, baseline.parcels, strict=False)
     distances = [
         math.dist(corner, other)
         for one, there in pairs
@@ -236,12 +236,12 @@ def error_of(ending: CaseEnd, undisturbed: CaseEnd) -> float | None:
     return max(distances, default=None)
 
 
-def distance_of(ending: CaseEnd, place_m: tuple[float, float]) -> float | None:
+def distance_of(ending: CaseRecord, place_m: tuple[float, float]) -> float | None:
     """The largest distance of a parcel's centre of mass from a place, m; None where no parcel is there."""
     return max((math.dist(one.place_m, place_m) for one in ending.parcels if one.there), default=None)
 
 
-def time_of(ending: CaseEnd) -> float | None:
+def time_of(ending: CaseRecord) -> float | None:
     """Return when the last parcel came to rest or left, s; None if some parcel didn't, or without parcels."""
     if not all(_done(parcel) for parcel in ending.parcels):
         return None

@@ -17,7 +17,7 @@ from deploy.studies.campaign.cases import with_seed
 from deploy.studies.campaign.console import CampaignProgress
 from deploy.studies.campaign.pool import Executor, ExecutorPool
 from deploy.studies.campaign.report import CampaignReport, aggregate
-from deploy.studies.campaign.result import CaseEnd, CaseOutcome, evaluate
+from deploy.studies.campaign.result import CaseRecord, CaseOutcome, evaluate
 from deploy.util.formatting import say, silent
 from deploy.util.signals import Interrupted, Interruption
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FILE_NAME = "runs.jsonl"
 
-_ENDING = TypeAdapter(CaseEnd)
+_ENDING = TypeAdapter(CaseRecord)
 _OUTCOME = TypeAdapter(CaseOutcome)
 
 
@@ -53,7 +53,7 @@ class Journal:
 
     def __init__(self, folder: Path) -> None:
         self.runs: dict[tuple[int, int], CaseOutcome] = {}
-        self.baselines: dict[str, CaseEnd] = {}
+        self.baselines: dict[str, CaseRecord] = {}
         self._path = folder / FILE_NAME
         try:
             self._file = self._path.open("ab+", buffering=0)
@@ -87,18 +87,18 @@ class Journal:
                 ) from None
 
     def _take(self, line: Mapping[str, Any]) -> None:
-        if "undisturbed" in line:
-            self.baselines[line["undisturbed"]] = _ENDING.validate_python(line["ending"])
+        if "baseline" in line:
+            self.baselines[line["baseline"]] = _ENDING.validate_python(line["ending"])
         else:
             self.runs[line["case"], line["seed"]] = _OUTCOME.validate_python(line)
 
-    def add_baseline(self, key: str, seed: int, ending: CaseEnd) -> None:
-        """Keep how an undisturbed run ended.
+    def add_baseline(self, key: str, seed: int, ending: CaseRecord) -> None:
+        """Keep how a baseline run ended.
 
         Raises:
             DeployError: It can't be written.
         """
-        self._append({"undisturbed": key, "seed": seed, "ending": asdict(ending)})
+        self._append({"baseline": key, "seed": seed, "ending": asdict(ending)})
         self.baselines[key] = ending
 
     def add_run(self, case: Case, seed: int, outcome: CaseOutcome) -> None:
@@ -207,8 +207,8 @@ class Campaign:
     ) -> None:
         for place, ending in executor.map(with_seed(case.scene, seed) for case, seed in runs):
             case, seed = runs[place]
-            undisturbed = journal.baselines.get(case.baseline_id(seed))
-            outcome = evaluate(ending, undisturbed, case.criterion)
+            baseline = journal.baselines.get(case.baseline_id(seed))
+            outcome = evaluate(ending, baseline, case.criterion)
             journal.add_run(case, seed, outcome)
             progress.advance(failed=outcome.status != "ok")
 

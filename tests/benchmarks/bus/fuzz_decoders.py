@@ -122,17 +122,17 @@ def fuzz(target: Target, frames: int, seed: int) -> list[Escape]:
         f"| {target.name} | {frames:,} | {accepted:,} | {names} | {spent_s / frames * 1e6:.1f} | {slowest_s * 1e3:.1f} "
         f"| {' / '.join(f'{m.resident_mb:.1f}' for m in memory)} "
         f"| {' / '.join(f'{m.heap_mb:.2f}' for m in memory)} | {memory[-1].blocks - memory[0].blocks:+,} "
-        f"| {_peak(target, seed):,} | {len(escapes)} |",
+        f"| {_peak(target, min(frames, _PEAK_FRAMES), seed):,} | {len(escapes)} |",
         flush=True,
     )
     return escapes
 
 
-def _peak(target: Target, seed: int) -> int:
+def _peak(target: Target, frames: int, seed: int) -> int:
     """The most bytes that one frame allocated while it was read."""
     mutator, most = Mutator(target.frames, f"fuzz {target.name} {seed}", target.form), 0
     tracemalloc.start()
-    for _ in range(_PEAK_FRAMES):
+    for _ in range(frames):
         payload = mutator.next()
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]

@@ -17,11 +17,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from keys_case import Run, keys_for, run_once, write_scene
 
+from deploy.workers.plan import Processes
+
+CELLS = 18
+
 METHOD = """\
-Method. heat_diffusion on 3 x 6 cells, a process a cell, a parcel between them, by mdms run, in turns, the median of
-{turns}. "ticks/s": of {ticks} ticks, without start-up. "processor": time of all processes together, a tick: of {ticks}
-ticks less that of {few}. "certificates": mutual TLS, access control by role, what is refused counted. "passwords": the
-same by user and password over TCP. All must come to the same digest.
+Method. heat_diffusion on 3 x 6 cells in {processes} processes, a parcel between them, by mdms run, in turns, the median
+of {turns}. "ticks/s": of {ticks} ticks, without start-up. "processor": time of all processes together, a tick: of
+{ticks} ticks less that of {few}. "certificates": mutual TLS, access control by role, what is refused counted.
+"passwords": the same by user and password over TCP. All must come to the same digest.
 """
 
 
@@ -39,25 +43,27 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--ticks", type=int, default=1_500)
     parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--processes", type=int, default=CELLS, help="of cells")
     given = parser.parse_args()
     few = given.ticks // 10
-    print(METHOD.format(ticks=given.ticks, turns=given.turns, few=few))
+    print(METHOD.format(processes=given.processes, ticks=given.ticks, turns=given.turns, few=few))
+    processes: Processes = "each" if given.processes == CELLS else given.processes
     with tempfile.TemporaryDirectory() as folder:
-        measure(Path(folder), given.ticks, few, given.turns)
+        measure(Path(folder), processes, given.ticks, few, given.turns)
 
 
-def measure(folder: Path, ticks: int, few: int, turns: int) -> None:
+def measure(folder: Path, processes: Processes, ticks: int, few: int, turns: int) -> None:
     """Runs every way in turns."""
     scene = write_scene(folder)
     ways = {
         "plain": None,
-        "certificates": keys_for(scene, "each", folder / "certificates", "certificate"),
-        "passwords": keys_for(scene, "each", folder / "passwords", "password"),
+        "certificates": keys_for(scene, processes, folder / "certificates", "certificate"),
+        "passwords": keys_for(scene, processes, folder / "passwords", "password"),
     }
     found: dict[str, list[Cost]] = {name: [] for name in ways}
     for _ in range(turns):
         for name, keys in ways.items():
-            found[name].append(cost(Run(scene, "each", keys, folder / "out"), ticks, few))
+            found[name].append(cost(Run(scene, processes, keys, folder / "out"), ticks, few))
     if len({one.digest for costs in found.values() for one in costs}) != 1:
         raise SystemExit("the digests differ")
     rate = {name: statistics.median(one.ticks_per_s for one in costs) for name, costs in found.items()}

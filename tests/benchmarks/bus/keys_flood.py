@@ -17,7 +17,10 @@ from typing import Any, cast
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
+import msgpack
 from keys_case import ROOT, Run, keys_for, write_scene
+
+from bus.wire.msgpack_codec import VERSION
 
 METHOD = """\
 Method. heat_diffusion on 3 x 6 cells in 2 processes with certificates, {ticks} ticks by mdms run; beside it a process
@@ -33,7 +36,7 @@ KINDS = {
     "huge": "8 MB on its own drive",
     "giant": "200 MB on its own drive",
 }
-LATE = b"\x83\xa1v\x01\xa4tick\x00\xa5drive\xc4\x90" + bytes(144)
+LATE = msgpack.packb({"v": VERSION, "tick": 0, "drive": bytes(144)})
 PAYLOADS = {
     "denied": b"x",
     "garbage": b"\xc1" * 100,
@@ -41,6 +44,7 @@ PAYLOADS = {
     "huge": bytes(8_000_000),
     "giant": bytes(200_000_000),
 }
+NOT_REFUSED = ("sent", "delivered", "protocol")
 AFTER_TICKS = 20
 """Ticks that the flood lets pass first: what comes for them is late for certain."""
 DRAIN_S = 2.0
@@ -51,6 +55,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--ticks", type=int, default=2_000)
     parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--kind", choices=list(KINDS), action="append", help="only this one")
     parser.add_argument("--flood", nargs=3, metavar=("KIND", "ENDPOINT", "KEYS"), help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.flood:
@@ -61,9 +66,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene = write_scene(Path(folder))
         keys = keys_for(scene, 2, Path(folder) / "keys", "certificate")
-        for kind, words in KINDS.items():
+        for kind in given.kind or KINDS:
             print(
-                f"{kind:8} {words}\n         {measure(kind, scene, keys, given.ticks, given.seconds)}",
+                f"{kind:8} {KINDS[kind]}\n         {measure(kind, scene, keys, given.ticks, given.seconds)}",
                 flush=True,
             )
 
@@ -100,7 +105,7 @@ def measure(kind: str, scene: Path, keys: Path, ticks: int, seconds: float) -> s
 
 def told(summary: dict[str, Any], most_kb: int) -> str:
     """In a line."""
-    messages = {name: n for name, n in summary["messages"].items() if name not in ("sent", "delivered") and n}
+    messages = {name: n for name, n in summary["messages"].items() if name not in NOT_REFUSED and n}
     counts = ", ".join(f"{n:,} {name}" for name, n in messages.items()) or "nothing refused"
     return (
         f"{summary['status']}, {summary['ticks_per_s']:,.0f} ticks/s, {most_kb / 1024:,.0f} MB; {counts}; "

@@ -83,7 +83,7 @@ class Side:
         return spent / steps
 
 
-def measure(size: int, turns: int) -> dict[str, Any]:
+def measure(size: int, turns: int, budget_s: float) -> dict[str, Any]:
     """Time of a behavioural step, and of each effect the ratios, turn by turn."""
     rows, columns = SIZES[size]
     lattice = Lattice((row, column) for row in range(rows) for column in range(columns))
@@ -96,11 +96,11 @@ def measure(size: int, turns: int) -> dict[str, Any]:
     }
     sides = {name: Side(effects, lattice) for name, effects in asked.items()}
     for side in sides.values():
-        side.step_s(0.1 * BUDGET_S)
+        side.step_s(0.1 * budget_s)
     times: dict[str, list[float]] = {name: [] for name in sides}
     for _ in range(turns):
         for name, side in sides.items():
-            times[name].append(side.step_s(BUDGET_S))
+            times[name].append(side.step_s(budget_s))
     base = times.pop("behavioural")
     ratios = {name: [one / by for one, by in zip(found, base, strict=True)] for name, found in times.items()}
     return {"cells": size, "behavioural_us_a_cell": 1e6 * median(base) / size, "ratios": ratios}
@@ -111,13 +111,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser.add_argument("--cells", type=int, choices=list(SIZES), action="append", help="only so many")
+    parser.add_argument("--budget", type=float, default=BUDGET_S, help="of processor time a side and turn, s")
     asked = parser.parse_args()
-    found = [measure(size, asked.turns) for size in SIZES]
+    sizes: list[int] = asked.cells or list(SIZES)
+    found = [measure(size, asked.turns, asked.budget) for size in sizes]
     if asked.json:
         print(json.dumps(found))
         return
     print(METHOD.format(turns=asked.turns))
-    print("  ".join(["effect       ", *(f"{size:>18,} cells" for size in SIZES)]))
+    print("  ".join(["effect       ", *(f"{size:>18,} cells" for size in sizes)]))
     print(
         "  ".join(["behavioural  ", *(f"{one['behavioural_us_a_cell']:>16.2f} us a cell" for one in found)])
     )

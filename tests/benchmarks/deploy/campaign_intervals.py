@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -16,7 +17,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from deploy.studies.campaign.report import mean_of
 
-SAMPLES = 1000
 METHOD = """\
 Method. {samples:,} samples of each size from distributions of mean 1; how many of the 95 % intervals hold it.
 Bootstrap: SciPy's, bias-corrected and accelerated, 999 resamples.
@@ -42,11 +42,14 @@ def of_bootstrap(samples: NDArray[np.float64]) -> float:
 
 
 def main() -> None:
-    print(METHOD.format(samples=SAMPLES))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, default=1000, help="of each size")
+    number: int = parser.parse_args().samples
+    print(METHOD.format(samples=number))
     print(f"{'':22}{'runs':>5}{'Student t':>11}{'bootstrap':>11}")
     for name, sample in DISTRIBUTIONS.items():
         for runs in (3, 5, 10, 20, 50):
-            samples = sample(np.random.default_rng(7), (SAMPLES, runs))
+            samples = sample(np.random.default_rng(7), (number, runs))
             print(f"{name:22}{runs:5}{of_student(samples):11.1%}{of_bootstrap(samples):11.1%}")
 
 

@@ -22,6 +22,7 @@ from deploy.workers.plan import RunOptions
 
 SIZES = ((3, 6, 6_000), (25, 40, 2_000), (100, 100, 800))
 """Rows, columns, ticks."""
+QUICK = ((3, 6, 600),)
 METHOD = """\
 Method. heat_diffusion (diffusion number 0.2, one corner warm) under one parcel, {workers} worker process over Zenoh,
 a checkpoint every {every:g} s of wall time. Ticks a second of the lockstep, the median of {repeats} rounds, in each of
@@ -49,11 +50,12 @@ def main() -> None:
     )
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--every", type=float, default=1.0)
+    parser.add_argument("--quick", action="store_true", help="the smallest array, a tenth of its ticks")
     asked = parser.parse_args()
     CheckpointStore.clear = _stay
     print(METHOD.format(workers=1, every=asked.every, repeats=asked.repeats))
     print(" cells   without/s      with/s   ratio   bytes     start-up begins, goes on (s)")
-    for rows, columns, ticks in SIZES:
+    for rows, columns, ticks in QUICK if asked.quick else SIZES:
         found_ = [_round(scene(rows, columns, ticks), asked.every) for _ in range(asked.repeats)]
         without, kept, size, begins, goes_on = (median(one) for one in zip(*found_, strict=True))
         ratio = median(one[1] / one[0] for one in found_)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
@@ -35,8 +36,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--quick", action="store_true", help="few settings of each solver")
     options = parser.parse_args()
-    report = study(load_scene("elliptic"), StudyPlan(repeats=options.repeats, sampling=False))
+    plan = (
+        StudyPlan.of(quick=True, repeats=options.repeats)
+        if options.quick
+        else StudyPlan(repeats=options.repeats)
+    )
+    report = study(load_scene("elliptic"), replace(plan, sampling=False))
     best = {
         line: cheapest(
             [row for row in report.rows if row.line == line], FINE_M if line == "exact" else COARSE_M

@@ -12,6 +12,7 @@ import json
 import statistics
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -33,6 +34,7 @@ SIZES = tuple(
         (0.42, 0.46, 0.50, 0.54, 0.58, 0.62, 0.66, 0.68, 0.70, 0.72, 0.74), (0.38, 0.40, 0.42, 0.44, 0.46)
     )
 )
+QUICK = ((0.54, 0.38), (0.68, 0.42))
 
 METHOD = """\
 Method. The scene elliptic with {sizes} sizes of parcel, {seconds} s each, in one process, warm: medians of processor
@@ -79,13 +81,13 @@ def _timed(plant: Plant, speeds: np.ndarray, ends_ns: range | list[int]) -> tupl
     return spent, captured
 
 
-def measure(turns: int) -> list[Row]:
-    """Every size, in turns."""
+def measure(turns: int, sizes: Sequence[tuple[float, float]]) -> list[Row]:
+    """Rows of these sizes, in turns."""
     scene = load_scene("elliptic")
     spec, period_ns = scene.plant_spec(), scene.cells.period_ns
     whole, ticks = [SECONDS * SECOND], range(period_ns, SECONDS * SECOND, period_ns)
     rows: list[Row] = []
-    for size in SIZES:
+    for size in sizes:
         spent: dict[str, list[float]] = {"whole": [], "ticks": []}
         chatters, changes = False, 0
         for _ in range(turns):
@@ -104,8 +106,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--quick", action="store_true", help="two sizes, of which one chatters")
     options = parser.parse_args()
-    rows = measure(options.turns)
+    sizes = QUICK if options.quick else SIZES
+    rows = measure(options.turns, sizes)
     calm, chattering = ([row for row in rows if row.chatters is which] for which in (False, True))
     middle = {name: statistics.median(getattr(row, name) for row in calm) for name in ("whole_s", "ticks_s")}
     ratio = {
@@ -116,7 +120,7 @@ def main() -> None:
     if options.json:
         print(json.dumps({"rows": [asdict(row) for row in rows], "ratio": ratio, "target": TARGET}))
         return
-    print(METHOD.format(sizes=len(SIZES), seconds=SECONDS, turns=options.turns))
+    print(METHOD.format(sizes=len(sizes), seconds=SECONDS, turns=options.turns))
     print(f"{'':24}{'sizes':>7}{'changes':>9}{'whole, ms':>11}{'ticks, ms':>11}")
     for title, group in (("do not chatter, median", calm), ("chatter, median", chattering)):
         changes, whole, ticks = (

@@ -39,7 +39,6 @@ TARGET = 50.0
 LOOK_EVERY_S = 0.002
 """The longest step that can't jump over the stays of a few milliseconds in this scene."""
 LOOK_AT_S = 2.0
-RUNS_A_TURN = 10
 
 METHOD = """\
 The scene elliptic, 10 s, tolerance 1e-12. Both sides in one process, warm, in {turns} turns of {runs} runs: medians of
@@ -184,24 +183,26 @@ class SciPySide:
         )
 
 
-def measure(sides: dict[str, Side], times_s: Floats, turns: int) -> dict[tuple[str, bool], float]:
+def measure(
+    sides: dict[str, Side], times_s: Floats, turns: int, runs_a_turn: int
+) -> dict[tuple[str, bool], float]:
     """Median processor time of every side, without and with samples; the sides take turns of several runs."""
     spent: dict[tuple[str, bool], list[float]] = {}
     for turn in range(turns + 1):
         for (title, side), sampled in itertools.product(sides.items(), (False, True)):
-            runs = several(side, times_s if sampled else None)
+            runs = several(side, times_s if sampled else None, runs_a_turn)
             if turn > 0:  # the first turn warms up
                 spent.setdefault((title, sampled), []).extend(runs)
     return {key: statistics.median(values) for key, values in spent.items()}
 
 
-def several(side: Side, times_s: Floats | None) -> list[float]:
+def several(side: Side, times_s: Floats | None, runs: int) -> list[float]:
     """Processor time of each of several runs in a row; no garbage is collected meanwhile, as ``timeit`` has it."""
-    side.prepare(RUNS_A_TURN)
+    side.prepare(runs)
     gc.collect()
     gc.disable()
     spent: list[float] = []
-    for _ in range(RUNS_A_TURN):
+    for _ in range(runs):
         begun = time.process_time()
         side.go(times_s)
         spent.append(time.process_time() - begun)
@@ -209,7 +210,7 @@ def several(side: Side, times_s: Floats | None) -> list[float]:
     return spent
 
 
-def compare(turns: int) -> list[Row]:
+def compare(turns: int, runs: int) -> list[Row]:
     """All rows; the exact solver's is the first, then the two forms of SciPy's, then the check."""
     problem = Problem.bundled()
     functions = Functions.of(problem.scene.plant_spec(), problem.speeds)
@@ -219,7 +220,7 @@ def compare(turns: int) -> list[Row]:
         "SciPy, each": SciPySide(problem, functions, "each"),
     }
     check: dict[str, Side] = {"SciPy, each, every 2 ms": SciPySide(problem, functions, "each", LOOK_EVERY_S)}
-    median = measure(forms, problem.times_s, turns) | measure(check, problem.times_s, 1)
+    median = measure(forms, problem.times_s, turns, runs) | measure(check, problem.times_s, 1, runs)
     exact = ExactSide(problem, REFERENCE_TOLERANCE)
     exact.prepare(1)
     reference = exact.go(problem.times_s)[1]
@@ -236,16 +237,17 @@ def compare(turns: int) -> list[Row]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--turns", type=int, default=4, help=f"of {RUNS_A_TURN} runs, for each side")
+    parser.add_argument("--turns", type=int, default=4, help="of several runs, for each side")
+    parser.add_argument("--runs", type=int, default=10, help="a turn")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    rows = compare(options.turns)
+    rows = compare(options.turns, options.runs)
     ratio = min(row.ratio for row in rows[1:3])
     if options.json:
         print(json.dumps({"rows": [asdict(row) for row in rows], "ratio": ratio, "target": TARGET}))
         return
     versions = {"scipy": scipy.__version__, "numba": numba.__version__}
-    print(METHOD.format(turns=options.turns, runs=RUNS_A_TURN, **versions))
+    print(METHOD.format(turns=options.turns, runs=options.runs, **versions))
     head = ("end only", "ratio", "sampled", "ratio", "crossings", "error, m", "at 2 s, m", "at 2 s, rad")
     print(f"{'':24}" + "".join(f"{word:>12}" for word in head))
     for row in rows:

@@ -24,12 +24,10 @@ from plant.parcel_spec import ArraySpec, ParcelSpec
 from plant.plant import Plant
 from plant.solver_api import Segment
 from plant.solver_specs import ExactSpec
-from plant.solvers.compiled import ThreadedSolver
+from plant.solvers.compiled import AdvanceArgs, ThreadedSolver
 from plant.specs import PlantSpec
 from plant.wheels import WheelMotion
 
-PARCELS = 1_000
-SIDE = 1_000
 PITCH_M = 0.1
 WELL_CELLS = 30
 PERIOD_NS = 4_096_000
@@ -87,13 +85,13 @@ class Row:
         return self.many_cpu_us / self.alone_cpu_us
 
 
-def scene(parcels: int) -> PlantSpec:
+def scene(parcels: int, side: int) -> PlantSpec:
     """The first so many parcels, on the whole array."""
     draw = np.random.default_rng(1)
-    across = SIDE // WELL_CELLS
+    across = side // WELL_CELLS
     middle = (np.arange(across) - 0.5 * (across - 1)) * WELL_CELLS * PITCH_M
     return PlantSpec(
-        array=ArraySpec(rows=SIDE, columns=SIDE, pitch_m=PITCH_M),
+        array=ArraySpec(rows=side, columns=side, pitch_m=PITCH_M),
         parcels=tuple(
             ParcelSpec(
                 size_m=(0.54, 0.32),
@@ -108,9 +106,9 @@ def scene(parcels: int) -> PlantSpec:
     )
 
 
-def wells(plant: Plant) -> NDArray[np.float64]:
+def wells(plant: Plant, side: int) -> NDArray[np.float64]:
     """Wheel speeds ``(n, 2)``, m/s: an elliptic field about the middle of every well."""
-    across = SIDE // WELL_CELLS
+    across = side // WELL_CELLS
     width = WELL_CELLS * PITCH_M
     offset = plant.array.positions_m + 0.5 * across * width
     return (offset % width - 0.5 * width) * (-1.0, -2.0)
@@ -119,9 +117,9 @@ def wells(plant: Plant) -> NDArray[np.float64]:
 class Side:
     """A plant that can be taken back to where it was, its wheels at constant speeds."""
 
-    def __init__(self, parcels: int) -> None:
-        self.plant = Plant(scene(parcels))
-        self.speeds = wells(self.plant)
+    def __init__(self, parcels: int, side: int) -> None:
+        self.plant = Plant(scene(parcels, side))
+        self.speeds = wells(self.plant, side)
         self.solver: ThreadedSolver = self.plant._solver
         still = np.zeros_like(self.speeds)
         self.motion = WheelMotion(self.speeds, still, 0.0)
@@ -155,10 +153,8 @@ class Side:
         """Move a block by a tick in one call of the kernel, and parcels that it names again by as many ticks."""
         solver, workspace = self.solver, self.solver.workspace(0)
         surface = solver._surface(self.motion, self.grip)
-        moved, _ = solver._entry.advance_block(
-            surface, solver.packed, workspace.work, solver._allowance, block, PERIOD_NS * 1e-9, self._none, self._out,
-            workspace.log, workspace.report,
-        )  # fmt: skip
+        args = AdvanceArgs(surface, PERIOD_NS * 1e-9, self._none, self._out)
+        moved, _ = solver._advance_block(workspace, block, args)
         return moved
 
 
@@ -171,11 +167,11 @@ def cost_us(side: Side, move: Move) -> tuple[float, float]:
     return wall / moves * 1e6, cpu / moves * 1e6
 
 
-def measure(turns: int) -> tuple[list[Row], int]:
+def measure(turns: int, parcels: int, side: int) -> tuple[list[Row], int]:
     """Rows of medians, and how many threads there were."""
-    many, single = Side(PARCELS), Side(1)
+    many, single = Side(parcels, side), Side(1, side)
     threads = many.solver.thread_pool.threads
-    sample = many.everyone[:: PARCELS // SAMPLE]
+    sample = many.everyone[:: parcels // SAMPLE]
     tick_s = PERIOD_NS * 1e-9
 
     def each(which: NDArray[np.int64], span_s: float, times: int) -> int:
@@ -204,16 +200,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--turns", type=int, default=9, help="turns of each")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--parcels", type=int, default=1_000, help=f"{SAMPLE} at least")
+    parser.add_argument(
+        "--side", type=int, default=1_000, help=f"of the array: {WELL_CELLS} cells a parcel, both ways"
+    )
     options = parser.parse_args()
-    rows, threads = measure(options.turns)
+    rows, threads = measure(options.turns, options.parcels, options.side)
     if options.json:
         figures = [asdict(row) | {"ratio": row.ratio, "cpu_ratio": row.cpu_ratio} for row in rows]
         print(json.dumps({"threads": threads, "rows": figures}))
         return
     told = {"threads": threads, "turns": options.turns, "begin": BEGIN_NS * 1e-9, "tick": PERIOD_NS * 1e-6}
     told |= {
-        "parcels": PARCELS,
-        "side": SIDE,
+        "parcels": options.parcels,
+        "side": options.side,
         "well": WELL_CELLS,
         "sample": SAMPLE,
         "ticks": TICKS,

@@ -1,10 +1,11 @@
 """What every solver's settings come to on the scene ``elliptic``, and how far off motion without inertia is.
 
-``python tests/benchmarks/plant/solvers_compared.py`` prints its method; heyoka's rows need the extra ``reference``.
+``python tests/benchmarks/plant/solvers_compared.py`` prints its method; heyoka's rows need the extra ``accuracy``.
 """
 
 from __future__ import annotations
 
+import argparse
 import statistics
 import sys
 import time
@@ -23,7 +24,6 @@ from plant.plant import Plant
 from plant.specs import PlantSpec
 
 SECOND = 1_000_000_000
-RUNS = 5
 ROWS: tuple[dict[str, Any], ...] = (
     *({"name": "exact", "tolerance": t} for t in (1e-6, 1e-9, 1e-12)),
     *({"name": "implicit", "tolerance": t} for t in (1e-5, 1e-7, 1e-9)),
@@ -56,17 +56,20 @@ def run(
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=5, help="for each time")
+    runs: int = parser.parse_args().runs
     scene = load_scene("elliptic")
     spec = scene.plant_spec()
     speeds = field_speeds(scene, Plant(spec).array.positions_m)
     known, _ = run(spec, {"name": "exact", "tolerance": 1e-14}, speeds, 2.0)
-    print(METHOD.format(changes=known.support_changes, runs=RUNS))
+    print(METHOD.format(changes=known.support_changes, runs=runs))
     print(f"{'':40}{'off':>10}{'changes':>9}{'time':>12}")
     for settings in ROWS:
         if settings["name"] == "heyoka" and find_spec("heyoka") is None:
             continue
         run(spec, settings, speeds, 0.01)
-        plants, spent = zip(*(run(spec, settings, speeds, 2.0) for _ in range(RUNS)), strict=True)
+        plants, spent = zip(*(run(spec, settings, speeds, 2.0) for _ in range(runs)), strict=True)
         title = " ".join(str(value) for value in settings.values())
         off = float(np.abs(plants[0].state - known.state).max())
         print(f"{title:40}{off:10.1e}{plants[0].support_changes:9}{statistics.median(spent) * 1e3:9.2f} ms")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -75,12 +75,12 @@ def row(asked: tuple[int, str, int, int, float]) -> Row:
     )
 
 
-def rows(seeds: int, seconds: float) -> Iterator[Row]:
+def rows(seeds: int, seconds: float, dead_percent: Sequence[int]) -> Iterator[Row]:
     """The table, in two processes."""
     asked = [
         (size, wheels, dead, seeds, seconds)
         for size, wheels in ((3, ""), (4, ""), (5, ""), (2, "w"), (2, ""))
-        for dead in DEAD_PERCENT
+        for dead in dead_percent
     ]
     with get_context("spawn").Pool(2) as pool:
         yield from pool.imap(row, asked)
@@ -114,12 +114,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=18.0)
+    parser.add_argument(
+        "--dead", type=int, choices=DEAD_PERCENT, action="append", help="percent, only so many"
+    )
     parser.add_argument("--output", type=Path)
     asked = parser.parse_args()
     print(METHOD.format(seeds=asked.seeds, seconds=asked.seconds))
     print(" ".join(f"{name:>13}" for name in HEADER))
     table: list[Row] = []
-    for line in rows(asked.seeds, asked.seconds):
+    for line in rows(asked.seeds, asked.seconds, asked.dead or DEAD_PERCENT):
         table.append(line)
         print(
             " ".join(f"{value:13.3f}" if isinstance(value, float) else f"{value!s:>13}" for value in line),

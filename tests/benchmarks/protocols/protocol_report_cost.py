@@ -62,10 +62,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--ticks", type=int, default=420)
+    parser.add_argument(
+        "--sizes", type=int, default=len(SIZES), help="so many sizes of array, from the smallest"
+    )
     asked = parser.parse_args()
     print(METHOD.format(ticks=asked.ticks, short=SHORT, repeats=asked.repeats))
     print(f"{'cells':>7}{'plain':>10}{'reported':>10}{'ratio':>8}{'every 10':>10}{'ratio':>8}   ms a tick")
-    for rows, columns in SIZES:
+    for rows, columns in SIZES[: asked.sizes]:
         rounds = [
             tuple(a_tick_s(rows, columns, asked.ticks, every) for every in (None, 1, 10))
             for _ in range(asked.repeats)

@@ -297,7 +297,7 @@ def test_serial_lines_find_what_was_corrupted_on_them(windows: int, grid: Grid, 
 
 def test_a_sender_s_claim_of_more_bytes_than_a_window_holds_is_cut(grid: Grid, lockstep: Any) -> None:
     lattice = grid(1, 2)
-    steps = lockstep(Talker(), Partition.even(lattice, 2), None, SERIAL)
+    steps = lockstep(Talker(), Partition.even(lattice, 2), None, SERIAL, live=True)
     for _ in range(12):
         steps.step()
         for links in steps.links:

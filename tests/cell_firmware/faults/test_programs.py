@@ -171,7 +171,7 @@ def test_a_fault_of_one_cell_is_joined_to_a_running_array_to_the_same_effect(
         lattice, *({"cell": (0, 0), **table} for table in tables), first=7, end=11
     )
     scheduled = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, None, faults)
-    live = lockstep(Counting(), Partition.even(lattice, 1))
+    live = lockstep(Counting(), Partition.even(lattice, 1), live=True)
     for tick in range(20):
         if tick == 7:
             for fault in faults:
@@ -197,7 +197,7 @@ def test_faults_joined_one_by_one_act_and_count_as_if_they_had_been_there_from_t
     timed = ({**table, "first": 5 + 3 * i, "end": 11 + 4 * i} for i, table in enumerate(tables))
     faults = instances(lattice, *({"cell": (0, 0), **table} for table in timed))
     scheduled = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, own, faults)
-    live = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, own)
+    live = lockstep(Counting(), Partition.even(lattice, 1), None, None, 0, own, live=True)
     for tick in range(28):
         for fault in faults:
             if fault.start_tick == tick:

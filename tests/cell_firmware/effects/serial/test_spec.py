@@ -112,18 +112,25 @@ def test_with_good_crystals_at_any_phase_nothing_is_lost_and_words_take_a_window
     assert max(lags) <= 10.3 + 4.2 + 2 * 4.1 + 1
 
 
-def test_what_a_cell_had_half_said_when_it_died_is_damaged_and_nothing_comes_after(
-    grid: Grid, run: Run
+@pytest.mark.parametrize(
+    ("by_bytes", "damaged", "received"),
+    [
+        # a message each way, eight bytes of two periods' to the living, and three of the last period's to the dead
+        (True, 1, 2 * 9 + 8 + 3),
+        (False, 0, 2 * 9),  # lines that carry messages whole count whole ones
+    ],
+)
+def test_what_a_cell_had_half_said_when_it_died_is_not_heard_and_nothing_comes_after(
+    by_bytes: bool, damaged: int, received: int, grid: Grid, run: Run
 ) -> None:
     for shards in (1, 2):
         firmware = Stamper(every=10)
         partition = Partition.even(grid(1, 2), shards)
-        counted = run(firmware, partition, 40, dead={12: [(0, 0)]}, effects=serial()).counted
+        counted = run(firmware, partition, 40, dead={12: [(0, 0)]}, effects=serial(), live=by_bytes).counted
         west = [firmware.received[tick, 0, 1][3] for tick in range(40)]
         assert [said for said in west if said >= 0] == [0]  # that of tick 10 takes three periods
-        assert counted["serial.damaged"] == 1
-        # a message each way, eight bytes of two periods' to the living, and three of the last period's to the dead
-        assert counted["serial.received"] == 2 * 9 + 8 + 3
+        assert counted["serial.damaged"] == damaged
+        assert counted["serial.received"] == received
 
 
 @pytest.mark.parametrize(

@@ -12,23 +12,23 @@ import pytest
 from deploy.scenes.files import scene_text
 from deploy.scenes.scene import Scene
 from deploy.studies.campaign.cases import cases_of
-from deploy.studies.campaign.result import CaseEnd
+from deploy.studies.campaign.result import CaseRecord
 from deploy.studies.campaign.runner import Campaign, Journal
 from deploy.studies.campaign.spec import read_options
 from deploy.util.signals import Interrupted, Interruption
 
-OK = CaseEnd(status="ok")
+OK = CaseRecord(status="ok")
 
 
 @dataclass
 class Executor:
     """Runs nothing, last scene first; ends as requested after so many runs."""
 
-    ending: CaseEnd = OK
+    ending: CaseRecord = OK
     interrupted_after: int = 10**9
     ran: list[Scene] = field(default_factory=list)
 
-    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseEnd]]:
+    def map(self, scenes: Iterable[Scene]) -> Iterator[tuple[int, CaseRecord]]:
         for place, scene in reversed(list(enumerate(scenes))):
             if len(self.ran) == self.interrupted_after:
                 raise Interrupted
@@ -59,7 +59,7 @@ def test_undisturbed_runs_come_first_each_once_and_those_that_are_over_are_not_r
 def test_a_campaign_none_of_whose_runs_comes_to_its_end_has_failed(tmp_path: Path) -> None:
     wanted = campaign(tmp_path)
     with Journal(tmp_path) as journal:
-        wanted.execute(Executor(CaseEnd(status="unstable", reason="why")), journal)
+        wanted.execute(Executor(CaseRecord(status="unstable", reason="why")), journal)
     report = wanted.run(1, Interruption())
     assert (report.status, report.reason) == (
         "failed",

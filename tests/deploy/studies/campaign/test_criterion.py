@@ -32,7 +32,7 @@ def test_a_campaign_for_which_nothing_says_what_success_is_is_refused_before_any
     assert error.splitlines()[-1].startswith(
         f"mdms: campaign: no criterion of success for {WITHOUT_GOAL}: give --within METRES"
     ) or error.startswith(f"campaign: no criterion of success for {WITHOUT_GOAL}: give --within METRES")
-    with pytest.raises(InputError, match=r"no undisturbed run to compare with; give the scene a \[goal\]"):
+    with pytest.raises(InputError, match=r"no baseline run to compare with; give the scene a \[goal\]"):
         _criterion(vary=("parcels.0.mass_kg=1,2",))
     with pytest.raises(InputError, match=r"--within 0\.1: no reference for errors"):
         _criterion(vary=("parcels.0.mass_kg=1,2",), within_m=0.1)
@@ -40,17 +40,17 @@ def test_a_campaign_for_which_nothing_says_what_success_is_is_refused_before_any
 
 def test_the_command_line_or_the_scenes_goal_defines_success_and_the_source_is_named() -> None:
     assert _criterion(**FAULT, within_m=0.1).words() == (
-        "error at most 0.1 m from where the undisturbed run ends (--within)"
+        "error at most 0.1 m from where the baseline run ends (--within)"
     )
     assert _criterion("elliptic", **FAULT).words() == (
-        "error at most 0.05 m from where the undisturbed run ends (the scene's goal)"
+        "error at most 0.05 m from where the baseline run ends (the scene's goal)"
     )
     assert _criterion("elliptic", **FAULT, within_m=0.2).words() == (
-        "error at most 0.2 m from where the undisturbed run ends (--within)"
+        "error at most 0.2 m from where the baseline run ends (--within)"
     )
     assert _criterion(set=PLACE).words() == "error at most 0.02 m from (0.1, 0) m (the scene's goal)"
     assert _criterion(**FAULT, within_m=0.1, set=("goal.at_rest=true",)).words() == (
-        "error at most 0.1 m from where the undisturbed run ends, every parcel at rest or delivered "
+        "error at most 0.1 m from where the baseline run ends, every parcel at rest or delivered "
         "(--within and the scene's goal)"
     )
 

@@ -12,7 +12,7 @@ import pytest
 from deploy.errors import DeployError, InputError
 from deploy.scenes.files import scene_text
 from deploy.studies.campaign.cases import Case, cases_of
-from deploy.studies.campaign.result import CaseEnd, CaseOutcome, ParcelEnd
+from deploy.studies.campaign.result import CaseRecord, CaseOutcome, ParcelEnd
 from deploy.studies.campaign.runner import FILE_NAME, Journal
 from deploy.studies.campaign.spec import read_options
 
@@ -26,7 +26,9 @@ OUTCOME = CaseOutcome(
     digest="d",
     wall_s=0.5,
 )
-ENDING = CaseEnd(status="ok", parcels=(ParcelEnd("at_rest", 1 / 3, (0.1, 1 / 7), ((0.1, 2.0),)),), digest="e")
+ENDING = CaseRecord(
+    status="ok", parcels=(ParcelEnd("at_rest", 1 / 3, (0.1, 1 / 7), ((0.1, 2.0),)),), digest="e"
+)
 
 
 @pytest.fixture

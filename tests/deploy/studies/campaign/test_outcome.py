@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from deploy.studies.campaign.criterion import Criterion
-from deploy.studies.campaign.result import CaseEnd, ParcelEnd, evaluate
+from deploy.studies.campaign.result import CaseRecord, ParcelEnd, evaluate
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
 REST = ParcelEnd("at_rest", 2.0, (0.5, 0.4), CORNERS)
@@ -17,8 +17,8 @@ ANY = Criterion()
 WAITS = replace(REST, state="waiting", time_s=0.0)
 
 
-def ending(*parcels: ParcelEnd, **more: object) -> CaseEnd:
-    return replace(CaseEnd(status="ok", parcels=parcels, digest="d"), **more)
+def ending(*parcels: ParcelEnd, **more: object) -> CaseRecord:
+    return replace(CaseRecord(status="ok", parcels=parcels, digest="d"), **more)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_within_makes_a_success_of_no_run_that_ends_farther_off() -> None:
     moved = replace(REST, corners_m=((0.0, 0.0), (1.0, 0.0), (1.3, 1.4)))
     assert evaluate(ending(moved), ending(REST), Criterion(within_m=0.6)).succeeded
     outcome = evaluate(ending(moved), ending(REST), Criterion(within_m=0.4))
-    assert (outcome.succeeded, outcome.reason) == (False, "0.5 m from where the undisturbed run ends")
+    assert (outcome.succeeded, outcome.reason) == (False, "0.5 m from where the baseline run ends")
 
 
 def test_without_an_undisturbed_run_the_error_is_the_distance_from_the_goals_place() -> None:
@@ -96,11 +96,11 @@ def test_the_time_is_that_of_the_last_to_rest_or_leave_and_there_is_none_until_a
 
 
 def test_a_run_that_ended_early_is_stored_with_its_reason_and_nothing_measured() -> None:
-    outcome = evaluate(CaseEnd(status="unstable", reason="why", wall_s=2.0), ending(REST), ANY)
+    outcome = evaluate(CaseRecord(status="unstable", reason="why", wall_s=2.0), ending(REST), ANY)
     assert (outcome.status, outcome.reason, outcome.wall_s) == ("unstable", "why", 2.0)
     assert (outcome.succeeded, outcome.error_m, outcome.time_s, outcome.digest) == (False, None, None, None)
 
 
 def test_a_run_without_its_undisturbed_one_fails_and_says_why_that_did() -> None:
-    outcome = evaluate(ending(REST), CaseEnd(status="failed", reason="why"), ANY)
-    assert (outcome.status, outcome.reason) == ("failed", "the undisturbed run: failed: why")
+    outcome = evaluate(ending(REST), CaseRecord(status="failed", reason="why"), ANY)
+    assert (outcome.status, outcome.reason) == ("failed", "the baseline run: failed: why")

@@ -12,7 +12,7 @@ from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
 from deploy.studies.campaign.pool import ExecutorPool
-from deploy.studies.campaign.result import CaseEnd, run_case
+from deploy.studies.campaign.result import CaseRecord, run_case
 from deploy.workers.plan import RunOptions
 from deploy.workers.pool import WorkerError
 
@@ -66,7 +66,7 @@ def nothing() -> None:
 
 
 @pytest.fixture(scope="module")
-def endings(tmp_path_factory: pytest.TempPathFactory) -> list[CaseEnd]:
+def endings(tmp_path_factory: pytest.TempPathFactory) -> list[CaseRecord]:
     """Of a run each: in order, what misbehaves before what doesn't, in the same two workers."""
     folder = tmp_path_factory.mktemp("programs")
     scenes = [
@@ -85,24 +85,24 @@ def endings(tmp_path_factory: pytest.TempPathFactory) -> list[CaseEnd]:
     return [found[place] for place in range(len(scenes))]
 
 
-def test_a_run_whose_process_is_killed_is_tried_once_more(endings: list[CaseEnd]) -> None:
-    assert endings[0] == CaseEnd(
+def test_a_run_whose_process_is_killed_is_tried_once_more(endings: list[CaseRecord]) -> None:
+    assert endings[0] == CaseRecord(
         status="ok", parcels=endings[6].parcels, digest=endings[0].digest, wall_s=endings[0].wall_s
     )
 
 
-def test_a_run_whose_process_is_killed_twice_has_failed(endings: list[CaseEnd]) -> None:
+def test_a_run_whose_process_is_killed_twice_has_failed(endings: list[CaseRecord]) -> None:
     assert (endings[2].status, endings[2].reason) == (
         "failed",
         "its process was lost twice: killed by SIGKILL",
     )
 
 
-def test_a_run_that_hangs_is_ended_at_the_limit(endings: list[CaseEnd]) -> None:
+def test_a_run_that_hangs_is_ended_at_the_limit(endings: list[CaseRecord]) -> None:
     assert (endings[1].status, endings[1].reason) == ("failed", "not over after 15 s (--limit)")
 
 
-def test_a_run_that_fails_says_why(endings: list[CaseEnd]) -> None:
+def test_a_run_that_fails_says_why(endings: list[CaseRecord]) -> None:
     assert [ending.status for ending in endings[3:5]] == ["failed", "failed"]
     assert "NeverReturned" in endings[3].reason
     assert endings[4].cells_lost == 18
@@ -110,7 +110,7 @@ def test_a_run_that_fails_says_why(endings: list[CaseEnd]) -> None:
     assert endings[5].reason
 
 
-def test_runs_after_those_end_as_if_they_had_been_alone(endings: list[CaseEnd]) -> None:
+def test_runs_after_those_end_as_if_they_had_been_alone(endings: list[CaseRecord]) -> None:
     assert endings[6].status == "ok"
     assert endings[6].digest == endings[7].digest is not None
 
