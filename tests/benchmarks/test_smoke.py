@@ -39,7 +39,7 @@ SCRIPTS: dict[str, Smoke] = {
     "bus/lockstep.py": Smoke(
         "--case 0 --sessions 1 --repeat 2", rf"1 worker, packed +{N} +{N} +{N} +{N} +{N}"
     ),
-    "cells/board_cost.py": Smoke("--cells 18 --turns 1 --budget 0.02", rf"mux +{N} \({N}\)"),
+    "cells/board_cost.py": Smoke("--cells 18 --turns 1 --budget 0.02", rf"mux +{N} \({N}-{N}\)"),
     "cells/shard_against_cells.py": Smoke("--side 50 --turns 1", rf"arrays are {N} times as fast"),
     "cells/wheel_drive.py": Smoke("", rf"ripple, 256 levels: {N} m/s"),
     "deploy/campaign_cost.py": Smoke(
