@@ -107,6 +107,15 @@ def test_the_command_works_beside_folders_of_the_same_names(tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
 
 
+def test_the_package_is_the_command(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "mdms", "--version"],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, check=False, timeout=110,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout[:5]) == (0, "mdms ")
+
+
 def test_objects_say_what_they_are_and_travel() -> None:
     scene = mdms.load_scene("motors")
     assert pickle.loads(pickle.dumps(scene)) == scene
